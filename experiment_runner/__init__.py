@@ -1,0 +1,1 @@
+"""Experiments: plans, trials, results, and the commands around them."""

@@ -1,0 +1,54 @@
+"""Every exception of the project descends from `GlueError`.
+
+A message says what was expected, what came, from whom, and what to do about it. The command
+line prints it as one line; peers get a code and the text, never a traceback.
+"""
+
+from __future__ import annotations
+
+
+class GlueError(Exception):
+    """The root: catch this to catch everything the project raises on purpose."""
+
+
+class LocalProtocolError(GlueError):
+    """You broke the protocol: a call out of place, or a value that cannot be sent."""
+
+
+class RemoteProtocolError(GlueError):
+    """They broke the protocol: the peer sent something that is malformed or out of place."""
+
+
+class TaskSpecError(GlueError):
+    """A task spec does not parse; the message names the position and what was expected."""
+
+
+class ConfigError(GlueError):
+    """An option, a name or an address given by the user is wrong; the message says how to mend it."""
+
+
+class Refused(GlueError):
+    """The hub will not let this peer in; the message says why."""
+
+
+class PeerLost(GlueError):
+    """An agent or environment went away during an episode; that episode is void.
+
+    Catch it and start the episode again: the hub waits for the peer, or for its replacement.
+    """
+
+
+class PeerFailed(GlueError):
+    """An agent or environment raised an exception, or broke the protocol; the run cannot go on."""
+
+
+class HubClosed(GlueError):
+    """The hub ended the session; the message gives its reason."""
+
+
+class SimulatorError(GlueError):
+    """A simulator was used wrongly: a parameter or action out of range, a step before the start."""
+
+
+class ExperimentError(GlueError):
+    """A plan, a run directory or a store cannot be used as asked."""

@@ -1,0 +1,164 @@
+"""A class's constructor parameters are its options.
+
+An environment or agent needs no separate configuration: each keyword of its constructor with a
+default is an option, on the command line, in a plan file and in `--agent-option name=value`. Say
+what it means, and its bounds, where it is declared:
+
+    class Walk:
+        def __init__(self, *, length: Annotated[int, Option("number of states", low=2)] = 21): ...
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import math
+import typing
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from glue.errors import ConfigError
+
+__all__ = ["Option", "Parameter", "build", "parameters", "parse_assignments"]
+
+Value = int | float | str | bool
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """What `Annotated` says of a constructor parameter: meaning, unit and bounds (ends included)."""
+
+    help: str
+    low: float | None = None
+    high: float | None = None
+    unit: str = ""
+    choices: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One option of a class: its name, type, default and what `Option` says of it."""
+
+    name: str
+    type: type
+    default: Value | None
+    option: Option
+
+    def parse(self, text: str) -> Value:
+        """Return `text` as a value of this parameter.
+
+        Raises:
+            ConfigError: the text is not of the type, or the value is out of bounds.
+        """
+        try:
+            value: Value = _parse_bool(text) if self.type is bool else self.type(text)
+        except ValueError:
+            raise ConfigError(f"option {self.name} takes {_ARTICLE[self.type]}, not {text!r}") from None
+        return self.check(value)
+
+    def check(self, value: Value) -> Value:
+        """Return `value`, an int widened where a float is expected.
+
+        Raises:
+            ConfigError: the value is of another type or out of bounds.
+        """
+        if self.type is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if type(value) is not self.type:
+            raise ConfigError(f"option {self.name} takes {_ARTICLE[self.type]}, not {value!r}")
+        option = self.option
+        if option.choices and value not in option.choices:
+            raise ConfigError(f"option {self.name} is one of {', '.join(option.choices)}, not {value!r}")
+        if isinstance(value, (int, float)):
+            low = -math.inf if option.low is None else option.low
+            high = math.inf if option.high is None else option.high
+            if not low <= value <= high:
+                raise ConfigError(f"option {self.name} must be {_bounds(option)}, not {value}")
+        return value
+
+
+def parameters(factory: type) -> dict[str, Parameter]:
+    """Return the options of a class, by name, in the order of its constructor."""
+    found: dict[str, Parameter] = {}
+    hints = typing.get_type_hints(inspect.getattr_static(factory, "__init__"), include_extras=True)
+    for name, parameter in inspect.signature(factory).parameters.items():
+        if parameter.default is parameter.empty or parameter.kind in (
+            parameter.VAR_POSITIONAL,
+            parameter.VAR_KEYWORD,
+        ):
+            continue
+        found[name] = _parameter(name, hints.get(name), parameter.default)
+    return found
+
+
+def build(factory: type, options: Mapping[str, Value]) -> Any:
+    """Return an instance of `factory` made with `options`, checked.
+
+    Raises:
+        ConfigError: an option is unknown (near misses are named), of another type or out of bounds.
+    """
+    known = parameters(factory)
+    for name in options:
+        if name not in known:
+            raise ConfigError(_unknown(factory, name, known))
+    return factory(**{name: known[name].check(value) for name, value in options.items()})
+
+
+def parse_assignments(factory: type, assignments: Iterable[str]) -> dict[str, Value]:
+    """Return the options that texts such as `level_difficulty=1` name, parsed by `factory`'s types.
+
+    Raises:
+        ConfigError: a text has no `=`, or names an unknown option, or its value does not fit.
+    """
+    known = parameters(factory)
+    values: dict[str, Value] = {}
+    for assignment in assignments:
+        name, equals, text = assignment.partition("=")
+        name = name.strip().replace("-", "_")
+        if not equals:
+            raise ConfigError(f"an option is written name=value, not {assignment!r}")
+        if name not in known:
+            raise ConfigError(_unknown(factory, name, known))
+        values[name] = known[name].parse(text.strip())
+    return values
+
+
+_ARTICLE = {int: "a whole number", float: "a number", str: "a text", bool: "true or false"}
+_TRUE = {"1", "true", "yes", "on"}
+_FALSE = {"0", "false", "no", "off"}
+
+
+def _parse_bool(text: str) -> bool:
+    word = text.lower()
+    if word not in _TRUE | _FALSE:
+        raise ValueError(text)
+    return word in _TRUE
+
+
+def _parameter(name: str, hint: Any, default: Any) -> Parameter:
+    option = Option("")
+    if typing.get_origin(hint) is typing.Annotated:
+        hint, *extras = typing.get_args(hint)
+        option = next((extra for extra in extras if isinstance(extra, Option)), option)
+    kinds = [kind for kind in typing.get_args(hint) or (hint,) if kind in _ARTICLE]
+    kind = kinds[0] if kinds else type(default)
+    if kind not in _ARTICLE:
+        raise ConfigError(f"constructor parameter {name} cannot be an option: its type is {hint!r}")
+    return Parameter(name, kind, default, option)
+
+
+def _bounds(option: Option) -> str:
+    unit = f" {option.unit}" if option.unit else ""
+    if option.low is None:
+        return f"at most {option.high:g}{unit}"
+    if option.high is None:
+        return f"at least {option.low:g}{unit}"
+    return f"from {option.low:.15g} to {option.high:.15g}{unit}"
+
+
+def _unknown(factory: type, name: str, known: Mapping[str, Parameter]) -> str:
+    near = difflib.get_close_matches(name, known, n=3)
+    hint = f"; did you mean {' or '.join(near)}?" if near else ""
+    listed = f" (it has {', '.join(known)})" if known and not near else ""
+    return f"{factory.__name__} has no option {name}{hint}{listed}"

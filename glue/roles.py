@@ -1,0 +1,129 @@
+"""The interfaces a user implements, with RL-Glue's own names.
+
+Any class with these methods will do; nothing need be inherited. What a class can do beyond them is
+a *capability*: it is offered by simply having the methods (see `CAPABILITIES`).
+Source of names and meaning: RL-Glue 3.0.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Protocol, runtime_checkable
+
+from glue.types import Action, Observation
+
+__all__ = ["CAPABILITIES", "Agent", "Environment", "capabilities"]
+
+
+class Environment(Protocol):
+    """A task. The glue calls init, then start and step for each episode, then cleanup."""
+
+    def env_init(self) -> str:
+        """Prepare, and return the task spec (see `glue.taskspec`; any text is legal)."""
+        ...
+
+    def env_start(self) -> Observation:
+        """Begin an episode, and return its first observation."""
+        ...
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        """Carry out `action`; return the reward, the observation after it, and whether it ended."""
+        ...
+
+    def env_cleanup(self) -> None:
+        """Let go of what init took. An init may follow."""
+        ...
+
+    def env_message(self, message: str) -> str:
+        """Answer a free-form message. May come at any time."""
+        ...
+
+
+class Agent(Protocol):
+    """A learner. The glue calls init, then start, step and end for each episode, then cleanup."""
+
+    def agent_init(self, task_spec: str) -> None:
+        """Prepare for the task that `task_spec` describes, forgetting any earlier one."""
+        ...
+
+    def agent_start(self, observation: Observation) -> Action:
+        """Begin an episode; return the first action. An unfinished episode before it was cut off."""
+        ...
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        """Learn from `reward` for the last action, and return the next one."""
+        ...
+
+    def agent_end(self, reward: float) -> None:
+        """Learn from the last reward of an episode that reached its end."""
+        ...
+
+    def agent_cleanup(self) -> None:
+        """Let go of what init took. An init may follow."""
+        ...
+
+    def agent_message(self, message: str) -> str:
+        """Answer a free-form message. May come at any time."""
+        ...
+
+
+@runtime_checkable
+class SeedableEnvironment(Protocol):
+    """Capability `seed`: the experiment's seed reaches the environment before every env_init."""
+
+    def env_seed(self, seed: int) -> None:
+        """Seed every random choice from now on; 0 <= seed < 2**63."""
+        ...
+
+
+@runtime_checkable
+class SeedableAgent(Protocol):
+    """Capability `seed`: the experiment's seed reaches the agent before every agent_init."""
+
+    def agent_seed(self, seed: int) -> None:
+        """Seed every random choice from now on; 0 <= seed < 2**63."""
+        ...
+
+
+@runtime_checkable
+class SaveableEnvironment(Protocol):
+    """Capability `save`: what outlives an episode can be written down and brought back."""
+
+    def env_save(self) -> bytes:
+        """Return everything that later episodes depend on. Called between episodes."""
+        ...
+
+    def env_load(self, data: bytes) -> None:
+        """Continue from `data`, which `env_save` of the same class returned. Called after env_init.
+
+        Raises:
+            GlueError: `data` is damaged or of another class or version.
+        """
+        ...
+
+
+@runtime_checkable
+class SaveableAgent(Protocol):
+    """Capability `save`: what was learned can be written down and brought back."""
+
+    def agent_save(self) -> bytes:
+        """Return everything later episodes depend on: values, generator, counters. No pickle."""
+        ...
+
+    def agent_load(self, data: bytes) -> None:
+        """Continue from `data`, which `agent_save` of the same class returned. Called after agent_init.
+
+        Raises:
+            GlueError: `data` is damaged or of another class or version.
+        """
+        ...
+
+
+CAPABILITIES: Final[dict[str, tuple[type, type]]] = {
+    "seed": (SeedableEnvironment, SeedableAgent),
+    "save": (SaveableEnvironment, SaveableAgent),
+}
+
+
+def capabilities(role: object) -> tuple[str, ...]:
+    """Return the names of the capabilities that an agent or environment offers, sorted."""
+    return tuple(sorted(name for name, kinds in CAPABILITIES.items() if isinstance(role, kinds)))

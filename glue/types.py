@@ -1,0 +1,224 @@
+"""Observation and Action: RL-Glue's abstract type.
+
+Both are three runs of numbers: ints (int32), doubles (float64), chars (bytes). A value is kept
+as the very bytes that cross the wire, its *body*, so that sending and comparing cost nothing and
+the NumPy arrays are views that nobody can write to.
+
+    offset  0        uint32   number of ints I
+    offset  4        uint32   number of doubles D
+    offset  8        uint32   number of chars C
+    offset 12        uint32   zero
+    offset 16        D float64, then I int32, then C bytes; nothing in between
+
+Everything is little-endian. Doubles come first so that they are aligned.
+Source of the type: RL-Glue 3.0, rl_abstract_type_t.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from glue.errors import LocalProtocolError, RemoteProtocolError
+
+__all__ = ["PREFIX_SIZE", "AbstractType", "Action", "Observation", "body_size"]
+
+IntArray = npt.NDArray[np.int32]
+DoubleArray = npt.NDArray[np.float64]
+
+PREFIX_SIZE: Final = 16
+_PREFIX: Final = struct.Struct("<4I")
+_INT32: Final = np.dtype("<i4")
+_FLOAT64: Final = np.dtype("<f8")
+_INT32_MIN: Final = -(2**31)
+_INT32_MAX: Final = 2**31 - 1
+
+
+class AbstractType:
+    """Three runs of numbers; immutable, compared bit for bit, hashable.
+
+    Args:
+        ints: whole numbers in the range of int32, ends included.
+        doubles: real numbers; infinities and NaN are allowed and keep their bits.
+        chars: bytes.
+
+    Raises:
+        LocalProtocolError: an int is not whole or does not fit 32 bits, or a double is not a number.
+
+    Two values are equal when their bytes are: 0.0 differs from -0.0, and a NaN equals itself.
+    """
+
+    __slots__ = ("_body", "_doubles", "_ints")
+
+    _body: bytes
+    _ints: IntArray | None
+    _doubles: DoubleArray | None
+
+    def __init__(
+        self,
+        ints: Sequence[int] | npt.NDArray[np.integer] = (),
+        doubles: Sequence[float] | npt.NDArray[np.floating] = (),
+        chars: bytes = b"",
+    ) -> None:
+        prefix = _PREFIX.pack(len(ints), len(doubles), len(chars), 0)
+        self._body = b"".join((prefix, _pack_doubles(doubles), _pack_ints(ints), bytes(chars)))
+        self._ints = None
+        self._doubles = None
+
+    @classmethod
+    def from_body(cls, body: bytes) -> Self:
+        """Return the value whose wire form is `body`, without copying it.
+
+        Raises:
+            RemoteProtocolError: the counts do not add up to the length of `body`.
+        """
+        size = body_size(body)
+        if size != len(body):
+            raise RemoteProtocolError(
+                f"an abstract type of {size} bytes by its counts came in a body of {len(body)} bytes"
+            )
+        return cls._wrap(body)
+
+    @classmethod
+    def _wrap(cls, body: bytes) -> Self:
+        value = cls.__new__(cls)
+        value._body = body
+        value._ints = None
+        value._doubles = None
+        return value
+
+    @property
+    def body(self) -> bytes:
+        """The wire form, described at the top of this module."""
+        return self._body
+
+    @property
+    def ints(self) -> IntArray:
+        """The ints, shape (I,), int32, read-only."""
+        if self._ints is None:
+            ints, doubles, _, _ = _PREFIX.unpack_from(self._body)
+            self._ints = np.frombuffer(self._body, _INT32, ints, PREFIX_SIZE + 8 * doubles)
+        return self._ints
+
+    @property
+    def doubles(self) -> DoubleArray:
+        """The doubles, shape (D,), float64, read-only."""
+        if self._doubles is None:
+            doubles = _PREFIX.unpack_from(self._body)[1]
+            self._doubles = np.frombuffer(self._body, _FLOAT64, doubles, PREFIX_SIZE)
+        return self._doubles
+
+    @property
+    def chars(self) -> bytes:
+        """The chars, C bytes."""
+        ints, doubles, _, _ = _PREFIX.unpack_from(self._body)
+        return self._body[PREFIX_SIZE + 8 * doubles + 4 * ints :]
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """How many ints, doubles and chars there are."""
+        ints, doubles, chars, _ = _PREFIX.unpack_from(self._body)
+        return ints, doubles, chars
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, AbstractType):
+            return NotImplemented
+        return self._body == other._body and type(self) is type(other)
+
+    def __hash__(self) -> int:
+        return hash(self._body)
+
+    def __repr__(self) -> str:
+        parts = []
+        for name, values in (("ints", self.ints.tolist()), ("doubles", self.doubles.tolist())):
+            if values:
+                shown = ", ".join(map(repr, values[:8])) + (", ..." if len(values) > 8 else "")
+                parts.append(f"{name}=[{shown}]")
+        chars = self.chars
+        if chars:
+            parts.append(f"chars={chars[:32]!r}" + ("..." if len(chars) > 32 else ""))
+        return f"{type(self).__name__}({', '.join(parts)})"
+
+    def __reduce__(self) -> tuple[object, tuple[bytes]]:
+        return type(self).from_body, (self._body,)
+
+
+class Observation(AbstractType):
+    """What an environment shows: see `AbstractType`."""
+
+    __slots__ = ()
+
+
+class Action(AbstractType):
+    """What an agent does: see `AbstractType`."""
+
+    __slots__ = ()
+
+
+def body_size(buffer: bytes, offset: int = 0) -> int:
+    """Return how many bytes the abstract type that starts at `offset` takes, by its own counts.
+
+    Raises:
+        RemoteProtocolError: fewer than 16 bytes are left, or the reserved word is not zero.
+    """
+    if len(buffer) - offset < PREFIX_SIZE:
+        raise RemoteProtocolError(
+            f"an abstract type starts with {PREFIX_SIZE} bytes of counts; {len(buffer) - offset} came"
+        )
+    ints, doubles, chars, reserved = _PREFIX.unpack_from(buffer, offset)
+    if reserved:
+        raise RemoteProtocolError(f"bytes 12 to 15 of an abstract type must be zero; {reserved:#x} came")
+    return int(PREFIX_SIZE + 8 * doubles + 4 * ints + chars)
+
+
+@lru_cache(maxsize=256)
+def _run_of(letter: str, count: int) -> struct.Struct:
+    return struct.Struct(f"<{count}{letter}")
+
+
+def _pack_ints(values: Sequence[int] | npt.NDArray[np.integer]) -> bytes:
+    if isinstance(values, np.ndarray):
+        return _int_array(values).tobytes()
+    try:
+        return _run_of("i", len(values)).pack(*values)
+    except struct.error as error:
+        wrong = next((f"number {i} is {v!r}" for i, v in enumerate(values) if not _fits_int32(v)), str(error))
+        raise LocalProtocolError(
+            f"ints must be whole numbers from {_INT32_MIN} to {_INT32_MAX}; {wrong}"
+        ) from None
+
+
+def _fits_int32(value: object) -> bool:
+    return isinstance(value, (int, np.integer)) and _INT32_MIN <= int(value) <= _INT32_MAX
+
+
+def _int_array(values: npt.NDArray[np.integer]) -> IntArray:
+    if values.dtype == _INT32:
+        return values.astype(_INT32, copy=False)
+    if values.dtype.kind not in "iub":
+        raise LocalProtocolError(f"ints must be whole numbers; an array of {values.dtype} came")
+    if values.size and (int(values.min()) < _INT32_MIN or int(values.max()) > _INT32_MAX):
+        raise LocalProtocolError(
+            f"ints must be from {_INT32_MIN} to {_INT32_MAX}; the array spans "
+            f"{values.min()} to {values.max()}"
+        )
+    return values.astype(_INT32)
+
+
+def _pack_doubles(values: Sequence[float] | npt.NDArray[np.floating]) -> bytes:
+    if isinstance(values, np.ndarray):
+        if values.dtype.kind not in "fiub":
+            raise LocalProtocolError(f"doubles must be numbers; an array of {values.dtype} came")
+        return values.astype(_FLOAT64, copy=False).tobytes()
+    try:
+        return _run_of("d", len(values)).pack(*values)
+    except struct.error:
+        wrong = next(
+            (f"number {i} is {v!r}" for i, v in enumerate(values) if not isinstance(v, (int, float))), "?"
+        )
+        raise LocalProtocolError(f"doubles must be numbers; {wrong}") from None
