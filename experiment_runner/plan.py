@@ -1,0 +1,400 @@
+"""An experiment as data: agents, environments, episodes, trials, a seed.
+
+A plan is written in TOML so that it reads at a glance:
+
+    episodes = 5000
+    trials = 10
+    seed = 1
+
+    [environments.mario]
+    level_seed = 121
+    level_difficulty = [0, 1]
+
+    [agents.sample]
+
+    [agents.hierarchical]
+    step_size = [0.1, 0.3]
+
+    [agents.textbook]
+    class = "tiles"
+    terminal_update = true
+
+A table is headed by the name of an agent or environment, or by a label of your own with the name
+under `class`. A list of values is swept over. Every agent meets every environment, in every
+combination of the swept values, `trials` times. Leave out `agents` (or `environments`) when that
+role connects from outside.
+
+A trial's id says which combination it is, `hierarchical/step_size=0.1/mario/level_difficulty=0/3`,
+and its seed follows from the experiment's seed and that id alone. So neither the order of trials
+nor the machine matters, and a plan that gains an agent or a value keeps the trials it had.
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import itertools
+import json
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from glue.errors import ConfigError, ExperimentError
+from glue.options import Value, parameters
+
+__all__ = [
+    "Plan",
+    "RoleSpec",
+    "RoleSweep",
+    "TrialSpec",
+    "check_options",
+    "describe",
+    "differences",
+    "dump_plan",
+    "load_plan",
+    "parse_plan",
+    "trial_seed",
+]
+
+_COUNTS: Final = {
+    "episodes": range(1, 2**63),
+    "max_steps": range(2**32),
+    "trials": range(1, 2**63),
+    "seed": range(2**63),
+}
+_ROLES: Final = ("environments", "agents")
+_LABEL: Final = re.compile(r"[A-Za-z0-9_.+-]+")
+
+
+@dataclass(frozen=True, slots=True)
+class RoleSpec:
+    """An agent or environment and its options, ready to be made.
+
+    Args:
+        name: an entry point's name, `module:Class` or `path/file.py:Class`.
+        options: constructor options by name.
+        label: what tables and figures call it.
+    """
+
+    name: str
+    options: Mapping[str, Value] = field(default_factory=dict)
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "label", self.label or _default_label(self.name))
+
+
+@dataclass(frozen=True, slots=True)
+class RoleSweep:
+    """An agent or environment of a plan: as `RoleSpec`, but a tuple of values is swept over.
+
+    Raises:
+        ExperimentError: the label cannot stand in a trial's id, or a value in a plan.
+    """
+
+    name: str
+    options: Mapping[str, Value | tuple[Value, ...]] = field(default_factory=dict)
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "label", self.label or _default_label(self.name))
+        if not _LABEL.fullmatch(self.label):
+            raise ExperimentError(
+                f"{self.label!r} cannot label an agent or environment: "
+                "letters, digits and _ . + - are allowed"
+            )
+        for option, value in self.options.items():
+            values = value if isinstance(value, tuple) else (value,)
+            if not values:
+                raise ExperimentError(f"option {option} of {self.label} has an empty list of values")
+            for one in values:
+                if not isinstance(one, (bool, int, float, str)):
+                    raise ExperimentError(
+                        f"option {option} of {self.label} takes a number, a text, true or false, "
+                        f"or a list of these, not {one!r}"
+                    )
+
+    def expand(self) -> list[tuple[str, RoleSpec]]:
+        """Return every combination of the swept values, each with its part of a trial's id."""
+        expanded = []
+        for values in itertools.product(*map(_as_tuple, self.options.values())):
+            options = dict(zip(self.options, values, strict=True))
+            swept = [f"{o}={_plain(v)}" for o, v in options.items() if isinstance(self.options[o], tuple)]
+            expanded.append(("/".join([self.label, *swept]), RoleSpec(self.name, options, self.label)))
+        return expanded
+
+
+@dataclass(frozen=True, slots=True)
+class TrialSpec:
+    """One trial: everything that decides its numbers.
+
+    Args:
+        id: unique and readable, `agent/environment/number`.
+        agent: None when it connects from outside.
+        environment: None when it connects from outside.
+        episodes: how many to run, at least 1.
+        max_steps: the step limit of `Experiment.rl_episode`; 0 for none.
+        seed: of everything random in the trial, 0 <= seed < 2**63.
+    """
+
+    id: str
+    agent: RoleSpec | None
+    environment: RoleSpec | None
+    episodes: int
+    max_steps: int
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """An experiment; see the top of this module.
+
+    Raises:
+        ExperimentError: a number is out of range, or two agents or environments share a label.
+    """
+
+    episodes: int
+    max_steps: int = 0
+    trials: int = 1
+    seed: int = 0
+    environments: tuple[RoleSweep, ...] = ()
+    agents: tuple[RoleSweep, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name, allowed in _COUNTS.items():
+            value = getattr(self, name)
+            if type(value) is not int or value not in allowed:
+                raise ExperimentError(
+                    f"{name} must be a whole number from {allowed[0]} to {allowed[-1]}, not {value!r}"
+                )
+        for role in _ROLES:
+            labels = [sweep.label for sweep in getattr(self, role)]
+            for label in labels:
+                if labels.count(label) > 1:
+                    raise ExperimentError(f"two {role} are called {label}; label them apart")
+
+    def expand(self) -> list[TrialSpec]:
+        """Return every trial, the trials of one combination together.
+
+        Raises:
+            ExperimentError: two trials would have the same id, as when a value is listed twice.
+        """
+        specs = []
+        for (agent_part, agent), (environment_part, environment) in itertools.product(
+            _expand_role(self.agents), _expand_role(self.environments)
+        ):
+            for number in range(self.trials):
+                name = f"{agent_part}/{environment_part}/{number}"
+                seed = trial_seed(self.seed, name)
+                specs.append(TrialSpec(name, agent, environment, self.episodes, self.max_steps, seed))
+        seen = set()
+        for spec in specs:
+            if spec.id in seen:
+                raise ExperimentError(f"the plan has trial {spec.id} twice; is a value listed twice?")
+            seen.add(spec.id)
+        return specs
+
+
+def trial_seed(seed: int, trial_id: str) -> int:
+    """Return the seed of a trial, 0 <= seed < 2**63: a function of the experiment's seed and the id."""
+    digest = hashlib.sha256(trial_id.encode()).digest()
+    words = tuple(int.from_bytes(digest[i : i + 4], "little") for i in range(0, len(digest), 4))
+    state = np.random.SeedSequence(seed, spawn_key=words).generate_state(1, np.uint64)
+    return int(state[0]) >> 1
+
+
+def load_plan(path: Path) -> Plan:
+    """Return the plan in a TOML file.
+
+    Raises:
+        ExperimentError: the file cannot be read, or is not a plan; the message names the file.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ExperimentError(f"cannot read the plan {path}: {_reason(error)}") from error
+    try:
+        return parse_plan(text)
+    except ExperimentError as error:
+        raise ExperimentError(f"{path}: {error}") from error
+
+
+def parse_plan(text: str) -> Plan:
+    """Return the plan that a TOML text describes.
+
+    Raises:
+        ExperimentError: it is not TOML, or a key or value is not one of a plan's.
+    """
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ExperimentError(f"this is not TOML: {error}") from error
+    known = (*_COUNTS, *_ROLES)
+    for key in document:
+        if key not in known:
+            raise ExperimentError(f"a plan has no {key!r}{_near(key, known)}")
+    if "episodes" not in document:
+        raise ExperimentError("a plan says how many episodes a trial has, as in: episodes = 1000")
+    counts = {name: document[name] for name in _COUNTS if name in document}
+    return Plan(
+        **counts,
+        environments=_parse_roles("environments", document),
+        agents=_parse_roles("agents", document),
+    )
+
+
+def dump_plan(plan: Plan) -> str:
+    """Return the plan as TOML that `parse_plan` reads back to an equal plan."""
+    lines = [f"{name} = {getattr(plan, name)}" for name in _COUNTS]
+    for role in _ROLES:
+        for sweep in getattr(plan, role):
+            lines += ["", f"[{role}.{_toml_key(sweep.label)}]", f"class = {_toml_value(sweep.name)}"]
+            lines += [f"{_toml_key(name)} = {_toml_value(value)}" for name, value in sweep.options.items()]
+    return "\n".join(lines) + "\n"
+
+
+def check_options(plan: Plan, find: Callable[[str, str], type]) -> Plan:
+    """Return the plan with every option checked by the class it belongs to, whole numbers widened.
+
+    Args:
+        find: returns the class of a role ("agent" or "environment") and name.
+
+    Raises:
+        ConfigError: what `find` raises, or an option that its class does not have or take.
+    """
+    return replace(
+        plan,
+        environments=tuple(_check_sweep(s, find("environment", s.name)) for s in plan.environments),
+        agents=tuple(_check_sweep(s, find("agent", s.name)) for s in plan.agents),
+    )
+
+
+def differences(ours: Plan, theirs: Plan) -> list[str]:
+    """Return what `theirs` has otherwise than `ours`, a line each; empty when they are equal."""
+    found = [
+        f"{name} is {getattr(theirs, name)}, not {getattr(ours, name)}"
+        for name in _COUNTS
+        if getattr(ours, name) != getattr(theirs, name)
+    ]
+    for role in _ROLES:
+        our_sweeps, their_sweeps = ({s.label: s for s in getattr(plan, role)} for plan in (ours, theirs))
+        found += [f"{role} lack {label}" for label in our_sweeps if label not in their_sweeps]
+        found += [f"{role} include {label}" for label in their_sweeps if label not in our_sweeps]
+        for label, our in our_sweeps.items():
+            their = their_sweeps.get(label, our)
+            if our.name != their.name:
+                found.append(f"{label} is {their.name}, not {our.name}")
+            for option in sorted(our.options.keys() | their.options.keys()):
+                if our.options.get(option) != their.options.get(option):
+                    was, became = (_shown(sweep.options, option) for sweep in (our, their))
+                    found.append(f"{option} of {label} is {became}, not {was}")
+    return found
+
+
+def describe(plan: Plan) -> str:
+    """Return what a plan would run, a trial a line, for people."""
+    specs = plan.expand()
+    cutoff = f"cut off after {plan.max_steps} steps" if plan.max_steps else "without a step limit"
+    lines = [
+        f"{len(specs)} trials of {plan.episodes} episodes {cutoff}; seed {plan.seed}",
+        f"agents        {_describe_roles(plan.agents)}",
+        f"environments  {_describe_roles(plan.environments)}",
+        "",
+    ]
+    width = max(len(spec.id) for spec in specs)
+    lines += [f"{spec.id:<{width}}  seed {spec.seed}" for spec in specs]
+    return "\n".join(lines)
+
+
+def _describe_roles(sweeps: Sequence[RoleSweep]) -> str:
+    described = []
+    for sweep in sweeps:
+        name = sweep.label if sweep.label == sweep.name else f"{sweep.label} ({sweep.name})"
+        described.append(" ".join([name, *(f"{o}={_shown(sweep.options, o)}" for o in sweep.options)]))
+    return "; ".join(described) or "connects from outside"
+
+
+def _expand_role(sweeps: Sequence[RoleSweep]) -> list[tuple[str, RoleSpec | None]]:
+    if not sweeps:
+        return [("remote", None)]
+    return [(part, spec) for sweep in sweeps for part, spec in sweep.expand()]
+
+
+def _parse_roles(role: str, document: Mapping[str, Any]) -> tuple[RoleSweep, ...]:
+    tables = document.get(role, {})
+    if not isinstance(tables, dict):
+        raise ExperimentError(f"{role} are written as tables, as in: [{role}.NAME]")
+    return tuple(_parse_role(role, key, table) for key, table in tables.items())
+
+
+def _parse_role(role: str, key: str, table: object) -> RoleSweep:
+    if not isinstance(table, dict):
+        raise ExperimentError(f"{role}.{key} is written as a table, as in: [{role}.{key}]")
+    options: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in table.items()
+    }
+    name = options.pop("class", None)
+    if name is None:
+        return RoleSweep(key, options)
+    if not isinstance(name, str):
+        raise ExperimentError(f"class of {role}.{key} names one class, not {name!r}")
+    return RoleSweep(name, options, key)
+
+
+def _check_sweep(sweep: RoleSweep, factory: type) -> RoleSweep:
+    known = parameters(factory)
+    options: dict[str, Value | tuple[Value, ...]] = {}
+    for name, value in sweep.options.items():
+        if name not in known:
+            raise ConfigError(f"{sweep.label} has no option {name}{_near(name, known)}")
+        check = known[name].check
+        options[name] = tuple(map(check, value)) if isinstance(value, tuple) else check(value)
+    return replace(sweep, options=options)
+
+
+def _near(word: str, known: Iterable[str]) -> str:
+    known = list(known)
+    near = difflib.get_close_matches(word, known, n=3)
+    if near:
+        return f"; did you mean {' or '.join(near)}?"
+    return f" (it has {', '.join(known)})" if known else ""
+
+
+def _default_label(name: str) -> str:
+    return name.rpartition(":")[2]
+
+
+def _as_tuple(value: Value | tuple[Value, ...]) -> tuple[Value, ...]:
+    return value if isinstance(value, tuple) else (value,)
+
+
+def _shown(options: Mapping[str, Value | tuple[Value, ...]], name: str) -> str:
+    if name not in options:
+        return "the default"
+    return ",".join(_plain(value) for value in _as_tuple(options[name]))
+
+
+def _plain(value: Value) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _toml_key(key: str) -> str:
+    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml_value(key)
+
+
+def _toml_value(value: Value | tuple[Value, ...]) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_toml_value, value))}]"
+    if isinstance(value, str):
+        # JSON's escapes are TOML's, but TOML also wants DEL escaped.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return _plain(value)
+
+
+def _reason(error: OSError | UnicodeDecodeError) -> str:
+    return (error.strerror or str(error)) if isinstance(error, OSError) else "it is not UTF-8 text"
