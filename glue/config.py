@@ -1,0 +1,107 @@
+"""How a hub and its peers are set up: frozen values, built by the command line or by a program."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from dataclasses import dataclass
+from typing import Final
+
+from glue.errors import ConfigError
+from glue.wire import MAX_BODY, MAX_NAME
+
+__all__ = ["DEFAULT_HUB", "DEFAULT_SESSION", "HubConfig", "check_session", "check_url"]
+
+DEFAULT_HUB: Final = "tcp://127.0.0.1:4097"
+"""Where a hub listens and its peers look for it. RL-Glue's own port, 4096, is left to its programs."""
+
+DEFAULT_SESSION: Final = "default"
+
+_IPC_PATH_LIMIT: Final = 107
+"""Bytes in the path of a Unix socket; Linux, sockaddr_un."""
+
+_TCP: Final = re.compile(r"tcp://(?P<host>\[[0-9a-fA-F:]+\]|[^:/\[\]]+):(?P<port>\d+|\*)")
+
+
+@dataclass(frozen=True, slots=True)
+class HubConfig:
+    """Settings of a hub.
+
+    Args:
+        bind: URLs to listen on; `tcp://host:*` takes any free port.
+        heartbeat: seconds between signs of life, and so the time in which a cut connection is noticed.
+        patience: seconds that a peer may be unreachable before it is given up and its episode is void.
+        max_body: greatest body, in bytes.
+        max_sessions: sessions at once; a peer that would open one more is refused.
+        insecure: allow addresses that other machines can reach. Peers are not authenticated.
+
+    Raises:
+        ConfigError: an address is malformed, or open to others without `insecure`.
+    """
+
+    bind: tuple[str, ...] = (DEFAULT_HUB,)
+    heartbeat: float = 1.0
+    patience: float = 5.0
+    max_body: int = MAX_BODY
+    max_sessions: int = 1024
+    insecure: bool = False
+
+    def __post_init__(self) -> None:
+        for url in self.bind:
+            check_url(url)
+            if not self.insecure and not _is_local(url):
+                raise ConfigError(
+                    f"{url} can be reached from other machines, and peers are not authenticated: "
+                    f"bind tcp://127.0.0.1:PORT, or say --insecure if the network is your own"
+                )
+        if not 0 < self.heartbeat <= self.patience:
+            raise ConfigError(
+                f"the heartbeat must be positive and at most the patience; they are {self.heartbeat:g} s "
+                f"and {self.patience:g} s"
+            )
+
+
+def check_url(url: str) -> str:
+    """Return `url` if it is an address of a hub.
+
+    Raises:
+        ConfigError: it is not `tcp://host:port`, `ipc://path` or `inproc://name`.
+    """
+    scheme, separator, rest = url.partition("://")
+    if separator and scheme in ("ipc", "inproc") and rest:
+        if scheme == "ipc" and len(rest.encode()) > _IPC_PATH_LIMIT:
+            raise ConfigError(
+                f"the path of {url} has {len(rest.encode())} bytes; a socket's may have {_IPC_PATH_LIMIT}"
+            )
+        return url
+    match = _TCP.fullmatch(url)
+    if match is None:
+        raise ConfigError(f"{url!r} is no address of a hub: write tcp://host:port or ipc://path")
+    port = match["port"]
+    if port != "*" and not 1 <= int(port) <= 65535:
+        raise ConfigError(f"the port of {url} is {port}; ports are from 1 to 65535")
+    return url
+
+
+def check_session(name: str) -> str:
+    """Return `name` if it can name a session.
+
+    Raises:
+        ConfigError: it is empty, too long, or has unprintable characters.
+    """
+    if not 1 <= len(name) <= MAX_NAME or not name.isprintable():
+        raise ConfigError(f"a session has a name of 1 to {MAX_NAME} printable characters, not {name!r:.60}")
+    return name
+
+
+def _is_local(url: str) -> bool:
+    match = _TCP.fullmatch(url)
+    if match is None:
+        return True
+    host = match["host"].strip("[]")
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,400 @@
+"""The hub without its sockets: peers, sessions, and what happens when one goes away.
+
+A `Switchboard` takes messages and the time, and hands messages to the `send` it was given. A session
+is one engine and up to three peers. Three rules make a step happen exactly once however often the
+network drops:
+
+- Every call carries a sequence number, and its answer names it. An answer to anything but the call
+  that is outstanding changes nothing.
+- A peer says who it is, in its HELLO, by a random number of its own: its instance. When the same
+  instance comes back over a new connection, the outstanding call is sent again; the peer, if it has
+  answered already, repeats its answer.
+- A peer that stays unreachable for longer than the hub's patience, or in whose place another appears,
+  is lost: the episode under way is void, and the experiment is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from typing import Any, Final
+
+from glue.calls import skippable, unsupported
+from glue.config import HubConfig
+from glue.engine import Engine, Step
+from glue.errors import PeerLost, RemoteProtocolError
+from glue.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
+from glue.types import Action
+from glue.wire import MAX_NAME, UnknownKind
+
+__all__ = ["INSTANCE_SIZE", "Route", "Switchboard"]
+
+Route = Hashable
+"""Where a message came from and an answer can go: an identity of the ROUTER, or a gateway's client."""
+
+Send = Callable[[Route, Message], bool]
+
+INSTANCE_SIZE: Final = 16
+"""Bytes of the random number by which a peer is known across connections."""
+
+_MAX_TEXT: Final = 1000
+"""Characters of an error text that are passed on."""
+
+
+class _Peer:
+    """A role filled: who fills it, and the route to it."""
+
+    __slots__ = ("capabilities", "instance", "label", "role", "route", "session", "unreachable_since")
+
+    def __init__(
+        self,
+        session: _Session,
+        role: Role,
+        route: Route,
+        instance: bytes,
+        label: str,
+        capabilities: frozenset[str],
+    ) -> None:
+        self.session = session
+        self.role = role
+        self.route = route
+        self.instance = instance
+        self.label = label
+        self.capabilities = capabilities
+        self.unreachable_since: float | None = None
+
+
+class Switchboard:
+    """All sessions of a hub.
+
+    Args:
+        config: limits and times.
+        send: hands a message to a route; False means that the route is gone.
+        log: takes one line for people about each coming and going.
+    """
+
+    def __init__(self, config: HubConfig, send: Send, log: Callable[[str], None]) -> None:
+        self._config = config
+        self._send = send
+        self._log = log
+        self._now = 0.0
+        self._sessions: dict[str, _Session] = {}
+        self._peers: dict[tuple[Route, str], _Peer] = {}
+
+    def receive(self, route: Route, message: Message, now: float) -> None:
+        """Act on a message from `route`."""
+        self._now = now
+        peer = self._peers.get((route, message.session))
+        kind = message.kind
+        if peer is None or kind is Kind.HELLO:
+            self._receive_from_stranger(route, message)
+        elif kind in CALLS or kind is Kind.ERROR:
+            if peer.role is Role.EXPERIMENT:
+                peer.session.request(peer, message)
+            else:
+                peer.session.answer(peer, message)
+        elif kind is Kind.HEARTBEAT:
+            self._send(route, Message(Kind.HEARTBEAT, message.session, message.seq))
+        elif kind is Kind.GOODBYE:
+            self._lose(peer, f"left: {_clip(str(message.scalars[0]))}")
+        else:
+            self._error(route, message, ErrorCode.NOT_ASKED, f"{kind.name} is for the hub to send")
+
+    def malformed(self, route: Route, error: RemoteProtocolError, now: float) -> None:
+        """Act on bytes from `route` that are no message: whoever sent them loses its place."""
+        self._now = now
+        if isinstance(error, UnknownKind):
+            message = Message(Kind.ERROR, error.session, error.seq)
+            self._error(route, message, ErrorCode.UNKNOWN_KIND, str(error))
+            return
+        self._error(route, Message(Kind.ERROR, "", 0), ErrorCode.MALFORMED, str(error))
+        for peer in [peer for (known, _), peer in self._peers.items() if known == route]:
+            self._lose(peer, f"sent a malformed message: {error}")
+
+    def tick(self, now: float) -> None:
+        """Send every peer a sign of life, and give up those that stayed out of reach too long."""
+        self._now = now
+        reached: dict[Route, bool] = {}
+        for (route, _), peer in list(self._peers.items()):
+            if route not in reached:
+                reached[route] = self._send(route, Message(Kind.HEARTBEAT, "", 0))
+            if reached[route]:
+                peer.unreachable_since = None
+            else:
+                self._out_of_reach(peer)
+            since = peer.unreachable_since
+            if since is not None and now - since >= self._config.patience:
+                self._lose(peer, f"was out of reach for {now - since:.1f} s")
+
+    def close(self, reason: str) -> None:
+        """Tell every peer that the hub ends."""
+        for peer in list(self._peers.values()):
+            self._send(peer.route, Message(Kind.GOODBYE, peer.session.name, 0, (reason,)))
+        self._peers.clear()
+        self._sessions.clear()
+
+    def _receive_from_stranger(self, route: Route, message: Message) -> None:
+        if message.kind is not Kind.HELLO:
+            text = f"no peer of session {message.session!r} is known by this connection; say HELLO first"
+            self._error(route, message, ErrorCode.UNKNOWN_PEER, text)
+            return
+        refusal = self._greet(route, message)
+        if refusal is not None:
+            code, text = refusal
+            self._log(f"refused a peer of session {message.session!r}: {text}")
+            self._send(route, Message(Kind.REFUSE, message.session, message.seq, (str(code), text)))
+
+    def _greet(self, route: Route, message: Message) -> tuple[ErrorCode, str] | None:
+        """Let the sender of a HELLO in, or return why not."""
+        versions, role_name, instance, name, codec, capabilities = message.scalars
+        assert isinstance(versions, tuple)
+        assert isinstance(instance, bytes)
+        assert isinstance(capabilities, tuple)
+        assert isinstance(name, str)
+        assert isinstance(codec, str)
+        if PROTOCOL_VERSION not in versions:
+            text = f"this hub speaks protocol version {PROTOCOL_VERSION}, the peer {list(versions)}"
+            return ErrorCode.VERSION, text
+        try:
+            role = Role(str(role_name))
+        except ValueError:
+            return ErrorCode.MALFORMED, f"a role is {', '.join(Role)}, not {role_name!r:.40}"
+        if len(instance) != INSTANCE_SIZE:
+            return ErrorCode.MALFORMED, f"an instance is {INSTANCE_SIZE} bytes, not {len(instance)}"
+        if not message.session or not message.session.isprintable():
+            return ErrorCode.MALFORMED, "a session has a name of printable characters"
+        session = self._sessions.get(message.session)
+        if session is None:
+            if len(self._sessions) >= self._config.max_sessions:
+                text = f"this hub serves {self._config.max_sessions} sessions at once, and all are in use"
+                return ErrorCode.FULL, text
+            session = self._sessions[message.session] = _Session(self, message.session)
+        other = self._peers.get((route, message.session))
+        if other is not None and other.role is not role:
+            return ErrorCode.MALFORMED, f"this connection is the {other.role} of the session already"
+        current = session.peers.get(role)
+        if current is not None and current.instance != instance:
+            if current.unreachable_since is None and self._reach(current):
+                text = f"session {session.name!r} has an {role} already: {current.label}"
+                return ErrorCode.ROLE_TAKEN, text
+            self._lose(current, "was replaced by another")
+            current = None
+        label = _clip(f"{name} ({codec})", MAX_NAME)
+        resumed = session.knows(role, instance)
+        if current is not None:
+            self._peers.pop((current.route, session.name), None)
+        peer = _Peer(session, role, route, instance, label, frozenset(map(str, capabilities)))
+        self._sessions[session.name] = session
+        self._peers[route, session.name] = peer
+        config = self._config
+        welcome = (PROTOCOL_VERSION, resumed, config.heartbeat, config.patience, config.max_body)
+        self._send(route, Message(Kind.WELCOME, session.name, message.seq, welcome))
+        if current is None:
+            self._log(f"session {session.name!r}: {role} {label} {'returned' if resumed else 'joined'}")
+        session.join(peer, resumed, announce=current is None)
+        return None
+
+    def _reach(self, peer: _Peer) -> bool:
+        return self._send(peer.route, Message(Kind.HEARTBEAT, peer.session.name, 0))
+
+    def _lose(self, peer: _Peer, why: str) -> None:
+        session = peer.session
+        del self._peers[peer.route, session.name]
+        self._log(f"session {session.name!r}: {peer.role} {peer.label} {why}")
+        session.lose(peer, why)
+        if not session.peers:
+            self._sessions.pop(session.name, None)
+
+    def _out_of_reach(self, peer: _Peer) -> None:
+        if peer.unreachable_since is None:
+            peer.unreachable_since = self._now
+
+    def _error(self, route: Route, message: Message, code: ErrorCode, text: str) -> None:
+        self._send(route, Message(Kind.ERROR, message.session, message.seq, (str(code), _clip(text))))
+
+    def deliver(self, peer: _Peer, message: Message) -> None:
+        """Send `message` to `peer`; if it is out of reach, its patience starts to run."""
+        if not self._send(peer.route, message):
+            self._out_of_reach(peer)
+
+
+class _Session:
+    """One experiment's engine and its players."""
+
+    __slots__ = (
+        "_board",
+        "_engine",
+        "_former",
+        "_outstanding",
+        "_reply",
+        "_request_seq",
+        "_seq",
+        "name",
+        "peers",
+    )
+
+    def __init__(self, board: Switchboard, name: str) -> None:
+        self.name = name
+        self.peers: dict[Role, _Peer] = {}
+        self._board = board
+        self._engine = Engine(Action().body)
+        self._former: dict[Role, bytes] = {}
+        self._seq = 0
+        self._outstanding: Message | None = None
+        self._request_seq = 0
+        self._reply: Message | None = None
+
+    def knows(self, role: Role, instance: bytes) -> bool:
+        """Return whether `instance` is, or was last, in that role here."""
+        current = self.peers.get(role)
+        return instance == (current.instance if current else self._former.get(role))
+
+    def join(self, peer: _Peer, resumed: bool, announce: bool) -> None:
+        """Take `peer` in, and send it whatever waits for it."""
+        role = peer.role
+        self.peers[role] = peer
+        if role is Role.EXPERIMENT:
+            if not resumed:
+                self._forget_experiment()
+            for player in self.peers.values():
+                if player is not peer:
+                    self._notify(Event.JOINED, player)
+            return
+        self._former[role] = peer.instance
+        if not resumed:
+            self._engine.replace(role)
+        if announce:
+            self._notify(Event.RETURNED if resumed else Event.JOINED, peer)
+        outstanding = self._outstanding
+        if outstanding is not None and CALLS[outstanding.kind].callee is role:
+            if resumed:
+                self._board.deliver(peer, outstanding)
+            else:
+                self._call(Step(outstanding.kind, outstanding.scalars, outstanding.body))
+
+    def lose(self, peer: _Peer, why: str) -> None:
+        """Go on without `peer`: void the episode, or, without the experiment, forget it."""
+        role = peer.role
+        del self.peers[role]
+        if role is Role.EXPERIMENT:
+            self._forget_experiment()
+            return
+        engine = self._engine
+        self._notify(Event.LOST, peer)
+        awaited = engine.awaiting is not None and CALLS[engine.awaiting].callee is role
+        reason = f"the {role} {peer.label} {why}"
+        stranded = engine.verb is not None and (engine.in_episode or awaited)
+        engine.void(reason)
+        if stranded:
+            self._fail(ErrorCode.PEER_LOST, reason)
+
+    def request(self, peer: _Peer, message: Message) -> None:
+        """Begin on a verb of the experiment, or repeat the last reply if it asks once more."""
+        if message.seq <= self._request_seq:
+            if message.seq == self._request_seq and self._reply is not None:
+                self._board.deliver(peer, self._reply)
+            return
+        engine = self._engine
+        if engine.verb is not None:
+            text = f"{message.kind.name} came while {engine.verb.name} is still being carried out"
+            self._error(peer, message, ErrorCode.BUSY, text)
+            return
+        if message.kind not in CALLS or CALLS[message.kind].callee is not None:
+            text = f"{message.kind.name} is not for an experiment to send"
+            self._error(peer, message, ErrorCode.NOT_ASKED, text)
+            return
+        self._request_seq = message.seq
+        self._reply = None
+        try:
+            step = engine.begin(message.kind, message.scalars, message.body)
+        except PeerLost as error:
+            self._fail(ErrorCode.PEER_LOST, str(error))
+            return
+        self._advance(step)
+
+    def answer(self, peer: _Peer, message: Message) -> None:
+        """Take a player's answer to the outstanding call, and make the next one."""
+        outstanding = self._outstanding
+        seq = message.seq
+        if outstanding is None or seq != outstanding.seq or CALLS[outstanding.kind].callee is not peer.role:
+            # An answer to an older call is a repetition, or comes from an episode that is void by now.
+            if seq > self._seq or seq == 0:
+                self._error(peer, message, ErrorCode.NOT_ASKED, f"{message.kind.name} {seq} was never asked")
+            return
+        if message.kind is Kind.ERROR:
+            text = _clip(str(message.scalars[1]))
+            what = outstanding.kind.name.lower()
+            self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.label} raised in {what}: {text}")
+            return
+        try:
+            step = self._engine.resume(message.kind, message.scalars, message.body)
+        except RemoteProtocolError as error:
+            self._error(peer, message, ErrorCode.NOT_ASKED, str(error))
+            self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.label} broke the protocol: {error}")
+            return
+        self._advance(step)
+
+    def _advance(self, step: Step) -> None:
+        """Make the call that the engine asks for, or send the experiment its reply."""
+        kind, scalars, body = step
+        if CALLS[kind].callee is not None:
+            self._call(step)
+            return
+        self._outstanding = None
+        if type(body) is tuple:
+            body = body[0] + body[1]
+        self._answer_experiment(Message(kind, self.name, self._request_seq, scalars, body or b""))
+
+    def _call(self, step: Step) -> None:
+        kind, scalars, body = step
+        call = CALLS[kind]
+        role = call.callee
+        assert role is not None
+        player = self.peers.get(role)
+        offered = player is None or call.capability is None or call.capability in player.capabilities
+        if player is not None and not offered:
+            self._without_capability(kind, role, player)
+            return
+        self._seq += 1
+        self._outstanding = outstanding = Message(kind, self.name, self._seq, scalars, body or b"")
+        if player is not None:
+            self._board.deliver(player, outstanding)
+
+    def _without_capability(self, kind: Kind, role: Role, player: _Peer) -> None:
+        if skippable(kind):
+            self._advance(self._engine.resume(kind, (), b""))
+        else:
+            self._fail(ErrorCode.UNSUPPORTED, unsupported(kind, role, player.label))
+
+    def _fail(self, code: ErrorCode, text: str) -> None:
+        """End the verb that is being carried out with an error."""
+        self._engine.abort()
+        self._outstanding = None
+        self._answer_experiment(Message(Kind.ERROR, self.name, self._request_seq, (str(code), _clip(text))))
+
+    def _answer_experiment(self, reply: Message) -> None:
+        self._reply = reply
+        experiment = self.peers.get(Role.EXPERIMENT)
+        if experiment is not None:
+            self._board.deliver(experiment, reply)
+
+    def _notify(self, event: Event, player: _Peer) -> None:
+        experiment = self.peers.get(Role.EXPERIMENT)
+        if experiment is not None:
+            scalars: tuple[Any, ...] = (str(event), str(player.role), player.label)
+            self._board.deliver(experiment, Message(Kind.NOTICE, self.name, 0, scalars))
+
+    def _error(self, peer: _Peer, message: Message, code: ErrorCode, text: str) -> None:
+        self._board.deliver(peer, Message(Kind.ERROR, self.name, message.seq, (str(code), _clip(text))))
+
+    def _forget_experiment(self) -> None:
+        self._engine.abort()
+        self._engine = Engine(Action().body)
+        self._outstanding = None
+        self._request_seq = 0
+        self._reply = None
+
+
+def _clip(text: str, limit: int = _MAX_TEXT) -> str:
+    """Return `text` fit for a header and a terminal: not too long, and without control characters."""
+    clean = "".join(c if c.isprintable() else " " for c in text[:limit])
+    return clean + ("..." if len(text) > limit else "")

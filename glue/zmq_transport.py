@@ -1,0 +1,142 @@
+"""Frames over ZeroMQ: a ROUTER for the hub, a DEALER for each peer.
+
+The only module that knows libzmq. Its I/O threads answer and expect the heartbeats of ZMTP, so a peer
+that computes for minutes stays connected while one that was killed, or whose cable was cut, does not.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Sequence
+from typing import Final
+
+import zmq
+
+from glue.errors import ConfigError
+
+__all__ = ["Context", "DealerTransport", "RouterTransport"]
+
+Context = zmq.Context[zmq.Socket[bytes]]
+
+_LINGER_MS: Final = 1000
+"""How long a closing socket tries to deliver its last words, in milliseconds."""
+
+_QUEUE: Final = 64
+"""Messages queued for or from one peer. RL-Glue has one call outstanding; the rest are heartbeats."""
+
+
+def _prepare(socket: zmq.Socket[bytes], heartbeat: float, patience: float, max_body: int) -> None:
+    socket.setsockopt(zmq.LINGER, _LINGER_MS)
+    socket.setsockopt(zmq.SNDHWM, _QUEUE)
+    socket.setsockopt(zmq.RCVHWM, _QUEUE)
+    socket.setsockopt(zmq.MAXMSGSIZE, max_body)
+    socket.setsockopt(zmq.HEARTBEAT_IVL, max(1, int(heartbeat * 1000)))
+    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, max(1, int(patience * 1000)))
+
+
+class RouterTransport:
+    """The hub's end. A route is the identity that the ROUTER gives to a connection: new with each one.
+
+    Raises:
+        ConfigError: an address is taken or cannot be bound.
+    """
+
+    def __init__(
+        self, context: Context, bind: Sequence[str], heartbeat: float, patience: float, max_body: int
+    ) -> None:
+        self.socket = context.socket(zmq.ROUTER)
+        _prepare(self.socket, heartbeat, patience, max_body)
+        # Without it a message for a route that is gone would vanish silently.
+        self.socket.setsockopt(zmq.ROUTER_MANDATORY, 1)
+        self.endpoints: list[str] = []
+        for url in bind:
+            try:
+                self.socket.setsockopt(zmq.IPV6, "[" in url)
+                self.socket.bind(url)
+            except zmq.ZMQError as error:
+                self.socket.close(0)
+                raise ConfigError(_bind_error(url, error)) from None
+            self.endpoints.append(self.socket.getsockopt_string(zmq.LAST_ENDPOINT))
+
+    def send(self, route: bytes, frames: Sequence[bytes]) -> bool:
+        """Send a message; return False, having sent nothing, if the route is gone or does not read."""
+        try:
+            self.socket.send_multipart((route, *frames), zmq.NOBLOCK)
+        except zmq.ZMQError as error:
+            if error.errno in (errno.EHOSTUNREACH, errno.EAGAIN):
+                return False
+            raise
+        return True
+
+    def pending(self) -> bool:
+        """Return whether a message waits to be received."""
+        return (int(self.socket.get(zmq.EVENTS)) & zmq.POLLIN) != 0
+
+    def receive(self) -> tuple[bytes, list[bytes]]:
+        """Return the next message, which must be pending, and the route it came by.
+
+        No more than three frames are kept: that is one too many, which is all that need be known.
+        """
+        socket = self.socket
+        route = socket.recv(zmq.NOBLOCK)
+        frames: list[bytes] = []
+        while socket.getsockopt(zmq.RCVMORE):
+            frame = socket.recv(zmq.NOBLOCK)
+            if len(frames) < 3:
+                frames.append(frame)
+        return route, frames
+
+    def close(self) -> None:
+        """Close, giving the last messages a moment to leave."""
+        self.socket.close()
+
+
+class DealerTransport:
+    """A peer's end. It connects when the hub is there, and again whenever the connection breaks."""
+
+    def __init__(self, context: Context, url: str, heartbeat: float, patience: float, max_body: int) -> None:
+        self.socket = context.socket(zmq.DEALER)
+        _prepare(self.socket, heartbeat, patience, max_body)
+        self.socket.setsockopt(zmq.RECONNECT_IVL, 50)
+        self.socket.setsockopt(zmq.RECONNECT_IVL_MAX, 1000)
+        self.socket.setsockopt(zmq.SNDTIMEO, 0)
+        self.socket.setsockopt(zmq.IPV6, "[" in url)
+        try:
+            self.socket.connect(url)
+        except zmq.ZMQError as error:
+            self.socket.close(0)
+            raise ConfigError(f"cannot connect to {url}: {error.strerror}") from None
+
+    def wait_at_most(self, seconds: float) -> None:
+        """Set how long `receive` waits."""
+        self.socket.setsockopt(zmq.RCVTIMEO, max(1, int(seconds * 1000)))
+
+    def send(self, frames: Sequence[bytes]) -> bool:
+        """Queue a message; return False if the queue is full, as it is while there is no hub."""
+        try:
+            self.socket.send_multipart(frames)
+        except zmq.Again:
+            return False
+        return True
+
+    def receive(self) -> list[bytes] | None:
+        """Return the next message, or None if none came in time."""
+        try:
+            return self.socket.recv_multipart()
+        except zmq.Again:
+            return None
+
+    def close(self, linger: float | None = None) -> None:
+        """Close, giving the last messages at most `linger` seconds (by default one) to leave."""
+        self.socket.close(_LINGER_MS if linger is None else int(linger * 1000))
+
+
+def _bind_error(url: str, error: zmq.ZMQError) -> str:
+    if error.errno == errno.EADDRINUSE:
+        return (
+            f"{url} is in use: is another hub or experiment running there? "
+            f"Stop it, or choose another address with --bind"
+        )
+    if error.errno == errno.EADDRNOTAVAIL or error.errno == errno.ENODEV:
+        return f"{url} is not an address of this machine"
+    return f"cannot listen on {url}: {error.strerror}"
