@@ -1,0 +1,420 @@
+"""Trajectories: what is written is read back, and no file, however broken, does harm."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import resource
+import struct
+import subprocess
+import sys
+import tracemalloc
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from glue import trajectory
+from glue.errors import LocalProtocolError
+from glue.trajectory import (
+    MAGIC,
+    Ending,
+    Episode,
+    Run,
+    Step,
+    TrajectoryError,
+    TrajectoryReader,
+    TrajectoryWriter,
+)
+from glue.types import Action, Observation
+
+RUN = Run("corridor", {"length": 21, "slip": 0.25, "walls": True, "name": "a"}, "VERSION RL-Glue-3.0 ...", 7)
+
+
+def observation(number: int) -> Observation:
+    return Observation(ints=[number, -number], doubles=[number / 3, -0.0], chars=b"  M  \n" * 3)
+
+
+def record(path: Path, episodes: int = 3, steps: int = 4) -> None:
+    with TrajectoryWriter(path) as recording:
+        recording.run(RUN)
+        for episode in range(episodes):
+            recording.start(observation(episode))
+            for step in range(steps):
+                recording.step(Action([step]), step / 7, observation(step), step == steps - 1)
+
+
+def read(path: Path) -> list[Episode]:
+    return list(TrajectoryReader(path))
+
+
+def write_stream(path: Path, *records: bytes) -> Path:
+    path.write_bytes(gzip.compress(MAGIC + b"".join(records)))
+    return path
+
+
+def text_record(kind: bytes, text: str) -> bytes:
+    return kind + struct.pack("<I", len(text.encode())) + text.encode()
+
+
+def run_record(**changes: object) -> bytes:
+    fields: dict[str, object] = {
+        "environment": "corridor",
+        "options": {},
+        "task_spec": "",
+        "seed": None,
+        "state": "",
+    }
+    return text_record(b"R", json.dumps(fields | changes))
+
+
+def test_written_episodes_are_read_back(tmp_path: Path) -> None:
+    path = tmp_path / "a.traj"
+    with TrajectoryWriter(path) as recording:
+        recording.run(RUN)
+        recording.start(observation(1))
+        recording.step(Action([2], [0.5], b"x"), -0.0, observation(3), False)
+        recording.step(Action(), 1e300, observation(4), True)
+        recording.message("level 3")
+        recording.start(observation(5))
+        recording.message("to the next episode")
+        recording.cutoff()
+        recording.run(Run("", {}, "", None, b"\x00\xff"))
+        recording.start(observation(6))
+        recording.void()
+        recording.start(observation(7))
+    first, second, third, fourth = read(path)
+    assert (first.run, first.messages, first.start) == (RUN, (), observation(1))
+    assert first.steps == (
+        Step(Action([2], [0.5], b"x"), -0.0, observation(3), False),
+        Step(Action(), 1e300, observation(4), True),
+    )
+    assert str(first.steps[0].reward) == "-0.0"
+    assert first.ending is Ending.TERMINAL
+    assert (second.messages, second.ending) == (("level 3",), Ending.CUTOFF)
+    assert (third.run.state, third.messages, third.ending) == (b"\x00\xff", (), Ending.VOID)
+    assert (fourth.start, fourth.ending) == (observation(7), Ending.VOID)
+
+
+def test_start_within_an_episode_cuts_it_off(tmp_path: Path) -> None:
+    with TrajectoryWriter(tmp_path / "a") as recording:
+        recording.run(RUN)
+        recording.start(observation(1))
+        recording.start(observation(2))
+        recording.step(Action(), 0.0, observation(3), True)
+    assert [episode.ending for episode in read(tmp_path / "a")] == [Ending.CUTOFF, Ending.TERMINAL]
+
+
+bodies = st.tuples(
+    st.lists(st.integers(-(2**31), 2**31 - 1), max_size=5),
+    st.lists(st.floats(), max_size=5),
+    st.binary(max_size=20),
+)
+steps = st.lists(st.tuples(bodies, st.floats(allow_nan=False), bodies), max_size=6)
+plain = st.one_of(st.integers(), st.booleans(), st.text(), st.floats(allow_nan=False, allow_infinity=False))
+runs = st.builds(
+    Run,
+    st.text(),
+    st.dictionaries(st.text(), plain, max_size=3),
+    st.text(),
+    st.none() | st.integers(0, 2**63 - 1),
+    st.binary(max_size=20),
+)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(
+    recorded=st.lists(
+        st.tuples(runs, st.lists(st.text(), max_size=2), bodies, steps, st.sampled_from(Ending)), max_size=4
+    )
+)
+def test_round_trip(tmp_path_factory: pytest.TempPathFactory, recorded: list[tuple]) -> None:  # type: ignore[type-arg]
+    path = tmp_path_factory.mktemp("round") / "a.traj"
+    expected = []
+    with TrajectoryWriter(path) as recording:
+        for run, messages, start, path_taken, ending in recorded:
+            if ending is Ending.TERMINAL and not path_taken:
+                ending = Ending.CUTOFF
+            last = len(path_taken) - 1
+            taken = tuple(
+                Step(Action(*action), reward, Observation(*seen), ending is Ending.TERMINAL and i == last)
+                for i, (action, reward, seen) in enumerate(path_taken)
+            )
+            expected.append(Episode(run, tuple(messages), Observation(*start), taken, ending))
+            recording.run(run)
+            for message in messages:
+                recording.message(message)
+            recording.start(Observation(*start))
+            for step in taken:
+                recording.step(*step)
+            if ending is Ending.VOID:
+                recording.void()
+            else:
+                recording.cutoff()
+    assert read(path) == expected
+
+
+def test_episode_return_adds_in_order() -> None:
+    rewards = [1e16, 1.0, -1e16]
+    taken = tuple(Step(Action(), reward, Observation(), False) for reward in rewards)
+    assert Episode(RUN, (), Observation(), taken, Ending.CUTOFF).episode_return == 0.0
+
+
+def test_file_cut_anywhere_gives_the_whole_episodes_before(tmp_path: Path) -> None:
+    whole = tmp_path / "whole"
+    record(whole)
+    expected = read(whole)
+    data = whole.read_bytes()
+    counts: list[int] = []
+    for size in range(len(data)):
+        cut = tmp_path / "cut"
+        cut.write_bytes(data[:size])
+        reader = TrajectoryReader(cut)
+        try:
+            episodes = list(reader)
+        except TrajectoryError:
+            assert not counts, "only a file cut before its first record is no recording"
+            continue
+        assert episodes == expected[: len(episodes)]
+        assert reader.torn
+        counts.append(len(episodes))
+    assert counts == sorted(counts)
+    assert set(counts) == {0, 1, 2, 3}
+
+
+def test_writer_killed_in_an_episode_leaves_the_whole_ones(tmp_path: Path) -> None:
+    path = tmp_path / "a.traj"
+    program = """
+import os, signal, sys
+from glue.trajectory import Run, TrajectoryWriter
+from glue.types import Action, Observation
+recording = TrajectoryWriter(sys.argv[1])
+recording.run(Run("corridor", {}, ""))
+for episode in range(4):
+    recording.start(Observation([episode]))
+    for step in range(1000):
+        if episode == 3 and step == 500:
+            os.kill(os.getpid(), signal.SIGKILL)
+        recording.step(Action([step]), step * 0.1, Observation([step]), step == 999)
+"""
+    done = subprocess.run([sys.executable, "-c", program, str(path)], timeout=60, check=False)
+    assert done.returncode == -9
+    reader = TrajectoryReader(path)
+    episodes = list(reader)
+    assert [(e.start.ints[0], len(e.steps), e.ending) for e in episodes] == [
+        (i, 1000, Ending.TERMINAL) for i in range(3)
+    ]
+    assert reader.torn
+
+
+def test_finished_episode_is_in_the_file_before_the_next(tmp_path: Path) -> None:
+    path = tmp_path / "a.traj"
+    with TrajectoryWriter(path) as recording:
+        recording.run(RUN)
+        for episode in range(3):
+            assert len(read(path)) == episode
+            recording.start(observation(episode))
+            recording.step(Action(), 0.0, observation(1), True)
+
+
+def test_joined_files_are_one_recording(tmp_path: Path) -> None:
+    record(tmp_path / "a", episodes=2)
+    record(tmp_path / "b", episodes=1)
+    (tmp_path / "ab").write_bytes((tmp_path / "a").read_bytes() + (tmp_path / "b").read_bytes())
+    reader = TrajectoryReader(tmp_path / "ab")
+    assert list(reader) == read(tmp_path / "a") + read(tmp_path / "b")
+    assert not reader.torn
+
+
+def test_repeating_observations_take_little_room(tmp_path: Path) -> None:
+    record(tmp_path / "a", episodes=20, steps=100)
+    raw = 20 * 100 * (len(observation(1).body) + len(Action([1]).body) + 9)
+    assert (tmp_path / "a").stat().st_size < raw / 10
+
+
+def test_existing_file_is_not_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"precious")
+    with pytest.raises(TrajectoryError, match="exists already"):
+        TrajectoryWriter(tmp_path / "a")
+    assert (tmp_path / "a").read_bytes() == b"precious"
+
+
+def test_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
+    with pytest.raises(TrajectoryError, match=r"cannot write .*nowhere"):
+        TrajectoryWriter(tmp_path / "nowhere" / "a")
+    with pytest.raises(TrajectoryError, match=r"cannot read .*nowhere"):
+        read(tmp_path / "nowhere")
+
+
+def test_full_disk_is_one_clear_error_and_leaves_what_was_stored(tmp_path: Path) -> None:
+    path = tmp_path / "a.traj"
+    noise = np.random.default_rng(1)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    recording = TrajectoryWriter(path)
+    recording.run(RUN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+    try:
+        for _ in range(6):
+            recording.start(Observation(chars=noise.bytes(3_000)))
+            recording.step(Action(), 0.0, observation(1), True)
+        recording.start(Observation(chars=noise.bytes(3_000)))
+        with pytest.raises(TrajectoryError, match=r"cannot write .*a\.traj: File too large"):
+            recording.step(Action(), 0.0, observation(1), True)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    recording.close()
+    with pytest.raises(LocalProtocolError, match="closed"):
+        recording.run(RUN)
+    assert len(read(path)) == 6
+
+
+def test_writer_used_out_of_order_says_what_is_missing(tmp_path: Path) -> None:
+    with TrajectoryWriter(tmp_path / "a") as recording:
+        with pytest.raises(LocalProtocolError, match="no run is open"):
+            recording.start(observation(1))
+        with pytest.raises(LocalProtocolError, match="no run is open"):
+            recording.message("hello")
+        recording.run(RUN)
+        with pytest.raises(LocalProtocolError, match="no episode is open"):
+            recording.step(Action(), 0.0, observation(1), False)
+        recording.start(observation(1))
+        recording.step(Action(), 0.0, observation(2), True)
+        with pytest.raises(LocalProtocolError, match="no episode is open"):
+            recording.step(Action(), 0.0, observation(1), False)
+    assert len(read(tmp_path / "a")) == 1
+
+
+@pytest.mark.parametrize("value", [None, [1], float("nan"), float("inf")])
+def test_option_that_is_not_plain_is_refused(tmp_path: Path, value: object) -> None:
+    with (
+        TrajectoryWriter(tmp_path / "a") as recording,
+        pytest.raises(LocalProtocolError, match="option length cannot be recorded"),
+    ):
+        recording.run(Run("corridor", {"length": value}, ""))  # type: ignore[dict-item]
+
+
+def test_message_that_is_not_unicode_is_refused(tmp_path: Path) -> None:
+    with TrajectoryWriter(tmp_path / "a") as recording:
+        recording.run(RUN)
+        with pytest.raises(LocalProtocolError, match="not Unicode"):
+            recording.message("\ud800")
+
+
+def test_limits_hold_while_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trajectory, "MAX_STEPS", 2)
+    monkeypatch.setattr(trajectory, "MAX_BODY", 100)
+    monkeypatch.setattr(trajectory, "MAX_EPISODE", 300)
+    with TrajectoryWriter(tmp_path / "a") as recording:
+        recording.run(RUN)
+        with pytest.raises(LocalProtocolError, match="100 are allowed"):
+            recording.start(Observation(chars=b"x" * 100))
+        recording.start(Observation())
+        recording.step(Action(), 0.0, Observation(), False)
+        recording.step(Action(), 0.0, Observation(), False)
+        with pytest.raises(LocalProtocolError, match="more than 2 steps"):
+            recording.step(Action(), 0.0, Observation(), False)
+        recording.start(Observation())
+        recording.step(Action(), 0.0, Observation(chars=b"x" * 80), False)
+        with pytest.raises(LocalProtocolError, match="more than 300 bytes"):
+            recording.step(Action([1] * 20), 0.0, Observation(chars=b"x" * 84), False)
+    first, second = read(tmp_path / "a")
+    assert (len(first.steps), first.ending) == (2, Ending.CUTOFF)
+    assert (len(second.steps), second.ending) == (1, Ending.VOID)
+
+
+EMPTY = Observation().body
+BROKEN = {
+    "start before run": (b"O" + EMPTY, "a record b'O' where"),
+    "message before run": (text_record(b"M", "hello"), "a record b'M' where"),
+    "step outside": (run_record() + b"S" + b"\0" * 40, "a record b'S' where"),
+    "unknown kind": (run_record() + b"?", "a record b'[?]' where"),
+    "unknown kind inside": (run_record() + b"O" + EMPTY + b"?", "b'[?]' inside an episode"),
+    "run inside": (run_record() + b"O" + EMPTY + run_record(), "b'R' inside an episode"),
+    "ends in a record": (run_record() + b"O" + EMPTY[:-1], "ends inside a record"),
+    "ends in an episode": (run_record() + b"O" + EMPTY, "ends inside a record"),
+    "reserved word": (run_record() + b"O" + struct.pack("<4I", 0, 0, 0, 1), "must be zero"),
+    "huge body": (run_record() + b"O" + struct.pack("<4I", 2**32 - 1, 2**32 - 1, 0, 0), "bytes; 16777216"),
+    "huge text": (b"R" + struct.pack("<I", 2**32 - 1), "a text of 4294967295 bytes"),
+    "not UTF-8": (b"R" + struct.pack("<I", 1) + b"\xff", "not UTF-8"),
+    "not JSON": (text_record(b"R", "{"), "not the JSON"),
+    "deep JSON": (text_record(b"R", "[" * 100_000), "not the JSON"),
+    "JSON of another kind": (text_record(b"R", "[1]"), "not the JSON"),
+    "missing field": (text_record(b"R", "{}"), "not the JSON"),
+    "endless number": (text_record(b"R", "1" * 10_000), "not the JSON"),
+    "seed": (run_record(seed=-1), "wrong type"),
+    "seed of a float": (run_record(seed=1.0), "wrong type"),
+    "options": (run_record(options=[]), "wrong type"),
+    "option": (run_record(options={"a": None}), "wrong type"),
+    "infinite option": (run_record(options={"a": float("inf")}), "wrong type"),
+    "environment": (run_record(environment=3), "wrong type"),
+    "task spec": (run_record(task_spec=None), "wrong type"),
+    "state": (run_record(state="xy"), "not the JSON"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_malformed_file_is_one_clear_error(tmp_path: Path, name: str) -> None:
+    data, message = BROKEN[name]
+    with pytest.raises(TrajectoryError, match=message) as caught:
+        read(write_stream(tmp_path / "a.traj", data))
+    assert str(tmp_path / "a.traj") in str(caught.value)
+    assert "before byte" in str(caught.value)
+
+
+@pytest.mark.parametrize("data", [b"", b"\x1f\x8b", b"not gzip at all", gzip.compress(b"GLUETRJ2")])
+def test_other_files_are_refused(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "a").write_bytes(data)
+    with pytest.raises(TrajectoryError, match="not a sound recording"):
+        read(tmp_path / "a")
+
+
+def test_damage_is_noticed_by_the_checksum(tmp_path: Path) -> None:
+    record(tmp_path / "a")
+    data = bytearray((tmp_path / "a").read_bytes())
+    data[-6] ^= 1
+    (tmp_path / "a").write_bytes(bytes(data))
+    with pytest.raises(TrajectoryError, match="incorrect data check"):
+        read(tmp_path / "a")
+
+
+@settings(deadline=None, max_examples=300)
+@given(seed=st.integers(0, 2**32), flips=st.integers(1, 4), packed=st.booleans())
+def test_damaged_file_raises_nothing_else(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, flips: int, packed: bool
+) -> None:
+    path = tmp_path_factory.mktemp("damage") / "a"
+    record(path, episodes=2, steps=2)
+    data = bytearray(path.read_bytes() if packed else gzip.decompress(path.read_bytes()))
+    for flip in range(flips):
+        data[(seed * 31 + flip * 7919) % len(data)] ^= 1 << (seed + flip) % 8
+    path.write_bytes(bytes(data) if packed else gzip.compress(bytes(data)))
+    try:
+        episodes = read(path)
+    except TrajectoryError:
+        return
+    for episode in episodes:
+        _ = episode.start.ints, episode.start.doubles, episode.start.chars, episode.episode_return
+
+
+def test_declared_sizes_and_bombs_take_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trajectory, "MAX_EPISODE", 2**20)
+    pack = zlib.compressobj(wbits=31)
+    step = b"S" + b"\0" * 8 + EMPTY * 2
+    packed = pack.compress(MAGIC + run_record() + b"O" + EMPTY)
+    for _ in range(64):
+        packed += pack.compress(step * 2**14)
+    (tmp_path / "bomb").write_bytes(packed + pack.flush())
+    claim = run_record() + b"O" + struct.pack("<4I", 0, 0, trajectory.MAX_BODY - 16, 0)
+    write_stream(tmp_path / "claim", claim, b"only this")
+    tracemalloc.start()
+    try:
+        with pytest.raises(TrajectoryError, match="an episode of more than"):
+            read(tmp_path / "bomb")
+        with pytest.raises(TrajectoryError, match="ends inside a record"):
+            read(tmp_path / "claim")
+        assert tracemalloc.get_traced_memory()[1] < 32 * 2**20
+    finally:
+        tracemalloc.stop()
