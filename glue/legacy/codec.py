@@ -1,14 +1,17 @@
 """The binary format of the original RL-Glue 3.x, without I/O: bytes in, messages out, and back.
 
     frame          int32 kind, uint32 payload size, payload
+    payload        the scalars, then the body, that `glue.messages.CALLS` gives its kind;
+                   but the scalars in reverse: terminal before reward
+    terminal       int32; anything but zero is taken for true
+    reward, return float64
+    steps, counts  int32; max_steps uint32
     text           uint32 byte count, bytes
     abstract type  uint32 number of ints I, of doubles D, of chars C,
                    then I int32, D float64 and C bytes; nothing in between
 
-Everything is big-endian. A reply has the kind of its request, so what a payload holds depends on
-who sent it: the tables `FROM_AGENT`, `TO_AGENT` and so on say it, as seen from the server.
-Observations and actions are kept as bodies of `glue.types.AbstractType`, whose bytes run the other
-way round and whose doubles come first; only bytes move, so every bit of a NaN survives.
+Everything is big-endian. Scalars and bodies leave here, and are taken, as our own wire has them. In
+an abstract type only whole bytes are moved, so every bit of a NaN survives.
 
 What the original server did with odd input, and what is done here:
 
@@ -31,14 +34,14 @@ from __future__ import annotations
 import struct
 from array import array
 from collections.abc import Callable, Mapping
-from typing import Any, Final, NamedTuple
+from enum import IntEnum
+from typing import Final, NamedTuple
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
+from glue.messages import CALLS, Body, Call, Kind, Role, Shape, Value
+from glue.types import body_size
 
 __all__ = [
-    "AGENT",
-    "ENVIRONMENT",
-    "EXPERIMENT",
     "FROM_AGENT",
     "FROM_ENVIRONMENT",
     "FROM_EXPERIMENT",
@@ -46,20 +49,16 @@ __all__ = [
     "MAX_COUNT",
     "MAX_TEXT",
     "SURPLUS",
-    "TERMINATE",
     "TO_AGENT",
     "TO_ENVIRONMENT",
     "TO_EXPERIMENT",
+    "Control",
     "Decoder",
-    "Message",
+    "Frame",
+    "Layout",
     "Vocabulary",
     "encode",
 ]
-
-EXPERIMENT: Final = 1
-AGENT: Final = 2
-ENVIRONMENT: Final = 3
-TERMINATE: Final = 35
 
 MAX_COUNT: Final = 1_000_000
 """The most ints, doubles or chars in one abstract type; the original's own limit."""
@@ -70,7 +69,6 @@ MAX_TEXT: Final = 1_000_000
 SURPLUS: Final = 65_536
 """How many bytes a payload may be longer than anything its kind can hold."""
 
-_EMPTY: Final = bytes(16)
 _HEADER: Final = struct.Struct(">iI")
 _COUNT: Final = struct.Struct(">I")
 _THEIR_COUNTS: Final = struct.Struct(">3I")
@@ -78,46 +76,34 @@ _OUR_COUNTS: Final = struct.Struct("<4I")
 _KINDS_OF_2: Final = frozenset((9, 15, 16, 17, 18, 28, 29, 30, 31, 32))
 
 
-class Message(NamedTuple):
-    """One message; of the fields after `kind`, those that its vocabulary names have a meaning.
+class Control(IntEnum):
+    """The messages that keep a connection: a newcomer's first, and the server's last."""
 
-    kind         the original's message id
-    terminal     int32, 0 or 1 from a sane peer
-    reward       a step's reward, or the sum of them for RL_return
-    observation  the body of an Observation
-    action       the body of an Action
-    text         a task spec or a free-form message, without zero bytes; mostly UTF-8
-    max_steps    uint32, RL_episode's limit, 0 for none
-    number       int32, the answer of RL_num_steps and RL_num_episodes
-    """
-
-    kind: int
-    terminal: int = 0
-    reward: float = 0.0
-    observation: bytes = _EMPTY
-    action: bytes = _EMPTY
-    text: bytes = b""
-    max_steps: int = 0
-    number: int = 0
+    CONNECT_EXPERIMENT = 1
+    CONNECT_AGENT = 2
+    CONNECT_ENVIRONMENT = 3
+    TERMINATE = 35
 
 
-class _Piece(NamedTuple):
-    """How one field of a message is read from a payload at an offset, and written."""
+class Frame(NamedTuple):
+    """One message: its kind, scalars and body as `glue.messages.Message` has them, without a seed."""
 
-    read: Callable[[bytes, int], tuple[Any, int]]
-    write: Callable[[Any], bytes]
-    largest: int
+    kind: Kind | Control
+    scalars: tuple[Value, ...] = ()
+    body: bytes = b""
 
 
-class _Layout(NamedTuple):
-    """What a payload holds, in order, and how long it may be."""
+class Layout(NamedTuple):
+    """What the payload of one kind holds, and the most bytes it may have."""
 
-    name: str
-    pieces: tuple[tuple[str, _Piece], ...]
+    kind: Kind | Control
+    scalars: struct.Struct
+    types: tuple[type, ...]
+    body: Body
     limit: int
 
 
-Vocabulary = Mapping[int, _Layout]
+Vocabulary = Mapping[int, Layout]
 """The kinds of message that one side may send the other."""
 
 
@@ -146,7 +132,7 @@ class Decoder:
         if self._error is None:
             self._buffer += data
 
-    def next_event(self) -> Message | None:
+    def next_event(self) -> Frame | None:
         """Return the next message, or None until more bytes have come.
 
         Raises:
@@ -161,7 +147,7 @@ class Decoder:
             self._buffer.clear()
             raise
 
-    def _next(self) -> Message | None:
+    def _next(self) -> Frame | None:
         buffer = self._buffer
         if self._overhang:
             self._take_overhang()
@@ -173,7 +159,7 @@ class Decoder:
             raise RemoteProtocolError(_unknown(kind, self._vocabulary))
         if size > layout.limit:
             raise RemoteProtocolError(
-                f"a payload of at most {layout.limit} bytes was expected for {layout.name}; "
+                f"a payload of at most {layout.limit} bytes was expected for {layout.kind.name}; "
                 f"its header announces {size}"
             )
         end = _HEADER.size + size
@@ -181,23 +167,21 @@ class Decoder:
             return None
         payload = bytes(buffer[_HEADER.size : end])
         del buffer[:end]
-        fields: dict[str, Any] = {}
-        offset = 0
         try:
-            for field, piece in layout.pieces:
-                fields[field], offset = piece.read(payload, offset)
+            scalars, offset = _read_scalars(layout, payload)
+            body, offset = _BODY_FORMS[layout.body].read(payload, offset)
         except RemoteProtocolError as error:
-            raise RemoteProtocolError(f"{layout.name}: {error}") from None
-        if "text" in fields and offset == size:
-            fields["text"] = self._whole(payload[_COUNT.size :])
-        return Message(kind, **fields)
+            raise RemoteProtocolError(f"{layout.kind.name}: {error}") from None
+        if layout.body is Body.TEXT:
+            body = _until_zero(body if offset < size else self._with_overhang(body))
+        return Frame(layout.kind, scalars, body)
 
-    def _whole(self, text: bytes) -> bytes:
-        if not text.isascii():
-            # A UTF-16 unit takes at most three bytes of UTF-8, one of which has been counted.
-            self._overhang = min(2 * len(text), MAX_TEXT - len(text))
-            text += self._take_overhang()
-        return _until_zero(text)
+    def _with_overhang(self, text: bytes) -> bytes:
+        if text.isascii():
+            return text
+        # A UTF-16 unit takes at most three bytes of UTF-8, one of which has been counted.
+        self._overhang = min(2 * len(text), MAX_TEXT - len(text))
+        return text + self._take_overhang()
 
     def _take_overhang(self) -> bytes:
         overhang = _until_zero(bytes(self._buffer[: self._overhang]))
@@ -207,40 +191,36 @@ class Decoder:
         return overhang
 
 
-def encode(message: Message, vocabulary: Vocabulary) -> bytes:
-    """Return the frame of `message`.
+def encode(frame: Frame, vocabulary: Vocabulary) -> bytes:
+    """Return the bytes of `frame`.
 
     Raises:
-        LocalProtocolError: `vocabulary` lacks its kind, or a field is more than the format, or an
+        LocalProtocolError: `vocabulary` lacks its kind, or a value is more than the format, or an
             original program, can take.
     """
-    layout = vocabulary.get(message.kind)
+    kind, scalars, body = frame
+    layout = vocabulary.get(kind)
     if layout is None:
-        raise LocalProtocolError(_unknown(message.kind, vocabulary))
+        raise LocalProtocolError(_unknown(kind, vocabulary))
     try:
-        payload = b"".join([piece.write(getattr(message, field)) for field, piece in layout.pieces])
-    except (struct.error, LocalProtocolError) as error:
-        raise LocalProtocolError(f"{layout.name} cannot be sent: {error}") from None
-    return _HEADER.pack(message.kind, len(payload)) + payload
+        payload = layout.scalars.pack(*reversed(scalars)) + _BODY_FORMS[layout.body].write(body)
+    except (struct.error, LocalProtocolError, RemoteProtocolError) as error:
+        raise LocalProtocolError(f"{layout.kind.name} cannot be sent: {error}") from None
+    return _HEADER.pack(kind, len(payload)) + payload
 
 
 def _unknown(kind: int, vocabulary: Vocabulary) -> str:
-    expected = ", ".join(f"{known} ({layout.name})" for known, layout in vocabulary.items())
+    expected = ", ".join(f"{known} ({layout.kind.name})" for known, layout in vocabulary.items())
     hint = "; this one is of RL-Glue 2.x, which is not spoken here" if kind in _KINDS_OF_2 else ""
-    return f"a message of kind {expected} was expected; kind {kind} came{hint}"
+    return f"a message of kind {expected} was expected; kind {int(kind)} came{hint}"
 
 
-def _scalar(form: str) -> _Piece:
-    packer = struct.Struct(form)
-
-    def read(payload: bytes, offset: int) -> tuple[Any, int]:
-        try:
-            (value,) = packer.unpack_from(payload, offset)
-        except struct.error:
-            raise _short(packer.size, payload, offset) from None
-        return value, offset + packer.size
-
-    return _Piece(read, packer.pack, packer.size)
+def _read_scalars(layout: Layout, payload: bytes) -> tuple[tuple[Value, ...], int]:
+    packer = layout.scalars
+    if len(payload) < packer.size:
+        raise _short(packer.size, payload, 0)
+    values = reversed(packer.unpack_from(payload))
+    return tuple([of_type(value) for of_type, value in zip(layout.types, values, strict=True)]), packer.size
 
 
 def _read_text(payload: bytes, offset: int) -> tuple[bytes, int]:
@@ -252,7 +232,7 @@ def _read_text(payload: bytes, offset: int) -> tuple[bytes, int]:
         raise RemoteProtocolError(f"a text has at most {MAX_TEXT} bytes; {count} are announced")
     if start + count > len(payload):
         raise _short(count, payload, start)
-    return _until_zero(payload[start : start + count]), start + count
+    return payload[start : start + count], start + count
 
 
 def _write_text(text: bytes) -> bytes:
@@ -266,13 +246,13 @@ def _until_zero(text: bytes) -> bytes:
     return text.partition(b"\0")[0]
 
 
-def _read_body(payload: bytes, offset: int) -> tuple[bytes, int]:
+def _read_type(payload: bytes, offset: int) -> tuple[bytes, int]:
     at_ints = offset + _THEIR_COUNTS.size
     if at_ints > len(payload):
         raise _short(_THEIR_COUNTS.size, payload, offset)
     ints, doubles, chars = counts = _THEIR_COUNTS.unpack_from(payload, offset)
     if max(counts) > MAX_COUNT:
-        raise RemoteProtocolError(_too_many(counts))
+        raise RemoteProtocolError(_too_many(ints, doubles, chars))
     at_doubles = at_ints + 4 * ints
     at_chars = at_doubles + 8 * doubles
     end = at_chars + chars
@@ -287,38 +267,49 @@ def _read_body(payload: bytes, offset: int) -> tuple[bytes, int]:
     return b"".join(body), end
 
 
-def _write_body(body: bytes) -> bytes:
+def _write_type(body: bytes) -> bytes:
+    size = body_size(body)
+    if size != len(body):
+        raise LocalProtocolError(f"an abstract type of {size} bytes by its counts has {len(body)}")
     ints, doubles, chars, _ = _OUR_COUNTS.unpack_from(body)
     if max(ints, doubles, chars) > MAX_COUNT:
-        raise LocalProtocolError(_too_many((ints, doubles, chars)))
+        raise LocalProtocolError(_too_many(ints, doubles, chars))
     at_ints = _OUR_COUNTS.size + 8 * doubles
     at_chars = at_ints + 4 * ints
-    if at_chars + chars != len(body):
-        raise LocalProtocolError(
-            f"an abstract type of {at_chars + chars} bytes by its counts is in a body of {len(body)} bytes"
-        )
-    return b"".join(
-        (
-            _THEIR_COUNTS.pack(ints, doubles, chars),
-            _reversed("i", body[at_ints:at_chars]),
-            _reversed("q", body[_OUR_COUNTS.size : at_ints]),
-            body[at_chars:],
-        )
+    payload = (
+        _THEIR_COUNTS.pack(ints, doubles, chars),
+        _reversed("i", body[at_ints:at_chars]),
+        _reversed("q", body[_OUR_COUNTS.size : at_ints]),
+        body[at_chars:],
     )
+    return b"".join(payload)
+
+
+def _read_two_types(payload: bytes, offset: int) -> tuple[bytes, int]:
+    observation, offset = _read_type(payload, offset)
+    action, offset = _read_type(payload, offset)
+    return observation + action, offset
+
+
+def _write_two_types(body: bytes) -> bytes:
+    size = body_size(body)
+    return _write_type(body[:size]) + _write_type(body[size:])
 
 
 def _reversed(typecode: str, run: bytes) -> bytes:
     """Return `run` with the bytes of each 4-byte ("i") or 8-byte ("q") number reversed."""
-    # Twice as fast as NumPy for the few numbers of most observations, and no slower for many.
+    # An array is twice as fast as NumPy for the few numbers of most observations.
     numbers = array(typecode)
     numbers.frombytes(run)
     numbers.byteswap()
     return numbers.tobytes()
 
 
-def _too_many(counts: tuple[int, int, int]) -> str:
-    shown = "{} ints, {} doubles, {} chars".format(*counts)
-    return f"an original program takes at most {MAX_COUNT} of each in an abstract type; {shown} came"
+def _too_many(ints: int, doubles: int, chars: int) -> str:
+    return (
+        f"an original program takes at most {MAX_COUNT} of each in an abstract type; "
+        f"{ints} ints, {doubles} doubles, {chars} chars came"
+    )
 
 
 def _short(needed: int, payload: bytes, offset: int) -> RemoteProtocolError:
@@ -326,98 +317,62 @@ def _short(needed: int, payload: bytes, offset: int) -> RemoteProtocolError:
     return RemoteProtocolError(f"{needed} more bytes were expected at byte {offset}; {left} are left")
 
 
-_BODY: Final = _Piece(_read_body, _write_body, _THEIR_COUNTS.size + (4 + 8 + 1) * MAX_COUNT)
-_PIECES: Final = {
-    "terminal": _scalar(">i"),
-    "reward": _scalar(">d"),
-    "observation": _BODY,
-    "action": _BODY,
-    "text": _Piece(_read_text, _write_text, _COUNT.size + MAX_TEXT),
-    "max_steps": _scalar(">I"),
-    "number": _scalar(">i"),
+class _BodyForm(NamedTuple):
+    """How a body is read from a payload at an offset, and written, and how long it can be there."""
+
+    read: Callable[[bytes, int], tuple[bytes, int]]
+    write: Callable[[bytes], bytes]
+    largest: int
+
+
+_LARGEST_TYPE: Final = _THEIR_COUNTS.size + (4 + 8 + 1) * MAX_COUNT
+_TYPE: Final = _BodyForm(_read_type, _write_type, _LARGEST_TYPE)
+_BODY_FORMS: Final[Mapping[Body, _BodyForm]] = {
+    Body.NONE: _BodyForm(lambda _, offset: (b"", offset), lambda _: b"", 0),
+    Body.OBSERVATION: _TYPE,
+    Body.ACTION: _TYPE,
+    Body.OBSERVATION_ACTION: _BodyForm(_read_two_types, _write_two_types, 2 * _LARGEST_TYPE),
+    Body.TEXT: _BodyForm(_read_text, _write_text, _COUNT.size + MAX_TEXT),
+}
+_SCALAR_FORMS: Final = {
+    "reward": "d",
+    "terminal": "i",
+    "max_steps": "I",
+    "return": "d",
+    "num_steps": "i",
+    "num_episodes": "i",
 }
 
 
-def _vocabulary(*calls: tuple[int, str, str]) -> Vocabulary:
-    layouts = {}
-    for kind, name, fields in calls:
-        pieces = tuple((field, _PIECES[field]) for field in fields.split())
-        layouts[kind] = _Layout(name, pieces, SURPLUS + sum(piece.largest for _, piece in pieces))
-    return layouts
+def _layout(kind: Kind | Control, shape: Shape) -> Layout:
+    scalars = [scalar for scalar in shape.scalars if not scalar.optional]
+    packer = struct.Struct(">" + "".join(_SCALAR_FORMS[scalar.name] for scalar in reversed(scalars)))
+    limit = packer.size + _BODY_FORMS[shape.body].largest + SURPLUS
+    return Layout(kind, packer, tuple(scalar.type for scalar in scalars), shape.body, limit)
 
 
-FROM_STRANGER: Final = _vocabulary(
-    (EXPERIMENT, "experiment connection", ""),
-    (AGENT, "agent connection", ""),
-    (ENVIRONMENT, "environment connection", ""),
+def _controls(*kinds: Control) -> dict[int, Layout]:
+    return {kind: _layout(kind, Shape()) for kind in kinds}
+
+
+def _calls(callee: Role | None) -> dict[Kind, Call]:
+    return {kind: call for kind, call in CALLS.items() if call.callee is callee and kind <= Kind.RL_AGENT_END}
+
+
+def _requests(callee: Role | None) -> Vocabulary:
+    return _controls(Control.TERMINATE) | {k: _layout(k, call.request) for k, call in _calls(callee).items()}
+
+
+def _replies(callee: Role | None) -> Vocabulary:
+    return _controls(Control.TERMINATE) | {k: _layout(k, call.reply) for k, call in _calls(callee).items()}
+
+
+FROM_STRANGER: Final = _controls(
+    Control.CONNECT_EXPERIMENT, Control.CONNECT_AGENT, Control.CONNECT_ENVIRONMENT
 )
-TO_AGENT: Final = _vocabulary(
-    (4, "agent_init", "text"),
-    (5, "agent_start", "observation"),
-    (6, "agent_step", "reward observation"),
-    (7, "agent_end", "reward"),
-    (8, "agent_cleanup", ""),
-    (10, "agent_message", "text"),
-    (TERMINATE, "terminate", ""),
-)
-FROM_AGENT: Final = _vocabulary(
-    (4, "agent_init", ""),
-    (5, "agent_start", "action"),
-    (6, "agent_step", "action"),
-    (7, "agent_end", ""),
-    (8, "agent_cleanup", ""),
-    (10, "agent_message", "text"),
-    (TERMINATE, "terminate", ""),
-)
-TO_ENVIRONMENT: Final = _vocabulary(
-    (11, "env_init", ""),
-    (12, "env_start", ""),
-    (13, "env_step", "action"),
-    (14, "env_cleanup", ""),
-    (19, "env_message", "text"),
-    (TERMINATE, "terminate", ""),
-)
-FROM_ENVIRONMENT: Final = _vocabulary(
-    (11, "env_init", "text"),
-    (12, "env_start", "observation"),
-    (13, "env_step", "terminal reward observation"),
-    (14, "env_cleanup", ""),
-    (19, "env_message", "text"),
-    (TERMINATE, "terminate", ""),
-)
-FROM_EXPERIMENT: Final = _vocabulary(
-    (20, "RL_init", ""),
-    (21, "RL_start", ""),
-    (22, "RL_step", ""),
-    (23, "RL_cleanup", ""),
-    (24, "RL_return", ""),
-    (25, "RL_num_steps", ""),
-    (26, "RL_num_episodes", ""),
-    (27, "RL_episode", "max_steps"),
-    (33, "RL_agent_message", "text"),
-    (34, "RL_env_message", "text"),
-    (TERMINATE, "terminate", ""),
-    (36, "RL_env_start", ""),
-    (37, "RL_env_step", "action"),
-    (38, "RL_agent_start", "observation"),
-    (39, "RL_agent_step", "reward observation"),
-    (40, "RL_agent_end", "reward"),
-)
-TO_EXPERIMENT: Final = _vocabulary(
-    (20, "RL_init", "text"),
-    (21, "RL_start", "observation action"),
-    (22, "RL_step", "terminal reward observation action"),
-    (23, "RL_cleanup", ""),
-    (24, "RL_return", "reward"),
-    (25, "RL_num_steps", "number"),
-    (26, "RL_num_episodes", "number"),
-    (27, "RL_episode", "terminal"),
-    (33, "RL_agent_message", "text"),
-    (34, "RL_env_message", "text"),
-    (TERMINATE, "terminate", ""),
-    (36, "RL_env_start", "observation"),
-    (37, "RL_env_step", "terminal reward observation"),
-    (38, "RL_agent_start", "action"),
-    (39, "RL_agent_step", "action"),
-    (40, "RL_agent_end", ""),
-)
+FROM_AGENT: Final = _replies(Role.AGENT)
+FROM_ENVIRONMENT: Final = _replies(Role.ENVIRONMENT)
+FROM_EXPERIMENT: Final = _requests(None)
+TO_AGENT: Final = _requests(Role.AGENT)
+TO_ENVIRONMENT: Final = _requests(Role.ENVIRONMENT)
+TO_EXPERIMENT: Final = _replies(None)
