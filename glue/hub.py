@@ -72,6 +72,7 @@ class Hub:
         self._wake, self._waker = socket.socketpair()
         self._waker.setblocking(False)
         self._stopping: str | None = None
+        self._ended = threading.Event()
         self._readers: dict[int, Callable[[float], None]] = {}
         self._closers: list[Callable[[], None]] = []
         self.watch(self._wake.fileno(), zmq.POLLIN, lambda now: None)
@@ -92,6 +93,11 @@ class Hub:
             self._transport.close()
             self._wake.close()
             self._waker.close()
+            self._ended.set()
+
+    def wait(self) -> None:
+        """Wait until a hub in the background ends."""
+        self._ended.wait()
 
     def stop(self, reason: str) -> None:
         """Let `run` end; may be called from any thread or signal handler. Peers are told `reason`."""

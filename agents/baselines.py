@@ -1,0 +1,74 @@
+"""Agents that do not learn: RL-Glue's skeleton, and one that acts at random in any task."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+
+from glue.chance import load_generator, save_generator
+from glue.errors import LocalProtocolError
+from glue.options import Option
+from glue.taskspec import Space, parse_task_spec
+from glue.types import Action, Observation
+
+__all__ = ["RandomAgent", "SkeletonAgent"]
+
+
+class RandomAgent:
+    """Acts at random, evenly within the bounds of the task spec; it learns nothing."""
+
+    def __init__(
+        self,
+        *,
+        seed: Annotated[
+            int | None, Option("seed of its random numbers; the experiment's if not given", low=0)
+        ] = None,
+    ) -> None:
+        self._own_seed = seed
+        self._generator = np.random.default_rng(seed or 0)
+        self._actions = Space(stated=False)
+
+    def agent_seed(self, seed: int) -> None:
+        self._generator = np.random.default_rng(seed if self._own_seed is None else self._own_seed)
+
+    def agent_init(self, task_spec: str) -> None:
+        actions = parse_task_spec(task_spec).actions
+        if not actions.stated:
+            raise LocalProtocolError(
+                f"the random agent needs a task spec that states the actions, not {task_spec!r:.80}"
+            )
+        self._actions = actions
+
+    def agent_start(self, observation: Observation) -> Action:
+        return self._act()
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return self._act()
+
+    def agent_end(self, reward: float) -> None:
+        pass
+
+    def agent_cleanup(self) -> None:
+        pass
+
+    def agent_message(self, message: str) -> str:
+        return "the random agent understands no messages"
+
+    def agent_save(self) -> bytes:
+        return save_generator(self._generator)
+
+    def agent_load(self, data: bytes) -> None:
+        self._generator = load_generator(data)
+
+    def _act(self) -> Action:
+        return Action(*self._actions.sample(self._generator))
+
+
+class SkeletonAgent(RandomAgent):
+    """Acts at random, and knows its name. Source: RL-Glue 3.0, skeleton example."""
+
+    def agent_message(self, message: str) -> str:
+        if message == "what is your name?":
+            return "my name is skeleton_agent!"
+        return "I don't know how to respond to your message"

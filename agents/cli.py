@@ -1,0 +1,22 @@
+"""`glue-agent`: connect an agent to a hub."""
+
+from __future__ import annotations
+
+from glue.client import serve_agent
+from glue.commands import player_command, run
+from glue.messages import Role
+
+__all__ = ["agent", "main"]
+
+agent = player_command(
+    Role.AGENT,
+    "glue-agent",
+    serve_agent,
+    "Connect an agent to a hub, and serve until the hub says goodbye.",
+    "  glue-agent random\n  glue-agent sarsa --step-size 0.1 --hub tcp://127.0.0.1:5000",
+)
+
+
+def main() -> None:
+    """Run `glue-agent`."""
+    run(agent)

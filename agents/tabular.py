@@ -1,0 +1,135 @@
+"""SARSA(0) on a plain table, for tasks of one int observed and one int done. Sutton and Barto, 6.4."""
+
+from __future__ import annotations
+
+import struct
+from typing import Annotated, Final
+
+import numpy as np
+
+from glue.chance import GENERATOR_SIZE, load_generator, save_generator
+from glue.errors import LocalProtocolError
+from glue.options import Option
+from glue.taskspec import TaskSpec, parse_task_spec
+from glue.types import Action, Observation
+
+__all__ = ["SarsaAgent"]
+
+_MAX_VALUES: Final = 10_000_000
+_SHAPE: Final = struct.Struct("<4sII")
+_MAGIC: Final = b"TSA1"
+
+
+class SarsaAgent:
+    """Tabular SARSA with epsilon-greedy choice, ties broken at random.
+
+    Any task will do whose task spec bounds one int of observation and one int of action. The discount is
+    the task spec's.
+    """
+
+    def __init__(
+        self,
+        *,
+        step_size: Annotated[float, Option("share of each error that is learned", low=0, high=1)] = 0.1,
+        epsilon: Annotated[float, Option("chance of a random action", low=0, high=1)] = 0.1,
+        learning: Annotated[bool, Option("change the values; without, only act on them")] = True,
+        seed: Annotated[
+            int | None, Option("seed of its random numbers; the experiment's if not given", low=0)
+        ] = None,
+    ) -> None:
+        self._step_size = step_size if learning else 0.0
+        self._epsilon = epsilon
+        self._own_seed = seed
+        self._generator = np.random.default_rng(seed or 0)
+        self._discount = 1.0
+        self._first_state = 0
+        self._first_action = 0
+        self._values = np.zeros((1, 1))  # [states, actions]
+        self._state = 0
+        self._choice = 0
+
+    def agent_seed(self, seed: int) -> None:
+        self._generator = np.random.default_rng(seed if self._own_seed is None else self._own_seed)
+
+    def agent_init(self, task_spec: str) -> None:
+        spec = parse_task_spec(task_spec)
+        self._first_state, states = _one_int(spec, "observation")
+        self._first_action, actions = _one_int(spec, "action")
+        if states * actions > _MAX_VALUES:
+            raise LocalProtocolError(
+                f"a table of {states} states by {actions} actions is too large; {_MAX_VALUES} values fit"
+            )
+        assert spec.discount is not None
+        self._discount = spec.discount
+        self._values = np.zeros((states, actions))
+
+    def agent_start(self, observation: Observation) -> Action:
+        self._state = self._state_of(observation)
+        self._choice = self._choose(self._state)
+        return self._action()
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        state = self._state_of(observation)
+        choice = self._choose(state)
+        self._learn(reward + self._discount * float(self._values[state, choice]))
+        self._state, self._choice = state, choice
+        return self._action()
+
+    def agent_end(self, reward: float) -> None:
+        self._learn(reward)
+
+    def agent_cleanup(self) -> None:
+        pass
+
+    def agent_message(self, message: str) -> str:
+        if message == "values":
+            return " ".join(f"{value:.6g}" for value in self._values.ravel())
+        return f"unknown message {message!r:.80}; 'values' shows the table"
+
+    def agent_save(self) -> bytes:
+        values = self._values.astype("<f8").tobytes()
+        return _SHAPE.pack(_MAGIC, *self._values.shape) + save_generator(self._generator) + values
+
+    def agent_load(self, data: bytes) -> None:
+        header = _SHAPE.size + GENERATOR_SIZE
+        if len(data) != header + self._values.nbytes:
+            raise LocalProtocolError(
+                f"the saved values have {len(data)} bytes; this task's take {header + self._values.nbytes}"
+            )
+        if _SHAPE.unpack_from(data) != (_MAGIC, *self._values.shape):
+            raise LocalProtocolError("what was saved is not of this agent, or of another task")
+        self._generator = load_generator(data[_SHAPE.size : header])
+        self._values = np.frombuffer(data, "<f8", offset=header).reshape(self._values.shape).copy()
+
+    def _state_of(self, observation: Observation) -> int:
+        state = int(observation.ints[0]) - self._first_state if observation.counts[0] else -1
+        if not 0 <= state < len(self._values):
+            raise LocalProtocolError(f"{observation!r} is outside what the task spec says")
+        return state
+
+    def _choose(self, state: int) -> int:
+        values = self._values[state]
+        if self._generator.random() < self._epsilon:
+            return int(self._generator.integers(len(values)))
+        best = np.flatnonzero(values == values.max())
+        return int(best[self._generator.integers(len(best))]) if len(best) > 1 else int(best[0])
+
+    def _learn(self, target: float) -> None:
+        self._values[self._state, self._choice] += self._step_size * (
+            target - self._values[self._state, self._choice]
+        )
+
+    def _action(self) -> Action:
+        return Action(ints=(self._first_action + self._choice,))
+
+
+def _one_int(spec: TaskSpec, what: str) -> tuple[int, int]:
+    """Return the least value of the one int of `what`, and the number of its values."""
+    space = spec.actions if what == "action" else spec.observations
+    if space.counts == (1, 0, 0):
+        low, high = space.ints[0].ends
+        if np.isfinite(low) and np.isfinite(high):
+            return int(low), int(high) - int(low) + 1
+    raise LocalProtocolError(
+        f"tabular SARSA needs a task whose {what} is one int with bounds; this one has {space}"
+    )

@@ -1,0 +1,22 @@
+"""`glue-env`: connect an environment to a hub."""
+
+from __future__ import annotations
+
+from glue.client import serve_environment
+from glue.commands import player_command, run
+from glue.messages import Role
+
+__all__ = ["environment", "main"]
+
+environment = player_command(
+    Role.ENVIRONMENT,
+    "glue-env",
+    serve_environment,
+    "Connect an environment to a hub, and serve until the hub says goodbye.",
+    "  glue-env mines\n  glue-env mines --rows 8 --hub tcp://127.0.0.1:5000",
+)
+
+
+def main() -> None:
+    """Run `glue-env`."""
+    run(environment)

@@ -1,0 +1,141 @@
+"""Small tasks to try everything on: RL-Glue's skeleton walk, and a grid world with mines."""
+
+from __future__ import annotations
+
+from typing import Annotated, Final
+
+import numpy as np
+
+from glue.chance import load_generator, save_generator
+from glue.errors import SimulatorError
+from glue.options import Option
+from glue.types import Action, Observation
+
+__all__ = ["MinesEnvironment", "SkeletonEnvironment"]
+
+_LAST_STATE: Final = 20
+_FIRST_STATE: Final = 10
+
+
+class SkeletonEnvironment:
+    """A walk along 21 states, from the middle to either end.
+
+    Action 0 goes down by one, 1 goes up. State 0 ends with reward -1, state 20 with +1; no other step
+    is rewarded. Source: RL-Glue 3.0, skeleton example.
+    """
+
+    def __init__(self) -> None:
+        self._state = _FIRST_STATE
+
+    def env_init(self) -> str:
+        return (
+            "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1.0 "
+            "OBSERVATIONS INTS (0 20) ACTIONS INTS (0 1) REWARDS (-1.0 1.0) EXTRA skeleton"
+        )
+
+    def env_start(self) -> Observation:
+        self._state = _FIRST_STATE
+        return Observation(ints=(self._state,))
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        move = _one_int(action, high=1)
+        self._state = min(max(self._state + (1 if move else -1), 0), _LAST_STATE)
+        reward = {0: -1.0, _LAST_STATE: 1.0}.get(self._state, 0.0)
+        return reward, Observation(ints=(self._state,)), self._state in (0, _LAST_STATE)
+
+    def env_cleanup(self) -> None:
+        pass
+
+    def env_message(self, message: str) -> str:
+        if message == "what is your name?":
+            return "my name is skeleton_environment!"
+        return "I don't know how to respond to your message"
+
+
+_MINES_MAP: Final = (
+    "S.......*.........",
+    "..*..........*....",
+    "....**....*.......",
+    ".*........*....*..",
+    "......*........*..",
+    "..*......*.......G",
+)
+_DIRECTIONS: Final = ((-1, 0), (1, 0), (0, -1), (0, 1))
+_GOAL_REWARD: Final = 10.0
+_MINE_REWARD: Final = -100.0
+_STEP_REWARD: Final = -1.0
+
+
+class MinesEnvironment:
+    """A grid of 6 by 18 fields: reach the goal, step on no mine.
+
+    The observation is the field, row by row (0..107); actions 0..3 go up, down, left, right, and a step
+    into the wall stays. The goal ends the episode with +10, a mine with -100; any other step costs 1.
+    """
+
+    def __init__(
+        self,
+        *,
+        random_start: Annotated[bool, Option("start on any free field instead of the upper left")] = False,
+        seed: Annotated[
+            int | None, Option("seed of the starts; the experiment's if not given", low=0)
+        ] = None,
+    ) -> None:
+        self._random_start = random_start
+        self._own_seed = seed
+        self._generator = np.random.default_rng(seed or 0)
+        fields = "".join(_MINES_MAP)
+        self._columns = len(_MINES_MAP[0])
+        self._free = [field for field, what in enumerate(fields) if what in "S."]
+        self._fields = fields
+        self._field: int | None = None
+
+    def env_seed(self, seed: int) -> None:
+        self._generator = np.random.default_rng(seed if self._own_seed is None else self._own_seed)
+
+    def env_init(self) -> str:
+        self._field = None
+        return (
+            f"VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1.0 "
+            f"OBSERVATIONS INTS (0 {len(self._fields) - 1}) ACTIONS INTS (0 3) "
+            f"REWARDS ({_MINE_REWARD} {_GOAL_REWARD}) EXTRA mines"
+        )
+
+    def env_start(self) -> Observation:
+        start = self._fields.index("S")
+        self._field = int(self._generator.choice(self._free)) if self._random_start else start
+        return Observation(ints=(self._field,))
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        if self._field is None:
+            raise SimulatorError("a step came before the first start")
+        down, right = _DIRECTIONS[_one_int(action, high=3)]
+        row, column = divmod(self._field, self._columns)
+        if 0 <= row + down < len(_MINES_MAP) and 0 <= column + right < self._columns:
+            self._field += down * self._columns + right
+        what = self._fields[self._field]
+        reward = {"G": _GOAL_REWARD, "*": _MINE_REWARD}.get(what, _STEP_REWARD)
+        return reward, Observation(ints=(self._field,)), what in "G*"
+
+    def env_cleanup(self) -> None:
+        self._field = None
+
+    def env_message(self, message: str) -> str:
+        if message == "map":
+            return "\n".join(_MINES_MAP)
+        return f"unknown message {message!r:.80}; 'map' shows the map"
+
+    def env_save(self) -> bytes:
+        return save_generator(self._generator)
+
+    def env_load(self, data: bytes) -> None:
+        self._generator = load_generator(data)
+
+
+def _one_int(action: Action, high: int) -> int:
+    if action.counts != (1, 0, 0):
+        raise SimulatorError(f"an action is one int from 0 to {high}; {action!r} came")
+    value = int(action.ints[0])
+    if not 0 <= value <= high:
+        raise SimulatorError(f"an action is one int from 0 to {high}; {value} came")
+    return value

@@ -1,0 +1,141 @@
+"""What the command lines share: errors as one line, and `glue-env NAME`, `glue-agent NAME`.
+
+Click is a skin over functions: a command reads its options, calls one function, and an error becomes an
+exit code here and nowhere else.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from types import FrameType
+from typing import Any, Final, NoReturn
+
+import click
+
+from glue import __version__
+from glue.config import DEFAULT_HUB, DEFAULT_SESSION
+from glue.errors import ConfigError, GlueError
+from glue.loading import find, names
+from glue.messages import Role
+from glue.options import Parameter, Value, build, parameters
+
+__all__ = ["EXIT_INTERRUPTED", "Terminated", "player_command", "run"]
+
+EXIT_INTERRUPTED: Final = 130
+_EXIT_TERMINATED: Final = 143
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM came: leave as politely as for Ctrl-C."""
+
+
+def run(command: click.Command) -> NoReturn:
+    """Run `command` with the program's arguments, and exit.
+
+    0: done. 1: it failed, and said why in one line. 2: it was called wrongly. 130, 143: Ctrl-C, SIGTERM.
+    """
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        code = command.main(standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except (click.Abort, KeyboardInterrupt) as error:
+        cause = error if isinstance(error, Terminated) else error.__cause__ or error.__context__
+        sys.exit(_EXIT_TERMINATED if isinstance(cause, Terminated) else EXIT_INTERRUPTED)
+    except GlueError as error:
+        print(f"Error: {error}", file=sys.stderr)
+        sys.exit(2 if isinstance(error, ConfigError) else 1)
+    except BrokenPipeError:
+        # Whoever read our output has seen enough. Python would complain once more at exit.
+        sys.stderr.close()
+        sys.exit(1)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _terminate(number: int, frame: FrameType | None) -> NoReturn:
+    raise Terminated
+
+
+Serve = Callable[[Mapping[str, Any], str], str]
+"""Serves players, by session, at a hub; returns the hub's reason for the goodbye."""
+
+
+def player_command(role: Role, command: str, serve: Serve, about: str, example: str) -> click.Group:
+    """Return the command that starts an agent or environment by name: `glue-agent`, `glue-env`.
+
+    Its subcommands are the installed names; `module:Class` and `path/to/file.py:Class` work as well.
+    The options of each are its constructor's, see `glue.options`.
+    """
+    listed = ", ".join(names(role))
+    help_text = (
+        f"{about}\n\nNAME is one of {listed}, or your own as module:Class or path/to/file.py:Class. "
+        f"`{command} NAME --help` lists its options.\n\n\b\nExamples:\n{example}"
+    )
+    return _PlayerGroup(role, serve, name=command, help=help_text)
+
+
+class _PlayerGroup(click.Group):
+    """A group whose subcommands are made from the classes that its arguments name."""
+
+    def __init__(self, role: Role, serve: Serve, name: str, help: str) -> None:
+        super().__init__(name=name, help=help, subcommand_metavar="NAME [OPTIONS]", no_args_is_help=True)
+        self._role = role
+        self._serve = serve
+        click.version_option(__version__, prog_name=name)(self)
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return names(self._role)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command:
+        return _serving(self._role, cmd_name, find(self._role, cmd_name), self._serve)
+
+
+def _serving(role: Role, name: str, factory: type, serve: Serve) -> click.Command:
+    known = parameters(factory)
+
+    def start(hub: str, session: tuple[str, ...], **options: Value | None) -> None:
+        given = {key: value for key, value in options.items() if value is not None}
+        players = {one: build(factory, given) for one in session}
+        reason = serve(players, hub)
+        print(f"the hub said goodbye: {reason}", file=sys.stderr)
+
+    summary = (factory.__doc__ or f"The {role} {name}.").strip()
+    common: list[click.Parameter] = [
+        click.Option(["--hub"], default=DEFAULT_HUB, show_default=True, help="Address of the hub."),
+        click.Option(
+            ["--session"],
+            multiple=True,
+            default=(DEFAULT_SESSION,),
+            show_default=True,
+            help="Session to take part in; repeat it to serve several over one connection.",
+        ),
+    ]
+    own: Sequence[click.Parameter] = [_option(parameter) for parameter in known.values()]
+    return click.Command(name, callback=start, params=[*own, *common], help=summary)
+
+
+def _option(parameter: Parameter) -> click.Option:
+    """Return the command line's option for a constructor's parameter."""
+    flag = "--" + parameter.name.replace("_", "-")
+    if parameter.type is bool:
+        flag = f"{flag}/--no-{flag[2:]}"
+    option = parameter.option
+    notes = []
+    if option.choices:
+        notes.append("one of " + ", ".join(option.choices))
+    if option.low is not None or option.high is not None:
+        low = "" if option.low is None else f"{option.low:.15g}"
+        high = "" if option.high is None else f"{option.high:.15g}"
+        notes.append(f"{low}..{high}")
+    if option.unit:
+        notes.append(option.unit)
+    if parameter.default is not None:
+        default: object = parameter.default
+        if isinstance(default, bool):
+            default = "on" if default else "off"
+        notes.append(f"default {default}")
+    text = option.help + (f" [{'; '.join(notes)}]" if notes else "")
+    return click.Option([flag, parameter.name], type=parameter.type, default=None, help=text)
