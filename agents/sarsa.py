@@ -1,0 +1,146 @@
+"""SARSA(0) on a table of values, one per key.
+
+A state may have several features; then the value of an action is the sum of one learned value per
+feature, and an update is shared out equally among them. With one feature this is the plain table.
+Keys that were never updated have the value 0.
+Source: Sutton and Barto, chapters 6 and 9; Mohan (2010).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from agents._jit import Array, Flag, Int, Real, Word, jit, layout
+from agents.features import extend
+
+__all__ = [
+    "MAX_FEATURES", "Entry", "Keys", "Learner", "Taken", "Values", "action_values", "contents", "grown",
+    "has_room", "sum_of_values", "table_of", "take", "update",
+]  # fmt: skip
+
+Keys = npt.NDArray[np.uint64]
+Values = npt.NDArray[np.float64]
+
+MAX_FEATURES: Final = 512
+_SMALLEST: Final = 4096
+_FREE: Final = np.uint64(0)
+
+
+class Entry:
+    """One place of a value table: free when the key is 0."""
+
+    key: Word
+    value: Real
+
+
+class Learner:
+    """What every learner has beside its table: hyperparameters, generator, and counters.
+
+    cycles   decision cycles so far, which shrink epsilon
+    entries  values in the table
+    """
+
+    step_size: Real
+    discount: Real
+    epsilon: Real
+    reduction: Real
+    learning: Flag
+    random: Word
+    cycles: Int
+    entries: Int
+
+
+class Taken:
+    """The features of an action that was taken and still waits for its update."""
+
+    count: Int
+    keys: Annotated[Keys, np.uint64, MAX_FEATURES]
+
+
+@jit
+def action_values(table: Array, states: Keys, count: int, values: Values) -> None:
+    """Fill in `values`, one per action: the sum of what was learned under each of `count` features."""
+    for action in range(len(values)):
+        total = 0.0
+        for i in range(count):
+            total += table[_place(table, extend(states[i], action))].value
+        values[action] = total
+
+
+@jit
+def take(taken: Taken, states: Keys, count: int, action: int) -> None:
+    """Note that `action` was taken in the state of these `count` features."""
+    taken.count = count
+    for i in range(count):
+        taken.keys[i] = extend(states[i], action)
+
+
+@jit
+def sum_of_values(table: Array, keys: Keys, count: int) -> float:
+    """Return the sum of the values of the first `count` keys."""
+    total = 0.0
+    for i in range(count):
+        total += table[_place(table, keys[i])].value
+    return total
+
+
+@jit
+def update(learner: Learner, table: Array, taken: Taken, target: float) -> None:
+    """Move the value of what was taken towards `target` by the step size. The table must have room."""
+    if taken.count == 0 or not learner.learning:
+        return
+    error = target - sum_of_values(table, taken.keys, taken.count)
+    share = learner.step_size / taken.count * error
+    for i in range(taken.count):
+        entry = table[_place(table, taken.keys[i])]
+        if entry.key == _FREE:
+            entry.key = taken.keys[i]
+            learner.entries += 1
+        entry.value += share
+
+
+@jit
+def has_room(learner: Learner, table: Array, count: int) -> bool:
+    """Return whether `count` more keys leave half of the table free, which keeps looking up fast."""
+    return 2 * (learner.entries + count) <= len(table)
+
+
+@jit
+def _place(table: Array, key: np.uint64) -> int:
+    """Return where `key` is in the table, or the free place where it belongs."""
+    last = np.uint64(len(table) - 1)
+    place = key & last
+    while table[place].key != key and table[place].key != _FREE:
+        place = (place + np.uint64(1)) & last
+    return int(place)
+
+
+@jit
+def _fill(table: Array, keys: Keys, values: Values) -> None:
+    for i in range(len(keys)):
+        entry = table[_place(table, keys[i])]
+        entry.key = keys[i]
+        entry.value = values[i]
+
+
+def table_of(keys: Keys, values: Values, size: int = _SMALLEST) -> Array:
+    """Return a table of at least `size` places, at most a quarter of them taken, with these values."""
+    while size < 4 * len(keys):
+        size *= 2
+    table = np.zeros(size, layout(Entry))
+    _fill(table, keys, values)
+    return table
+
+
+def contents(table: Array) -> tuple[Keys, Values]:
+    """Return the keys of a table, ascending, and their values."""
+    taken = np.sort(table[table["key"] != _FREE], order="key")
+    return np.ascontiguousarray(taken["key"]), np.ascontiguousarray(taken["value"])
+
+
+def grown(table: Array) -> Array:
+    """Return a table of twice the size with the same values."""
+    return table_of(*contents(table), size=2 * len(table))
