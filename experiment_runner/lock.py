@@ -1,0 +1,80 @@
+"""One writer for each run directory: a lock that the operating system drops when its holder dies.
+
+It is a `flock`, so a process that is forked (not spawned) while it is held shares it and keeps it.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import platform
+import time
+from pathlib import Path
+from typing import Final
+
+from glue.errors import ExperimentError
+
+__all__ = ["RunLock", "lock_holder"]
+
+LOCK_FILE: Final = "lock"
+
+# `lock_holder` takes the lock for an instant in order to see whether it is free.
+_ATTEMPTS: Final = 5
+_PAUSE: Final = 0.05
+
+
+class RunLock:
+    """Holds the lock of a run directory until `release`, or until the process ends.
+
+    Raises:
+        ExperimentError: another process holds it; the message names that process.
+        OSError: the lock file cannot be written.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._file = os.open(directory / LOCK_FILE, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            if not _try_lock(self._file, _ATTEMPTS):
+                raise ExperimentError(
+                    f"{directory} is in use by {_name_in(self._file)}: wait for it, stop it, "
+                    "or choose another directory with --out"
+                )
+            os.truncate(self._file, 0)
+            os.pwrite(self._file, f"process {os.getpid()} on {platform.node()}".encode(), 0)
+        except BaseException:
+            os.close(self._file)
+            raise
+
+    def release(self) -> None:
+        """Let another process write. May be called twice."""
+        if self._file >= 0:
+            os.close(self._file)
+        self._file = -1
+
+
+def lock_holder(directory: Path) -> str | None:
+    """Return which process writes to a run directory, as in `process 42 on lab7`; None when none does."""
+    try:
+        file = os.open(directory / LOCK_FILE, os.O_RDONLY)
+    except OSError:
+        return None
+    try:
+        return None if _try_lock(file, 1, fcntl.LOCK_SH) else _name_in(file)
+    finally:
+        os.close(file)
+
+
+def _try_lock(file: int, attempts: int, kind: int = fcntl.LOCK_EX) -> bool:
+    for attempt in range(attempts):
+        if attempt:
+            time.sleep(_PAUSE)
+        try:
+            fcntl.flock(file, kind | fcntl.LOCK_NB)
+        except BlockingIOError:
+            continue
+        return True
+    return False
+
+
+def _name_in(file: int) -> str:
+    return os.pread(file, 200, 0).decode(errors="replace") or "another process"

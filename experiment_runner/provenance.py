@@ -1,0 +1,66 @@
+"""What produced a run: the program's version, the packages, the machine."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+from importlib import metadata
+from pathlib import Path
+from typing import Final
+
+__all__ = ["about", "program"]
+
+_DISTRIBUTION: Final = "glue-rl"
+_GIT_SECONDS: Final = 10
+
+
+def about() -> dict[str, object]:
+    """Return what `run.json` says of a run: strings, numbers, and dictionaries of these."""
+    return {
+        "program": program(),
+        "python": platform.python_version(),
+        "packages": {
+            str(package.name): package.version
+            for package in sorted(metadata.distributions(), key=lambda package: str(package.name).lower())
+        },
+        "machine": {
+            "name": platform.node(),
+            "system": platform.platform(),
+            "processor": _processor(),
+            "cores": os.cpu_count() or 1,
+        },
+    }
+
+
+def program() -> str:
+    """Return this program's version, as in `glue-rl 0.1.0, commit 1a2b3c, modified`."""
+    parts = [f"{_DISTRIBUTION} {metadata.version(_DISTRIBUTION)}"]
+    here = Path(__file__).resolve()
+    # An installed copy may lie inside somebody else's repository, whose commit says nothing of it.
+    if _git("ls-files", "--error-unmatch", here.name, folder=here.parent) is not None:
+        commit = _git("rev-parse", "HEAD", folder=here.parent)
+        if commit:
+            parts.append(f"commit {commit}")
+            if _git("status", "--porcelain", "--untracked-files=no", folder=here.parent):
+                parts.append("modified")
+    return ", ".join(parts)
+
+
+def _git(*arguments: str, folder: Path) -> str | None:
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(folder), *arguments], capture_output=True, text=True, timeout=_GIT_SECONDS
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() if done.returncode == 0 else None
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return models[0] if models else platform.processor() or platform.machine()

@@ -1,0 +1,102 @@
+"""Starting a run, and going on with one that was interrupted.
+
+A trial goes on after its newest checkpoint. What it recorded past that is forgotten and run again,
+to the same numbers, since seeds and checkpoints decide them; so a run that was interrupted ends as
+one that never was. A trial without a checkpoint starts over.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from experiment_runner.plan import Plan, differences, dump_plan, load_plan
+from experiment_runner.provenance import about, program
+from experiment_runner.store import ABOUT_FILE, PLAN_FILE, Results, Store
+from glue.errors import ExperimentError
+
+__all__ = ["Remaining", "create_run", "remaining", "resume_run"]
+
+
+class Remaining(NamedTuple):
+    """A trial that is not finished.
+
+    trial_id  of the trial
+    after     it goes on after this episode, with `Store.checkpoint`; 0 when from the start
+    dropped   how many episodes recorded past that are run again
+    """
+
+    trial_id: str
+    after: int
+    dropped: int
+
+
+def create_run(directory: Path, plan: Plan, *, clock: Callable[[], float] = time.time) -> Store:
+    """Return the store of a new run.
+
+    Raises:
+        ExperimentError: as `Store.create`.
+    """
+    files = {PLAN_FILE: dump_plan(plan), ABOUT_FILE: json.dumps(about(), indent=2) + "\n"}
+    store = Store.create(directory, plan.expand(), files, clock=clock)
+    store.record_event("start", program())
+    return store
+
+
+def resume_run(
+    directory: Path, plan: Plan | None = None, *, clock: Callable[[], float] = time.time
+) -> tuple[Store, list[Remaining]]:
+    """Return the store of an interrupted run, made ready to go on, and the trials that remain.
+
+    Args:
+        directory: holds the run.
+        plan: what the caller means to run; None for whatever the run is.
+        clock: returns seconds since 1970.
+
+    Raises:
+        ExperimentError: as `Store.open`; or the directory is of another plan, and the message says
+            what differs.
+    """
+    store = Store.open(directory, clock=clock)
+    try:
+        _check_plan(store, plan)
+        store.record_event("resume", program())
+        left = remaining(store)
+        for trial in left:
+            if trial.dropped:
+                again = f"{trial.dropped} recorded episodes are run again"
+                where = f"goes on after episode {trial.after}" if trial.after else "starts over"
+                store.record_event("rewind", f"{where}; {again}", trial.trial_id)
+            store.rewind(trial.trial_id, trial.after)
+    except BaseException:
+        store.close()
+        raise
+    return store, left
+
+
+def remaining(results: Results) -> list[Remaining]:
+    """Return the trials that are not finished, in the order of the plan."""
+    checkpointed = results.checkpointed()
+    left = []
+    for trial in results.trials():
+        if not trial.finished:
+            after = checkpointed.get(trial.spec.id, 0)
+            left.append(Remaining(trial.spec.id, after, trial.done - after))
+    return left
+
+
+def _check_plan(store: Store, plan: Plan | None) -> None:
+    path = store.directory / PLAN_FILE
+    if not path.exists():
+        raise ExperimentError(f"{store.directory} was merged from other runs: go on with those")
+    recorded = load_plan(path)
+    if recorded.expand() != [trial.spec for trial in store.trials()]:
+        raise ExperimentError(f"{path} was changed after its run began: put it back")
+    if plan is not None and (found := differences(recorded, plan)):
+        raise ExperimentError(
+            f"{store.directory} is the run of another plan ({'; '.join(found)}): "
+            "choose another directory with --out"
+        )

@@ -1,0 +1,114 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from experiment_runner.plan import Plan, RoleSweep, load_plan
+from experiment_runner.provenance import program
+from experiment_runner.resume import Remaining, create_run, remaining, resume_run
+from experiment_runner.store import ABOUT_FILE, PLAN_FILE, Checkpoint, EpisodeResult, Results, Store
+from glue.errors import ExperimentError
+
+PLAN = Plan(episodes=5, trials=4, agents=(RoleSweep("sarsa", {"step_size": 0.5}),))
+DONE, CHECKPOINTED, PLAIN, UNTOUCHED = (spec.id for spec in PLAN.expand())
+
+
+def result(trial_id: str, episode: int) -> EpisodeResult:
+    return EpisodeResult(episode, hash((trial_id[-1], episode)) / 7, episode, True, 0.5)
+
+
+def run(store: Store, trial_id: str, first: int, last: int, checkpoint_at: int = 0) -> None:
+    for episode in range(first, last + 1):
+        checkpoint = Checkpoint(b"after %d" % episode) if episode == checkpoint_at else None
+        store.record(trial_id, result(trial_id, episode), checkpoint)
+
+
+@pytest.fixture
+def interrupted(tmp_path: Path) -> Path:
+    directory = tmp_path / "run"
+    with create_run(directory, PLAN) as store:
+        run(store, DONE, 1, 5, checkpoint_at=5)
+        run(store, CHECKPOINTED, 1, 4, checkpoint_at=3)
+        run(store, PLAIN, 1, 2)
+        store.record_failure(PLAIN, "the agent crashed")
+    return directory
+
+
+def test_run_says_what_it_is_and_what_made_it(interrupted: Path) -> None:
+    assert load_plan(interrupted / PLAN_FILE) == PLAN
+    about = json.loads((interrupted / ABOUT_FILE).read_text())
+    assert about["program"] == program()
+    assert about["program"].startswith("glue-rl ")
+    assert about["packages"]["numpy"]
+    assert about["machine"]["cores"] >= 1
+
+
+def test_trials_go_on_after_their_checkpoint_or_start_over(interrupted: Path) -> None:
+    expected = [Remaining(CHECKPOINTED, 3, 1), Remaining(PLAIN, 0, 2), Remaining(UNTOUCHED, 0, 0)]
+    with Results.open(interrupted) as results:
+        assert remaining(results) == expected
+    store, left = resume_run(interrupted, PLAN, clock=lambda: 9.0)
+    with store:
+        assert left == expected
+        assert [record.done for record in store.trials()] == [5, 3, 0, 0]
+        assert store.checkpoint(CHECKPOINTED) == (3, Checkpoint(b"after 3"))
+        assert all(record.failure is None for record in store.trials())
+        assert [(e.kind, e.trial_id, e.text) for e in store.events()] == [
+            ("start", None, program()),
+            ("resume", None, program()),
+            ("rewind", CHECKPOINTED, "goes on after episode 3; 1 recorded episodes are run again"),
+            ("rewind", PLAIN, "starts over; 2 recorded episodes are run again"),
+        ]
+
+
+def test_resumed_run_ends_as_one_that_was_never_interrupted(interrupted: Path, tmp_path: Path) -> None:
+    with create_run(tmp_path / "undisturbed", PLAN) as undisturbed:
+        for spec in PLAN.expand():
+            run(undisturbed, spec.id, 1, 5)
+    store, left = resume_run(interrupted)
+    with store:
+        for trial in left:
+            run(store, trial.trial_id, trial.after + 1, 5)
+    with Results.open(interrupted) as ours, Results.open(tmp_path / "undisturbed") as theirs:
+        assert remaining(ours) == []
+        assert [ours.episodes(s.id) for s in PLAN.expand()] == [theirs.episodes(s.id) for s in PLAN.expand()]
+
+
+def test_directory_of_another_plan_is_refused_untouched(interrupted: Path) -> None:
+    other = replace(PLAN, episodes=6, agents=(RoleSweep("sarsa", {"step_size": 0.25}),))
+    message = r"another plan \(episodes is 6, not 5; step_size of sarsa is 0.25, not 0.5\): choose"
+    with pytest.raises(ExperimentError, match=message):
+        resume_run(interrupted, other)
+    with Results.open(interrupted) as results:
+        assert [record.done for record in results.trials()] == [5, 4, 2, 0]
+        assert [event.kind for event in results.events()] == ["start"]
+    resume_run(interrupted)[0].close()  # and the lock is free
+
+
+def test_plan_edited_behind_the_runs_back_is_refused(interrupted: Path) -> None:
+    path = interrupted / PLAN_FILE
+    path.write_text(path.read_text().replace("episodes = 5", "episodes = 50"))
+    with pytest.raises(ExperimentError, match=r"plan.toml was changed after its run began"):
+        resume_run(interrupted)
+
+
+def test_run_without_a_plan_cannot_go_on(interrupted: Path) -> None:
+    (interrupted / PLAN_FILE).unlink()
+    with pytest.raises(ExperimentError, match="was merged from other runs: go on with those"):
+        resume_run(interrupted)
+
+
+def test_nothing_to_resume_is_said(tmp_path: Path) -> None:
+    with pytest.raises(ExperimentError, match="holds no run"):
+        resume_run(tmp_path)
+
+
+def test_second_start_in_one_directory_is_refused(interrupted: Path) -> None:
+    with pytest.raises(ExperimentError, match="holds a run: continue it with --resume"):
+        create_run(interrupted, PLAN)
+    store, _ = resume_run(interrupted)
+    with store, pytest.raises(ExperimentError, match="in use by process"):
+        resume_run(interrupted)
