@@ -1,0 +1,434 @@
+"""A client of the original RL-Glue 3.x, for tests: plain sockets and struct.
+
+It shares no code with `glue.legacy`, so that each proves the other. It behaves like the original
+clients, down to the oddities that a server must bear; `STYLES` names them.
+
+Source: the wire protocol of RL-Glue core 3.04 and of the C, Java, Python and Lisp codecs.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple, Protocol
+
+TIMEOUT = 30.0
+"""Seconds after which a test that waits for the other side has failed."""
+
+
+class Id(IntEnum):
+    """The message ids of the original."""
+
+    EXPERIMENT_CONNECTION = 1
+    AGENT_CONNECTION = 2
+    ENVIRONMENT_CONNECTION = 3
+    AGENT_INIT = 4
+    AGENT_START = 5
+    AGENT_STEP = 6
+    AGENT_END = 7
+    AGENT_CLEANUP = 8
+    AGENT_MESSAGE = 10
+    ENV_INIT = 11
+    ENV_START = 12
+    ENV_STEP = 13
+    ENV_CLEANUP = 14
+    ENV_MESSAGE = 19
+    RL_INIT = 20
+    RL_START = 21
+    RL_STEP = 22
+    RL_CLEANUP = 23
+    RL_RETURN = 24
+    RL_NUM_STEPS = 25
+    RL_NUM_EPISODES = 26
+    RL_EPISODE = 27
+    RL_AGENT_MESSAGE = 33
+    RL_ENV_MESSAGE = 34
+    RL_TERM = 35
+    RL_ENV_START = 36
+    RL_ENV_STEP = 37
+    RL_AGENT_START = 38
+    RL_AGENT_STEP = 39
+    RL_AGENT_END = 40
+
+
+@dataclass(frozen=True)
+class Style:
+    """How a codec behaves on the wire.
+
+    Attributes:
+        split: header and payload are sent apart.
+        nodelay: TCP_NODELAY is set.
+        greedy: reads whatever is there, uses the first frame and throws the rest away.
+        utf16_counts: counts a text in UTF-16 units although it sends UTF-8.
+        farewell: what answers the server's last message.
+        cleans_up: its test experiments call RL_cleanup before they leave.
+        byte_at_a_time: sends every byte on its own.
+    """
+
+    split: bool = False
+    nodelay: bool = True
+    greedy: bool = False
+    utf16_counts: bool = False
+    farewell: str = "echo"
+    cleans_up: bool = True
+    byte_at_a_time: bool = False
+
+
+STYLES = {
+    "c": Style(split=True),
+    "java": Style(nodelay=False, greedy=True, utf16_counts=True, farewell="repeat", cleans_up=False),
+    "python": Style(farewell="repeat", cleans_up=False),
+    "lisp": Style(farewell="nothing"),
+    "drip": Style(byte_at_a_time=True),
+}
+
+
+class Numbers(NamedTuple):
+    """An observation or an action."""
+
+    ints: tuple[int, ...] = ()
+    doubles: tuple[float, ...] = ()
+    chars: bytes = b""
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """How many ints, doubles and chars."""
+        return len(self.ints), len(self.doubles), len(self.chars)
+
+
+def pack_numbers(numbers: Numbers) -> bytes:
+    """Return the bytes of an abstract type."""
+    ints, doubles, chars = numbers
+    return (
+        struct.pack(">3I", len(ints), len(doubles), len(chars))
+        + struct.pack(f">{len(ints)}i", *ints)
+        + struct.pack(f">{len(doubles)}d", *doubles)
+        + chars
+    )
+
+
+def unpack_numbers(payload: bytes, offset: int = 0) -> tuple[Numbers, int]:
+    """Return the abstract type at `offset` and the offset behind it."""
+    ints, doubles, chars = struct.unpack_from(">3I", payload, offset)
+    at_doubles = offset + 12 + 4 * ints
+    at_chars = at_doubles + 8 * doubles
+    end = at_chars + chars
+    return Numbers(
+        struct.unpack_from(f">{ints}i", payload, offset + 12),
+        struct.unpack_from(f">{doubles}d", payload, at_doubles),
+        payload[at_chars:end],
+    ), end
+
+
+def unpack_text(payload: bytes) -> str:
+    """Return the text that a payload consists of."""
+    (count,) = struct.unpack_from(">I", payload)
+    return payload[4 : 4 + count].decode("utf-8", "surrogateescape")
+
+
+class Closed(Exception):
+    """The server closed the connection."""
+
+
+class Connection:
+    """One TCP connection to the server, in the style of one codec.
+
+    Tries for `TIMEOUT` seconds until the server listens.
+    """
+
+    def __init__(self, port: int, style: Style = STYLES["c"], host: str = "127.0.0.1") -> None:
+        self.style = style
+        self._received = b""
+        self._last_sent = b""
+        deadline = time.monotonic() + TIMEOUT
+        while True:
+            try:
+                self._socket = socket.create_connection((host, port), TIMEOUT)
+                break
+            except ConnectionRefusedError:
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(0.02)
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, style.nodelay)
+
+    def send(self, message_id: int, payload: bytes = b"") -> None:
+        """Send one frame."""
+        self._send(struct.pack(">iI", message_id, len(payload)), payload)
+
+    def send_text(self, message_id: int, text: str | None) -> None:
+        """Send a frame that holds one text; None is sent as the empty text."""
+        encoded = (text or "").encode("utf-8", "surrogateescape")
+        count = len((text or "").encode("utf-16-be")) // 2 if self.style.utf16_counts else len(encoded)
+        self._send(struct.pack(">iI", message_id, 4 + count), struct.pack(">I", count) + encoded)
+
+    def _send(self, header: bytes, payload: bytes) -> None:
+        self._last_sent = header + payload
+        if self.style.byte_at_a_time:
+            for byte in self._last_sent:
+                self.send_raw(bytes([byte]))
+        elif self.style.split and payload:
+            self.send_raw(header)
+            self.send_raw(payload)
+        else:
+            self.send_raw(self._last_sent)
+
+    def send_raw(self, data: bytes) -> None:
+        """Send bytes that need not be a frame."""
+        self._socket.sendall(data)
+
+    def farewell(self) -> None:
+        """Answer the server's last message, if this codec does; the server may be gone already."""
+        try:
+            if self.style.farewell == "echo":
+                self.send(Id.RL_TERM)
+            elif self.style.farewell == "repeat":
+                self.send_raw(self._last_sent)
+        except OSError:
+            pass
+
+    def receive(self) -> tuple[int, bytes]:
+        """Return the id and payload of the next frame.
+
+        Raises:
+            Closed: the server closed the connection.
+        """
+        self._fill(8)
+        message_id, size = struct.unpack_from(">iI", self._received)
+        self._fill(8 + size)
+        payload = self._received[8 : 8 + size]
+        self._received = b"" if self.style.greedy else self._received[8 + size :]
+        return message_id, payload
+
+    def _fill(self, size: int) -> None:
+        while len(self._received) < size:
+            missing = size - len(self._received)
+            chunk = self._socket.recv(max(missing, 65536) if self.style.greedy else missing)
+            if not chunk:
+                raise Closed
+            self._received += chunk
+
+    def receive_until_closed(self) -> bytes:
+        """Return everything that comes until the server closes the connection."""
+        data = self._received
+        while chunk := self._socket.recv(65536):
+            data += chunk
+        return data
+
+    def close(self) -> None:
+        """Close in the orderly way."""
+        self._socket.close()
+
+    def reset(self) -> None:
+        """Close so that the server sees a reset, as after a crash with unread data."""
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+        self._socket.close()
+
+
+class Agent(Protocol):
+    """What an agent program implements."""
+
+    def init(self, task_spec: str) -> None: ...
+    def start(self, observation: Numbers) -> Numbers: ...
+    def step(self, reward: float, observation: Numbers) -> Numbers: ...
+    def end(self, reward: float) -> None: ...
+    def cleanup(self) -> None: ...
+    def message(self, message: str) -> str | None: ...
+
+
+class Environment(Protocol):
+    """What an environment program implements; `step` returns reward, observation and terminal."""
+
+    def init(self) -> str: ...
+    def start(self) -> Numbers: ...
+    def step(self, action: Numbers) -> tuple[float, Numbers, int]: ...
+    def cleanup(self) -> None: ...
+    def message(self, message: str) -> str | None: ...
+
+
+class Die(Exception):
+    """Raised by a program to have its connection reset instead of an answer sent."""
+
+
+def serve_agent(agent: Agent, connection: Connection) -> None:
+    """Join as an agent and answer the server until it says goodbye, or until the agent dies.
+
+    Raises:
+        Closed: the server closed the connection without a goodbye.
+    """
+
+    def answer(message_id: int, payload: bytes) -> None:
+        match message_id:
+            case Id.AGENT_INIT:
+                agent.init(unpack_text(payload))
+                connection.send(message_id)
+            case Id.AGENT_START:
+                connection.send(message_id, pack_numbers(agent.start(unpack_numbers(payload)[0])))
+            case Id.AGENT_STEP:
+                (reward,) = struct.unpack_from(">d", payload)
+                connection.send(message_id, pack_numbers(agent.step(reward, unpack_numbers(payload, 8)[0])))
+            case Id.AGENT_END:
+                agent.end(*struct.unpack_from(">d", payload))
+                connection.send(message_id)
+            case Id.AGENT_CLEANUP:
+                agent.cleanup()
+                connection.send(message_id)
+            case Id.AGENT_MESSAGE:
+                connection.send_text(message_id, agent.message(unpack_text(payload)))
+            case _:
+                raise AssertionError(f"the server sent an agent message {message_id}")
+
+    _serve(Id.AGENT_CONNECTION, connection, answer)
+
+
+def serve_environment(environment: Environment, connection: Connection) -> None:
+    """Join as an environment and answer until the server says goodbye, or until it dies.
+
+    Raises:
+        Closed: the server closed the connection without a goodbye.
+    """
+
+    def answer(message_id: int, payload: bytes) -> None:
+        match message_id:
+            case Id.ENV_INIT:
+                connection.send_text(message_id, environment.init())
+            case Id.ENV_START:
+                connection.send(message_id, pack_numbers(environment.start()))
+            case Id.ENV_STEP:
+                reward, observation, terminal = environment.step(unpack_numbers(payload)[0])
+                connection.send(message_id, struct.pack(">id", terminal, reward) + pack_numbers(observation))
+            case Id.ENV_CLEANUP:
+                environment.cleanup()
+                connection.send(message_id)
+            case Id.ENV_MESSAGE:
+                connection.send_text(message_id, environment.message(unpack_text(payload)))
+            case _:
+                raise AssertionError(f"the server sent an environment message {message_id}")
+
+    _serve(Id.ENVIRONMENT_CONNECTION, connection, answer)
+
+
+def _serve(role: Id, connection: Connection, answer: Callable[[int, bytes], None]) -> None:
+    connection.send(role)
+    try:
+        while True:
+            message_id, payload = connection.receive()
+            if message_id == Id.RL_TERM:
+                assert payload == b""
+                connection.farewell()
+                break
+            answer(message_id, payload)
+    except Die:
+        connection.reset()
+    finally:
+        connection.close()
+
+
+class Experiment:
+    """The experiment's side of a connection: one method for each call."""
+
+    def __init__(self, connection: Connection) -> None:
+        self.connection = connection
+        connection.send(Id.EXPERIMENT_CONNECTION)
+
+    def _ask(self, message_id: Id, payload: bytes = b"") -> bytes:
+        self.connection.send(message_id, payload)
+        return self._reply(message_id)
+
+    def _ask_text(self, message_id: Id, text: str | None) -> str:
+        self.connection.send_text(message_id, text)
+        return unpack_text(self._reply(message_id))
+
+    def _reply(self, message_id: Id) -> bytes:
+        answered, payload = self.connection.receive()
+        assert answered == message_id, f"{message_id!r} was asked, {answered} answered"
+        return payload
+
+    def init(self) -> str:
+        """RL_init; the task spec."""
+        return unpack_text(self._ask(Id.RL_INIT))
+
+    def start(self) -> tuple[Numbers, Numbers]:
+        """RL_start; observation, action."""
+        payload = self._ask(Id.RL_START)
+        observation, offset = unpack_numbers(payload)
+        return observation, unpack_numbers(payload, offset)[0]
+
+    def step(self) -> tuple[float, Numbers, int, Numbers]:
+        """RL_step; reward, observation, terminal, action."""
+        payload = self._ask(Id.RL_STEP)
+        terminal, reward = struct.unpack_from(">id", payload)
+        observation, offset = unpack_numbers(payload, 12)
+        return reward, observation, terminal, unpack_numbers(payload, offset)[0]
+
+    def cleanup(self) -> None:
+        """RL_cleanup."""
+        assert self._ask(Id.RL_CLEANUP) == b""
+
+    def episode_return(self) -> float:
+        """RL_return."""
+        (value,) = struct.unpack(">d", self._ask(Id.RL_RETURN))
+        return float(value)
+
+    def num_steps(self) -> int:
+        """RL_num_steps."""
+        (value,) = struct.unpack(">i", self._ask(Id.RL_NUM_STEPS))
+        return int(value)
+
+    def num_episodes(self) -> int:
+        """RL_num_episodes."""
+        (value,) = struct.unpack(">i", self._ask(Id.RL_NUM_EPISODES))
+        return int(value)
+
+    def episode(self, max_steps: int) -> int:
+        """RL_episode; terminal."""
+        (terminal,) = struct.unpack(">i", self._ask(Id.RL_EPISODE, struct.pack(">I", max_steps)))
+        return int(terminal)
+
+    def agent_message(self, message: str | None) -> str:
+        """RL_agent_message."""
+        return self._ask_text(Id.RL_AGENT_MESSAGE, message)
+
+    def env_message(self, message: str | None) -> str:
+        """RL_env_message."""
+        return self._ask_text(Id.RL_ENV_MESSAGE, message)
+
+    def env_start(self) -> Numbers:
+        """RL_env_start."""
+        return unpack_numbers(self._ask(Id.RL_ENV_START))[0]
+
+    def env_step(self, action: Numbers) -> tuple[float, Numbers, int]:
+        """RL_env_step; reward, observation, terminal."""
+        payload = self._ask(Id.RL_ENV_STEP, pack_numbers(action))
+        terminal, reward = struct.unpack_from(">id", payload)
+        return reward, unpack_numbers(payload, 12)[0], terminal
+
+    def agent_start(self, observation: Numbers) -> Numbers:
+        """RL_agent_start."""
+        return unpack_numbers(self._ask(Id.RL_AGENT_START, pack_numbers(observation)))[0]
+
+    def agent_step(self, reward: float, observation: Numbers) -> Numbers:
+        """RL_agent_step."""
+        payload = struct.pack(">d", reward) + pack_numbers(observation)
+        return unpack_numbers(self._ask(Id.RL_AGENT_STEP, payload))[0]
+
+    def agent_end(self, reward: float) -> None:
+        """RL_agent_end."""
+        assert self._ask(Id.RL_AGENT_END, struct.pack(">d", reward)) == b""
+
+    def terminate(self) -> None:
+        """Id 35, which no original codec sends but the server understands; it closes after it."""
+        assert self._ask(Id.RL_TERM) == b""
+        assert self.connection.receive_until_closed() == b""
+
+    def close(self) -> None:
+        """Leave, as the original experiments do: without a word."""
+        self.connection.close()
+
+
+def probe(port: int, host: str = "127.0.0.1") -> None:
+    """Connect and close at once, as a port scanner or a health check does."""
+    socket.create_connection((host, port), TIMEOUT).close()
