@@ -1,0 +1,121 @@
+"""One game, as Python plays it: the compiled rules around a record of memory, and observations out of it."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+from env_server.observation import BODY_SIZE, encode
+from env_server.parameters import Parameters
+from env_server.reward import ordinary_reward, terminal_reward
+from env_server.sim._jit import entry, say_when_compiling
+from env_server.sim.state import WORLD, World, Worlds
+from env_server.sim.step import act, begin
+from glue.errors import SimulatorError
+from glue.types import Observation
+
+__all__ = ["Game"]
+
+
+class Game:
+    """A game of a task. Two games share nothing, and a game's future depends on its memory alone.
+
+    Args:
+        parameters: the task.
+    """
+
+    def __init__(self, parameters: Parameters) -> None:
+        self._memory: Worlds = np.zeros(1, WORLD)
+        self._body = np.zeros(BODY_SIZE, np.uint8)
+        self._bytes = memoryview(self._body)  # type: ignore[arg-type]
+        self._observation = Observation()
+        self.set_task(parameters)
+        _prepare()
+
+    @property
+    def world(self) -> World:
+        """The memory of the game, to look at; see `env_server.sim.state`."""
+        world: World = self._memory[0]
+        return world
+
+    def set_task(self, parameters: Parameters) -> None:
+        """Play another task from the next episode on."""
+        parameters.write_to(self.world)
+
+    def start(self) -> Observation:
+        """Begin an episode; return its first observation."""
+        size = _start(self._memory, self._body)
+        self._observation = Observation._wrap(bytes(self._bytes[:size]))
+        return self._observation
+
+    def step(self, direction: int, jump: int, run: int) -> tuple[float, Observation, bool]:
+        """Carry out an action for five ticks; return the reward, the observation and whether it ended.
+
+        With the last reward of an episode comes the observation before it, once more.
+
+        Args:
+            direction: -1 left, 1 right, 0 neither.
+            jump, run: 1 to hold the button, else 0.
+
+        Raises:
+            SimulatorError: no episode is being played.
+        """
+        reward, size = _step(self._memory, direction, jump, run, self._body)
+        if size > 0:
+            self._observation = Observation._wrap(bytes(self._bytes[:size]))
+            return reward, self._observation, False
+        if size < 0:
+            raise SimulatorError("a step needs an episode: call start first, and again after each end")
+        return reward, self._observation, True
+
+    def clone(self) -> Game:
+        """Return another game at the same point."""
+        game = Game.__new__(Game)
+        game._memory = self._memory.copy()
+        game._body = np.zeros(BODY_SIZE, np.uint8)
+        game._bytes = memoryview(game._body)  # type: ignore[arg-type]
+        game._observation = self._observation
+        return game
+
+    def restore(self, other: Game) -> None:
+        """Go to the point at which `other` is."""
+        self._memory.view(np.uint8)[:] = other._memory.view(np.uint8)
+        self._observation = other._observation
+
+
+@entry
+def _start(worlds: Worlds, body: npt.NDArray[np.uint8]) -> int:
+    """Begin an episode of the first of `worlds`; return the length of the observation in `body`."""
+    world: World = worlds[0]
+    begin(world)
+    ordinary_reward(world)  # of the first check-in: noted as paid, though nobody receives it
+    return encode(world, body)
+
+
+@entry
+def _step(
+    worlds: Worlds, direction: int, jump: int, run: int, body: npt.NDArray[np.uint8]
+) -> tuple[float, int]:
+    """Carry out an action in the first of `worlds`.
+
+    Returns:
+        The reward, and the length of the observation in `body`: 0 if the episode ended, -1 if there is none.
+    """
+    world: World = worlds[0]
+    if not world.playing:
+        return 0.0, -1
+    if act(world, direction, jump, run):
+        return ordinary_reward(world), encode(world, body)
+    return terminal_reward(world), 0
+
+
+@cache
+def _prepare() -> None:
+    """Load the compiled rules or, the first time ever, compile them and say so."""
+    world = np.zeros(1, WORLD)
+    body = np.zeros(BODY_SIZE, np.uint8)
+    with say_when_compiling():
+        _start(world, body)
+        _step(world, 0, 0, 0, body)
