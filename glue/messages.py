@@ -33,6 +33,7 @@ __all__ = [
 
 PROTOCOL_VERSION: Final = 1
 
+Type = type  # A name of its own, since `Scalar` has a field `type`.
 Value = None | bool | int | float | str | bytes | tuple[int, ...] | tuple[str, ...]
 
 
@@ -104,11 +105,12 @@ class Body(Enum):
 
 
 class Scalar(NamedTuple):
-    """One scalar of a header: its name and its type."""
+    """One scalar of a header: its name and its type; `items` is what an array holds."""
 
     name: str
-    type: type
+    type: Type
     optional: bool = False
+    items: Type | None = None
 
 
 class Shape(NamedTuple):
@@ -221,12 +223,12 @@ CONTROL: Final[Mapping[Kind, Shape]] = MappingProxyType(
     {
         Kind.HELLO: Shape(
             (
-                Scalar("versions", tuple),
+                Scalar("versions", tuple, items=int),
                 Scalar("role", str),
                 Scalar("instance", bytes),
                 Scalar("name", str),
                 Scalar("codec", str),
-                Scalar("capabilities", tuple),
+                Scalar("capabilities", tuple, items=str),
             )
         ),
         Kind.WELCOME: Shape(

@@ -15,7 +15,7 @@ from typing import Final
 import msgpack
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
-from glue.messages import CALLS, CONTROL, Body, Kind, Message, Shape, Value
+from glue.messages import CALLS, CONTROL, Body, Kind, Message, Scalar, Shape, Value
 from glue.types import body_size
 
 __all__ = ["FROM_HUB", "MAX_BODY", "MAX_HEADER", "TO_HUB", "UnknownKind", "decode", "encode"]
@@ -29,7 +29,8 @@ MAX_BODY: Final = 16 * 2**20
 MAX_NAME: Final = 255
 """The greatest session or peer name, in characters."""
 
-_MAX_SEQ: Final = 2**63
+_NUMBERS_END: Final = 2**63
+"""Whole numbers of a header, sequence numbers among them, are from 0 to below this."""
 
 TO_HUB: Final[Mapping[Kind, Shape]] = {
     **{kind: call.request if call.callee is None else call.reply for kind, call in CALLS.items()},
@@ -44,6 +45,14 @@ FROM_HUB: Final[Mapping[Kind, Shape]] = {
 """What the hub may send: the other half of each call."""
 
 _KINDS: Final = {int(kind): kind for kind in Kind}
+
+_EXPECTED: Final[Mapping[type, str]] = {
+    bool: "true or false",
+    bytes: "binary",
+    float: "a number",
+    int: "a whole number from 0 to 2^63 - 1",
+    str: "a text",
+}
 
 
 class UnknownKind(RemoteProtocolError):
@@ -93,7 +102,8 @@ def decode(frames: Sequence[bytes], shapes: Mapping[Kind, Shape], max_body: int 
         raise RemoteProtocolError(f"{known.name} carries {len(shape.scalars)} scalars; {len(scalars)} came")
     checked = tuple(
         [
-            value if type(value) is scalar.type else _coerce(known, scalar.name, scalar, value)
+            # A whole number has a range as well as a type; a reward, on the hot path, has none.
+            value if type(value) is scalar.type is not int else _coerce(known, scalar, value)
             for value, scalar in zip(scalars, shape.scalars, strict=True)
         ]
     )
@@ -130,24 +140,29 @@ def _decode_header(frame: bytes) -> tuple[int, str, int, list[Value]]:
         raise RemoteProtocolError(f"a kind is a whole number, not {kind!r:.40}")
     if type(session) is not str or len(session) > MAX_NAME:
         raise RemoteProtocolError(f"a session is a text of at most {MAX_NAME} characters")
-    if type(seq) is not int or not 0 <= seq < _MAX_SEQ:
+    if type(seq) is not int or not 0 <= seq < _NUMBERS_END:
         raise RemoteProtocolError(f"a sequence number is from 0 to 2^63 - 1, not {seq!r:.40}")
     return kind, session, seq, header[3:]
 
 
-def _coerce(kind: Kind, name: str, scalar: object, value: object) -> Value:
-    """Return `value` as the scalar's type where that loses nothing; the common case never comes here."""
-    wanted, optional = scalar.type, scalar.optional  # type: ignore[attr-defined]
-    if value is None and optional:
+def _coerce(kind: Kind, scalar: Scalar, value: object) -> Value:
+    """Return `value` as the scalar's type where that loses nothing; the hot path rarely comes here."""
+    wanted = scalar.type
+    if value is None and scalar.optional:
         return None
+    if wanted is int and type(value) is int and 0 <= value < _NUMBERS_END:
+        return value
     if wanted is float and type(value) is int and abs(value) <= 2**53:
         return float(value)
     if wanted is bool and type(value) is int:
         # RL-Glue's terminal is an int; anything but 0 and 1 is treated differently by its own parts.
         return value != 0
-    if wanted is tuple and type(value) is list and len({type(v) for v in value} | {int, str}) == 2:
+    if wanted is tuple and type(value) is list and all(type(item) is scalar.items for item in value):
         return tuple(value)
-    raise RemoteProtocolError(f"{name} of {kind.name} is {wanted.__name__}, not {value!r:.40}")
+    expected = _EXPECTED[scalar.items or wanted]
+    if scalar.items is not None:
+        expected = f"an array, each item {expected}"
+    raise RemoteProtocolError(f"{scalar.name} of {kind.name} is {expected}; {value!r:.40} came")
 
 
 def _check_body(kind: Kind, body_kind: Body, body: bytes, max_body: int) -> None:
