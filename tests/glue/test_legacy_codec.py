@@ -351,6 +351,22 @@ def test_only_a_text_that_fills_its_frame_can_have_an_end_behind_it() -> None:
         decode(raw(33, text_of("é".encode()) + b"surplus") + b"\xa9" + raw(22), FROM_EXPERIMENT)
 
 
+def test_once_another_message_has_begun_no_end_of_a_text_is_expected() -> None:
+    decoder = Decoder(FROM_EXPERIMENT)
+    decoder.receive_data(raw(33, text_of("éé".encode())) + raw(22))
+    assert [message.kind for message in events(decoder)] == [Kind.RL_AGENT_MESSAGE, Kind.RL_STEP]
+    decoder.receive_data(b"\xa9" + raw(22))
+    with pytest.raises(RemoteProtocolError, match="kind"):
+        decoder.next_event()
+
+
+def test_a_text_may_have_a_million_bytes_and_not_one_more() -> None:
+    (message,) = decode(raw(11, text_of(b"x" * MAX_TEXT)), FROM_ENVIRONMENT)
+    assert message.body == b"x" * MAX_TEXT
+    with pytest.raises(RemoteProtocolError, match="at most 1000000 bytes"):
+        decode(raw(11, text_of(b"x" * (MAX_TEXT + 1))), FROM_ENVIRONMENT)
+
+
 # Malformed input
 
 
