@@ -11,7 +11,7 @@ __all__ = ["agent", "main"]
 agent = player_command(
     Role.AGENT,
     "glue-agent",
-    serve_agent,
+    lambda players, hub, log: serve_agent(players, hub, log=log),
     "Connect an agent to a hub, and serve until the hub says goodbye.",
     "  glue-agent random\n  glue-agent sarsa --step-size 0.1 --hub tcp://127.0.0.1:5000",
 )
@@ -20,3 +20,7 @@ agent = player_command(
 def main() -> None:
     """Run `glue-agent`."""
     run(agent)
+
+
+if __name__ == "__main__":
+    main()

@@ -11,7 +11,7 @@ __all__ = ["environment", "main"]
 environment = player_command(
     Role.ENVIRONMENT,
     "glue-env",
-    serve_environment,
+    lambda players, hub, log: serve_environment(players, hub, log=log),
     "Connect an environment to a hub, and serve until the hub says goodbye.",
     "  glue-env mines\n  glue-env mines --rows 8 --hub tcp://127.0.0.1:5000",
 )
@@ -20,3 +20,7 @@ environment = player_command(
 def main() -> None:
     """Run `glue-env`."""
     run(environment)
+
+
+if __name__ == "__main__":
+    main()

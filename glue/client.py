@@ -41,9 +41,10 @@ from glue.errors import (
     PeerLost,
     Refused,
     RemoteProtocolError,
+    Unsupported,
 )
 from glue.experiment import Experiment
-from glue.messages import CALLS, PROTOCOL_VERSION, Body, ErrorCode, Kind, Message, Role, Value
+from glue.messages import CALLS, PROTOCOL_VERSION, Body, ErrorCode, Event, Kind, Message, Role, Value
 from glue.roles import Agent, Environment, capabilities
 from glue.sessions import INSTANCE_SIZE
 from glue.types import Action, Observation, body_size
@@ -326,8 +327,8 @@ class RemoteExperiment(Experiment):
         self._session = session
         self._on_notice = on_notice
         self._seq = 0
-        self._asked: Message | None = None
-        self._lost_hub = False
+        self._players: set[Role] = set()
+        self._given_up: str | None = None
         self._link = _Link(Role.EXPERIMENT, hub, {session: (name, ())}, context, log)
         self._closed = False
         try:
@@ -343,15 +344,42 @@ class RemoteExperiment(Experiment):
             self._closed = True
             self._link.close("the experiment is over")
 
+    def give_up(self, reason: str) -> None:
+        """Let whatever verb is waiting, or the next, raise HubClosed; may be called from any thread."""
+        self._given_up = reason
+
+    def wait_for_players(self, tell: Callable[[frozenset[Role]], None]) -> None:
+        """Return when the session has an agent and an environment.
+
+        `tell` is called with the roles that are missing, after a moment of grace and whenever they change.
+        """
+        told: frozenset[Role] | None = None
+        while missing := frozenset({Role.AGENT, Role.ENVIRONMENT}) - self._players:
+            message = self._receive()
+            if message is not None and message.kind is Kind.NOTICE:
+                self._notice(message)
+            elif missing != told:
+                told = missing
+                tell(missing)
+
+    def _receive(self) -> Message | None:
+        if self._given_up is not None:
+            raise HubClosed(self._given_up)
+        return self._link.receive()
+
     def _welcomed(self, message: Message | None) -> bool:
         if message is not None and message.kind is Kind.NOTICE:
             self._notice(message)
         return message is not None and message.kind is Kind.WELCOME
 
     def _notice(self, message: Message) -> None:
+        event, role, name = map(str, message.scalars)
+        if event == Event.LOST:
+            self._players.discard(Role(role))
+        else:
+            self._players.add(Role(role))
         if self._on_notice is not None:
-            event, role, name = message.scalars
-            self._on_notice(str(event), str(role), str(name))
+            self._on_notice(event, role, name)
 
     def _call(self, kind: Kind, scalars: tuple[Value, ...] = (), body: Any = None) -> tuple[Any, Any]:
         link = self._link
@@ -359,7 +387,7 @@ class RemoteExperiment(Experiment):
         request = Message(kind, self._session, self._seq, scalars, _write(body))
         link.send(request)
         while True:
-            message = link.receive()
+            message = self._receive()
             if message is None:
                 continue
             if message.kind is Kind.NOTICE:
@@ -379,6 +407,7 @@ class RemoteExperiment(Experiment):
 _ERRORS: Final[Mapping[str, type[GlueError]]] = {
     ErrorCode.PEER_LOST: PeerLost,
     ErrorCode.PEER_FAILED: PeerFailed,
+    ErrorCode.UNSUPPORTED: Unsupported,
 }
 
 

@@ -59,8 +59,8 @@ def _terminate(number: int, frame: FrameType | None) -> NoReturn:
     raise Terminated
 
 
-Serve = Callable[[Mapping[str, Any], str], str]
-"""Serves players, by session, at a hub; returns the hub's reason for the goodbye."""
+Serve = Callable[[Mapping[str, Any], str, Callable[[str], None]], str]
+"""Serves players, by session, at a hub, with a log; returns the hub's reason for the goodbye."""
 
 
 def player_command(role: Role, command: str, serve: Serve, about: str, example: str) -> click.Group:
@@ -96,11 +96,11 @@ class _PlayerGroup(click.Group):
 def _serving(role: Role, name: str, factory: type, serve: Serve) -> click.Command:
     known = parameters(factory)
 
-    def start(hub: str, session: tuple[str, ...], **options: Value | None) -> None:
+    def start(hub: str, session: tuple[str, ...], quiet: bool, **options: Value | None) -> None:
         given = {key: value for key, value in options.items() if value is not None}
         players = {one: build(factory, given) for one in session}
-        reason = serve(players, hub)
-        print(f"the hub said goodbye: {reason}", file=sys.stderr)
+        log = _silent if quiet else _say
+        log(f"the hub said goodbye: {serve(players, hub, log)}")
 
     summary = (factory.__doc__ or f"The {role} {name}.").strip()
     common: list[click.Parameter] = [
@@ -112,9 +112,18 @@ def _serving(role: Role, name: str, factory: type, serve: Serve) -> click.Comman
             show_default=True,
             help="Session to take part in; repeat it to serve several over one connection.",
         ),
+        click.Option(["--quiet"], is_flag=True, help="Say nothing but errors."),
     ]
     own: Sequence[click.Parameter] = [_option(parameter) for parameter in known.values()]
     return click.Command(name, callback=start, params=[*own, *common], help=summary)
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _silent(line: str) -> None:
+    pass
 
 
 def _option(parameter: Parameter) -> click.Option:

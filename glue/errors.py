@@ -42,6 +42,10 @@ class PeerFailed(GlueError):
     """An agent or environment raised an exception, or broke the protocol; the run cannot go on."""
 
 
+class Unsupported(GlueError):
+    """An agent or environment was asked for a capability that it does not offer, such as `save`."""
+
+
 class HubClosed(GlueError):
     """The hub ended the session; the message gives its reason."""
 

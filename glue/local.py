@@ -16,7 +16,7 @@ from typing import Any
 
 from glue.calls import name_of, role_calls, skippable, unsupported
 from glue.engine import Engine, Step
-from glue.errors import GlueError, LocalProtocolError, PeerFailed
+from glue.errors import GlueError, PeerFailed, Unsupported
 from glue.experiment import Experiment
 from glue.messages import CALLS, Kind, Role, Value
 from glue.roles import Agent, Environment
@@ -71,4 +71,4 @@ class LocalExperiment(Experiment):
             return self._engine.resume(kind, (), None)
         role = CALLS[kind].callee
         assert role is not None
-        raise LocalProtocolError(unsupported(kind, role, self._names[role]))
+        raise Unsupported(unsupported(kind, role, self._names[role]))
