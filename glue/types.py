@@ -48,7 +48,8 @@ class AbstractType:
         chars: bytes.
 
     Raises:
-        LocalProtocolError: an int is not whole or does not fit 32 bits, or a double is not a number.
+        LocalProtocolError: an int is not whole or does not fit 32 bits, a double is not a number that
+            fits 64 bits, or one of the three is not a row of such.
 
     Two values are equal when their bytes are: 0.0 differs from -0.0, and a NaN equals itself.
     """
@@ -65,8 +66,13 @@ class AbstractType:
         doubles: Sequence[float] | npt.NDArray[np.floating] = (),
         chars: bytes = b"",
     ) -> None:
-        prefix = _PREFIX.pack(len(ints), len(doubles), len(chars), 0)
-        self._body = b"".join((prefix, _pack_doubles(doubles), _pack_ints(ints), bytes(chars)))
+        if not isinstance(chars, bytes):
+            raise LocalProtocolError(f"chars must be bytes, not {chars!r:.80}")
+        try:
+            prefix = _PREFIX.pack(len(ints), len(doubles), len(chars), 0)
+        except TypeError:
+            raise LocalProtocolError(_not_rows(ints, doubles)) from None
+        self._body = b"".join((prefix, _pack_doubles(doubles), _pack_ints(ints), chars))
         self._ints = None
         self._doubles = None
 
@@ -135,9 +141,9 @@ class AbstractType:
 
     def __repr__(self) -> str:
         parts = []
-        for name, values in (("ints", self.ints.tolist()), ("doubles", self.doubles.tolist())):
-            if values:
-                shown = ", ".join(map(repr, values[:8])) + (", ..." if len(values) > 8 else "")
+        for name, values in (("ints", self.ints), ("doubles", self.doubles)):
+            if len(values):
+                shown = ", ".join(map(repr, values[:8].tolist())) + (", ..." if len(values) > 8 else "")
                 parts.append(f"{name}=[{shown}]")
         chars = self.chars
         if chars:
@@ -183,7 +189,7 @@ def _run_of(letter: str, count: int) -> struct.Struct:
 
 def _pack_ints(values: Sequence[int] | npt.NDArray[np.integer]) -> bytes:
     if isinstance(values, np.ndarray):
-        return _int_array(values).tobytes()
+        return _one_row("ints", _int_array(values))
     try:
         return _run_of("i", len(values)).pack(*values)
     except struct.error as error:
@@ -214,11 +220,27 @@ def _pack_doubles(values: Sequence[float] | npt.NDArray[np.floating]) -> bytes:
     if isinstance(values, np.ndarray):
         if values.dtype.kind not in "fiub":
             raise LocalProtocolError(f"doubles must be numbers; an array of {values.dtype} came")
-        return values.astype(_FLOAT64, copy=False).tobytes()
+        return _one_row("doubles", values.astype(_FLOAT64, copy=False))
     try:
         return _run_of("d", len(values)).pack(*values)
-    except struct.error:
-        wrong = next(
-            (f"number {i} is {v!r}" for i, v in enumerate(values) if not isinstance(v, (int, float))), "?"
-        )
-        raise LocalProtocolError(f"doubles must be numbers; {wrong}") from None
+    except (struct.error, OverflowError):
+        wrong = next(f"number {i} is {v!r:.80}" for i, v in enumerate(values) if not _fits_double(v))
+        raise LocalProtocolError(f"doubles must be numbers of 64 bits; {wrong}") from None
+
+
+def _fits_double(value: object) -> bool:
+    try:
+        struct.pack("<d", value)
+    except (struct.error, OverflowError):
+        return False
+    return True
+
+
+def _one_row(name: str, values: IntArray | DoubleArray) -> bytes:
+    if values.ndim != 1:
+        raise LocalProtocolError(f"{name} must be one row; an array of shape {values.shape} came")
+    return values.tobytes()
+
+
+def _not_rows(ints: object, doubles: object) -> str:
+    return f"ints and doubles must be rows of numbers, not {ints!r:.80} and {doubles!r:.80}"
