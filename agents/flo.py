@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agents._jit import jit
-from agents.features import extend, feature
+from agents.keys import extend, feature
 from agents.objects import A_COIN, A_MONSTER, A_PIT, A_QUESTION, Object, Scene
 from agents.observation import COIN, OUTSIDE, QUESTION, ROWS, tile
 

@@ -17,15 +17,17 @@ import numpy as np
 
 from agents import flo, klo, objects, sarsa
 from agents._jit import Array, Flag, Int, Real, entry, jit, new
-from agents.features import extend, feature
+from agents.keys import extend, feature
 from agents.learner import (
     FULL,
     MALFORMED,
     Discount,
     Epsilon,
+    Grid,
     Learning,
     MarioLearner,
     Reduction,
+    Seed,
     StepSize,
 )
 from agents.policy import epsilon_greedy
@@ -40,9 +42,6 @@ __all__ = [
     "ObjectsCoarseAgent",
 ]
 
-Grid = Annotated[
-    int, Option("cells per tile of the distances to monsters (author's agents: 2)", low=1, high=16)
-]
 TileAbove = Annotated[bool, Option("whether KLO values tell the tile above (author's agents: yes)")]
 
 
@@ -255,8 +254,7 @@ class HierarchicalAgent(MarioLearner):
     _ranks: ClassVar[Sequence[int]] = flo.LEARNED
     _context: ClassVar[bool] = True
     _via_platforms: ClassVar[bool] = False
-    _threat_window: ClassVar[tuple[int, int, int, int]] = (-3, 4, -6, 5)
-    """Left, right, below, above, in tiles (the author's agents of 2010)."""
+    _threats: ClassVar[tuple[int, int, int, int]] = objects.THREATS_2010
     _absolute_motion: ClassVar[bool] = False
     _sum_objects: ClassVar[bool] = False
 
@@ -270,9 +268,15 @@ class HierarchicalAgent(MarioLearner):
         grid: Grid = 2,
         tile_above: TileAbove = False,
         learning: Learning = True,
+        seed: Seed = None,
     ) -> None:
         super().__init__(
-            step_size=step_size, discount=discount, epsilon=epsilon, reduction=reduction, learning=learning
+            step_size=step_size,
+            discount=discount,
+            epsilon=epsilon,
+            reduction=reduction,
+            learning=learning,
+            seed=seed,
         )
         self._grid = grid
         self._tile_above = tile_above
@@ -287,13 +291,9 @@ class HierarchicalAgent(MarioLearner):
         design["context"] = self._context
         design["sum_objects"] = self._sum_objects
         design["tile_above"] = self._tile_above
-        senses = design["senses"]
-        senses["grid"] = self._grid
-        left, right, below, above = self._threat_window
-        senses["threat_left"], senses["threat_right"] = left, right
-        senses["threat_below"], senses["threat_above"] = below, above
-        senses["absolute_motion"] = self._absolute_motion
-        senses["via_platforms"] = self._via_platforms
+        objects.set_senses(
+            design["senses"], self._grid, self._threats, self._absolute_motion, self._via_platforms
+        )
         return minds
 
 
@@ -330,6 +330,7 @@ class HierarchicalInternalAgent(HierarchicalFactsAgent):
         grid: Grid = 2,
         tile_above: TileAbove = False,
         learning: Learning = True,
+        seed: Seed = None,
     ) -> None:
         super().__init__(
             step_size=step_size,
@@ -339,6 +340,7 @@ class HierarchicalInternalAgent(HierarchicalFactsAgent):
             grid=grid,
             tile_above=tile_above,
             learning=learning,
+            seed=seed,
         )
         self._internal = {
             "internal": True,
@@ -358,7 +360,6 @@ class ObjectsCoarseAgent(HierarchicalFactsAgent):
     """Experiment 8: as 6, but a KLO's value is a sum over all objects of its FLO's kind."""
 
     name = "objects-coarse"
-    _threat_window = (-4, 6, -2, 5)
-    """The author's agent of 2012."""
+    _threats = objects.THREATS_2012
     _absolute_motion = True
     _sum_objects = True

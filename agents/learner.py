@@ -40,6 +40,10 @@ Epsilon = Annotated[float, Option("chance to explore, at first (Mohan 2010: 0.1)
 Reduction = Annotated[
     float, Option("what every decision cycle multiplies epsilon by (Mohan 2010: 0.9999)", low=0, high=1)
 ]
+Grid = Annotated[
+    int, Option("cells per tile of the distances to monsters (author's agents: 2)", low=1, high=16)
+]
+Seed = Annotated[int | None, Option("seed of its random choices; the experiment's if not given", low=0)]
 Learning = Annotated[bool, Option("whether to learn; off: the values and epsilon stay as they are")]
 
 Step = Callable[[Array, Array, Array, bytes, float, bool], int]
@@ -71,7 +75,14 @@ class MarioLearner(abc.ABC):
     _end: ClassVar[End]
 
     def __init__(
-        self, *, step_size: float, discount: float, epsilon: float, reduction: float, learning: bool
+        self,
+        *,
+        step_size: float,
+        discount: float,
+        epsilon: float,
+        reduction: float,
+        learning: bool,
+        seed: int | None,
     ) -> None:
         self._hyperparameters = {
             "step_size": step_size,
@@ -80,7 +91,8 @@ class MarioLearner(abc.ABC):
             "reduction": reduction,
             "learning": learning,
         }
-        self._seed = 0
+        self._own_seed = seed
+        self._seed = seed or 0
 
     @abc.abstractmethod
     def _new_mind(self) -> Array:
@@ -91,8 +103,9 @@ class MarioLearner(abc.ABC):
         return {}
 
     def agent_seed(self, seed: int) -> None:
-        """Seed every random choice after the next init; 0 <= seed < 2**63."""
-        self._seed = seed
+        """Seed every random choice after the next init, unless the option `seed` was given."""
+        if self._own_seed is None:
+            self._seed = seed
 
     def agent_init(self, task_spec: str) -> None:
         """Forget everything.

@@ -14,7 +14,7 @@ from typing import Annotated, Final
 import numpy as np
 import numpy.typing as npt
 
-from agents._jit import Flag, Int, jit
+from agents._jit import Array, Flag, Int, jit
 from agents.observation import (
     BLANK,
     COIN,
@@ -44,6 +44,8 @@ __all__ = [
     "MAX_OBJECTS",
     "NO_MOTION",
     "STATIONARY",
+    "THREATS_2010",
+    "THREATS_2012",
     "TOWARDS",
     "VERTICAL",
     "Object",
@@ -59,6 +61,7 @@ __all__ = [
     "platform_is_reachable",
     "question_is_reachable",
     "relative_motion",
+    "set_senses",
     "tile_above",
     "via_platform",
 ]  # fmt: skip
@@ -67,6 +70,11 @@ A_MONSTER: Final = 0
 A_QUESTION: Final = 1
 A_COIN: Final = 2
 A_PIT: Final = 3
+
+THREATS_2010: Final = (-3, 4, -6, 5)
+"""Where a monster is a threat: left, right, below, above, in tiles; the author's agents of 2010."""
+THREATS_2012: Final = (-4, 6, -2, 5)
+"""The same in the author's agent of 2012."""
 
 STATIONARY: Final = 0
 VERTICAL: Final = 1
@@ -136,6 +144,21 @@ class Scene:
     monster_types: Annotated[npt.NDArray[np.int64], np.int64, MAX_SPRITES]
     monster_ids: Annotated[npt.NDArray[np.int64], np.int64, MAX_SPRITES]
     next_id: Int
+
+
+def set_senses(
+    senses: Array,
+    grid: int,
+    threats: tuple[int, int, int, int],
+    absolute_motion: bool = False,
+    via_platforms: bool = False,
+) -> None:
+    """Fill in how an agent perceives; see `Senses`."""
+    senses["grid"] = grid
+    for side, tiles in zip(("left", "right", "below", "above"), threats, strict=True):
+        senses[f"threat_{side}"] = tiles
+    senses["absolute_motion"] = absolute_motion
+    senses["via_platforms"] = via_platforms
 
 
 @jit

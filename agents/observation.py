@@ -22,9 +22,10 @@ from glue.errors import RemoteProtocolError
 from glue.types import PREFIX_SIZE, Observation
 
 __all__ = [
-    "BLANK", "BRICK", "COIN", "COLUMNS", "FINISH", "FIREBALL", "FIRE_FLOWER", "GOOMBA", "GREEN_KOOPA",
-    "LEDGE", "MARIO", "MAX_SPRITES", "MUSHROOM", "OUTSIDE", "PIPE", "PLANT", "QUESTION", "RED_KOOPA",
-    "ROWS", "SHELL", "SOLID", "SPIKEY", "Screen", "Sprite", "malformed", "read", "tile",
+    "BLANK", "BRICK", "CHARS", "COIN", "COLUMNS", "FARTHEST", "FINISH", "FIREBALL", "FIRE_FLOWER",
+    "GOOMBA", "GREEN_KOOPA", "LEDGE", "MARIO", "MAX_SPRITES", "MUSHROOM", "OUTSIDE", "PIPE", "PLANT",
+    "QUESTION", "RED_KOOPA", "ROWS", "SHELL", "SOLID", "SPIKEY", "Screen", "Sprite", "malformed", "read",
+    "tile",
 ]  # fmt: skip
 
 ROWS: Final = 16
@@ -54,8 +55,8 @@ FIRE_FLOWER: Final = 7
 FIREBALL: Final = 8
 SHELL: Final = 9
 
-_CHARS: Final = ROWS * (COLUMNS + 1)
-_FARTHEST: Final = 2.0**31
+CHARS: Final = ROWS * (COLUMNS + 1)
+FARTHEST: Final = 2.0**31
 _PREFIX: Final = PREFIX_SIZE
 
 
@@ -94,8 +95,8 @@ def read(body: bytes, screen: Screen) -> bool:
         not 1 <= sprites <= MAX_SPRITES
         or counts[0] != 1 + 2 * sprites
         or counts[1] != 4 * sprites
-        or counts[2] != _CHARS
-        or len(body) != _PREFIX + 32 * sprites + 4 + 8 * sprites + _CHARS
+        or counts[2] != CHARS
+        or len(body) != _PREFIX + 32 * sprites + 4 + 8 * sprites + CHARS
     ):
         return False
     ints_start = _PREFIX + 32 * sprites
@@ -103,7 +104,7 @@ def read(body: bytes, screen: Screen) -> bool:
     doubles = np.frombuffer(body[_PREFIX:ints_start], np.float64)
     ints = np.frombuffer(body[ints_start:chars_start], np.int32)
     for number in doubles:
-        if not abs(number) < _FARTHEST:  # NaN too
+        if not abs(number) < FARTHEST:  # NaN too
             return False
 
     screen.camera = ints[0]
@@ -145,7 +146,7 @@ def tile(screen: Screen, column: int, row: int) -> int:
 def malformed(observation: Observation) -> RemoteProtocolError:
     """Return the error that says why `read` refused an observation."""
     ints, doubles, chars = observation.counts
-    expected = f"1 + 2 M ints, 4 M doubles below 2**31 and {_CHARS} chars, for M = 1 to {MAX_SPRITES} sprites"
+    expected = f"1 + 2 M ints, 4 M doubles below 2**31 and {CHARS} chars, for M = 1 to {MAX_SPRITES} sprites"
     return RemoteProtocolError(
         f"an observation of Infinite Mario has {expected}; one of {ints} ints, {doubles} doubles "
         f"and {chars} chars came: is the environment Mario?"

@@ -2,7 +2,7 @@
 
 The generator is SplitMix64, a 64-bit counter put through a mixing function: one word of state, so
 that a draw costs nanoseconds and a saved agent goes on with the same draws. The same function makes
-the keys of value tables (`agents.features`).
+the keys of value tables (`agents.keys`).
 Source: Steele, Lea and Flood (2014), Fast splittable pseudorandom number generators.
 """
 

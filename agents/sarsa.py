@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agents._jit import Array, Flag, Int, Real, Word, jit, layout
-from agents.features import extend
+from agents.keys import extend
 
 __all__ = [
     "MAX_FEATURES", "Entry", "Keys", "Learner", "Taken", "Values", "action_values", "contents", "grown",
