@@ -10,9 +10,11 @@ what it means, and its bounds, where it is declared:
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import inspect
 import math
+import types
 import typing
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -54,7 +56,7 @@ class Parameter:
         try:
             value: Value = _parse_bool(text) if self.type is bool else self.type(text)
         except ValueError:
-            raise ConfigError(f"option {self.name} takes {_ARTICLE[self.type]}, not {text!r}") from None
+            raise ConfigError(f"option {self.name} takes {_ARTICLE[self.type]}, not {text!r:.80}") from None
         return self.check(value)
 
     def check(self, value: Value) -> Value:
@@ -64,9 +66,10 @@ class Parameter:
             ConfigError: the value is of another type or out of bounds.
         """
         if self.type is float and isinstance(value, int) and not isinstance(value, bool):
-            value = float(value)
+            with contextlib.suppress(OverflowError):
+                value = float(value)
         if type(value) is not self.type:
-            raise ConfigError(f"option {self.name} takes {_ARTICLE[self.type]}, not {value!r}")
+            raise ConfigError(f"option {self.name} takes {_ARTICLE[self.type]}, not {value!r:.80}")
         option = self.option
         if option.choices and value not in option.choices:
             raise ConfigError(f"option {self.name} is one of {', '.join(option.choices)}, not {value!r}")
@@ -79,15 +82,20 @@ class Parameter:
 
 
 def parameters(factory: type) -> dict[str, Parameter]:
-    """Return the options of a class, by name, in the order of its constructor."""
+    """Return the options of a class, by name, in the order of its constructor.
+
+    Raises:
+        ConfigError: a parameter of the constructor has no default, or cannot be given as a text.
+    """
     found: dict[str, Parameter] = {}
-    hints = typing.get_type_hints(inspect.getattr_static(factory, "__init__"), include_extras=True)
+    hints = _hints(factory)
     for name, parameter in inspect.signature(factory).parameters.items():
-        if parameter.default is parameter.empty or parameter.kind in (
-            parameter.VAR_POSITIONAL,
-            parameter.VAR_KEYWORD,
-        ):
+        if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
             continue
+        if parameter.default is parameter.empty or parameter.kind is parameter.POSITIONAL_ONLY:
+            raise ConfigError(
+                f"{factory.__name__}: constructor parameter {name} must be a keyword with a default"
+            )
         found[name] = _parameter(name, hints.get(name), parameter.default)
     return found
 
@@ -116,8 +124,8 @@ def parse_assignments(factory: type, assignments: Iterable[str]) -> dict[str, Va
     for assignment in assignments:
         name, equals, text = assignment.partition("=")
         name = name.strip().replace("-", "_")
-        if not equals:
-            raise ConfigError(f"an option is written name=value, not {assignment!r}")
+        if not equals or not name:
+            raise ConfigError(f"an option is written name=value, not {assignment!r:.80}")
         if name not in known:
             raise ConfigError(_unknown(factory, name, known))
         values[name] = known[name].parse(text.strip())
@@ -136,12 +144,22 @@ def _parse_bool(text: str) -> bool:
     return word in _TRUE
 
 
+def _hints(factory: type) -> dict[str, Any]:
+    try:
+        return typing.get_type_hints(inspect.getattr_static(factory, "__init__"), include_extras=True)
+    except NameError as error:
+        raise ConfigError(
+            f"{factory.__name__}: the types of its constructor cannot be read: {error}"
+        ) from None
+
+
 def _parameter(name: str, hint: Any, default: Any) -> Parameter:
     option = Option("")
     if typing.get_origin(hint) is typing.Annotated:
         hint, *extras = typing.get_args(hint)
         option = next((extra for extra in extras if isinstance(extra, Option)), option)
-    kinds = [kind for kind in typing.get_args(hint) or (hint,) if kind in _ARTICLE]
+    is_union = typing.get_origin(hint) in (typing.Union, types.UnionType)
+    kinds = [kind for kind in (typing.get_args(hint) if is_union else (hint,)) if kind in _ARTICLE]
     kind = kinds[0] if kinds else type(default)
     if kind not in _ARTICLE:
         raise ConfigError(f"constructor parameter {name} cannot be an option: its type is {hint!r}")
@@ -150,11 +168,17 @@ def _parameter(name: str, hint: Any, default: Any) -> Parameter:
 
 def _bounds(option: Option) -> str:
     unit = f" {option.unit}" if option.unit else ""
+    if option.low is None and option.high is None:
+        return "a number"
     if option.low is None:
-        return f"at most {option.high:g}{unit}"
+        return f"at most {_number(option.high)}{unit}"
     if option.high is None:
-        return f"at least {option.low:g}{unit}"
-    return f"from {option.low:.15g} to {option.high:.15g}{unit}"
+        return f"at least {_number(option.low)}{unit}"
+    return f"from {_number(option.low)} to {_number(option.high)}{unit}"
+
+
+def _number(bound: float | None) -> str:
+    return f"{bound:.15g}" if isinstance(bound, float) else str(bound)
 
 
 def _unknown(factory: type, name: str, known: Mapping[str, Parameter]) -> str:
