@@ -52,6 +52,8 @@ _EPISODE_VERBS: Final = frozenset(
 )
 """Verbs that go on with an episode, and so make no sense once one of its players was replaced."""
 
+_INITIALISING: Final = frozenset({Kind.ENV_SEED, Kind.ENV_INIT, Kind.AGENT_SEED, Kind.AGENT_INIT})
+
 
 class Step(NamedTuple):
     """A call to carry out, or, if `kind` is a verb, the reply to the experiment."""
@@ -79,8 +81,9 @@ class Engine:
         last_action: the action that the next RL_step executes.
         total_reward: undiscounted sum of the rewards since the last start.
         num_steps: 0 after init, 1 after start, one more with each step that did not end the episode.
-        num_episodes: episodes that reached a terminal step since the last init.
-        awaiting: the call whose answer must come next; None while idle.
+        num_episodes: episodes that reached a terminal step, and whose agent was told, since the last init.
+        asked: the call whose answer must come next; None while idle.
+        awaiting: its kind.
         verb: the experiment's verb that is being carried out; None while idle.
     """
 
@@ -90,6 +93,7 @@ class Engine:
         self.total_reward = 0.0
         self.num_steps = 0
         self.num_episodes = 0
+        self.asked: Step | None = None
         self.awaiting: Kind | None = None
         self.verb: Kind | None = None
         self._running: Verb | None = None
@@ -115,16 +119,14 @@ class Engine:
             PeerLost: the episode that `verb` would go on with is void; start another.
         """
         if self._running is not None:
-            raise LocalProtocolError(f"{verb.name} came while {self.verb!s} is still being carried out")
+            assert self.verb is not None
+            raise LocalProtocolError(f"{verb.name} came while {self.verb.name} is still being carried out")
         if verb not in LEGAL[State.IDLE]:
             raise LocalProtocolError(f"{verb.name} is not for an experiment to ask")
         if self._void is not None and verb in _EPISODE_VERBS:
             raise PeerLost(f"the episode is void: {self._void}; start another")
-        running = _VERBS[verb](self, scalars, body)
-        if self._uninitialised and self.task_spec is not None and verb is not Kind.RL_INIT:
-            running = self._initialise_then(running)
         self.verb = verb
-        self._running = running
+        self._running = _VERBS[verb](self, scalars, body)
         return self._send(None)
 
     def resume(self, kind: Kind, scalars: tuple[Value, ...], body: Any) -> Step:
@@ -150,6 +152,9 @@ class Engine:
             assert verb is not None
             self.abort()
             return Step(verb, *stop.value)
+        if self._uninitialised:
+            step = self._initialised_first(step)
+        self.asked = step
         self.awaiting = step[0]
         return step
 
@@ -157,7 +162,7 @@ class Engine:
         """Forget the verb that is being carried out, if any; counters stay as they are."""
         if self._running is not None:
             self._running.close()
-        self._running = self.verb = self.awaiting = None
+        self._running = self.asked = self.verb = self.awaiting = None
 
     @property
     def in_episode(self) -> bool:
@@ -171,15 +176,46 @@ class Engine:
             self._started = False
 
     def replace(self, role: Role) -> None:
-        """Note that a player is a new one: it is initialised before the next verb."""
+        """Note that a player is a new one: it is initialised before anything else is asked of it.
+
+        If a call to it is awaited, `asked` may be another one afterwards.
+        """
         if self.task_spec is not None:
             self._uninitialised.add(role)
+        if self.asked is not None:
+            self.asked = self._initialised_first(self.asked)
+            self.awaiting = self.asked.kind
+
+    def _initialised_first(self, step: Step) -> Step:
+        """Return `step`, or what comes before it if it is for a player that was replaced."""
+        role = CALLS[step.kind].callee
+        if role not in self._uninitialised or step.kind in _INITIALISING:
+            return step
+        assert self._running is not None
+        self._running = self._bring_up(role, step, self._running)
+        return next(self._running)
+
+    def _bring_up(self, role: Role, step: Step, verb: Verb) -> Verb:
+        """Bring a replaced player to where RL_init left the other, then go on with `verb` from `step`."""
+        if role is Role.AGENT:
+            yield from self._init_agent()
+        else:
+            before = self.task_spec
+            yield from self._init_environment()
+            if self.task_spec != before:
+                self._uninitialised.add(Role.AGENT)
+        reply = yield step
+        try:
+            while True:
+                reply = yield verb.send(reply)
+        except StopIteration as stop:
+            outcome: Reply = stop.value
+            return outcome
 
     # The verbs, in the order of RL-Glue's manual.
 
     def _init(self, scalars: tuple[Any, ...], _: Any) -> Verb:
         self._seed = scalars[0] if scalars else None
-        self._uninitialised.clear()
         self._void = None
         self._started = False
         yield from self._init_environment()
@@ -193,24 +229,13 @@ class Engine:
         if self._seed is not None:
             yield Step(Kind.ENV_SEED, (role_seed(self._seed, Role.ENVIRONMENT),))
         _, self.task_spec = yield Step(Kind.ENV_INIT)
+        self._uninitialised.discard(Role.ENVIRONMENT)
 
     def _init_agent(self) -> Generator[Step, Reply, None]:
         if self._seed is not None:
             yield Step(Kind.AGENT_SEED, (role_seed(self._seed, Role.AGENT),))
         yield Step(Kind.AGENT_INIT, _NO_SCALARS, self.task_spec)
-
-    def _initialise_then(self, verb: Verb) -> Verb:
-        """Bring replaced players to where RL_init left the others, then carry out `verb`."""
-        if Role.ENVIRONMENT in self._uninitialised:
-            before = self.task_spec
-            yield from self._init_environment()
-            self._uninitialised.discard(Role.ENVIRONMENT)
-            if self.task_spec != before:
-                self._uninitialised.add(Role.AGENT)
-        if Role.AGENT in self._uninitialised:
-            yield from self._init_agent()
-            self._uninitialised.discard(Role.AGENT)
-        return (yield from verb)
+        self._uninitialised.discard(Role.AGENT)
 
     def _start(self, _: tuple[Any, ...], __: Any) -> Verb:
         _, observation = yield from self._env_start(_NO_SCALARS, None)
@@ -219,13 +244,14 @@ class Engine:
         return _NO_SCALARS, (observation, action)
 
     def _step(self, _: tuple[Any, ...], __: Any) -> Verb:
+        self._started = True
         scalars, observation = yield Step(Kind.ENV_STEP, _NO_SCALARS, self.last_action)
         reward, terminal = scalars
         self.total_reward += reward
         if terminal:
-            self.num_episodes += 1
             self._started = False
             yield Step(Kind.AGENT_END, (reward,))
+            self.num_episodes += 1
         else:
             self.num_steps += 1
             _, self.last_action = yield Step(Kind.AGENT_STEP, (reward,), observation)
@@ -239,9 +265,9 @@ class Engine:
             (reward, terminal), observation = yield Step(Kind.ENV_STEP, _NO_SCALARS, self.last_action)
             self.total_reward += reward
             if terminal:
-                self.num_episodes += 1
                 self._started = False
                 yield Step(Kind.AGENT_END, (reward,))
+                self.num_episodes += 1
                 return (True,), None
             self.num_steps += 1
             _, self.last_action = yield Step(Kind.AGENT_STEP, (reward,), observation)
@@ -278,6 +304,7 @@ class Engine:
         return (yield _ENV_START)
 
     def _env_step(self, _: tuple[Any, ...], action: Any) -> Verb:
+        self._started = True
         scalars, observation = yield Step(Kind.ENV_STEP, _NO_SCALARS, action)
         reward, terminal = scalars
         self.total_reward += reward

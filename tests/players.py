@@ -1,0 +1,103 @@
+"""An agent and an environment that write down what is asked of them, and are easily set up for a case."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from glue.types import Action, Observation
+
+Hook = Callable[[str], None]
+
+
+def nothing(call: str) -> None:
+    """Do nothing."""
+
+
+class ScriptedEnvironment:
+    """Shows how many steps were made, rewards each with `reward`, ends at step `length`.
+
+    `calls` gets one line for each call; the same list may be handed to the agent, to see the order of
+    both. `before` is called with each line first, to let something happen just then.
+    """
+
+    def __init__(
+        self, length: int = 3, reward: float = 1.0, calls: list[str] | None = None, before: Hook = nothing
+    ) -> None:
+        self.calls: list[str] = [] if calls is None else calls
+        self.length = length
+        self.reward = reward
+        self.task_spec = "a task"
+        self.before = before
+        self._steps = 0
+
+    def _note(self, call: str) -> None:
+        self.before(call)
+        self.calls.append(call)
+
+    def env_init(self) -> str:
+        self._note("env_init")
+        return self.task_spec
+
+    def env_start(self) -> Observation:
+        self._note("env_start")
+        self._steps = 0
+        return Observation(ints=[0])
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        self._note(f"env_step {action.ints.tolist()}")
+        self._steps += 1
+        return self.reward, Observation(ints=[self._steps]), self._steps >= self.length
+
+    def env_cleanup(self) -> None:
+        self._note("env_cleanup")
+
+    def env_message(self, message: str) -> str:
+        self._note(f"env_message {message}")
+        return f"environment heard {message}"
+
+
+class ScriptedAgent:
+    """Answers each observation of one int n with the action n + 100; writes down as the environment does."""
+
+    def __init__(self, calls: list[str] | None = None, before: Hook = nothing) -> None:
+        self.calls: list[str] = [] if calls is None else calls
+        self.before = before
+
+    def _note(self, call: str) -> None:
+        self.before(call)
+        self.calls.append(call)
+
+    def agent_init(self, task_spec: str) -> None:
+        self._note(f"agent_init {task_spec}")
+
+    def agent_start(self, observation: Observation) -> Action:
+        self._note(f"agent_start {observation.ints.tolist()}")
+        return Action(ints=observation.ints + 100)
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        self._note(f"agent_step {reward:g} {observation.ints.tolist()}")
+        return Action(ints=observation.ints + 100)
+
+    def agent_end(self, reward: float) -> None:
+        self._note(f"agent_end {reward:g}")
+
+    def agent_cleanup(self) -> None:
+        self._note("agent_cleanup")
+
+    def agent_message(self, message: str) -> str:
+        self._note(f"agent_message {message}")
+        return f"agent heard {message}"
+
+
+class SeededEnvironment(ScriptedEnvironment):
+    """With the capability `seed`."""
+
+    def env_seed(self, seed: int) -> None:
+        self._note(f"env_seed {seed}")
+
+
+class SeededAgent(ScriptedAgent):
+    """With the capability `seed`."""
+
+    def agent_seed(self, seed: int) -> None:
+        self._note(f"agent_seed {seed}")
