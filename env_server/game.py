@@ -10,13 +10,16 @@ import numpy.typing as npt
 from env_server.observation import BODY_SIZE, encode
 from env_server.parameters import Parameters
 from env_server.reward import ordinary_reward, terminal_reward
-from env_server.sim._jit import entry, say_when_compiling
+from env_server.sim._jit import entry, jit, say_when_compiling
 from env_server.sim.state import WORLD, World, Worlds
 from env_server.sim.step import act, begin
 from glue.errors import SimulatorError
 from glue.types import Observation
 
-__all__ = ["Game"]
+__all__ = ["Body", "Game", "start_first", "step_world"]
+
+Body = npt.NDArray[np.uint8]
+"""Room for an observation as the body of an abstract type, shape (BODY_SIZE,)."""
 
 
 class Game:
@@ -46,7 +49,7 @@ class Game:
 
     def start(self) -> Observation:
         """Begin an episode; return its first observation."""
-        size = _start(self._memory, self._body)
+        size = start_first(self._memory, self._body)
         self._observation = Observation._wrap(bytes(self._bytes[:size]))
         return self._observation
 
@@ -62,7 +65,7 @@ class Game:
         Raises:
             SimulatorError: no episode is being played.
         """
-        reward, size = _step(self._memory, direction, jump, run, self._body)
+        reward, size = _step_first(self._memory, direction, jump, run, self._body)
         if size > 0:
             self._observation = Observation._wrap(bytes(self._bytes[:size]))
             return reward, self._observation, False
@@ -73,7 +76,7 @@ class Game:
     def clone(self) -> Game:
         """Return another game at the same point."""
         game = Game.__new__(Game)
-        game._memory = self._memory.copy()
+        game._memory = self._memory.view(np.uint8).copy().view(WORLD)
         game._body = np.zeros(BODY_SIZE, np.uint8)
         game._bytes = memoryview(game._body)  # type: ignore[arg-type]
         game._observation = self._observation
@@ -85,9 +88,21 @@ class Game:
         self._observation = other._observation
 
 
+@jit
+def step_world(world: World, direction: int, jump: int, run: int, body: Body) -> tuple[float, int]:
+    """Carry out an action.
+
+    Returns:
+        The reward, and the length of the observation now in `body`: 0 if the episode ended.
+    """
+    if act(world, direction, jump, run):
+        return ordinary_reward(world), encode(world, body)
+    return terminal_reward(world), 0
+
+
 @entry
-def _start(worlds: Worlds, body: npt.NDArray[np.uint8]) -> int:
-    """Begin an episode of the first of `worlds`; return the length of the observation in `body`."""
+def start_first(worlds: Worlds, body: Body) -> int:
+    """Begin an episode in the first of `worlds`; return the length of the observation now in `body`."""
     world: World = worlds[0]
     begin(world)
     ordinary_reward(world)  # of the first check-in: noted as paid, though nobody receives it
@@ -95,20 +110,12 @@ def _start(worlds: Worlds, body: npt.NDArray[np.uint8]) -> int:
 
 
 @entry
-def _step(
-    worlds: Worlds, direction: int, jump: int, run: int, body: npt.NDArray[np.uint8]
-) -> tuple[float, int]:
-    """Carry out an action in the first of `worlds`.
-
-    Returns:
-        The reward, and the length of the observation in `body`: 0 if the episode ended, -1 if there is none.
-    """
+def _step_first(worlds: Worlds, direction: int, jump: int, run: int, body: Body) -> tuple[float, int]:
+    """Carry out an action in the first of `worlds`, as `step_world`; -1 long if no episode is on."""
     world: World = worlds[0]
     if not world.playing:
         return 0.0, -1
-    if act(world, direction, jump, run):
-        return ordinary_reward(world), encode(world, body)
-    return terminal_reward(world), 0
+    return step_world(world, direction, jump, run, body)
 
 
 @cache
@@ -117,5 +124,5 @@ def _prepare() -> None:
     world = np.zeros(1, WORLD)
     body = np.zeros(BODY_SIZE, np.uint8)
     with say_when_compiling():
-        _start(world, body)
-        _step(world, 0, 0, 0, body)
+        start_first(world, body)
+        _step_first(world, 0, 0, 0, body)

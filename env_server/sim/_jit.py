@@ -71,7 +71,8 @@ class _Announcement(event.Listener):
 def _digest_of_sources() -> str:
     """Return a digest of every file that an entry is compiled from."""
     here = Path(__file__).parent
-    sources = [*sorted(here.glob("*.py")), *(here.parent / name for name in ("observation.py", "reward.py"))]
+    beside = ("game.py", "observation.py", "reward.py")
+    sources = [*sorted(here.glob("*.py")), *(here.parent / name for name in beside)]
     return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
 
 

@@ -35,7 +35,7 @@ def seeded(seed: int) -> State:
 def draw(state: State, bound: int) -> int:
     """Return a number from 0 to `bound` - 1, each as likely; `bound` is at least 1."""
     if bound & -bound == bound:
-        return (bound * _next31(state)) >> 31
+        return (int(bound) * _next31(state)) >> 31  # int: not compiled, a field of the world has 32 bits
     while True:
         bits = _next31(state)
         value = bits % bound

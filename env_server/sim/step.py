@@ -22,7 +22,7 @@ from env_server.sim.state import (
     World,
 )
 
-__all__ = ["act", "begin", "tick"]
+__all__ = ["act", "begin", "draw", "is_over", "press_buttons", "reset", "tick"]
 
 _ZERO: Final = np.float32(0)
 _VIEW: Final = 320  # pixels
@@ -34,8 +34,7 @@ _BELOW: Final = 304
 @jit
 def begin(world: World) -> None:
     """Start an episode and run it up to its first check-in. The buttons stay as they were left."""
-    generate(world)
-    _clear(world)
+    reset(world)
     _run_to_check_in(world)
     if not world.started and world.start_ticks > TICKS_PER_ACTION:
         draw(world)  # of the check-in that nobody waited for
@@ -51,7 +50,7 @@ def act(world: World, direction: int, jump: int, run: int) -> bool:
     world.jump = jump
     world.run = run
     draw(world)
-    world.playing = not _is_over(world) and _run_to_check_in(world)
+    world.playing = not is_over(world) and _run_to_check_in(world)
     return world.playing
 
 
@@ -87,7 +86,7 @@ def draw(world: World) -> None:
 
 
 @jit
-def _is_over(world: World) -> bool:
+def is_over(world: World) -> bool:
     """Return whether a draw would find the episode at its end."""
     return world.win_timer > 0 or world.death_timer > 0
 
@@ -97,18 +96,18 @@ def _run_to_check_in(world: World) -> bool:
     """Run ticks up to the next check-in; return False if the episode ended before."""
     for count in range(1, TICKS_PER_ACTION):
         tick(world)
-        _press_buttons(world, count > 1)
+        press_buttons(world, count > 1)
         if not world.draws_at_checkins:
             draw(world)
-            if _is_over(world):
+            if is_over(world):
                 return False
     tick(world)
-    _press_buttons(world, True)
+    press_buttons(world, True)
     return True
 
 
 @jit
-def _press_buttons(world: World, all_buttons: bool) -> None:
+def press_buttons(world: World, all_buttons: bool) -> None:
     """Set the buttons that the next tick sees; the first tick of a step lets go of jump and run."""
     world.button_left = world.direction == -1
     world.button_right = world.direction == 1
@@ -117,8 +116,9 @@ def _press_buttons(world: World, all_buttons: bool) -> None:
 
 
 @jit
-def _clear(world: World) -> None:
-    """Bring everything to where an episode starts, but for the level and the buttons."""
+def reset(world: World) -> None:
+    """Build the level anew and bring everything to where an episode starts, but for the buttons."""
+    generate(world)
     world.playing = True
     world.steps = 0
     world.coins = 0

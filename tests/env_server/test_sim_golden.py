@@ -1,0 +1,58 @@
+"""The simulator against recordings of the original: not one bit may differ."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from types import ModuleType
+
+import pytest
+
+
+@pytest.mark.parametrize(("name", "expected"), [("episodes", 25726), ("variants", 697)])
+def test_recorded_runs_are_reproduced(
+    golden_check: ModuleType, capsys: pytest.CaptureFixture[str], name: str, expected: int
+) -> None:
+    compared, differences = golden_check.check_runs(name)
+    with capsys.disabled():
+        print(f"\n{name}: {compared} steps compared, {len(differences)} runs differ")
+    assert differences == []
+    assert compared == expected
+
+
+def test_recorded_levels_are_reproduced(golden_check: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+    compared, differences = golden_check.check_levels("levels")
+    with capsys.disabled():
+        print(f"\nlevels: {compared} compared, {len(differences)} differ")
+    assert differences == []
+    assert compared == 120
+
+
+@pytest.mark.slow
+def test_uncompiled_rules_reproduce_every_tick(
+    golden_check: ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = subprocess.run(
+        [sys.executable, "-W", "error", golden_check.__file__ or ""],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+        capture_output=True,
+        text=True,
+        timeout=250,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    found = json.loads(run.stdout)
+    with capsys.disabled():
+        print(f"\nuncompiled: {found['ticks'][0]} ticks and {found['steps'][0]} steps compared")
+    assert found == {"ticks": [6678, []], "steps": [522, []]}
+
+
+def test_a_difference_is_noticed(golden_check: ModuleType) -> None:
+    line = {"kind": "step", "i": [0], "d": [-0.0], "c": "", "r": -0.01, "end": 0}
+    observation = golden_check.Observation([0], [-0.0])
+    assert golden_check.same(line, -0.01, observation, False)
+    assert not golden_check.same(line, -0.01, golden_check.Observation([0], [0.0]), False)
+    assert not golden_check.same(line, -0.010000000000000002, observation, False)
+    assert not golden_check.same(line, -0.01, observation, True)
