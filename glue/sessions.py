@@ -24,7 +24,7 @@ from glue.engine import Engine, Step
 from glue.errors import PeerLost, RemoteProtocolError
 from glue.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
 from glue.types import Action
-from glue.wire import MAX_NAME, UnknownKind
+from glue.wire import UnknownKind, clip
 
 __all__ = ["INSTANCE_SIZE", "Route", "Switchboard"]
 
@@ -36,8 +36,8 @@ Send = Callable[[Route, Message], bool]
 INSTANCE_SIZE: Final = 16
 """Bytes of the random number by which a peer is known across connections."""
 
-_MAX_TEXT: Final = 1000
-"""Characters of an error text that are passed on."""
+_MAX_LABEL: Final = 255
+"""Bytes of a peer's name and codec that are kept."""
 
 
 class _Peer:
@@ -95,7 +95,7 @@ class Switchboard:
         elif kind is Kind.HEARTBEAT:
             self._send(route, Message(Kind.HEARTBEAT, message.session, message.seq))
         elif kind is Kind.GOODBYE:
-            self._lose(peer, f"left: {_clip(str(message.scalars[0]))}")
+            self._lose(peer, f"left: {clip(str(message.scalars[0]))}")
         else:
             self._error(route, message, ErrorCode.NOT_ASKED, f"{kind.name} is for the hub to send")
 
@@ -108,7 +108,7 @@ class Switchboard:
             return
         self._error(route, Message(Kind.ERROR, "", 0), ErrorCode.MALFORMED, str(error))
         for peer in [peer for (known, _), peer in self._peers.items() if known == route]:
-            self._lose(peer, f"sent a malformed message: {error}")
+            self._lose(peer, f"sent a malformed message: {error}", ErrorCode.PEER_FAILED)
 
     def tick(self, now: float) -> None:
         """Send every peer a sign of life, and give up those that stayed out of reach too long."""
@@ -117,10 +117,12 @@ class Switchboard:
         for (route, _), peer in list(self._peers.items()):
             if route not in reached:
                 reached[route] = self._send(route, Message(Kind.HEARTBEAT, "", 0))
-            if reached[route]:
-                peer.unreachable_since = None
-            else:
+            if not reached[route]:
                 self._out_of_reach(peer)
+            elif peer.unreachable_since is not None:
+                # Its connection holds, but its queue was full, and something was dropped.
+                peer.unreachable_since = None
+                peer.session.repeat(peer)
             since = peer.unreachable_since
             if since is not None and now - since >= self._config.patience:
                 self._lose(peer, f"was out of reach for {now - since:.1f} s")
@@ -141,7 +143,7 @@ class Switchboard:
         if refusal is not None:
             code, text = refusal
             self._log(f"refused a peer of session {message.session!r}: {text}")
-            self._send(route, Message(Kind.REFUSE, message.session, message.seq, (str(code), text)))
+            self._send(route, Message(Kind.REFUSE, message.session, message.seq, (str(code), clip(text))))
 
     def _greet(self, route: Route, message: Message) -> tuple[ErrorCode, str] | None:
         """Let the sender of a HELLO in, or return why not."""
@@ -178,7 +180,7 @@ class Switchboard:
                 return ErrorCode.ROLE_TAKEN, text
             self._lose(current, "was replaced by another")
             current = None
-        label = _clip(f"{name} ({codec})", MAX_NAME)
+        label = clip(f"{name} ({codec})", _MAX_LABEL)
         resumed = session.knows(role, instance)
         if current is not None:
             self._peers.pop((current.route, session.name), None)
@@ -196,11 +198,11 @@ class Switchboard:
     def _reach(self, peer: _Peer) -> bool:
         return self._send(peer.route, Message(Kind.HEARTBEAT, peer.session.name, 0))
 
-    def _lose(self, peer: _Peer, why: str) -> None:
+    def _lose(self, peer: _Peer, why: str, code: ErrorCode = ErrorCode.PEER_LOST) -> None:
         session = peer.session
         del self._peers[peer.route, session.name]
         self._log(f"session {session.name!r}: {peer.role} {peer.label} {why}")
-        session.lose(peer, why)
+        session.lose(peer, why, code)
         if not session.peers:
             self._sessions.pop(session.name, None)
 
@@ -209,7 +211,7 @@ class Switchboard:
             peer.unreachable_since = self._now
 
     def _error(self, route: Route, message: Message, code: ErrorCode, text: str) -> None:
-        self._send(route, Message(Kind.ERROR, message.session, message.seq, (str(code), _clip(text))))
+        self._send(route, Message(Kind.ERROR, message.session, message.seq, (str(code), clip(text))))
 
     def deliver(self, peer: _Peer, message: Message) -> None:
         """Send `message` to `peer`; if it is out of reach, its patience starts to run."""
@@ -260,18 +262,26 @@ class _Session:
                     self._notify(Event.JOINED, player)
             return
         self._former[role] = peer.instance
-        if not resumed:
-            self._engine.replace(role)
         if announce:
             self._notify(Event.RETURNED if resumed else Event.JOINED, peer)
-        outstanding = self._outstanding
-        if outstanding is not None and CALLS[outstanding.kind].callee is role:
-            if resumed:
-                self._board.deliver(peer, outstanding)
-            else:
-                self._call(Step(outstanding.kind, outstanding.scalars, outstanding.body))
+        if not resumed:
+            self._engine.replace(role)
+        asked = self._engine.asked
+        if asked is None or CALLS[asked.kind].callee is not role:
+            return
+        if announce:
+            # It was asked of an empty seat: nobody has seen it, and what to ask depends on who came.
+            self._call(asked)
+        else:
+            self.repeat(peer)
 
-    def lose(self, peer: _Peer, why: str) -> None:
+    def repeat(self, peer: _Peer) -> None:
+        """Send again what `peer` may have missed; whatever it has seen already, it ignores."""
+        missed = self._reply if peer.role is Role.EXPERIMENT else self._outstanding
+        if missed is not None and (peer.role is Role.EXPERIMENT or CALLS[missed.kind].callee is peer.role):
+            self._board.deliver(peer, missed)
+
+    def lose(self, peer: _Peer, why: str, code: ErrorCode) -> None:
         """Go on without `peer`: void the episode, or, without the experiment, forget it."""
         role = peer.role
         del self.peers[role]
@@ -285,7 +295,7 @@ class _Session:
         stranded = engine.verb is not None and (engine.in_episode or awaited)
         engine.void(reason)
         if stranded:
-            self._fail(ErrorCode.PEER_LOST, reason)
+            self._fail(code, reason)
 
     def request(self, peer: _Peer, message: Message) -> None:
         """Begin on a verb of the experiment, or repeat the last reply if it asks once more."""
@@ -317,11 +327,13 @@ class _Session:
         seq = message.seq
         if outstanding is None or seq != outstanding.seq or CALLS[outstanding.kind].callee is not peer.role:
             # An answer to an older call is a repetition, or comes from an episode that is void by now.
-            if seq > self._seq or seq == 0:
-                self._error(peer, message, ErrorCode.NOT_ASKED, f"{message.kind.name} {seq} was never asked")
+            never = seq > self._seq or seq == 0
+            if never or (message.kind in CALLS and CALLS[message.kind].callee is not peer.role):
+                text = f"{message.kind.name} {seq} was never asked of this {peer.role}"
+                self._error(peer, message, ErrorCode.NOT_ASKED, text)
             return
         if message.kind is Kind.ERROR:
-            text = _clip(str(message.scalars[1]))
+            text = clip(str(message.scalars[1]))
             what = outstanding.kind.name.lower()
             self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.label} raised in {what}: {text}")
             return
@@ -369,7 +381,7 @@ class _Session:
         """End the verb that is being carried out with an error."""
         self._engine.abort()
         self._outstanding = None
-        self._answer_experiment(Message(Kind.ERROR, self.name, self._request_seq, (str(code), _clip(text))))
+        self._answer_experiment(Message(Kind.ERROR, self.name, self._request_seq, (str(code), clip(text))))
 
     def _answer_experiment(self, reply: Message) -> None:
         self._reply = reply
@@ -384,7 +396,7 @@ class _Session:
             self._board.deliver(experiment, Message(Kind.NOTICE, self.name, 0, scalars))
 
     def _error(self, peer: _Peer, message: Message, code: ErrorCode, text: str) -> None:
-        self._board.deliver(peer, Message(Kind.ERROR, self.name, message.seq, (str(code), _clip(text))))
+        self._board.deliver(peer, Message(Kind.ERROR, self.name, message.seq, (str(code), clip(text))))
 
     def _forget_experiment(self) -> None:
         self._engine.abort()
@@ -392,9 +404,3 @@ class _Session:
         self._outstanding = None
         self._request_seq = 0
         self._reply = None
-
-
-def _clip(text: str, limit: int = _MAX_TEXT) -> str:
-    """Return `text` fit for a header and a terminal: not too long, and without control characters."""
-    clean = "".join(c if c.isprintable() else " " for c in text[:limit])
-    return clean + ("..." if len(text) > limit else "")

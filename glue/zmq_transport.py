@@ -21,14 +21,17 @@ Context = zmq.Context[zmq.Socket[bytes]]
 _LINGER_MS: Final = 1000
 """How long a closing socket tries to deliver its last words, in milliseconds."""
 
-_QUEUE: Final = 64
-"""Messages queued for or from one peer. RL-Glue has one call outstanding; the rest are heartbeats."""
+_RECEIVE_QUEUE: Final = 64
+"""Messages that are read ahead from one peer; behind it, the network holds the sender back."""
+
+_SEND_QUEUE: Final = 4096
+"""Messages that wait for one peer: a call for each session that it serves, and heartbeats."""
 
 
 def _prepare(socket: zmq.Socket[bytes], heartbeat: float, patience: float, max_body: int) -> None:
     socket.setsockopt(zmq.LINGER, _LINGER_MS)
-    socket.setsockopt(zmq.SNDHWM, _QUEUE)
-    socket.setsockopt(zmq.RCVHWM, _QUEUE)
+    socket.setsockopt(zmq.SNDHWM, _SEND_QUEUE)
+    socket.setsockopt(zmq.RCVHWM, _RECEIVE_QUEUE)
     socket.setsockopt(zmq.MAXMSGSIZE, max_body)
     socket.setsockopt(zmq.HEARTBEAT_IVL, max(1, int(heartbeat * 1000)))
     socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, max(1, int(patience * 1000)))

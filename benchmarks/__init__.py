@@ -1,0 +1,1 @@
+"""Measurements, written to docs/performance.md by `make bench`."""

@@ -1,0 +1,61 @@
+"""`python -m benchmarks [NAME ...]`: measure, and write docs/performance.md (all of it) or print (some)."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import platform
+import sys
+from pathlib import Path
+
+import msgpack
+import numba
+import numpy as np
+import zmq
+
+from benchmarks.measure import REPEATS, Table
+
+_MODULES = ("hub",)
+_FILE = Path(__file__).parent.parent / "docs" / "performance.md"
+
+
+def main(names: list[str]) -> None:
+    """Measure what `names` name, or everything."""
+    unknown = set(names) - set(_MODULES)
+    if unknown:
+        sys.exit(f"no benchmark is called {', '.join(sorted(unknown))}: there are {', '.join(_MODULES)}")
+    tables: list[Table] = []
+    for name in names or _MODULES:
+        print(f"measuring {name} ...", file=sys.stderr, flush=True)
+        tables += importlib.import_module(f"benchmarks.{name}").run()
+    if names:
+        print("\n".join(map(str, tables)))
+    else:
+        _FILE.write_text("\n".join([_head(), *map(str, tables)]), encoding="utf-8")
+        print(f"written to {_FILE}", file=sys.stderr)
+
+
+def _head() -> str:
+    return (
+        "# Performance\n\n"
+        "Written by `make bench`; repeat it on your own machine. Each number is the median of at least "
+        f"{REPEATS} repeats, those of one table taken in turn. The machine was not quiet, so the ratios "
+        "within a table mean more than the numbers.\n\n"
+        f"Machine: {_processor()}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}; "
+        f"Python {platform.python_version()}, pyzmq {zmq.__version__} (libzmq {zmq.zmq_version()}), "
+        f"msgpack {'.'.join(map(str, msgpack.version))}, NumPy {np.__version__}, numba {numba.__version__}.\n"
+    )
+
+
+def _processor() -> str:
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:
+        pass
+    return platform.processor() or "unknown processor"
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

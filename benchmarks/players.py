@@ -1,0 +1,91 @@
+"""An environment and an agent that cost next to nothing, and the processes that serve them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+
+from glue.client import serve_agent, serve_environment
+from glue.types import Action, Observation
+
+__all__ = ["SIZES", "Still", "Walk", "serving"]
+
+SIZES = {
+    "one int": Observation(ints=(1,)),
+    "Mario's (23 ints, 44 doubles, 352 chars)": Observation(
+        ints=np.arange(23, dtype=np.int32), doubles=np.arange(44) / 44, chars=bytes(352)
+    ),
+}
+_ACTION = Action(ints=(1,))
+
+
+class Walk:
+    """Shows the same observation for ever; an episode ends when its experiment cuts it off."""
+
+    def __init__(self, observation: Observation) -> None:
+        self._body = observation.body
+
+    def env_init(self) -> str:
+        return "benchmark"
+
+    def env_start(self) -> Observation:
+        return Observation.from_body(self._body)
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        return 1.0, Observation.from_body(self._body), False
+
+    def env_cleanup(self) -> None:
+        pass
+
+    def env_message(self, message: str) -> str:
+        return message
+
+
+class Still:
+    """Does the same thing for ever."""
+
+    def agent_init(self, task_spec: str) -> None:
+        pass
+
+    def agent_start(self, observation: Observation) -> Action:
+        return _ACTION
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return _ACTION
+
+    def agent_end(self, reward: float) -> None:
+        pass
+
+    def agent_cleanup(self) -> None:
+        pass
+
+    def agent_message(self, message: str) -> str:
+        return message
+
+
+@contextmanager
+def serving(role: str, size: str, url: str, sessions: int = 1) -> Iterator[None]:
+    """Serve `sessions` agents or environments from a process of their own; it ends with its hub."""
+    command = [sys.executable, "-m", "benchmarks.players", role, size, url, str(sessions)]
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _main(role: str, size: str, url: str, sessions: str) -> None:
+    names = [str(number) for number in range(int(sessions))]
+    if role == "agent":
+        serve_agent({name: Still() for name in names}, url)
+    else:
+        serve_environment({name: Walk(SIZES[size]) for name in names}, url)
+
+
+if __name__ == "__main__":
+    _main(*sys.argv[1:])
