@@ -18,7 +18,7 @@ from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.messages import CALLS, CONTROL, Body, Kind, Message, Scalar, Shape, Value
 from glue.types import body_size
 
-__all__ = ["FROM_HUB", "MAX_BODY", "MAX_HEADER", "TO_HUB", "UnknownKind", "decode", "encode"]
+__all__ = ["FROM_HUB", "MAX_BODY", "MAX_HEADER", "TO_HUB", "UnknownKind", "clip", "decode", "encode"]
 
 MAX_HEADER: Final = 4096
 """The greatest header, in bytes. The longest legal one, a HELLO, stays far below."""
@@ -28,6 +28,9 @@ MAX_BODY: Final = 16 * 2**20
 
 MAX_NAME: Final = 255
 """The greatest session or peer name, in characters."""
+
+_MAX_TEXT: Final = 1000
+"""Bytes of a text for people. Beside the longest session name it leaves a header room to spare."""
 
 _NUMBERS_END: Final = 2**63
 """Whole numbers of a header, sequence numbers among them, are from 0 to below this."""
@@ -116,6 +119,12 @@ def decode(frames: Sequence[bytes], shapes: Mapping[Kind, Shape], max_body: int 
     body = frames[1]
     _check_body(known, shape.body, body, max_body)
     return Message(known, session, seq, checked, body)
+
+
+def clip(text: str, limit: int = _MAX_TEXT) -> str:
+    """Return `text` fit for a header and a terminal: without control characters, about `limit` bytes."""
+    clean = "".join(c if c.isprintable() else " " for c in text[: limit + 1]).encode()
+    return clean.decode() if len(clean) <= limit else clean[:limit].decode(errors="ignore") + "..."
 
 
 def _decode_header(frame: bytes) -> tuple[int, str, int, list[Value]]:
