@@ -1,0 +1,384 @@
+"""Contract checks that anyone can run on an agent or environment of their own.
+
+    def test_my_environment_keeps_the_contract() -> None:
+        check_environment(MyEnvironment)
+
+    def test_my_agent_keeps_the_contract() -> None:
+        check_agent(MyAgent, task_spec)
+
+They play a few episodes with random partners, through every turn that an experiment may take: messages
+at any time, a start after an unfinished episode, an init without a cleanup, two cleanups. What is
+returned is checked against the types of `glue.roles` and the task spec. Capabilities are checked when
+they are offered. No test framework is needed: a broken rule raises `ContractBroken`, which a framework
+takes for a failed assertion.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from enum import StrEnum
+from typing import Any, Final
+
+import numpy as np
+
+from glue.errors import GlueError, LocalProtocolError, TaskSpecError
+from glue.roles import (
+    Agent,
+    Environment,
+    SaveableAgent,
+    SaveableEnvironment,
+    SeedableAgent,
+    SeedableEnvironment,
+)
+from glue.taskspec import RL_GLUE_3, Range, Ranges, Space, parse_task_spec
+from glue.types import Action, Observation
+
+__all__ = ["ContractBroken", "Rule", "check_agent", "check_environment"]
+
+
+class Rule(StrEnum):
+    """What an agent or environment has to keep to."""
+
+    METHODS = "every method of the role is there"
+    CALLS = "no call raises that an experiment may make"
+    TASK_SPEC = "env_init returns a text, and one that begins with VERSION can be read"
+    OBSERVATION = "env_start and env_step return an Observation"
+    OBSERVATION_SPACE = "an observation is as the task spec says"
+    STEP = "env_step returns a tuple of reward, observation, terminal"
+    REWARD = "a reward is a finite number"
+    REWARD_RANGE = "a reward is as an RL-Glue-3.0 task spec says"
+    TERMINAL = "terminal is True or False"
+    ACTION = "agent_start and agent_step return an Action"
+    ACTION_SPACE = "an action is as the task spec says"
+    MESSAGE = "a message is answered with a text"
+    SEED = "equal seeds make equal episodes"
+    AFRESH = "seed and init begin afresh, whatever was before"
+    SAVE = "save returns bytes, and what loads them goes on as what saved them"
+    DAMAGE = "load refuses what is damaged with a GlueError"
+
+
+class ContractBroken(GlueError, AssertionError):
+    """An agent or environment breaks the rule `rule`."""
+
+    def __init__(self, rule: Rule, what: str) -> None:
+        super().__init__(f"{rule}: {what}")
+        self.rule = rule
+
+
+def check_environment(
+    factory: Callable[[], Environment],
+    *,
+    action: Callable[[np.random.Generator], Action] | None = None,
+    episodes: int = 3,
+    steps: int = 200,
+    seed: int = 0,
+) -> None:
+    """Check that the environments that `factory` makes keep the rules of `Rule`.
+
+    Args:
+        factory: makes an environment, a new one at each call; a class will do.
+        action: draws a legal action. Needed if the task spec does not state the actions, or leaves
+            bounds open that the environment does not; without it, actions are drawn from the task spec.
+        episodes: the number of episodes in each of at most seven rounds.
+        steps: after how many steps an episode is cut off.
+        seed: of the actions, and of an environment that offers the capability `seed`.
+
+    Raises:
+        ContractBroken: the message names the rule that is broken, the call, and what it returned.
+        LocalProtocolError: `action` is needed.
+    """
+    _check(lambda: _EnvironmentPlayer(factory(), action, episodes, steps), seed)
+
+
+def check_agent(
+    factory: Callable[[], Agent],
+    task_spec: str,
+    *,
+    observation: Callable[[np.random.Generator], Observation] | None = None,
+    episodes: int = 3,
+    steps: int = 200,
+    seed: int = 0,
+) -> None:
+    """Check that the agents that `factory` makes keep the rules of `Rule` in the task of `task_spec`.
+
+    Args:
+        factory: makes an agent, a new one at each call; a class will do.
+        task_spec: given to agent_init. Rewards are drawn from its range, within 100 of zero or of its
+            one end if it is open.
+        observation: draws an observation. Needed if the task spec does not state them, or leaves bounds
+            open that the agent does not; without it, observations are drawn from the task spec.
+        episodes: the number of episodes in each of at most seven rounds; every other is cut off.
+        steps: the greatest number of steps in an episode.
+        seed: of observations and rewards, and of an agent that offers the capability `seed`.
+
+    Raises:
+        ContractBroken: the message names the rule that is broken, the call, and what it returned.
+        LocalProtocolError: `observation` is needed.
+    """
+    _check(lambda: _AgentPlayer(factory(), task_spec, observation, episodes, steps), seed)
+
+
+Trace = list[tuple[str, object]]
+
+_MESSAGES: Final = ("", "what is your name?", "größer\n" * 50)
+
+
+class _Player(ABC):
+    """An agent or environment of which every answer is checked, and the partner that it plays with."""
+
+    prefix: str
+    role: type
+
+    def __init__(self, player: Any, episodes: int, steps: int) -> None:
+        self.player = player
+        self.episodes = episodes
+        self.steps = steps
+        self.seedable = isinstance(player, (SeedableEnvironment, SeedableAgent))
+        self.saveable = isinstance(player, (SaveableEnvironment, SaveableAgent))
+        needed = [name for name in vars(self.role) if name.startswith(self.prefix)]
+        missing = [name for name in needed if not callable(getattr(player, name, None))]
+        if missing:
+            raise ContractBroken(Rule.METHODS, f"{type(player).__name__} has no {', '.join(missing)}")
+
+    @abstractmethod
+    def init(self, seed: int) -> Trace:
+        """Seed, where that is offered, and init; return the trace."""
+
+    @abstractmethod
+    def play(self, generator: np.random.Generator) -> Trace:
+        """Play the episodes against a partner who draws from `generator`; return the trace."""
+
+    @abstractmethod
+    def start(self, generator: np.random.Generator) -> object:
+        """Begin an episode."""
+
+    def cleanup(self) -> None:
+        self.call("cleanup")
+
+    def call(self, method: str, *arguments: object) -> Any:
+        """Return the answer of a method of the player, named without its prefix."""
+        try:
+            return getattr(self.player, self.prefix + method)(*arguments)
+        except Exception as error:
+            shown = ", ".join(f"{argument!r:.80}" for argument in arguments)
+            raise ContractBroken(
+                Rule.CALLS, f"{self.prefix}{method}({shown}) raised {type(error).__name__}: {error}"
+            ) from error
+
+    def wrong(self, rule: Rule, method: str, answer: object) -> ContractBroken:
+        """Return the error for an answer that breaks `rule`."""
+        kind = type(answer).__name__
+        return ContractBroken(rule, f"{self.prefix}{method} returned {answer!r:.80}, of type {kind}")
+
+    def send_messages(self) -> None:
+        for message in _MESSAGES:
+            answer = self.call("message", message)
+            if not isinstance(answer, str):
+                raise self.wrong(Rule.MESSAGE, "message", answer)
+
+    def save(self) -> bytes:
+        data = self.call("save")
+        if not isinstance(data, bytes):
+            raise self.wrong(Rule.SAVE, "save", data)
+        return data
+
+    def refuse(self, data: bytes) -> None:
+        """Break a rule unless the player refuses to load `data`."""
+        try:
+            getattr(self.player, f"{self.prefix}load")(data)
+        except GlueError:
+            return
+        except Exception as error:
+            raise ContractBroken(
+                Rule.DAMAGE, f"{self.prefix}load({data!r:.80}) raised {type(error).__name__}: {error}"
+            ) from error
+        raise ContractBroken(Rule.DAMAGE, f"{self.prefix}load({data!r:.80}) raised nothing")
+
+
+class _EnvironmentPlayer(_Player):
+    prefix = "env_"
+    role = Environment
+
+    def __init__(
+        self,
+        player: Environment,
+        action: Callable[[np.random.Generator], Action] | None,
+        episodes: int,
+        steps: int,
+    ) -> None:
+        super().__init__(player, episodes, steps)
+        self.action = action or self.draw_action
+
+    def init(self, seed: int) -> Trace:
+        if self.seedable:
+            self.call("seed", seed)
+        task_spec = self.call("init")
+        if not isinstance(task_spec, str):
+            raise self.wrong(Rule.TASK_SPEC, "init", task_spec)
+        self.observations = self.actions = Space(stated=False)
+        self.rewards = Range()
+        try:
+            spec = parse_task_spec(task_spec)
+        except TaskSpecError as error:
+            if task_spec.lstrip()[:7].upper() == "VERSION":
+                raise ContractBroken(Rule.TASK_SPEC, f"{error}; in {task_spec!r}") from None
+        else:
+            self.observations, self.actions = spec.observations, spec.actions
+            # Mario-v1 gives the range of single rewards, which add up within a step.
+            self.rewards = spec.rewards if spec.version == RL_GLUE_3 else Range()
+        return [("env_init", task_spec)]
+
+    def play(self, generator: np.random.Generator) -> Trace:
+        trace: Trace = []
+        for episode in range(self.episodes):
+            trace.append((f"env_start of episode {episode}", self.start(generator)))
+            for step in range(self.steps):
+                answer = self.step(self.action(generator))
+                trace.append((f"env_step {step} of episode {episode}", answer))
+                if answer[2]:
+                    break
+        return trace
+
+    def start(self, generator: np.random.Generator) -> Observation:
+        return self.checked("start", self.call("start"))
+
+    def step(self, action: Action) -> tuple[float, Observation, bool]:
+        answer = self.call("step", action)
+        if not isinstance(answer, tuple) or len(answer) != 3:
+            raise self.wrong(Rule.STEP, "step", answer)
+        reward, observation, terminal = answer
+        if not isinstance(reward, (int, float, np.integer, np.floating)) or not math.isfinite(reward):
+            raise self.wrong(Rule.REWARD, "step", reward)
+        if float(reward) not in self.rewards:
+            raise ContractBroken(Rule.REWARD_RANGE, f"env_step returned {reward}, not in {self.rewards}")
+        if not isinstance(terminal, (bool, np.bool_)):
+            raise self.wrong(Rule.TERMINAL, "step", terminal)
+        return float(reward), self.checked("step", observation), bool(terminal)
+
+    def checked(self, method: str, observation: object) -> Observation:
+        if type(observation) is not Observation:
+            raise self.wrong(Rule.OBSERVATION, method, observation)
+        wrong = self.observations.check(observation)
+        if wrong is not None:
+            raise ContractBroken(Rule.OBSERVATION_SPACE, f"env_{method} returned {observation!r}: {wrong}")
+        return observation
+
+    def draw_action(self, generator: np.random.Generator) -> Action:
+        if not self.actions.stated:
+            raise LocalProtocolError(
+                "the task spec does not state the actions: give check_environment `action`"
+            )
+        return Action(*self.actions.sample(generator))
+
+
+class _AgentPlayer(_Player):
+    prefix = "agent_"
+    role = Agent
+
+    def __init__(
+        self,
+        player: Agent,
+        task_spec: str,
+        observation: Callable[[np.random.Generator], Observation] | None,
+        episodes: int,
+        steps: int,
+    ) -> None:
+        super().__init__(player, episodes, steps)
+        self.task_spec = task_spec
+        self.observation = observation or self.draw_observation
+        self.observations = self.actions = Space(stated=False)
+        rewards = Range()
+        with contextlib.suppress(TaskSpecError):
+            spec = parse_task_spec(task_spec)
+            self.observations, self.actions, rewards = spec.observations, spec.actions, spec.rewards
+        self.rewards = Space(doubles=Ranges.of(rewards))
+
+    def init(self, seed: int) -> Trace:
+        if self.seedable:
+            self.call("seed", seed)
+        self.call("init", self.task_spec)
+        return []
+
+    def play(self, generator: np.random.Generator) -> Trace:
+        trace: Trace = [("agent_start", self.start(generator))]
+        self.call("end", self.draw_reward(generator))  # The first step of an episode may be its last.
+        for episode in range(self.episodes):
+            trace.append((f"agent_start of episode {episode}", self.start(generator)))
+            for step in range(int(generator.integers(self.steps, endpoint=True))):
+                reward, observation = self.draw_reward(generator), self.observation(generator)
+                action = self.checked("step", self.call("step", reward, observation))
+                trace.append((f"agent_step {step} of episode {episode}", action))
+            if episode % 2 == 0:  # The others are cut off, of which an agent is not told.
+                self.call("end", self.draw_reward(generator))
+        return trace
+
+    def start(self, generator: np.random.Generator) -> Action:
+        return self.checked("start", self.call("start", self.observation(generator)))
+
+    def checked(self, method: str, action: object) -> Action:
+        if type(action) is not Action:
+            raise self.wrong(Rule.ACTION, method, action)
+        wrong = self.actions.check(action)
+        if wrong is not None:
+            raise ContractBroken(Rule.ACTION_SPACE, f"agent_{method} returned {action!r}: {wrong}")
+        return action
+
+    def draw_observation(self, generator: np.random.Generator) -> Observation:
+        if not self.observations.stated:
+            raise LocalProtocolError(
+                "the task spec does not state the observations: give check_agent `observation`"
+            )
+        return Observation(*self.observations.sample(generator))
+
+    def draw_reward(self, generator: np.random.Generator) -> float:
+        return float(self.rewards.sample(generator)[1][0])
+
+
+def _check(make: Callable[[], _Player], seed: int) -> None:
+    player = make()
+    player.send_messages()
+    player.cleanup()  # RL-Glue lets an experiment clean up, and send messages, before any init.
+    first = _run(player, seed)
+    in_mid_episode = _run(player, seed)
+    player.cleanup()
+    player.cleanup()
+    after_cleanup = _run(player, seed)
+    if player.seedable:
+        _compare(Rule.SEED, first, _run(make(), seed))
+        _compare(Rule.AFRESH, first, in_mid_episode)
+        _compare(Rule.AFRESH, first, after_cleanup)
+    if player.saveable:
+        data = player.save()  # In mid-episode for a player, who is not told that an episode is cut off.
+        loader = make()
+        loader.init(seed + 1)
+        loader.call("load", data)
+        _compare(Rule.SAVE, player.play(_partner(seed, 2)), loader.play(_partner(seed, 2)))
+        for damaged in (data[:-1], data[: len(data) // 2], b""):
+            if damaged != data:
+                other = make()
+                other.init(seed)
+                other.refuse(damaged)
+
+
+def _run(player: _Player, seed: int) -> Trace:
+    """Return the trace of an init and some episodes; leave the player in the middle of one more."""
+    trace = player.init(seed)
+    player.send_messages()
+    trace += player.play(_partner(seed, 0))
+    player.start(_partner(seed, 1))
+    player.send_messages()
+    return trace
+
+
+def _partner(seed: int, purpose: int) -> np.random.Generator:
+    # Not default_rng(seed): the player may well draw from that.
+    return np.random.default_rng((seed, purpose))
+
+
+def _compare(rule: Rule, one: Trace, other: Trace) -> None:
+    for (call, answer), (_, other_answer) in zip(one, other, strict=False):
+        if answer != other_answer:
+            raise ContractBroken(rule, f"{call} returned {answer!r} once and {other_answer!r} again")
