@@ -39,7 +39,7 @@ def program() -> str:
     here = Path(__file__).resolve()
     # An installed copy may lie inside somebody else's repository, whose commit says nothing of it.
     if _git("ls-files", "--error-unmatch", here.name, folder=here.parent) is not None:
-        commit = _git("rev-parse", "HEAD", folder=here.parent)
+        commit = _git("rev-parse", "--short=12", "HEAD", folder=here.parent)
         if commit:
             parts.append(f"commit {commit}")
             if _git("status", "--porcelain", "--untracked-files=no", folder=here.parent):

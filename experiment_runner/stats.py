@@ -1,0 +1,167 @@
+"""Numbers drawn from episode returns. Pure functions; chance comes from a generator handed over.
+
+Intervals are percentile bootstrap intervals over trials, stratified: trials are drawn again within
+each setting (a level, say), never across. Resampling and trimming are SciPy's (extra `plot`).
+Source of the method: Agarwal et al. (2021), "Deep Reinforcement Learning at the Edge of the
+Statistical Precipice". Their library, rliable, is not used: its random_state has no effect.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from glue.errors import ExperimentError
+
+__all__ = [
+    "Estimate",
+    "convergence_episode",
+    "estimate",
+    "has_scipy",
+    "interquartile_mean",
+    "mean",
+    "mean_of_last",
+    "running_mean",
+]
+
+FloatArray = npt.NDArray[np.float64]
+Statistic = Callable[..., Any]
+"""Called with an array and `axis`; returns the array without that axis."""
+
+_ELEMENTS_AT_ONCE: Final = 4_000_000  # of a resampled array, 32 MB
+
+
+class Estimate(NamedTuple):
+    """A statistic and its interval: arrays of one shape, () for a single number."""
+
+    value: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+
+def mean_of_last(returns: FloatArray, window: int = 100) -> float:
+    """Return the mean of the last `window` episode returns, or of all if there are fewer.
+
+    Args:
+        returns: (episodes,); NaN when there are none.
+        window: at least 1.
+    """
+    last = returns[-window:]
+    return float(last.mean()) if last.size else math.nan
+
+
+def running_mean(returns: FloatArray, window: int = 100) -> FloatArray:
+    """Return the mean of every `window` consecutive returns.
+
+    Args:
+        returns: (..., episodes)
+        window: at least 1.
+
+    Returns:
+        (..., episodes - window + 1), or (..., 0); element i is known after episode i + window.
+    """
+    if returns.shape[-1] < window:
+        return np.empty((*returns.shape[:-1], 0))
+    means: FloatArray = np.lib.stride_tricks.sliding_window_view(returns, window, axis=-1).mean(axis=-1)
+    return means
+
+
+def convergence_episode(returns: FloatArray, window: int = 100, tolerance: float = 2.0) -> int | None:
+    """Return the first episode from which the running mean stays close to its final value.
+
+    The running mean of `window` episodes has converged at episode e when from e on it stays within
+    `tolerance` (in reward, ends included) of its value at the last episode. It must have stayed for
+    at least `window` further episodes, which the mean at e does not contain; a curve that comes
+    close only at its very end has not converged.
+
+    Returns:
+        The episode, counting from 1, so `window` at the earliest; None when it has not converged.
+    """
+    means = running_mean(returns, window)
+    if not means.size:
+        return None
+    far = np.flatnonzero(~(np.abs(means - means[-1]) <= tolerance))
+    first = int(far[-1]) + 1 if far.size else 0
+    return first + window if len(means) - 1 - first >= window else None
+
+
+def mean(values: FloatArray, axis: int = 0) -> Any:
+    """Return the mean along an axis."""
+    return np.mean(values, axis=axis)
+
+
+def interquartile_mean(values: FloatArray, axis: int = 0) -> Any:
+    """Return the mean along an axis of the middle half: a quarter is cut at either end, rounded down.
+
+    Raises:
+        ExperimentError: SciPy is not installed.
+    """
+    return _scipy_stats().trim_mean(values, 0.25, axis=axis)
+
+
+def estimate(
+    strata: Sequence[FloatArray],
+    statistic: Statistic,
+    rng: np.random.Generator,
+    *,
+    confidence: float = 0.95,
+    resamples: int = 2000,
+) -> Estimate:
+    """Return a statistic of all trials together, and its stratified bootstrap interval.
+
+    Args:
+        strata: one array (trials, ...) for each setting; all alike after the first axis.
+        statistic: `mean`, `interquartile_mean`, or alike; over axis `axis`.
+        rng: draws the resamples; the same state gives the same interval.
+        confidence: of the interval, 0 to 1, ends excluded.
+        resamples: how many.
+
+    Returns:
+        Arrays of shape (...). Low and high are NaN when a stratum has fewer than two trials.
+
+    Raises:
+        ExperimentError: SciPy is not installed.
+    """
+    stats = _scipy_stats()
+
+    def pooled(*samples: FloatArray, axis: int) -> Any:
+        return statistic(np.concatenate(samples, axis=axis), axis=axis)
+
+    value = np.asarray(pooled(*strata, axis=0), np.float64)
+    if min(len(stratum) for stratum in strata) < 2:
+        return Estimate(value, np.full_like(value, np.nan), np.full_like(value, np.nan))
+    with np.errstate(invalid="ignore"):  # returns may be infinite
+        interval = stats.bootstrap(
+            strata,
+            pooled,
+            n_resamples=resamples,
+            batch=max(1, _ELEMENTS_AT_ONCE // sum(stratum.size for stratum in strata)),
+            vectorized=True,
+            confidence_level=confidence,
+            method="percentile",
+            rng=rng,
+        ).confidence_interval
+    return Estimate(value, np.asarray(interval.low, np.float64), np.asarray(interval.high, np.float64))
+
+
+def has_scipy() -> bool:
+    """Return whether SciPy is there, and so intervals and interquartile means."""
+    try:
+        _scipy_stats()
+    except ExperimentError:
+        return False
+    return True
+
+
+def _scipy_stats() -> Any:
+    try:
+        from scipy import stats  # type: ignore[import-untyped]  # it has no types
+    except ImportError:
+        raise ExperimentError(
+            "intervals and interquartile means need SciPy: pip install 'glue-rl[plot]'"
+        ) from None
+    return stats
