@@ -18,6 +18,7 @@ import json
 import struct
 import zlib
 from dataclasses import asdict, replace
+from decimal import Decimal
 from itertools import product
 from typing import Annotated, Any, Final
 
@@ -277,6 +278,6 @@ def _java_double(value: float) -> str:
     """Return `value` as Java prints a double: with an exponent below 0.001 and from ten million on."""
     if value == 0 or 1e-3 <= abs(value) < 1e7:
         return repr(value)
-    mantissa, exponent = f"{value:.16e}".split("e")
-    digits = repr(float(mantissa)) if float(f"{mantissa}e{exponent}") == value else mantissa
-    return f"{digits}E{int(exponent)}"
+    sign, digits, exponent = Decimal(repr(value)).normalize().as_tuple()
+    first, *others = map(str, digits)
+    return f"{'-' * sign}{first}.{''.join(others) or '0'}E{int(exponent) + len(others)}"

@@ -10,13 +10,24 @@ from types import ModuleType
 import pytest
 
 
-@pytest.fixture(scope="session")
-def golden_check() -> ModuleType:
-    """The module beside this file, which is a program too."""
-    spec = importlib.util.spec_from_file_location("golden_check", Path(__file__).with_name("golden_check.py"))
+def _beside(name: str) -> ModuleType:
+    """Return a module beside this file, one that is a program too."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
+    sys.modules[name] = module
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="session")
+def golden_check() -> ModuleType:
+    """Plays the recordings of the original."""
+    return _beside("golden_check")
+
+
+@pytest.fixture(scope="session")
+def random_play() -> ModuleType:
+    """Makes random tasks and plays them."""
+    return _beside("random_play")
