@@ -1,0 +1,141 @@
+"""What an observation of Infinite Mario shows, for those who draw it.
+
+Source: RL-Competition 2009, Infinite Mario's observation; docs/observation.md describes it.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from glue.errors import SimulatorError
+from glue.types import Observation
+
+__all__ = [
+    "COLUMNS",
+    "KINDS",
+    "ROWS",
+    "Scene",
+    "Sprite",
+    "buried_cells",
+    "is_ground",
+    "is_scene",
+    "read_scene",
+]
+
+ROWS: Final = 16
+COLUMNS: Final = 21
+_MOST_SPRITES: Final = 1000
+_FAR: Final = 1e6
+_PRINTABLE: Final = bytes(code if 32 <= code < 127 else ord(" ") for code in range(256))
+KINDS: Final = {
+    0: "Mario",
+    10: "large Mario",
+    11: "fire Mario",
+    1: "red koopa",
+    2: "green koopa",
+    3: "goomba",
+    4: "spiky",
+    5: "piranha plant",
+    6: "mushroom",
+    7: "fire flower",
+    8: "fireball",
+    9: "shell",
+}
+
+
+class Sprite(NamedTuple):
+    """Mario or a monster.
+
+    `x` and `height` are in tiles, from the level's left border and from one tile below its bottom;
+    `speed_x` and `speed_y` (up is positive) in tiles per step.
+    """
+
+    kind: int
+    winged: bool
+    x: float
+    height: float
+    speed_x: float
+    speed_y: float
+
+    @property
+    def cell(self) -> tuple[int, int]:
+        """Row and column of the tile that its feet are in, columns counted from the level's border."""
+        return ROWS - 1 - int(self.height), int(self.x)
+
+
+class Scene(NamedTuple):
+    """`rows` are 16 texts of 21 tiles, beginning at level column `column`; Mario is sprite 0."""
+
+    column: int
+    rows: tuple[str, ...]
+    sprites: tuple[Sprite, ...]
+
+
+def is_scene(observation: Observation) -> bool:
+    """Return whether the counts of `observation` are those of an observation of Infinite Mario."""
+    ints, doubles, chars = observation.counts
+    return ints >= 3 and ints % 2 == 1 and doubles == 2 * (ints - 1) and chars == ROWS * (COLUMNS + 1)
+
+
+def read_scene(observation: Observation) -> Scene:
+    """Return what `observation` shows. It may come from anywhere, a stranger's recording for instance.
+
+    Raises:
+        SimulatorError: it is no observation of Infinite Mario, or one that no level can give.
+    """
+    if not is_scene(observation):
+        ints, doubles, chars = observation.counts
+        raise SimulatorError(
+            "an observation of Infinite Mario has 1 + 2n ints, 4n doubles and 352 chars (n >= 1); "
+            f"{ints} ints, {doubles} doubles and {chars} chars came"
+        )
+    places = observation.doubles.reshape(-1, 4)
+    if len(places) > _MOST_SPRITES or not (np.abs(places) < _FAR).all():
+        raise SimulatorError(
+            f"an observation of Infinite Mario has at most {_MOST_SPRITES} sprites, each less than {_FAR:g} "
+            f"tiles away; {len(places)} came, the farthest {np.abs(places).max()} away"
+        )
+    column, *kinds = observation.ints.tolist()
+    tiles = observation.chars.translate(_PRINTABLE).decode("ascii")
+    return Scene(
+        column,
+        tuple(tiles[start : start + COLUMNS] for start in range(0, len(tiles), COLUMNS + 1)),
+        tuple(
+            Sprite(kind, winged == 1, *place)
+            for kind, winged, place in zip(kinds[::2], kinds[1::2], places.tolist(), strict=True)
+        ),
+    )
+
+
+def buried_cells(scene: Scene) -> set[tuple[int, int]]:
+    """Return the cells of the window, as row and column in it, that are inside of the ground.
+
+    An observation shows only the solid outside of ground, hills of it and ceilings; their inside is
+    blank, as the air is. Air is the blank that joins up with where Mario is.
+    """
+    row, column = scene.sprites[0].cell
+    column -= scene.column
+    reached = {(min(max(row, 0), ROWS - 1), min(max(column, 0), COLUMNS - 1))}
+    edge = list(reached)
+    while edge:
+        row, column = edge.pop()
+        for cell in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)):
+            inside = 0 <= cell[0] < ROWS and 0 <= cell[1] < COLUMNS
+            if inside and cell not in reached and not is_ground(scene.rows[cell[0]], cell[1]):
+                reached.add(cell)
+                edge.append(cell)
+    return {
+        (row, column)
+        for row in range(ROWS)
+        for column in range(COLUMNS)
+        if scene.rows[row][column] in " !"
+        and (row, column) not in reached
+        and not is_ground(scene.rows[row], column)
+    }
+
+
+def is_ground(row: str, column: int) -> bool:
+    """Return whether a tile of a row is solid; the goal's column hides ground that its neighbors show."""
+    return row[column] == "7" or (row[column] == "!" and "7" in row[max(0, column - 1) : column + 2])
