@@ -180,6 +180,8 @@ def reported(failed: str, hint: str = "") -> Iterator[None]:
     """Turn an error of the disk or the database into one for people: `failed`, the reason, `hint`."""
     try:
         yield
+    except BrokenPipeError:  # whoever read our output has seen enough, which is no error
+        raise
     except (OSError, sqlite3.Error) as error:
         raise ExperimentError(f"{failed}: {_reason(error)}{hint}") from error
 

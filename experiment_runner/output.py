@@ -16,13 +16,19 @@ __all__ = ["written"]
 def written(path: Path) -> Iterator[Path]:
     """Give a path to write to, which becomes `path` at the end, or vanishes on an exception.
 
+    A device or pipe, such as /dev/stdout, is written to directly.
+
     Raises:
         ExperimentError: the file cannot be written.
     """
-    partial = path.with_name(f".{path.name}.{os.getpid()}")
+    target = path.resolve()  # a link stays a link
     with reported(f"cannot write {path}"):
+        if target.exists() and not target.is_file():
+            yield target
+            return
+        partial = target.with_name(f".{target.name}.{os.getpid()}")
         try:
             yield partial
-            partial.replace(path)
+            partial.replace(target)
         finally:
             partial.unlink(missing_ok=True)

@@ -62,6 +62,11 @@ ABOUT_FILE: Final = "run.json"
 
 _OURS: Final = (PLAN_FILE, ABOUT_FILE, *DATABASE_FILES)
 
+_PUT_EPISODE: Final = "INSERT INTO episodes VALUES (?, ?, ?, ?, ?, ?)"
+_PUT_CHECKPOINT: Final = "REPLACE INTO checkpoints VALUES (?, ?, ?, ?)"
+_PUT_VOID: Final = "INSERT INTO voids VALUES (?, ?, ?, ?)"
+_PUT_EVENT: Final = "INSERT INTO events VALUES (?, ?, ?, ?)"
+
 
 class EpisodeResult(NamedTuple):
     """One finished episode.
@@ -361,12 +366,10 @@ class Store(Results):
             ),
             transaction(self._connection),
         ):
-            self._connection.execute("INSERT INTO episodes VALUES (?, ?, ?, ?, ?, ?)", (key, *result))
+            self._connection.execute(_PUT_EPISODE, (key, *result))
             if checkpoint is not None:
-                self._connection.execute(
-                    "REPLACE INTO checkpoints VALUES (?, ?, ?, ?)",
-                    (key, result.episode, checkpoint.agent, checkpoint.environment),
-                )
+                row = (key, result.episode, checkpoint.agent, checkpoint.environment)
+                self._connection.execute(_PUT_CHECKPOINT, row)
         self._done[trial_id] = result.episode
 
     def record_void(self, trial_id: str, episode: int, why: str) -> None:
@@ -378,7 +381,7 @@ class Store(Results):
     def record_event(self, kind: str, text: str, trial_id: str | None = None) -> None:
         """Commit that something happened; `kind` is one word, `text` is for people."""
         key = None if trial_id is None else self._key(trial_id)
-        self._execute("INSERT INTO events VALUES (?, ?, ?, ?)", self._clock(), key, kind, text)
+        self._execute(_PUT_EVENT, self._clock(), key, kind, text)
 
     def record_failure(self, trial_id: str, why: str) -> None:
         """Commit that a trial cannot go on; its episodes stay."""
@@ -398,6 +401,29 @@ class Store(Results):
             )
             self._connection.execute("UPDATE trials SET failure = NULL WHERE key = ?", (key,))
         self._done[trial_id] = min(self._done[trial_id], episode)
+
+    def adopt(self, results: Results, trial_id: str, as_id: str) -> None:
+        """Copy everything that another run recorded of a trial into a trial of this one that is empty.
+
+        Raises:
+            ExperimentError: it cannot be read or written; then nothing of it is copied.
+        """
+        key = self._key(as_id)
+        failures = [record.failure for record in results.trials() if record.spec.id == trial_id]
+        episodes = results.episodes(trial_id)
+        checkpoint = results.checkpoint(trial_id)
+        voids = [void for void in results.voids() if void.trial_id == trial_id]
+        events = [event for event in results.events() if event.trial_id == trial_id]
+        write = self._connection.executemany
+        with reported(f"cannot write to {self.directory}"), transaction(self._connection):
+            write("UPDATE trials SET failure = ? WHERE key = ?", ((why, key) for why in failures))
+            write(_PUT_EPISODE, ((key, *e) for e in episodes))
+            if checkpoint is not None:
+                episode, saved = checkpoint
+                write(_PUT_CHECKPOINT, [(key, episode, saved.agent, saved.environment)])
+            write(_PUT_VOID, ((v.time, key, v.episode, v.why) for v in voids))
+            write(_PUT_EVENT, ((e.time, key, e.kind, e.text) for e in events))
+        self._done[as_id] = len(episodes)
 
     def _key(self, trial_id: str) -> int:
         if trial_id not in self._keys:
