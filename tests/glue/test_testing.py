@@ -224,11 +224,25 @@ class SpeaksOnlyInEpisodes(Corridor):
         return f"at {self.observe()}"
 
 
-class CleansUpOnce(Corridor):
+class CleansUpOnlyWhatInitTook(Corridor):
+    def env_init(self) -> str:
+        self.taken = "a window"
+        return super().env_init()
+
     def env_cleanup(self) -> None:
-        if not self.ready:
-            raise SimulatorError("nothing to clean up")
-        super().env_cleanup()
+        assert self.taken
+
+
+class CleansUpOnce(Corridor):
+    taken: str | None = "a window"
+
+    def env_init(self) -> str:
+        self.taken = "a window"
+        return super().env_init()
+
+    def env_cleanup(self) -> None:
+        assert self.taken
+        self.taken = None
 
 
 class InitsOnce(Corridor):
@@ -371,6 +385,7 @@ BROKEN_ENVIRONMENTS: list[tuple[type[Corridor], Rule]] = [
     (NoMessage, Rule.METHODS),
     (SpeaksOnlyWhenReady, Rule.CALLS),
     (SpeaksOnlyInEpisodes, Rule.CALLS),
+    (CleansUpOnlyWhatInitTook, Rule.CALLS),
     (CleansUpOnce, Rule.CALLS),
     (InitsOnce, Rule.CALLS),
     (NeverInitsAgain, Rule.CALLS),
