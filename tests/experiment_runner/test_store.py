@@ -14,6 +14,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from experiment_runner import database
 from experiment_runner.lock import lock_holder
@@ -197,6 +199,46 @@ def test_trial_with_all_its_episodes_is_finished(tmp_path: Path) -> None:
         assert not store.trials()[0].finished
         store.record("remote/remote/0", result(2))
         assert store.trials()[0].finished
+
+
+operations = st.lists(
+    st.one_of(
+        st.tuples(st.just("record"), st.sampled_from([FIRST, THIRD]), st.booleans()),
+        st.tuples(st.just("rewind"), st.sampled_from([FIRST, THIRD]), st.integers(0, 12)),
+        st.tuples(st.just("reopen"), st.none(), st.none()),
+    ),
+    max_size=30,
+)
+
+
+@settings(max_examples=50, deadline=None)
+@given(operations)
+def test_store_is_what_was_done_to_it(operations: list[tuple[str, str, int]]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        store = Store.create(Path(folder) / "run", PLAN.expand(), FILES)
+        episodes: dict[str, int] = {FIRST: 0, THIRD: 0}
+        checkpoints: dict[str, int] = {}
+        for operation, trial, value in operations:
+            if operation == "record":
+                episodes[trial] += 1
+                if value:
+                    checkpoints[trial] = episodes[trial]
+                saved = Checkpoint(b"%d" % episodes[trial]) if value else None
+                store.record(trial, result(episodes[trial]), saved)
+            elif operation == "rewind":
+                store.rewind(trial, value)
+                episodes[trial] = min(episodes[trial], value)
+                if checkpoints.get(trial, 0) > value:
+                    del checkpoints[trial]
+            else:
+                store.close()
+                store = Store.open(store.directory)
+        assert store.checkpointed() == checkpoints
+        for trial, done in episodes.items():
+            assert store.episodes(trial) == [result(episode) for episode in range(1, done + 1)]
+        for trial, episode in checkpoints.items():
+            assert store.checkpoint(trial) == (episode, Checkpoint(b"%d" % episode))
+        store.close()
 
 
 # What cannot be a run directory, or is not one.
