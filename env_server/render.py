@@ -145,7 +145,8 @@ class TerminalScreen:
         self._waiting = None
         status = f"step {step}  reward {reward:g}  return {episode_return:.2f}{_speed(observation)}"
         lines = [*draw_text(observation, self._color), status, title]
-        lines = lines[max(0, len(lines) - os.get_terminal_size(self._stream.fileno()).lines) :]
+        height = os.get_terminal_size(self._stream.fileno()).lines or len(lines)  # 0 is unknown
+        lines = lines[-height:]
         # Line by line over the last drawing: to clear the screen for each would flicker. A line that is
         # too long must not wrap.
         begin = _HOME if self._shown else _HIDE_CURSOR + _CLEAR_SCREEN + _HOME
