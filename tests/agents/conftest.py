@@ -1,0 +1,113 @@
+"""Screens drawn by hand, and what an agent learned, key by key."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from agents._jit import new
+from agents.checkpoint import unpack
+from agents.keys import extend, feature
+from agents.learner import MarioLearner
+from agents.objects import THREATS_2010, Object, Scene, Senses, look, set_senses
+from agents.observation import Screen
+from glue.types import Observation
+
+ROWS, COLUMNS = 16, 21
+TASK_SPEC = (
+    "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 "
+    "ACTIONS INTS (-1 1) (2 0 1)  REWARDS (-10.0 100.0)"
+)
+
+Monster = tuple[int, float, float, float, float]
+"""A sprite's kind, x, y, and two speeds."""
+Draw = Callable[..., Observation]
+Key = Callable[..., int]
+Learned = Callable[[MarioLearner], dict[int, float]]
+
+
+@pytest.fixture
+def task_spec() -> str:
+    """The task spec of Infinite Mario with its default parameters."""
+    return TASK_SPEC
+
+
+@pytest.fixture
+def draw() -> Draw:
+    """Draw a screen: its lowest rows from top to bottom, M for Mario; the rest is blank.
+
+    Mario stands in the middle of his tile, a sixteenth above its floor, unless `at` says where.
+    """
+
+    def drawn(
+        *rows: str,
+        monsters: Sequence[Monster] = (),
+        camera: int = 0,
+        mario: int = 0,
+        at: tuple[float, float] | None = None,
+        speed: tuple[float, float] = (0.0, 0.0),
+    ) -> Observation:
+        screen = [" " * COLUMNS] * (ROWS - len(rows)) + [row.ljust(COLUMNS) for row in rows]
+        chars = "".join(row + "\n" for row in screen)
+        if at is None:
+            place = chars.index("M")
+            at = (camera + place % (COLUMNS + 1) + 0.5, ROWS - 1 - place // (COLUMNS + 1) + 0.0625)
+        sprites = [(mario, *at, *speed), *monsters]
+        ints = [camera, *(number for sprite in sprites for number in (sprite[0], 0))]
+        doubles = [number for sprite in sprites for number in sprite[1:]]
+        return Observation(ints, doubles, chars.encode("latin-1"))
+
+    return drawn
+
+
+class Watcher:
+    """Sees screens one after the other, as an agent does within an episode."""
+
+    def __init__(self, **senses: Any) -> None:
+        self.scene = new(Scene)
+        self.senses = new(Senses)
+        set_senses(self.senses[0], **{"grid": 2, "threats": THREATS_2010, **senses})
+
+    def __call__(self, observation: Observation) -> list[Object]:
+        """Return the objects of a screen."""
+        assert look(cast(Scene, self.scene[0]), cast(Senses, self.senses[0]), observation.body)
+        count = int(self.scene["count"][0])
+        return [cast(Object, thing) for thing in self.scene["objects"][0][:count].view(np.recarray).copy()]
+
+    @property
+    def screen(self) -> Screen:
+        """The tiles and sprites seen last."""
+        return cast(Screen, self.scene.view(np.recarray)[0].screen)
+
+
+@pytest.fixture
+def watch() -> type[Watcher]:
+    """Make a watcher, with the senses that an argument names."""
+    return Watcher
+
+
+@pytest.fixture
+def key() -> Key:
+    """Return the key of a row of whole numbers."""
+
+    def key_of(first: int, *others: int) -> int:
+        key = feature(first)
+        for number in others:
+            key = extend(np.uint64(key), number)
+        return int(key)
+
+    return key_of
+
+
+@pytest.fixture
+def learned() -> Learned:
+    """Return what an agent has learned: values by key."""
+
+    def values(agent: MarioLearner) -> dict[int, float]:
+        saved = unpack(agent.agent_save(), agent.name, agent._settings())
+        return dict(zip(saved.arrays["keys"].tolist(), saved.arrays["values"].tolist(), strict=True))
+
+    return values
