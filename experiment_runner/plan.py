@@ -1,28 +1,7 @@
 """An experiment as data: agents, environments, episodes, trials, a seed.
 
-A plan is written in TOML so that it reads at a glance:
-
-    episodes = 5000
-    trials = 10
-    seed = 1
-
-    [environments.mario]
-    level_seed = 121
-    level_difficulty = [0, 1]
-
-    [agents.sample]
-
-    [agents.hierarchical]
-    step_size = [0.1, 0.3]
-
-    [agents.textbook]
-    class = "tiles"
-    terminal_update = true
-
-A table is headed by the name of an agent or environment, or by a label of your own with the name
-under `class`. A list of values is swept over. Every agent meets every environment, in every
-combination of the swept values, `trials` times. Leave out `agents` (or `environments`) when that
-role connects from outside.
+Every agent meets every environment, in every combination of the swept values, `trials` times. See
+`experiment_runner.plan_file` for how it is written down.
 
 A trial's id says which combination it is, `hierarchical/step_size=0.1/mario/level_difficulty=0/3`,
 and its seed follows from the experiment's seed and that id alone. So neither the order of trials
@@ -34,13 +13,10 @@ from __future__ import annotations
 import difflib
 import hashlib
 import itertools
-import json
 import re
-import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -48,6 +24,8 @@ from glue.errors import ConfigError, ExperimentError
 from glue.options import Value, parameters
 
 __all__ = [
+    "COUNTS",
+    "ROLES",
     "Plan",
     "RoleSpec",
     "RoleSweep",
@@ -55,19 +33,18 @@ __all__ = [
     "check_options",
     "describe",
     "differences",
-    "dump_plan",
-    "load_plan",
-    "parse_plan",
+    "near_misses",
+    "plain",
     "trial_seed",
 ]
 
-_COUNTS: Final = {
+COUNTS: Final = {  # of a plan, and the values they may have
     "episodes": range(1, 2**63),
     "max_steps": range(2**32),
-    "trials": range(1, 2**63),
+    "trials": range(1, 1_000_001),
     "seed": range(2**63),
 }
-_ROLES: Final = ("environments", "agents")
+ROLES: Final = ("environments", "agents")
 _LABEL: Final = re.compile(r"[A-Za-z0-9_.+-]+")
 
 
@@ -124,7 +101,7 @@ class RoleSweep:
         expanded = []
         for values in itertools.product(*map(_as_tuple, self.options.values())):
             options = dict(zip(self.options, values, strict=True))
-            swept = [f"{o}={_plain(v)}" for o, v in options.items() if isinstance(self.options[o], tuple)]
+            swept = [f"{o}={plain(v)}" for o, v in options.items() if isinstance(self.options[o], tuple)]
             expanded.append(("/".join([self.label, *swept]), RoleSpec(self.name, options, self.label)))
         return expanded
 
@@ -166,13 +143,13 @@ class Plan:
     agents: tuple[RoleSweep, ...] = ()
 
     def __post_init__(self) -> None:
-        for name, allowed in _COUNTS.items():
+        for name, allowed in COUNTS.items():
             value = getattr(self, name)
             if type(value) is not int or value not in allowed:
                 raise ExperimentError(
                     f"{name} must be a whole number from {allowed[0]} to {allowed[-1]}, not {value!r}"
                 )
-        for role in _ROLES:
+        for role in ROLES:
             labels = [sweep.label for sweep in getattr(self, role)]
             for label in labels:
                 if labels.count(label) > 1:
@@ -208,56 +185,6 @@ def trial_seed(seed: int, trial_id: str) -> int:
     return int(state[0]) >> 1
 
 
-def load_plan(path: Path) -> Plan:
-    """Return the plan in a TOML file.
-
-    Raises:
-        ExperimentError: the file cannot be read, or is not a plan; the message names the file.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ExperimentError(f"cannot read the plan {path}: {_reason(error)}") from error
-    try:
-        return parse_plan(text)
-    except ExperimentError as error:
-        raise ExperimentError(f"{path}: {error}") from error
-
-
-def parse_plan(text: str) -> Plan:
-    """Return the plan that a TOML text describes.
-
-    Raises:
-        ExperimentError: it is not TOML, or a key or value is not one of a plan's.
-    """
-    try:
-        document = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ExperimentError(f"this is not TOML: {error}") from error
-    known = (*_COUNTS, *_ROLES)
-    for key in document:
-        if key not in known:
-            raise ExperimentError(f"a plan has no {key!r}{_near(key, known)}")
-    if "episodes" not in document:
-        raise ExperimentError("a plan says how many episodes a trial has, as in: episodes = 1000")
-    counts = {name: document[name] for name in _COUNTS if name in document}
-    return Plan(
-        **counts,
-        environments=_parse_roles("environments", document),
-        agents=_parse_roles("agents", document),
-    )
-
-
-def dump_plan(plan: Plan) -> str:
-    """Return the plan as TOML that `parse_plan` reads back to an equal plan."""
-    lines = [f"{name} = {getattr(plan, name)}" for name in _COUNTS]
-    for role in _ROLES:
-        for sweep in getattr(plan, role):
-            lines += ["", f"[{role}.{_toml_key(sweep.label)}]", f"class = {_toml_value(sweep.name)}"]
-            lines += [f"{_toml_key(name)} = {_toml_value(value)}" for name, value in sweep.options.items()]
-    return "\n".join(lines) + "\n"
-
-
 def check_options(plan: Plan, find: Callable[[str, str], type]) -> Plan:
     """Return the plan with every option checked by the class it belongs to, whole numbers widened.
 
@@ -278,10 +205,10 @@ def differences(ours: Plan, theirs: Plan) -> list[str]:
     """Return what `theirs` has otherwise than `ours`, a line each; empty when they are equal."""
     found = [
         f"{name} is {getattr(theirs, name)}, not {getattr(ours, name)}"
-        for name in _COUNTS
+        for name in COUNTS
         if getattr(ours, name) != getattr(theirs, name)
     ]
-    for role in _ROLES:
+    for role in ROLES:
         our_sweeps, their_sweeps = ({s.label: s for s in getattr(plan, role)} for plan in (ours, theirs))
         found += [f"{role} lack {label}" for label in our_sweeps if label not in their_sweeps]
         found += [f"{role} include {label}" for label in their_sweeps if label not in our_sweeps]
@@ -325,39 +252,19 @@ def _expand_role(sweeps: Sequence[RoleSweep]) -> list[tuple[str, RoleSpec | None
     return [(part, spec) for sweep in sweeps for part, spec in sweep.expand()]
 
 
-def _parse_roles(role: str, document: Mapping[str, Any]) -> tuple[RoleSweep, ...]:
-    tables = document.get(role, {})
-    if not isinstance(tables, dict):
-        raise ExperimentError(f"{role} are written as tables, as in: [{role}.NAME]")
-    return tuple(_parse_role(role, key, table) for key, table in tables.items())
-
-
-def _parse_role(role: str, key: str, table: object) -> RoleSweep:
-    if not isinstance(table, dict):
-        raise ExperimentError(f"{role}.{key} is written as a table, as in: [{role}.{key}]")
-    options: dict[str, Any] = {
-        name: tuple(value) if isinstance(value, list) else value for name, value in table.items()
-    }
-    name = options.pop("class", None)
-    if name is None:
-        return RoleSweep(key, options)
-    if not isinstance(name, str):
-        raise ExperimentError(f"class of {role}.{key} names one class, not {name!r}")
-    return RoleSweep(name, options, key)
-
-
 def _check_sweep(sweep: RoleSweep, factory: type) -> RoleSweep:
     known = parameters(factory)
     options: dict[str, Value | tuple[Value, ...]] = {}
     for name, value in sweep.options.items():
         if name not in known:
-            raise ConfigError(f"{sweep.label} has no option {name}{_near(name, known)}")
+            raise ConfigError(f"{sweep.label} has no option {name}{near_misses(name, known)}")
         check = known[name].check
         options[name] = tuple(map(check, value)) if isinstance(value, tuple) else check(value)
     return replace(sweep, options=options)
 
 
-def _near(word: str, known: Iterable[str]) -> str:
+def near_misses(word: str, known: Iterable[str]) -> str:
+    """Return the rest of a message about an unknown word: what may have been meant, or what there is."""
     known = list(known)
     near = difflib.get_close_matches(word, known, n=3)
     if near:
@@ -376,25 +283,9 @@ def _as_tuple(value: Value | tuple[Value, ...]) -> tuple[Value, ...]:
 def _shown(options: Mapping[str, Value | tuple[Value, ...]], name: str) -> str:
     if name not in options:
         return "the default"
-    return ",".join(_plain(value) for value in _as_tuple(options[name]))
+    return ",".join(plain(value) for value in _as_tuple(options[name]))
 
 
-def _plain(value: Value) -> str:
+def plain(value: Value) -> str:
+    """Return the text of an option's value, as ids and TOML have it."""
     return str(value).lower() if isinstance(value, bool) else str(value)
-
-
-def _toml_key(key: str) -> str:
-    return key if re.fullmatch(r"[A-Za-z0-9_-]+", key) else _toml_value(key)
-
-
-def _toml_value(value: Value | tuple[Value, ...]) -> str:
-    if isinstance(value, tuple):
-        return f"[{', '.join(map(_toml_value, value))}]"
-    if isinstance(value, str):
-        # JSON's escapes are TOML's, but TOML also wants DEL escaped.
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return _plain(value)
-
-
-def _reason(error: OSError | UnicodeDecodeError) -> str:
-    return (error.strerror or str(error)) if isinstance(error, OSError) else "it is not UTF-8 text"

@@ -13,7 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from experiment_runner.plan import Plan, differences, dump_plan, load_plan
+from experiment_runner.plan import Plan, differences
+from experiment_runner.plan_file import dump_plan, load_plan
 from experiment_runner.provenance import about, program
 from experiment_runner.store import ABOUT_FILE, PLAN_FILE, Results, Store
 from glue.errors import ExperimentError

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import experiment_runner.plan as plan_module
+import experiment_runner.plan_file as plan_file
 from experiment_runner.plan import (
     Plan,
     RoleSpec,
@@ -17,11 +17,9 @@ from experiment_runner.plan import (
     check_options,
     describe,
     differences,
-    dump_plan,
-    load_plan,
-    parse_plan,
     trial_seed,
 )
+from experiment_runner.plan_file import dump_plan, load_plan, parse_plan
 from glue.errors import ConfigError, ExperimentError
 from glue.options import Option
 
@@ -57,7 +55,7 @@ def find(role: str, name: str) -> type:
 
 
 def test_plan_of_the_manual_expands_to_every_combination() -> None:
-    manual = textwrap.dedent((plan_module.__doc__ or "").split("glance:\n")[1].split("\nA table")[0])
+    manual = textwrap.dedent((plan_file.__doc__ or "").split("glance:\n")[1].split("\nA table")[0])
     specs = parse_plan(manual).expand()
     assert len(specs) == (1 + 2 + 1) * 2 * 10
     assert "hierarchical/step_size=0.1/mario/level_difficulty=0/3" in [spec.id for spec in specs]

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.plan import Plan, RoleSweep, load_plan
+from experiment_runner.plan import Plan, RoleSweep
+from experiment_runner.plan_file import load_plan
 from experiment_runner.provenance import program
 from experiment_runner.resume import Remaining, create_run, remaining, resume_run
 from experiment_runner.store import ABOUT_FILE, PLAN_FILE, Checkpoint, EpisodeResult, Results, Store

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.plan import parse_plan
+from experiment_runner.plan_file import parse_plan
 from experiment_runner.resume import create_run
 from experiment_runner.settings import Setting, collect
 from experiment_runner.store import EpisodeResult, Results, Store
