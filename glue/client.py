@@ -48,7 +48,7 @@ from glue.messages import CALLS, PROTOCOL_VERSION, Body, ErrorCode, Event, Kind,
 from glue.roles import Agent, Environment, capabilities
 from glue.sessions import INSTANCE_SIZE
 from glue.types import Action, Observation, body_size
-from glue.wire import FROM_HUB, MAX_BODY, TO_HUB, decode, encode
+from glue.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, clip, decode, encode
 from glue.zmq_transport import Context, DealerTransport
 
 __all__ = ["RemoteExperiment", "connect", "serve_agent", "serve_environment"]
@@ -136,7 +136,7 @@ class _Link:
         self._heartbeat, self._patience = _HEARTBEAT, _PATIENCE
         self._welcomed: set[str] = set()
         self._transport = DealerTransport(
-            context or zmq.Context.instance(), hub, _HEARTBEAT, _PATIENCE, MAX_BODY + 1024
+            context or zmq.Context.instance(), hub, _HEARTBEAT, _PATIENCE, 2 * MAX_BODY + MAX_HEADER
         )
         self._transport.wait_at_most(_HEARTBEAT)
         self._heard = time.monotonic()
@@ -285,12 +285,13 @@ def _serve(
             elif message.kind in CALLS:
                 try:
                     answer = player.answer(message)
+                    if answer is not None:
+                        link.send(answer)
                 except Exception as error:
                     reason = f"{type(error).__name__} in {message.kind.name.lower()}"
-                    _report(link, role, player, message, error)
-                    raise PeerFailed(_failure(role, player, message, error)) from error
-                if answer is not None:
-                    link.send(answer)
+                    text = _report(link, message, error)
+                    what = message.kind.name.lower()
+                    raise PeerFailed(f"{role} {player.name} raised in {what}: {text}") from error
     except HubClosed as goodbye:
         reason = "goodbye"
         return str(goodbye)
@@ -298,18 +299,13 @@ def _serve(
         link.close(reason)
 
 
-def _report(link: _Link, role: Role, player: _Player, message: Message, error: Exception) -> None:
-    """Show the user's own mistake where it happened, and tell the hub in a few words."""
+def _report(link: _Link, message: Message, error: Exception) -> str:
+    """Show the user's own mistake where it happened; tell the hub in a few words, and return them."""
     if not isinstance(error, GlueError):
         traceback.print_exception(error)
     text = str(error) if isinstance(error, GlueError) else f"{type(error).__name__}: {error}"
-    scalars = (str(ErrorCode.EXCEPTION), text[:1000])
-    link.send(Message(Kind.ERROR, message.session, message.seq, scalars))
-
-
-def _failure(role: Role, player: _Player, message: Message, error: Exception) -> str:
-    text = str(error) if isinstance(error, GlueError) else f"{type(error).__name__}: {error}"
-    return f"{role} {player.name} raised in {message.kind.name.lower()}: {text}"
+    link.send(Message(Kind.ERROR, message.session, message.seq, (str(ErrorCode.EXCEPTION), clip(text))))
+    return text
 
 
 class RemoteExperiment(Experiment):
@@ -394,7 +390,9 @@ class RemoteExperiment(Experiment):
                 self._notice(message)
             elif message.kind is Kind.WELCOME:
                 if not message.scalars[1]:
-                    raise HubClosed("the hub was started anew, and knows nothing of this experiment")
+                    raise HubClosed(
+                        "the hub knows nothing of this experiment: it was started anew, or had given us up"
+                    )
                 link.send(request)
             elif message.seq == self._seq:
                 if message.kind is Kind.ERROR:
@@ -435,7 +433,12 @@ def _write(value: Any) -> bytes:
     if value is None:
         return b""
     if type(value) is str:
-        return value.encode("utf-8", "surrogateescape")
+        try:
+            return value.encode("utf-8", "surrogateescape")
+        except UnicodeEncodeError as error:
+            raise LocalProtocolError(
+                f"{value!r:.80} is no text that UTF-8 can carry: {error.reason}"
+            ) from None
     if type(value) is bytes:
         return value
     body: bytes = value.body

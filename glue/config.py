@@ -20,6 +20,9 @@ DEFAULT_SESSION: Final = "default"
 _IPC_PATH_LIMIT: Final = 107
 """Bytes in the path of a Unix socket; Linux, sockaddr_un."""
 
+_LONGEST_PATIENCE: Final = 7 * 86400.0
+"""Seconds; libzmq counts milliseconds in 31 bits."""
+
 _TCP: Final = re.compile(r"tcp://(?P<host>\[[0-9a-fA-F:]+\]|[^:/\[\]]+):(?P<port>\d+|\*)")
 
 
@@ -31,12 +34,13 @@ class HubConfig:
         bind: URLs to listen on; `tcp://host:*` takes any free port.
         heartbeat: seconds between signs of life, and so the time in which a cut connection is noticed.
         patience: seconds that a peer may be unreachable before it is given up and its episode is void.
-        max_body: greatest body, in bytes.
+        max_body: greatest observation, action or text, in bytes.
         max_sessions: sessions at once; a peer that would open one more is refused.
         insecure: allow addresses that other machines can reach. Peers are not authenticated.
 
     Raises:
-        ConfigError: an address is malformed, or open to others without `insecure`.
+        ConfigError: an address is malformed, or open to others without `insecure`; a time or a limit is
+            out of range.
     """
 
     bind: tuple[str, ...] = (DEFAULT_HUB,)
@@ -54,11 +58,15 @@ class HubConfig:
                     f"{url} can be reached from other machines, and peers are not authenticated: "
                     f"bind tcp://127.0.0.1:PORT, or say --insecure if the network is your own"
                 )
-        if not 0 < self.heartbeat <= self.patience:
+        if not 0 < self.heartbeat <= self.patience <= _LONGEST_PATIENCE:
             raise ConfigError(
-                f"the heartbeat must be positive and at most the patience; they are {self.heartbeat:g} s "
-                f"and {self.patience:g} s"
+                f"the heartbeat must be positive and at most the patience, which is a week or less; "
+                f"they are {self.heartbeat:g} s and {self.patience:g} s"
             )
+        if not 1 <= self.max_body <= MAX_BODY:
+            raise ConfigError(f"the greatest body is from 1 to {MAX_BODY} bytes, not {self.max_body}")
+        if self.max_sessions < 1:
+            raise ConfigError(f"a hub serves at least one session, not {self.max_sessions}")
 
 
 def check_url(url: str) -> str:

@@ -52,17 +52,14 @@ class LocalExperiment(Experiment):
                 if handler is None:
                     call, scalars, body = self._without(call)
                 else:
-                    scalars, body = handler(scalars, body)
+                    try:
+                        scalars, body = handler(scalars, body)
+                    except Exception as error:
+                        raise self._failure(call, error) from error
                     call, scalars, body = engine.resume(call, scalars, body)
-        except BaseException as error:
+        except BaseException:
             engine.abort()
-            if not isinstance(error, Exception) or isinstance(error, GlueError):
-                raise
-            role = CALLS[call].callee
-            assert role is not None
-            raise PeerFailed(
-                f"{role} {self._names[role]} raised in {call.name.lower()}: {type(error).__name__}: {error}"
-            ) from error
+            raise
         return scalars, body
 
     def _without(self, kind: Kind) -> Step:
@@ -72,3 +69,9 @@ class LocalExperiment(Experiment):
         role = CALLS[kind].callee
         assert role is not None
         raise Unsupported(unsupported(kind, role, self._names[role]))
+
+    def _failure(self, kind: Kind, error: Exception) -> PeerFailed:
+        role = CALLS[kind].callee
+        assert role is not None
+        text = str(error) if isinstance(error, GlueError) else f"{type(error).__name__}: {error}"
+        return PeerFailed(f"{role} {self._names[role]} raised in {kind.name.lower()}: {text}")

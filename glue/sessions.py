@@ -8,7 +8,7 @@ network drops:
   that is outstanding changes nothing.
 - A peer says who it is, in its HELLO, by a random number of its own: its instance. When the same
   instance comes back over a new connection, the outstanding call is sent again; the peer, if it has
-  answered already, repeats its answer.
+  answered already, repeats its answer. In the same way an experiment is sent the last reply again.
 - A peer that stays unreachable for longer than the hub's patience, or in whose place another appears,
   is lost: the episode under way is void, and the experiment is told.
 """
@@ -180,16 +180,19 @@ class Switchboard:
                 return ErrorCode.ROLE_TAKEN, text
             self._lose(current, "was replaced by another")
             current = None
-        label = clip(f"{name} ({codec})", _MAX_LABEL)
         resumed = session.knows(role, instance)
-        if current is not None:
-            self._peers.pop((current.route, session.name), None)
-        peer = _Peer(session, role, route, instance, label, frozenset(map(str, capabilities)))
-        self._sessions[session.name] = session
-        self._peers[route, session.name] = peer
         config = self._config
         welcome = (PROTOCOL_VERSION, resumed, config.heartbeat, config.patience, config.max_body)
         self._send(route, Message(Kind.WELCOME, session.name, message.seq, welcome))
+        if current is not None:
+            if current.route == route:
+                # It has missed nothing. To send more again would let it fill the hub's memory.
+                return None
+            del self._peers[current.route, session.name]
+        label = clip(f"{name} ({codec})", _MAX_LABEL)
+        peer = _Peer(session, role, route, instance, label, frozenset(map(str, capabilities)))
+        self._sessions[session.name] = session
+        self._peers[route, session.name] = peer
         if current is None:
             self._log(f"session {session.name!r}: {role} {label} {'returned' if resumed else 'joined'}")
         session.join(peer, resumed, announce=current is None)
@@ -255,11 +258,13 @@ class _Session:
         role = peer.role
         self.peers[role] = peer
         if role is Role.EXPERIMENT:
-            if not resumed:
-                self._forget_experiment()
             for player in self.peers.values():
                 if player is not peer:
                     self._notify(Event.JOINED, player)
+            if resumed:
+                self.repeat(peer)
+            else:
+                self._forget_experiment()
             return
         self._former[role] = peer.instance
         if announce:
@@ -298,10 +303,9 @@ class _Session:
             self._fail(code, reason)
 
     def request(self, peer: _Peer, message: Message) -> None:
-        """Begin on a verb of the experiment, or repeat the last reply if it asks once more."""
+        """Begin on a verb of the experiment."""
         if message.seq <= self._request_seq:
-            if message.seq == self._request_seq and self._reply is not None:
-                self._board.deliver(peer, self._reply)
+            # It was heard; if its reply was missed, the HELLO of the new connection brought it.
             return
         engine = self._engine
         if engine.verb is not None:

@@ -7,6 +7,7 @@ that computes for minutes stays connected while one that was killed, or whose ca
 from __future__ import annotations
 
 import errno
+import socket
 from collections.abc import Sequence
 from typing import Final
 
@@ -18,43 +19,52 @@ __all__ = ["Context", "DealerTransport", "RouterTransport"]
 
 Context = zmq.Context[zmq.Socket[bytes]]
 
+# As plain ints: on the hot path, pyzmq's flags cost more than what they say.
+_NOBLOCK: Final = int(zmq.NOBLOCK)
+_MORE: Final = int(zmq.SNDMORE)
+_NOBLOCK_MORE: Final = _NOBLOCK | _MORE
+
 _LINGER_MS: Final = 1000
 """How long a closing socket tries to deliver its last words, in milliseconds."""
 
-_RECEIVE_QUEUE: Final = 64
-"""Messages that are read ahead from one peer; behind it, the network holds the sender back."""
+_HUB_READS_AHEAD: Final = 64
+"""Messages that the hub reads ahead from one peer; behind it, the network holds the sender back."""
+
+_PEER_READS_AHEAD: Final = 0
+"""No limit: heartbeats pile up while a player computes, and a full queue would stop those of ZMTP."""
 
 _SEND_QUEUE: Final = 4096
 """Messages that wait for one peer: a call for each session that it serves, and heartbeats."""
 
 
-def _prepare(socket: zmq.Socket[bytes], heartbeat: float, patience: float, max_body: int) -> None:
-    socket.setsockopt(zmq.LINGER, _LINGER_MS)
-    socket.setsockopt(zmq.SNDHWM, _SEND_QUEUE)
-    socket.setsockopt(zmq.RCVHWM, _RECEIVE_QUEUE)
-    socket.setsockopt(zmq.MAXMSGSIZE, max_body)
-    socket.setsockopt(zmq.HEARTBEAT_IVL, max(1, int(heartbeat * 1000)))
-    socket.setsockopt(zmq.HEARTBEAT_TIMEOUT, max(1, int(patience * 1000)))
+def _prepare(made: zmq.Socket[bytes], heartbeat: float, patience: float, max_frame: int, ahead: int) -> None:
+    made.setsockopt(zmq.LINGER, _LINGER_MS)
+    made.setsockopt(zmq.SNDHWM, _SEND_QUEUE)
+    made.setsockopt(zmq.RCVHWM, ahead)
+    made.setsockopt(zmq.MAXMSGSIZE, max_frame)
+    made.setsockopt(zmq.HEARTBEAT_IVL, max(1, int(heartbeat * 1000)))
+    made.setsockopt(zmq.HEARTBEAT_TIMEOUT, max(1, int(patience * 1000)))
 
 
 class RouterTransport:
-    """The hub's end. A route is the identity that the ROUTER gives to a connection: new with each one.
+    """The hub's end. A route is the routing id that the ROUTER gives to a connection: new with each one.
 
     Raises:
         ConfigError: an address is taken or cannot be bound.
     """
 
     def __init__(
-        self, context: Context, bind: Sequence[str], heartbeat: float, patience: float, max_body: int
+        self, context: Context, bind: Sequence[str], heartbeat: float, patience: float, max_frame: int
     ) -> None:
         self.socket = context.socket(zmq.ROUTER)
-        _prepare(self.socket, heartbeat, patience, max_body)
+        _prepare(self.socket, heartbeat, patience, max_frame, _HUB_READS_AHEAD)
         # Without it a message for a route that is gone would vanish silently.
         self.socket.setsockopt(zmq.ROUTER_MANDATORY, 1)
         self.endpoints: list[str] = []
         for url in bind:
             try:
                 self.socket.setsockopt(zmq.IPV6, "[" in url)
+                _check_path_is_free(url)
                 self.socket.bind(url)
             except zmq.ZMQError as error:
                 self.socket.close(0)
@@ -63,30 +73,31 @@ class RouterTransport:
 
     def send(self, route: bytes, frames: Sequence[bytes]) -> bool:
         """Send a message; return False, having sent nothing, if the route is gone or does not read."""
+        send = self.socket.send
         try:
-            self.socket.send_multipart((route, *frames), zmq.NOBLOCK)
+            send(route, _NOBLOCK_MORE)
+            for frame in frames[:-1]:
+                send(frame, _NOBLOCK_MORE)
+            send(frames[-1], _NOBLOCK)
         except zmq.ZMQError as error:
             if error.errno in (errno.EHOSTUNREACH, errno.EAGAIN):
                 return False
             raise
         return True
 
-    def pending(self) -> bool:
-        """Return whether a message waits to be received."""
-        return (int(self.socket.get(zmq.EVENTS)) & zmq.POLLIN) != 0
-
     def receive(self) -> tuple[bytes, list[bytes]]:
-        """Return the next message, which must be pending, and the route it came by.
+        """Return the next message, which must be there, and the route it came by.
 
         No more than three frames are kept: that is one too many, which is all that need be known.
         """
-        socket = self.socket
-        route = socket.recv(zmq.NOBLOCK)
-        frames: list[bytes] = []
-        while socket.getsockopt(zmq.RCVMORE):
-            frame = socket.recv(zmq.NOBLOCK)
+        recv = self.socket.recv
+        route = recv(_NOBLOCK)
+        frame = recv(_NOBLOCK, False)  # behind its route, a message has one frame at least
+        frames = [frame.bytes]
+        while frame.more:
+            frame = recv(_NOBLOCK, False)
             if len(frames) < 3:
-                frames.append(frame)
+                frames.append(frame.bytes)
         return route, frames
 
     def close(self) -> None:
@@ -97,9 +108,9 @@ class RouterTransport:
 class DealerTransport:
     """A peer's end. It connects when the hub is there, and again whenever the connection breaks."""
 
-    def __init__(self, context: Context, url: str, heartbeat: float, patience: float, max_body: int) -> None:
+    def __init__(self, context: Context, url: str, heartbeat: float, patience: float, max_frame: int) -> None:
         self.socket = context.socket(zmq.DEALER)
-        _prepare(self.socket, heartbeat, patience, max_body)
+        _prepare(self.socket, heartbeat, patience, max_frame, _PEER_READS_AHEAD)
         self.socket.setsockopt(zmq.RECONNECT_IVL, 50)
         self.socket.setsockopt(zmq.RECONNECT_IVL_MAX, 1000)
         self.socket.setsockopt(zmq.SNDTIMEO, 0)
@@ -117,7 +128,9 @@ class DealerTransport:
     def send(self, frames: Sequence[bytes]) -> bool:
         """Queue a message; return False if the queue is full, as it is while there is no hub."""
         try:
-            self.socket.send_multipart(frames)
+            for frame in frames[:-1]:
+                self.socket.send(frame, _MORE)
+            self.socket.send(frames[-1], 0)
         except zmq.Again:
             return False
         return True
@@ -125,13 +138,28 @@ class DealerTransport:
     def receive(self) -> list[bytes] | None:
         """Return the next message, or None if none came in time."""
         try:
-            return self.socket.recv_multipart()
+            frame = self.socket.recv(0, False)
+            frames = [frame.bytes]
+            while frame.more:
+                frame = self.socket.recv(0, False)
+                frames.append(frame.bytes)
+            return frames
         except zmq.Again:
             return None
 
     def close(self, linger: float | None = None) -> None:
         """Close, giving the last messages at most `linger` seconds (by default one) to leave."""
         self.socket.close(_LINGER_MS if linger is None else int(linger * 1000))
+
+
+def _check_path_is_free(url: str) -> None:
+    """Raise EADDRINUSE if somebody listens on an ipc path: libzmq would take it over without a word."""
+    scheme, _, path = url.partition("://")
+    if scheme != "ipc":
+        return
+    with socket.socket(socket.AF_UNIX) as probe:
+        if probe.connect_ex("\0" + path[1:] if path.startswith("@") else path) == 0:
+            raise zmq.ZMQError(errno.EADDRINUSE)
 
 
 def _bind_error(url: str, error: zmq.ZMQError) -> str:

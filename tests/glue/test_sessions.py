@@ -265,12 +265,12 @@ def test_the_longest_names_and_texts_still_fit_into_every_header() -> None:
 # Exactly once
 
 
-def test_a_repeated_request_is_carried_out_once_and_its_reply_repeated(rig: Rig) -> None:
+def test_a_repeated_request_is_carried_out_once_and_answered_once_per_connection(rig: Rig) -> None:
     rig.ask(Kind.RL_AGENT_MESSAGE, 1, body=b"hm")
     assert rig.say("x", Kind.RL_AGENT_MESSAGE, 1, body=b"hm") == [], "still being carried out"
     assert rig.serve() == [Kind.AGENT_MESSAGE]
-    (reply,) = rig.heard("x")
-    assert rig.say("x", Kind.RL_AGENT_MESSAGE, 1, body=b"hm") == [reply]
+    assert [message.seq for message in rig.heard("x")] == [1]
+    assert rig.say("x", Kind.RL_AGENT_MESSAGE, 1, body=b"hm") == []
     assert rig.serve() == []
 
 
@@ -291,20 +291,28 @@ def test_a_repeated_answer_changes_nothing(playing: Rig) -> None:
     assert len(playing.heard("a")) == 1
 
 
-def test_a_reconnected_experiment_repeats_its_request_and_gets_its_reply(rig: Rig) -> None:
+def test_a_reconnected_experiment_is_sent_the_last_reply_again(rig: Rig) -> None:
     rig.ask(Kind.RL_AGENT_MESSAGE, 1)
     rig.cut("x")
     rig.serve()
     welcome, *rest = rig.hello("x2", Role.EXPERIMENT, who="x")
     assert welcome.scalars[1] is True
-    assert {message.kind for message in rest} == {Kind.NOTICE}
-    (reply,) = rig.say("x2", Kind.RL_AGENT_MESSAGE, 1)
-    assert reply.body == b"agent answer"
+    *known, reply = rest
+    assert notices(known) == [("joined", "agent"), ("joined", "environment")]
+    assert (reply.seq, reply.body) == (1, b"agent answer")
+    assert rig.say("x2", Kind.RL_AGENT_MESSAGE, 1) == [], "it comes once"
 
 
-def test_a_second_hello_over_the_same_connection_repeats_the_call_and_nothing_else(playing: Rig) -> None:
-    (call,) = playing.heard("e")
-    assert playing.hello("e", Role.ENVIRONMENT)[1:] == [call]
+def test_a_reconnected_experiment_whose_request_was_lost_asks_again(rig: Rig) -> None:
+    rig.cut("x")
+    rig.hello("x2", Role.EXPERIMENT, who="x")
+    (reply,) = rig.say("x2", Kind.RL_NUM_STEPS, 1)
+    assert reply.scalars == (0,)
+
+
+def test_a_second_hello_over_the_same_connection_is_welcomed_and_nothing_else(playing: Rig) -> None:
+    assert len(playing.heard("e")) == 1
+    assert [message.kind for message in playing.hello("e", Role.ENVIRONMENT)] == [Kind.WELCOME]
     assert playing.heard("x") == []
 
 
