@@ -66,7 +66,13 @@ def results() -> None:
 @results.command("list")
 @click.argument("folder", type=_directory, default="runs")
 def list_runs(folder: Path) -> int:
-    """List the runs in FOLDER (by default runs) and the folders within."""
+    """List the runs in FOLDER (by default runs) and the folders within.
+
+    \b
+    Examples:
+      glue-results list
+      glue-results list /data/mario
+    """
     rows: list[tuple[str, ...]] = []
     unreadable: list[str] = []
     for directory in _runs_under(folder):
@@ -96,7 +102,12 @@ def list_runs(folder: Path) -> int:
 @results.command()
 @click.argument("directory", metavar="RUN", type=_directory)
 def show(directory: Path) -> None:
-    """Show what a RUN has come to: a line for each setting, and what went wrong."""
+    """Show what a RUN has come to: a line for each setting, and what went wrong.
+
+    \b
+    Examples:
+      glue-results show runs/mine
+    """
     with Results.open(directory) as found:
         trials = found.trials()
         click.echo(f"{directory}: {_state(directory, trials)}")
@@ -130,6 +141,11 @@ def export(directory: Path, kind: str, out: Path | None) -> None:
     """Write the episodes of a RUN as one table: trial, episode, return, steps, terminal, ...
 
     An episode is a row; each option of agent and environment is a column. Parquet needs --out.
+
+    \b
+    Examples:
+      glue-results export runs/mine --format csv --out mine.csv
+      glue-results export runs/mine --format json | jq '.[-1]'
     """
     with Results.open(directory) as found:
         if kind == "parquet":
@@ -155,6 +171,10 @@ def merge(directories: tuple[Path, ...], out: Path) -> None:
 
     Parts of one plan that ran on different machines become a run of that plan, which can go on where
     something is missing (glue-experiment --resume). Other runs become one to look at.
+
+    \b
+    Examples:
+      glue-results merge runs/lab1 runs/lab2 --out runs/both
     """
     with ExitStack() as stack:
         merge_runs([stack.enter_context(Results.open(directory)) for directory in directories], out)
