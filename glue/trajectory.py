@@ -8,9 +8,9 @@
     for episode in TrajectoryReader("corridor.traj"):
         print(episode.ending, episode.episode_return)
 
-The file is gzip, and what it unpacks to is `MAGIC` and then records: one letter, then its fields, all
-little-endian. docs/trajectories.md has every byte. The packed stream is flushed at the end of every
-episode, so that a writer that is killed leaves all whole episodes behind.
+The file is gzip, and what it unpacks to is records: one letter, then its fields, all little-endian.
+docs/trajectories.md has every byte. The packed stream is flushed at the end of every episode, so that a
+writer that is killed leaves all whole episodes behind.
 """
 
 from __future__ import annotations
@@ -26,11 +26,12 @@ from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple, Self
 
-from glue.errors import GlueError, LocalProtocolError
+from glue._unpacked import GZIP, Torn, TrajectoryError, Unpacked
+from glue.errors import LocalProtocolError
 from glue.options import Value
-from glue.types import PREFIX_SIZE, AbstractType, Action, Observation, body_size
+from glue.types import AbstractType, Action, Observation
 
 __all__ = [
     "MAGIC",
@@ -50,18 +51,12 @@ __all__ = [
 MAGIC: Final = b"GLUETRJ1"
 MAX_BODY: Final = 16 * 2**20  # bytes of one observation or action
 MAX_TEXT: Final = 16 * 2**20  # bytes of one run's JSON, or of one message
-MAX_EPISODE: Final = 256 * 2**20  # bytes of all records of one episode, unpacked
-MAX_STEPS: Final = 1_000_000  # of one episode
+MAX_EPISODE: Final = 256 * 2**20  # bytes of all records of one episode and the messages before it, unpacked
+MAX_STEPS: Final = 1_000_000  # of one episode; and messages before it
 
 _RUN, _MESSAGE, _START, _STEP, _TERMINAL_STEP, _CUTOFF, _VOID = b"R", b"M", b"O", b"S", b"T", b"C", b"V"
 _LENGTH: Final = struct.Struct("<I")
 _REWARD: Final = struct.Struct("<d")
-_GZIP: Final = 31  # zlib's number for "with gzip's header and checksum"
-_PIECE: Final = 2**16  # bytes read, and unpacked, at a time
-
-
-class TrajectoryError(GlueError):
-    """A recording cannot be read; the message says where it goes wrong."""
 
 
 class Ending(Enum):
@@ -142,7 +137,7 @@ class TrajectoryWriter:
             raise TrajectoryError(f"{path} exists already: remove it, or record to another file") from None
         except OSError as error:
             raise self._unwritable(error) from None
-        self._pack = zlib.compressobj(wbits=_GZIP)
+        self._pack = zlib.compressobj(wbits=GZIP)
         self._has_run = False
         self._in_episode = False
         self._steps = 0
@@ -170,9 +165,12 @@ class TrajectoryWriter:
         """Note a text that the environment was sent. It is kept with the next episode to start.
 
         Raises:
-            LocalProtocolError: there is no run yet, or the text takes more than `MAX_TEXT`.
+            LocalProtocolError: there is no run yet, the text takes more than `MAX_TEXT`, or there are more
+                than `MAX_STEPS` of them before an episode.
         """
         self._needs_run()
+        if len(self._messages) == MAX_STEPS:
+            raise LocalProtocolError(f"more than {MAX_STEPS} messages in a row cannot be recorded")
         self._messages.append(_text_record(_MESSAGE, text))
 
     def start(self, observation: Observation) -> None:
@@ -294,129 +292,29 @@ class TrajectoryReader:
         self.torn = False
         try:
             with open(self.path, "rb") as file:
-                unpacked = _Unpacked(file, str(self.path))
-                while unpacked.next_member():
+                unpacked = Unpacked(file, str(self.path))
+                while unpacked.next_member(MAGIC):
                     yield from _episodes(unpacked)
-        except _Torn:
+        except Torn:
             self.torn = True
         except OSError as error:
             raise TrajectoryError(f"cannot read {self.path}: {error.strerror}") from None
 
 
-class _Torn(Exception):
-    """The file ended before its gzip stream did."""
-
-
-class _Unpacked:
-    """What a gzip file unpacks to, taken in runs of known length; member by member."""
-
-    def __init__(self, file: BinaryIO, name: str) -> None:
-        self._file = file
-        self._name = name
-        self._packed = b""
-        self._gzip = zlib.decompressobj(_GZIP)
-        self._bytes = bytearray()
-        self._at = 0  # of the next byte, in self._bytes
-        self._gone = 0  # bytes before self._bytes
-
-    def next_member(self) -> bool:
-        """Begin the next gzip stream of the file and take its `MAGIC`; False if there is none."""
-        self._packed = self._packed or self._file.read(_PIECE)
-        if self.offset and not self._packed:
-            return False
-        self._gzip = zlib.decompressobj(_GZIP)
-        try:
-            magic = self.take(len(MAGIC))
-        except _Torn:
-            magic = b""
-        if magic != MAGIC:
-            raise self.malformed(f"it does not unpack to {MAGIC.decode()} and records")
-        return True
-
-    def at_end(self) -> bool:
-        """Whether this member has been taken to its end."""
-        return self._at == len(self._bytes) and not self._unpack()
-
-    def take(self, size: int) -> bytes:
-        """Return the next `size` bytes.
-
-        Raises:
-            TrajectoryError: the member ends before.
-            _Torn: the file ends before.
-        """
-        while len(self._bytes) - self._at < size:
-            if not self._unpack():
-                raise self.malformed("it ends inside a record")
-        self._at += size
-        return bytes(self._bytes[self._at - size : self._at])
-
-    def body(self) -> bytes:
-        """Return the next abstract type's body."""
-        prefix = self.take(PREFIX_SIZE)
-        try:
-            size = body_size(prefix)
-        except GlueError as error:
-            raise self.malformed(str(error)) from None
-        if size > MAX_BODY:
-            raise self.malformed(f"an observation or action of {size} bytes; {MAX_BODY} are allowed")
-        return prefix + self.take(size - PREFIX_SIZE)
-
-    def text(self) -> str:
-        """Return the next length and text."""
-        (size,) = _LENGTH.unpack(self.take(_LENGTH.size))
-        if size > MAX_TEXT:
-            raise self.malformed(f"a text of {size} bytes; {MAX_TEXT} are allowed")
-        try:
-            return self.take(size).decode()
-        except UnicodeDecodeError:
-            raise self.malformed("a text that is not UTF-8") from None
-
-    @property
-    def offset(self) -> int:
-        """How many unpacked bytes have been taken."""
-        return self._gone + self._at
-
-    def malformed(self, what: str) -> TrajectoryError:
-        """Return the error that says what is wrong, and where."""
-        return TrajectoryError(
-            f"{self._name} is not a sound recording: {what} (before byte {self.offset} of what it unpacks to)"
-        )
-
-    def _unpack(self) -> bool:
-        """Unpack at least one byte more; False if the member has ended."""
-        while not self._gzip.eof:
-            if not self._packed:
-                self._packed = self._file.read(_PIECE)
-                if not self._packed:
-                    raise _Torn
-            try:
-                piece = self._gzip.decompress(self._packed, _PIECE)
-            except zlib.error as error:
-                raise self.malformed(f"gzip cannot unpack it ({error})") from None
-            self._packed = self._gzip.unused_data if self._gzip.eof else self._gzip.unconsumed_tail
-            if piece:
-                del self._bytes[: self._at]
-                self._gone += self._at
-                self._at = 0
-                self._bytes += piece
-                return True
-        return False
-
-
-def _episodes(unpacked: _Unpacked) -> Iterator[Episode]:
+def _episodes(unpacked: Unpacked) -> Iterator[Episode]:
     """Yield the episodes of one gzip member."""
     run: Run | None = None
     messages: list[str] = []
     while not unpacked.at_end():
-        begin = unpacked.offset
+        if not messages:
+            begin = unpacked.offset
         kind = unpacked.take(1)
         if kind == _RUN:
             run = _run_from_json(unpacked)
             messages.clear()
         elif kind == _MESSAGE and run is not None:
-            messages.append(unpacked.text())
-            if len(messages) > MAX_STEPS:
-                raise unpacked.malformed(f"more than {MAX_STEPS} messages before an episode")
+            messages.append(unpacked.text(MAX_TEXT))
+            _check_size(unpacked, begin, len(messages))
         elif kind == _START and run is not None:
             yield _episode(unpacked, run, tuple(messages), begin)
             messages.clear()
@@ -424,24 +322,28 @@ def _episodes(unpacked: _Unpacked) -> Iterator[Episode]:
             raise unpacked.malformed(f"a record {kind!r} where none of that kind can stand")
 
 
-def _episode(unpacked: _Unpacked, run: Run, messages: tuple[str, ...], begin: int) -> Episode:
-    """Read an episode from its first observation on; `begin` is the offset of its first record."""
-    start = Observation.from_body(unpacked.body())
+def _episode(unpacked: Unpacked, run: Run, messages: tuple[str, ...], begin: int) -> Episode:
+    """Read an episode from its first observation on; `begin` is where it or its first message begins."""
+    start = Observation.from_body(unpacked.body(MAX_BODY))
     steps: list[Step] = []
     while (kind := unpacked.take(1)) in (_STEP, _TERMINAL_STEP):
         (reward,) = _REWARD.unpack(unpacked.take(_REWARD.size))
-        action = Action.from_body(unpacked.body())
-        observation = Observation.from_body(unpacked.body())
+        action = Action.from_body(unpacked.body(MAX_BODY))
+        observation = Observation.from_body(unpacked.body(MAX_BODY))
         steps.append(Step(action, reward, observation, kind == _TERMINAL_STEP))
-        if len(steps) > MAX_STEPS or unpacked.offset - begin > MAX_EPISODE:
-            raise unpacked.malformed(
-                f"an episode of more than {MAX_STEPS} steps, or of more than {MAX_EPISODE} bytes"
-            )
+        _check_size(unpacked, begin, len(steps))
         if kind == _TERMINAL_STEP:
             break
     if kind not in _ENDINGS:
         raise unpacked.malformed(f"a record {kind!r} inside an episode")
     return Episode(run, messages, start, tuple(steps), _ENDINGS[kind])
+
+
+def _check_size(unpacked: Unpacked, begin: int, count: int) -> None:
+    if count > MAX_STEPS or unpacked.offset - begin > MAX_EPISODE:
+        raise unpacked.malformed(
+            f"an episode of more than {MAX_STEPS} steps or messages, or of more than {MAX_EPISODE} bytes"
+        )
 
 
 def _body_of(value: AbstractType) -> bytes:
@@ -478,8 +380,8 @@ def _run_to_json(run: Run) -> str:
     )
 
 
-def _run_from_json(unpacked: _Unpacked) -> Run:
-    text = unpacked.text()
+def _run_from_json(unpacked: Unpacked) -> Run:
+    text = unpacked.text(MAX_TEXT)
     try:
         fields: Any = json.loads(text)
         run = Run(

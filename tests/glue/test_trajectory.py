@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 import resource
 import struct
 import subprocess
@@ -306,6 +307,7 @@ def test_message_that_is_not_unicode_is_refused(tmp_path: Path) -> None:
 def test_limits_hold_while_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(trajectory, "MAX_STEPS", 2)
     monkeypatch.setattr(trajectory, "MAX_BODY", 100)
+    monkeypatch.setattr(trajectory, "MAX_TEXT", 300)
     monkeypatch.setattr(trajectory, "MAX_EPISODE", 300)
     with TrajectoryWriter(tmp_path / "a") as recording:
         recording.run(RUN)
@@ -320,6 +322,12 @@ def test_limits_hold_while_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         recording.step(Action(), 0.0, Observation(chars=b"x" * 80), False)
         with pytest.raises(LocalProtocolError, match="more than 300 bytes"):
             recording.step(Action([1] * 20), 0.0, Observation(chars=b"x" * 84), False)
+        recording.message("one")
+        with pytest.raises(LocalProtocolError, match="300 are allowed"):
+            recording.message("x" * 301)
+        recording.message("two")
+        with pytest.raises(LocalProtocolError, match="more than 2 messages"):
+            recording.message("three")
     first, second = read(tmp_path / "a")
     assert (len(first.steps), first.ending) == (2, Ending.CUTOFF)
     assert (len(second.steps), second.ending) == (1, Ending.VOID)
@@ -353,6 +361,13 @@ BROKEN = {
     "task spec": (run_record(task_spec=None), "wrong type"),
     "state": (run_record(state="xy"), "not the JSON"),
 }
+
+
+def test_message_belongs_to_its_run(tmp_path: Path) -> None:
+    episode = b"O" + EMPTY + b"C"
+    message = text_record(b"M", "level 3")
+    path = write_stream(tmp_path / "a", run_record() + message + run_record() + episode + message + episode)
+    assert [taken.messages for taken in read(path)] == [(), ("level 3",)]
 
 
 @pytest.mark.parametrize("name", BROKEN)
@@ -409,12 +424,26 @@ def test_declared_sizes_and_bombs_take_no_memory(tmp_path: Path, monkeypatch: py
     (tmp_path / "bomb").write_bytes(packed + pack.flush())
     claim = run_record() + b"O" + struct.pack("<4I", 0, 0, trajectory.MAX_BODY - 16, 0)
     write_stream(tmp_path / "claim", claim, b"only this")
+    write_stream(tmp_path / "messages", run_record(), text_record(b"M", "x" * 2**18) * 5)
     tracemalloc.start()
     try:
         with pytest.raises(TrajectoryError, match="an episode of more than"):
             read(tmp_path / "bomb")
         with pytest.raises(TrajectoryError, match="ends inside a record"):
             read(tmp_path / "claim")
+        with pytest.raises(TrajectoryError, match="steps or messages"):
+            read(tmp_path / "messages")
         assert tracemalloc.get_traced_memory()[1] < 32 * 2**20
     finally:
         tracemalloc.stop()
+
+
+def test_programs_of_the_documentation_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    manual = Path(__file__).parents[2] / "docs" / "trajectories.md"
+    programs = re.findall(r"<!-- runs in the tests -->\n```python\n(.*?)```", manual.read_text(), re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    for program in programs:
+        exec(compile(program, str(manual), "exec"), {})
+    assert capsys.readouterr().out == "corridor 2 9.0 terminal\ncorridor 0 0.0 cutoff\nGROSTOC\n"
