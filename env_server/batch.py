@@ -1,4 +1,4 @@
-"""Many games stepped in one call, on several cores: for planning, and for learning from many games at once.
+"""Many games stepped in one call: for planning, and for learning from many games at once.
 
     with Batch([InfiniteMario(level_seed=seed).parameters for seed in range(64)]) as batch:
         batch.start()
@@ -29,8 +29,8 @@ from glue.types import Observation
 
 __all__ = ["Batch"]
 
-_LOWEST: Final = np.array([-1, 0, 0])
-_HIGHEST: Final = np.array([1, 1, 1])
+_GAMES_PER_THREAD: Final = 128  # to wake a thread for fewer costs more than it saves
+_NO_ACTIONS: Final = np.zeros((0, 3), np.int64)
 
 
 class Batch:
@@ -38,7 +38,7 @@ class Batch:
 
     Args:
         tasks: one task per game; N is how many there are.
-        threads: how many cores to use; all by default.
+        threads: how many cores to use; by default as many as are worth it.
     """
 
     def __init__(self, tasks: Sequence[Parameters], *, threads: int | None = None) -> None:
@@ -47,10 +47,12 @@ class Batch:
             task.write_to(self._worlds[i])
         self._bodies = np.zeros((len(tasks), BODY_SIZE), np.uint8)
         self._sizes = np.zeros(len(tasks), np.int64)
-        workers = max(1, min(threads or os.cpu_count() or 1, len(tasks)))
+        worth_it = min(os.cpu_count() or 1, len(tasks) // _GAMES_PER_THREAD)
+        workers = max(1, worth_it if threads is None else threads)
         bounds = [len(tasks) * worker // workers for worker in range(workers + 1)]
         self._ranges = list(pairwise(bounds))
         self._pool = ThreadPoolExecutor(max(1, workers - 1), "mario")
+        self._load()
 
     def __len__(self) -> int:
         return len(self._worlds)
@@ -98,21 +100,39 @@ class Batch:
         """Return the last observation of game `i`."""
         return Observation.from_body(self._bodies[i, : self._sizes[i]].tobytes())
 
+    def _load(self) -> None:
+        """Load the compiled rules, or compile them and say so."""
+        with say_when_compiling():
+            start_first(np.zeros(1, WORLD), np.zeros(BODY_SIZE, np.uint8))
+            _first_wrong(self._worlds[:0], _NO_ACTIONS)
+            nothing = (_NO_ACTIONS, np.empty(0), np.empty(0, np.bool_), self._sizes, self._bodies)
+            _step_range(self._worlds, *nothing, 0, 0)
+
     def _checked(self, actions: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
         if actions.shape != (len(self), 3):
             raise SimulatorError(
                 f"actions for {len(self)} games have shape ({len(self)}, 3), not {actions.shape}"
             )
-        wrong = ((actions < _LOWEST) | (actions > _HIGHEST)).any(axis=1)
-        if wrong.any():
-            i = int(wrong.argmax())
+        checked = actions.astype(np.int64, order="C")
+        i = _first_wrong(self._worlds, checked)
+        if i < 0:
+            return checked
+        if self._worlds[i]["playing"]:
             raise SimulatorError(
                 f"direction is -1 to 1, jump and run 0 or 1; {actions[i].tolist()} came for game {i}"
             )
-        idle = self._worlds["playing"] == 0
-        if idle.any():
-            raise SimulatorError(f"game {int(idle.argmax())} has no episode being played: start it first")
-        return actions.astype(np.int64)
+        raise SimulatorError(f"game {i} has no episode being played: start it first")
+
+
+@entry
+def _first_wrong(worlds: Worlds, actions: npt.NDArray[np.int64]) -> int:
+    """Return the first game that cannot carry out its action, or -1."""
+    for i in range(len(worlds)):
+        world: World = worlds[i]
+        in_bounds = -1 <= actions[i, 0] <= 1 and 0 <= actions[i, 1] <= 1 and 0 <= actions[i, 2] <= 1
+        if not (in_bounds and world.playing):
+            return i
+    return -1
 
 
 @entry

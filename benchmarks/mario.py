@@ -1,0 +1,179 @@
+"""Infinite Mario: steps per second alone, through glue.local and in batches; and how soon it is ready."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from itertools import cycle
+
+import numpy as np
+
+from benchmarks.measure import Table, count, interleaved, ratio
+from env_server.batch import Batch
+from env_server.mario import InfiniteMario
+from glue.local import connect
+from glue.types import Action, Observation
+
+__all__ = ["run"]
+
+# To run right and jump in four steps of every seven takes Mario through this level to its goal.
+_LEVEL_SEED = 3
+_BUTTONS = [(1, int(i % 7 < 4), 1) for i in range(7)]
+_ACTIONS = [Action(ints=buttons) for buttons in _BUTTONS]
+_STEPS = 50_000
+_FIRST_STEP = """
+from env_server.mario import InfiniteMario
+from glue.types import Action
+mario = InfiniteMario()
+mario.env_init()
+mario.env_start()
+mario.env_step(Action(ints=[1, 0, 1]))
+"""
+
+
+class _Runner:
+    """An agent that always does the same and learns nothing."""
+
+    def agent_init(self, task_spec: str) -> None:
+        pass
+
+    def agent_start(self, observation: Observation) -> Action:
+        self._actions = cycle(_ACTIONS)
+        return next(self._actions)
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return next(self._actions)
+
+    def agent_end(self, reward: float) -> None:
+        pass
+
+    def agent_cleanup(self) -> None:
+        pass
+
+    def agent_message(self, message: str) -> str:
+        return ""
+
+
+def run() -> list[Table]:
+    """Measure everything about Mario."""
+    return [_steps(), _copies(), _readiness()]
+
+
+def _steps() -> Table:
+    sizes = (1, 64, 1024)
+    measures = {
+        "one game": _alone,
+        "one game through glue.local": _through_glue,
+        **{f"a batch of {games} in one call": _batched(games) for games in sizes},
+    }
+    values = interleaved(list(measures.values()))
+    return Table(
+        "Infinite Mario",
+        "Steps of five ticks per second, observation included; Mario runs right and reaches the goal.",
+        ("", "steps per second", "times one game"),
+        [
+            (name, count(value), ratio(value / values[0]))
+            for name, value in zip(measures, values, strict=True)
+        ],
+    )
+
+
+def _alone() -> float:
+    mario = InfiniteMario(level_seed=_LEVEL_SEED)
+    mario.env_init()
+    steps = 0
+    began = time.perf_counter()
+    while steps < _STEPS:
+        mario.env_start()
+        for action in cycle(_ACTIONS):
+            steps += 1
+            if mario.env_step(action)[2]:
+                break
+    return steps / (time.perf_counter() - began)
+
+
+def _through_glue() -> float:
+    with connect(_Runner(), InfiniteMario(level_seed=_LEVEL_SEED)) as glue:
+        glue.rl_init()
+        steps = 0
+        began = time.perf_counter()
+        while steps < _STEPS:
+            glue.rl_episode(0)
+            steps += glue.rl_num_steps()
+        return steps / (time.perf_counter() - began)
+
+
+def _batched(games: int) -> Callable[[], float]:
+    def measure() -> float:
+        with Batch([InfiniteMario(level_seed=_LEVEL_SEED).parameters] * games) as batch:
+            batch.start()
+            actions = [np.tile(buttons, (games, 1)) for buttons in _BUTTONS]
+            steps = 0
+            began = time.perf_counter()
+            while steps < _STEPS:
+                for action in cycle(actions):
+                    steps += games
+                    ended = batch.step(action)[1]
+                    if ended[0]:  # and so have all: they do the same
+                        batch.start()
+                        break
+            return steps / (time.perf_counter() - began)
+
+    return measure
+
+
+def _copies() -> Table:
+    mario = InfiniteMario(level_seed=_LEVEL_SEED)
+    mario.env_init()
+    mario.env_start()
+    game, saved = mario.game, mario.game.clone()
+    measures: dict[str, Callable[[], object]] = {
+        "clone a game": game.clone,
+        "restore a game": lambda: game.restore(saved),
+        "start an episode, level included": mario.env_start,
+    }
+    values = interleaved([_microseconds(measure) for measure in measures.values()])
+    return Table(
+        "Copying a game",
+        f"A game is {game.world.nbytes:,} bytes of memory.",  # type: ignore[attr-defined]
+        ("", "µs"),
+        [(name, f"{value:.1f}") for name, value in zip(measures, values, strict=True)],
+    )
+
+
+def _microseconds(call: Callable[[], object], times: int = 2000) -> Callable[[], float]:
+    def measure() -> float:
+        began = time.perf_counter()
+        for _ in range(times):
+            call()
+        return (time.perf_counter() - began) / times * 1e6
+
+    return measure
+
+
+def _readiness() -> Table:
+    with tempfile.TemporaryDirectory() as folder:
+        _first_step(folder)
+        warm, cold = interleaved([lambda: _first_step(folder), _first_step_ever])
+    return Table(
+        "Ready to play",
+        "Seconds from the start of a Python process to the end of its first step (the aims are 2 and 30).",
+        ("", "seconds"),
+        [("compiled before", f"{warm:.2f}"), ("first time ever, compiling", f"{cold:.1f}")],
+    )
+
+
+def _first_step_ever() -> float:
+    with tempfile.TemporaryDirectory() as folder:
+        return _first_step(folder)
+
+
+def _first_step(cache: str) -> float:
+    began = time.perf_counter()
+    environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
+    subprocess.run([sys.executable, "-c", _FIRST_STEP], env=environment, check=True, capture_output=True)
+    return time.perf_counter() - began
