@@ -62,9 +62,15 @@ __all__ = ["main", "replay"]
 )
 @click.option("--png", type=click.Path(path_type=Path), help="Show the first of the steps in a PNG.")
 @click.option(
-    "--env", "name", metavar="NAME", help="Compare with this environment, not with the recorded one."
+    "--env", "name", metavar="NAME", help="Compare with this environment, in place of the recorded one."
 )
-@click.option("--env-option", "assignments", multiple=True, metavar="NAME=VALUE", help="Option of --env.")
+@click.option(
+    "--env-option",
+    "assignments",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Its option, in place of the recorded one; may be repeated.",
+)
 @click.version_option(__version__, prog_name="glue-replay")
 def replay(
     files: tuple[Path, ...],
@@ -114,8 +120,7 @@ def replay(
             raise TrajectoryError(f"{file} holds no whole episode")
         if isinstance(reader, TrajectoryReader) and reader.torn:
             print(f"{file} was not closed: an episode that it ends in is left out", file=sys.stderr)
-        verdict = "shown, not compared" if check is False else "no difference"
-        print(f"{file}: {counted.runs} runs, {counted.episodes} episodes, {counted.steps} steps: {verdict}")
+        print(f"{file}: {counted}: {'not compared' if check is False else 'no difference'}")
 
 
 class _Counted:
@@ -134,7 +139,11 @@ class _Counted:
                 self.steps += moment.step > 0
                 yield moment
         except Difference as error:
-            raise Difference(f"{self._file}: {error} (the {self.steps} steps before agree)") from None
+            raise Difference(f"{self._file}: {error} (before it, {self} agree)") from None
+
+    def __str__(self) -> str:
+        counts = {"run": self.runs, "episode": self.episodes, "step": self.steps}
+        return ", ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in counts.items())
 
 
 def _builder(name: str | None, assignments: tuple[str, ...]) -> Callable[[RecordedRun], Environment]:
@@ -144,7 +153,7 @@ def _builder(name: str | None, assignments: tuple[str, ...]) -> Callable[[Record
             raise ConfigError("--env-option is an option of --env: name that too")
         return build_environment
     options = parse_assignments(find(Role.ENVIRONMENT, name), assignments)
-    return lambda run: build_named(name, options)
+    return lambda run: build_named(name, {**run.options, **options})
 
 
 def _show(moments: Iterable[Moment], speed: float) -> None:

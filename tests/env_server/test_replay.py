@@ -74,7 +74,8 @@ def replay(path: Path) -> list[Moment]:
 def record(
     path: Path, environment: Any, name: str, options: Mapping[str, Value], seed: int, steps: int
 ) -> None:
-    """Record two episodes of random actions, each of at most `steps`, and a level message between them."""
+    """Record two episodes of random actions, each of at most `steps`; of Mario, on two levels."""
+    is_mario = isinstance(environment, InfiniteMario)
     generator = np.random.default_rng(seed)
     seeded = hasattr(environment, "env_seed")
     if seeded:
@@ -85,12 +86,12 @@ def record(
             recording.start(environment.env_start())
             for _ in range(steps):
                 number = int(generator.integers(4))
-                action = Action([1, number % 2, number // 2] if name != "mines" else [number])
+                action = Action([1, number % 2, number // 2] if is_mario else [number])
                 reward, observation, terminal = environment.env_step(action)
                 recording.step(action, reward, observation, terminal)
                 if terminal:
                     break
-            if episode == 0 and name != "mines":
+            if episode == 0 and is_mario:
                 recording.message("level level_seed=7")
                 environment.env_message("level level_seed=7")
     environment.env_cleanup()
@@ -372,7 +373,7 @@ def test_command_compares_and_counts(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert done.stdout == (
         f"{GOLDEN / 'variants.jsonl.gz'}: 6 runs, 18 episodes, 697 steps: no difference\n"
-        f"{hashed}: 1 runs, 1 episodes, 212 steps: no difference\n"
+        f"{hashed}: 1 run, 1 episode, 212 steps: no difference\n"
     )
 
 
@@ -382,9 +383,9 @@ def test_command_fails_on_a_difference_in_one_line(tmp_path: Path) -> None:
     path = write_golden(tmp_path / "a.jsonl.gz", lines)
     done = command(path)
     assert done.returncode == 1
-    where = f"{path}: run dev-0001, episode 0, step 4"
+    where = f"Error: {path}: run dev-0001, episode 0, step 4: the reward"
     assert done.stderr.endswith(
-        f"Error: {where}: the reward: expected 1.0, got -0.009999999999999998 (the 3 steps before agree)\n"
+        f"{where}: expected 1.0, got -0.009999999999999998 (before it, 1 run, 1 episode, 3 steps agree)\n"
     )
     assert done.stdout == ""
 
@@ -454,3 +455,14 @@ def _until_closed(descriptor: int) -> Iterator[str]:
         if not data:
             return
         yield data.decode()
+
+
+def test_command_compares_with_the_environment_it_is_told_to(tmp_path: Path) -> None:
+    source = "from env_server.toys import MinesEnvironment\nclass Mine(MinesEnvironment): ...\n"
+    (tmp_path / "own.py").write_text(source)
+    own = f"{tmp_path / 'own.py'}:Mine"
+    record(tmp_path / "a", MinesEnvironment(random_start=True), own, {"random_start": True}, seed=3, steps=9)
+    assert "which is not installed" in command(tmp_path / "a").stderr
+    assert command(tmp_path / "a", "--env", own).returncode == 0
+    done = command(tmp_path / "a", "--env", own, "--env-option", "random_start=no")
+    assert "start: int 0: expected" in done.stderr
