@@ -93,6 +93,7 @@ class MarioLearner(abc.ABC):
         }
         self._own_seed = seed
         self._seed = seed or 0
+        self._forget()
 
     @abc.abstractmethod
     def _new_mind(self) -> Array:
@@ -114,11 +115,7 @@ class MarioLearner(abc.ABC):
             ConfigError: the task is not Infinite Mario.
         """
         require_mario(task_spec, self.name)
-        self._learner = new(Learner)
-        for name, value in self._hyperparameters.items():
-            self._learner[name] = value
-        self._learner["random"] = seeded(self._seed)
-        self._table = table_of(np.empty(0, np.uint64), np.empty(0, np.float64))
+        self._forget()
         self._mind = self._new_mind()
 
     def agent_start(self, observation: Observation) -> Action:
@@ -172,6 +169,13 @@ class MarioLearner(abc.ABC):
         self._learner["cycles"] = cycles
         self._learner["entries"] = len(keys)
         self._table = table_of(keys, values)
+
+    def _forget(self) -> None:
+        self._learner = new(Learner)
+        for name, value in self._hyperparameters.items():
+            self._learner[name] = value
+        self._learner["random"] = seeded(self._seed)
+        self._table = table_of(np.empty(0, np.uint64), np.empty(0, np.float64))
 
     def _act(self, reward: float, observation: Observation, begins: bool) -> Action:
         body = observation.body

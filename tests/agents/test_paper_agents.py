@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import threading
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+import zmq
 
 from agents.checkpoint import Checkpoint, CheckpointError, pack
 from agents.flat import ObjectsFlatAgent, TilesAgent, TilesCoarseAgent
@@ -19,10 +21,16 @@ from agents.hierarchical import (
 from agents.learner import MarioLearner
 from agents.sample import SampleAgent
 from env_server.mario import InfiniteMario
+from glue.client import connect, serve_agent, serve_environment
+from glue.config import HubConfig
 from glue.errors import ConfigError
+from glue.experiment import Experiment
+from glue.hub import Hub
+from glue.local import connect as connect_locally
 from glue.options import parameters
 from glue.roles import Agent, capabilities
-from glue.types import Action
+from glue.testing import check_agent
+from glue.types import Action, Observation
 
 if TYPE_CHECKING:
     from tests.agents.conftest import Learned
@@ -242,3 +250,49 @@ def test_the_sample_agent_keeps_a_solution_once_found() -> None:
     agent.agent_init(environment.env_init())
     returns = play(agent, environment, 60)[1]
     assert min(returns[30:]) > 100.0
+
+
+def screen(generator: np.random.Generator) -> Observation:
+    """Draw any tiles, and up to three sprites around Mario."""
+    count = int(generator.integers(4))
+    ints = [int(generator.integers(300))]
+    doubles: list[float] = []
+    for kind in (int(generator.choice([0, 10, 11])), *generator.integers(1, 10, count).tolist()):
+        ints += [kind, int(generator.integers(2))]
+        doubles += [ints[0] + generator.uniform(0, 21), generator.uniform(-1, 17), *generator.normal(size=2)]
+    tiles = generator.choice([*b"          $?7|1b!"], (16, 21)).astype(np.uint8)
+    chars = b"".join(bytes(row) + b"\n" for row in tiles)
+    return Observation(ints, doubles, chars)
+
+
+@every_agent
+def test_agents_keep_the_contract(kind: type[Any], task_spec: str) -> None:
+    check_agent(kind, task_spec, observation=screen)
+
+
+def test_over_sockets_an_agent_acts_as_in_one_process() -> None:
+    def returns(glue: Experiment) -> list[tuple[float, int]]:
+        glue.rl_init(seed=11)
+        episodes = []
+        for _ in range(20):
+            glue.rl_episode(max_steps=0)
+            episodes.append((glue.rl_return(), glue.rl_num_steps()))
+        return episodes
+
+    with connect_locally(HierarchicalAgent(), short_level()) as glue:
+        expected = returns(glue)
+    with (
+        zmq.Context() as context,
+        Hub(HubConfig(bind=("tcp://127.0.0.1:*",)), context).in_background() as hub,
+    ):
+        url = hub.endpoints[0]
+        players = [
+            threading.Thread(target=serve, args=(player, url), kwargs={"log": lambda line: None})
+            for serve, player in ((serve_agent, HierarchicalAgent()), (serve_environment, short_level()))
+        ]
+        for thread in players:
+            thread.start()
+        with connect(url, log=lambda line: None) as remote:
+            assert returns(remote) == expected
+    for thread in players:
+        thread.join()
