@@ -32,7 +32,7 @@ class Game:
     def __init__(self, parameters: Parameters) -> None:
         self._memory: Worlds = np.zeros(1, WORLD)
         self._body = np.zeros(BODY_SIZE, np.uint8)
-        self._bytes = memoryview(self._body)  # type: ignore[arg-type]
+        self._bytes = self._body.data
         self._observation = Observation()
         self.set_task(parameters)
         _prepare()
@@ -78,7 +78,7 @@ class Game:
         game = Game.__new__(Game)
         game._memory = self._memory.view(np.uint8).copy().view(WORLD)
         game._body = np.zeros(BODY_SIZE, np.uint8)
-        game._bytes = memoryview(game._body)  # type: ignore[arg-type]
+        game._bytes = game._body.data
         game._observation = self._observation
         return game
 

@@ -136,6 +136,7 @@ class InfiniteMario:
             Option("tiles per step, or as the first binary release had it", choices=("source", "jar")),
         ] = "source",
     ) -> None:
+        # The first statement, so that the parameters are all the locals there are.
         given = {name: value for name, value in locals().items() if name != "self" and value is not None}
         given = _check(given)
         instance, mdp = given.pop("instance"), given.pop("mdp", None)

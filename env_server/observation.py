@@ -81,12 +81,12 @@ def encode(world: World, body: npt.NDArray[np.uint8]) -> int:
     numbers = words[end_of_doubles // 4 :]
     reals = body.view(np.float64)[PREFIX_SIZE // 8 :]
     numbers[0] = world.drawn_camera // 16
-    mario: Actor = world.actors[0]
+    mario = world.actors[0]
     numbers[1] = _kind_of_mario(world)
     numbers[2] = 0
     _encode_place(world, mario, reals)
     for i in range(world.listed):
-        actor: Actor = world.actors[world.order[i]]
+        actor = world.actors[world.order[i]]
         numbers[3 + 2 * i] = actor.kind
         numbers[4 + 2 * i] = actor.kind <= PLANT and actor.winged
         _encode_place(world, actor, reals[4 + 4 * i :])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import cache
 from importlib import resources
 from typing import Any, Final
@@ -57,10 +57,9 @@ class Parameters:
 
     def write_to(self, world: World) -> None:
         """Make this the task of `world`, from its next episode on."""
-        for field in fields(self)[:-4]:
-            setattr(world, field.name, getattr(self, field.name))
-        world.alpha = self.alpha  # type: ignore[assignment]
-        world.start_ticks = self.start_ticks
+        for name, value in asdict(self).items():
+            if name in World.__annotations__:  # render and velocity are flags there
+                setattr(world, name, value)
         world.draws_at_checkins = self.render == "checkin"
         world.velocity_of_jar = self.velocity == "jar"
 

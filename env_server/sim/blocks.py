@@ -85,7 +85,7 @@ def _jolt(world: World, column: int, row: int) -> None:
     take_coin(world, column, row)
     away = -world.actors[0].facing
     for i in range(world.listed):
-        actor: Actor = world.actors[world.order[i]]
+        actor = world.actors[world.order[i]]
         if actor.kind in (FLOWER, FIREBALL) or not _stands_on(actor, column, row):
             continue
         if actor.kind <= PLANT:

@@ -34,7 +34,7 @@ def touch_all(world: World) -> None:
     for i in range(world.listed):
         _touch_mario(world, world.actors[world.order[i]], world.order[i])
     for i in range(world.listed):
-        shell: Actor = world.actors[world.order[i]]
+        shell = world.actors[world.order[i]]
         if shell.queued and shell.kind == SHELL:
             shell.queued = False
             _roll_over_others(world, shell, world.order[i])
@@ -57,7 +57,7 @@ def _is_stomp(world: World, mario: Actor, dy: np.float32) -> bool:
 
 @jit
 def _touch_mario(world: World, actor: Actor, slot: int) -> None:
-    mario: Actor = world.actors[0]
+    mario = world.actors[0]
     dx = mario.x - actor.x
     dy = mario.y - actor.y
     if actor.kind <= PLANT:

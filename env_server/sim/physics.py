@@ -34,7 +34,7 @@ _DEATH_LEAP: Final = np.float32(-15)
 @jit
 def update_mario(world: World) -> None:
     """Move Mario by one tick."""
-    mario: Actor = world.actors[0]
+    mario = world.actors[0]
     mario.old_x = mario.x
     mario.old_y = mario.y
     if world.win_timer > 0:
@@ -88,7 +88,7 @@ def grow(world: World, fire: bool) -> None:
 @jit
 def bounce(world: World, y: np.float32, height: int) -> None:
     """Let Mario bounce off a thing whose feet are at `y`."""
-    mario: Actor = world.actors[0]
+    mario = world.actors[0]
     move_vertically(world, mario, y - np.float32(height // 2) - mario.y)
     world.jump_vx = _ZERO
     world.jump_vy = _BOUNCE_VY
@@ -249,7 +249,7 @@ def _carry(world: World, mario: Actor) -> None:
     """Hold the shell out in front, or let it go."""
     if not world.carrying:
         return
-    shell: Actor = world.actors[world.carrying]
+    shell = world.actors[world.carrying]
     ahead = np.float32(_HOLD_AHEAD * mario.facing)
     shell.x = mario.x + ahead
     shell.y = mario.y - _HOLD_UP

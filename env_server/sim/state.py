@@ -9,14 +9,39 @@ Units: pixels (16 to a tile; x to the right, y downwards), pixels per tick, tick
 from __future__ import annotations
 
 import typing
-from typing import Annotated, Final
+from typing import Annotated, Any, Final, Protocol, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
 from env_server.sim._jit import jit
 
-__all__ = ["ACTORS", "COLUMNS", "ROWS", "TICKS_PER_ACTION", "WORLD", "Actor", "World", "Worlds", "add_actor"]
+__all__ = [
+    "ACTORS",
+    "COLUMNS",
+    "FIREBALL",
+    "FLOWER",
+    "FREE",
+    "GOOMBA",
+    "GREEN_KOOPA",
+    "MARIO",
+    "MUSHROOM",
+    "PLANT",
+    "RED_KOOPA",
+    "ROWS",
+    "SHELL",
+    "SPAWN_DEAD",
+    "SPAWN_KIND",
+    "SPAWN_WINGED",
+    "SPIKY",
+    "TICKS_PER_ACTION",
+    "WORLD",
+    "Actor",
+    "Actors",
+    "World",
+    "Worlds",
+    "add_actor",
+]
 
 COLUMNS: Final = 2050
 """The widest level, in tiles."""
@@ -75,6 +100,14 @@ class Actor:
     row: Int
     queued: Flag  # a shell or fireball to be tested against the others in this tick
     leaving: Flag  # to be removed at the end of this tick
+
+
+class Actors(Protocol):
+    """An array of actors."""
+
+    def __getitem__(self, slot: SupportsIndex) -> Actor: ...
+
+    def __len__(self) -> int: ...
 
 
 class World:
@@ -155,7 +188,7 @@ class World:
     carrying: Int  # the slot of a shell, or 0
 
     # The actors: Mario in slot 0, the others anywhere; their order is that of the list.
-    actors: Annotated[npt.NDArray[np.void], "Actor", (ACTORS + 1,)]
+    actors: Annotated[Actors, "Actor", (ACTORS + 1,)]
     listed: Int  # how many are in the list, which leaves Mario out: he is always its last
     order: Annotated[npt.NDArray[np.int32], np.int32, (ACTORS,)]  # slots
     added: Int  # how many wait for the end of the tick to be listed
@@ -168,11 +201,11 @@ Worlds = npt.NDArray[np.void]
 
 def _record(fields: type) -> np.dtype[np.void]:
     """Return the layout that a class of annotations describes, wide numbers first so that all are aligned."""
-    layout: list[tuple[object, ...]] = []
+    layout: list[tuple[Any, ...]] = []
     for name, hint in typing.get_type_hints(fields, include_extras=True).items():
         kind, *shape = hint.__metadata__
         layout.append((name, _ACTOR if kind == "Actor" else np.dtype(kind), *shape))
-    layout.sort(key=lambda field: -field[1].alignment)  # type: ignore[attr-defined]
+    layout.sort(key=lambda field: -field[1].alignment)
     return np.dtype((np.record, layout))
 
 
@@ -193,7 +226,7 @@ def add_actor(world: World, kind: int, x: np.float32, y: np.float32, facing: int
     if slot < ACTORS:
         world.waiting[world.added] = slot
         world.added += 1
-    actor: Actor = world.actors[slot]
+    actor = world.actors[slot]
     actor.kind = kind
     actor.x = x
     actor.y = y

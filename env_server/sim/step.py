@@ -18,7 +18,6 @@ from env_server.sim.state import (
     ROWS,
     SPAWN_DEAD,
     TICKS_PER_ACTION,
-    Actor,
     World,
 )
 
@@ -63,7 +62,7 @@ def tick(world: World) -> None:
     _mark_leaving(world)
     if world.frozen:
         for i in range(world.listed):
-            actor: Actor = world.actors[world.order[i]]
+            actor = world.actors[world.order[i]]
             actor.old_x = actor.x
             actor.old_y = actor.y
         update_mario(world)
@@ -80,7 +79,7 @@ def tick(world: World) -> None:
 @jit
 def draw(world: World) -> None:
     """Draw a frame, which fixes the camera that the next observation will tell."""
-    mario: Actor = world.actors[0]
+    mario = world.actors[0]
     x = mario.old_x + (mario.x - mario.old_x) * world.alpha
     world.drawn_camera = min(max(int(x) - _HALF_VIEW, 0), 16 * world.columns - _VIEW)
 
@@ -156,7 +155,7 @@ def reset(world: World) -> None:
     world.added = 0
     for slot in range(len(world.actors)):
         world.actors[slot].kind = FREE
-    mario: Actor = world.actors[0]
+    mario = world.actors[0]
     mario.kind = MARIO
     mario.x = np.float32(32)
     mario.y = _ZERO
@@ -181,7 +180,7 @@ def _mark_leaving(world: World) -> None:
     """Mark who is off the screen, and count the fireballs that are not."""
     world.fireballs_seen = 0
     for i in range(world.listed):
-        actor: Actor = world.actors[world.order[i]]
+        actor = world.actors[world.order[i]]
         dx = actor.x - world.camera
         if dx < -_MARGIN or dx > _VIEW + _MARGIN or actor.y < -_MARGIN or actor.y > _BELOW:
             actor.leaving = True
@@ -209,7 +208,7 @@ def _spawn(world: World) -> None:
 def _has_enemy(world: World, column: int, row: int) -> bool:
     """Return whether the last enemy of a spawn point is still about."""
     for i in range(world.listed):
-        actor: Actor = world.actors[world.order[i]]
+        actor = world.actors[world.order[i]]
         if actor.column == column and actor.row == row:
             return True
     return False
@@ -219,7 +218,7 @@ def _has_enemy(world: World, column: int, row: int) -> bool:
 def _towards(world: World, column: int) -> int:
     """Return where Mario is, seen from a column: -1 left, 1 right, 0 right here."""
     middle = np.float32(16 * column + 8)
-    mario: Actor = world.actors[0]
+    mario = world.actors[0]
     if middle > mario.x + np.float32(16):
         return -1
     return 1 if middle < mario.x - np.float32(16) else 0
@@ -239,7 +238,7 @@ def _tidy_list(world: World) -> None:
     kept = 0
     for i in range(world.listed):
         slot = world.order[i]
-        actor: Actor = world.actors[slot]
+        actor = world.actors[slot]
         if actor.leaving:
             actor.kind = FREE
             if world.carrying == slot:

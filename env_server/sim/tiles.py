@@ -12,7 +12,37 @@ import numpy as np
 from env_server.sim._jit import jit
 from env_server.sim.state import ROWS, World
 
-__all__ = ["BEHAVIOR", "behavior_at", "set_tile", "solid", "tile_at", "tile_of"]
+__all__ = [
+    "BEHAVIOR",
+    "BREAKABLE",
+    "BRICK",
+    "BRICK_WITH_COIN",
+    "BRICK_WITH_POWER_UP",
+    "BUMPABLE",
+    "COIN",
+    "EMPTY",
+    "GROUND",
+    "HILL_TOP_LEFT",
+    "HILL_TOP_RIGHT",
+    "OVERLAPPED_LEFT",
+    "OVERLAPPED_RIGHT",
+    "PICKUP",
+    "PIPE_MOUTH",
+    "PIPE_SHAFT",
+    "QUESTION_WITH_COIN",
+    "QUESTION_WITH_POWER_UP",
+    "SPECIAL",
+    "STAIR",
+    "STOPS_ALL",
+    "STOPS_FALL",
+    "STOPS_RISE",
+    "USED_BLOCK",
+    "behavior_at",
+    "set_tile",
+    "solid",
+    "tile_at",
+    "tile_of",
+]
 
 EMPTY: Final = 0
 USED_BLOCK: Final = 4

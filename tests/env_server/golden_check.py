@@ -100,14 +100,15 @@ def same(line: Line, reward: float, observation: Observation, ended: bool) -> bo
 
 def check_ticks(name: str) -> Checked:
     """Compare the state after every tick, and every observation."""
-    compared, differences, ticks = 0, [], []
-    game = None
-    lost = True
+    compared, differences = 0, []
+    ticks: list[Line] = []
+    game, where, lost = None, "", True
+    observation = Observation()
     body = np.zeros(BODY_SIZE, np.uint8)
     for line in lines(name):
         kind = line["kind"]
         if kind == "run":
-            game, where, lost = Game(parameters_of(line)), line["id"], False
+            game, where, lost, ticks = Game(parameters_of(line)), line["id"], False, []
         if kind == "tick":
             ticks.append(line)
         if lost or kind not in ("start", "step"):
@@ -129,10 +130,12 @@ def check_ticks(name: str) -> Checked:
                 draw(world)
             compared += 1
         ended = is_over(world) and len(ticks) < 5
-        reward = terminal_reward(world) if ended else ordinary_reward(world)
-        if not ended:
-            size = encode(world, body)
-        if not wrong and not same(line, float(reward), Observation.from_body(body[:size].tobytes()), ended):
+        if ended:
+            reward = terminal_reward(world)
+        else:
+            reward = ordinary_reward(world)
+            observation = Observation.from_body(body[: encode(world, body)].tobytes())
+        if not wrong and not same(line, float(reward), observation, ended):
             wrong = f"{kind} line"
         if wrong:
             differences.append(f"{name} {where} tick {world.tick_count}: {wrong}")
@@ -164,7 +167,7 @@ def difference(recorded: Line, ours: Line) -> str:
 
 
 def state_of(world: World) -> Line:
-    mario: Actor = world.actors[0]
+    mario = world.actors[0]
     return {
         "tick": world.tick_count,
         "paused": world.frozen,
