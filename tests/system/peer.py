@@ -1,0 +1,57 @@
+"""A process that plays one role at a hub:
+
+    python -m tests.system.peer agent tcp://127.0.0.1:4097 tests.players:ScriptedAgent
+    python -m tests.system.peer environment tcp://127.0.0.1:4097 tests.system.conformance:environments
+
+The last argument names what makes the player, or a mapping of players by session. `peer` starts one.
+"""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from glue.client import serve_agent, serve_environment
+from glue.errors import GlueError
+
+ROOT = Path(__file__).parents[2]
+TIMEOUT = 60.0
+"""Seconds until a test gives up waiting for another process. Generous: machines are busy."""
+
+
+@contextmanager
+def running(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """Run a Python program with its standard error in a pipe; it is killed at the end if need be."""
+    process = subprocess.Popen(
+        [sys.executable, *arguments], cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def peer(role: str, hub: str, player: str) -> list[str]:
+    """The arguments of `running` for a process like this one."""
+    return ["-m", "tests.system.peer", role, hub, player]
+
+
+def main(role: str, hub: str, player: str) -> int:
+    """Serve until the hub says goodbye."""
+    module, _, name = player.partition(":")
+    made = getattr(importlib.import_module(module), name)()
+    try:
+        print("goodbye:", {"agent": serve_agent, "environment": serve_environment}[role](made, hub))
+    except GlueError as error:
+        print(f"Error: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

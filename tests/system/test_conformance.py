@@ -1,0 +1,49 @@
+"""The original test suites, in one process and in three: the same numbers everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from glue import client, local
+from glue.config import HubConfig
+from glue.hub import Hub
+from tests.system.conformance import SCENARIOS, Seen
+from tests.system.peer import peer, running
+
+
+@pytest.fixture(scope="module")
+def seen_in_one_process() -> dict[str, Seen]:
+    return {
+        name: case.run(local.connect(case.agent(), case.environment())) for name, case in SCENARIOS.items()
+    }
+
+
+@pytest.fixture(scope="module", params=["tcp", "ipc"])
+def hub(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of a hub with an agent and an environment for each scenario, in two more processes."""
+    path: Path = tmp_path_factory.mktemp("hub") / "hub.sock"
+    url = "tcp://127.0.0.1:*" if request.param == "tcp" else f"ipc://{path}"
+    with Hub(HubConfig(bind=(url,))).in_background() as hub:
+        (endpoint,) = hub.endpoints
+        programs = "tests.system.conformance"
+        with (
+            running(*peer("agent", endpoint, f"{programs}:agents")),
+            running(*peer("environment", endpoint, f"{programs}:environments")),
+        ):
+            yield endpoint
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_scenario_passes_in_one_process(seen_in_one_process: dict[str, Seen], name: str) -> None:
+    assert seen_in_one_process[name]
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_scenario_gives_the_same_numbers_in_three_processes(
+    seen_in_one_process: dict[str, Seen], hub: str, name: str
+) -> None:
+    with client.connect(hub, session=name) as glue:
+        assert SCENARIOS[name].run(glue) == seen_in_one_process[name]
