@@ -46,7 +46,8 @@ def main(role: str, hub: str, player: str) -> int:
     module, _, name = player.partition(":")
     made = getattr(importlib.import_module(module), name)()
     try:
-        print("goodbye:", {"agent": serve_agent, "environment": serve_environment}[role](made, hub))
+        reason = serve_agent(made, hub) if role == "agent" else serve_environment(made, hub)
+        print("goodbye:", reason)
     except GlueError as error:
         print(f"Error: {error}", file=sys.stderr)
         return 1
