@@ -10,7 +10,7 @@ from typing import Final
 from glue.errors import ConfigError
 from glue.wire import MAX_BODY, MAX_NAME
 
-__all__ = ["DEFAULT_HUB", "DEFAULT_SESSION", "HubConfig", "check_session", "check_url"]
+__all__ = ["DEFAULT_HUB", "DEFAULT_SESSION", "HubConfig", "LegacyPort", "check_session", "check_url"]
 
 DEFAULT_HUB: Final = "tcp://127.0.0.1:4097"
 """Where a hub listens and its peers look for it. RL-Glue's own port, 4096, is left to its programs."""
@@ -24,6 +24,7 @@ _LONGEST_PATIENCE: Final = 7 * 86400.0
 """Seconds; libzmq counts milliseconds in 31 bits."""
 
 _TCP: Final = re.compile(r"tcp://(?P<host>\[[0-9a-fA-F:]+\]|[^:/\[\]]+):(?P<port>\d+|\*)")
+_LEGACY: Final = re.compile(r"((?P<host>\[[0-9a-fA-F:]+\]|[^:/=\[\]]+):)?(?P<port>\d+|\*)(=(?P<session>.*))?")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +68,42 @@ class HubConfig:
             raise ConfigError(f"the greatest body is from 1 to {MAX_BODY} bytes, not {self.max_body}")
         if self.max_sessions < 1:
             raise ConfigError(f"a hub serves at least one session, not {self.max_sessions}")
+
+
+@dataclass(frozen=True, slots=True)
+class LegacyPort:
+    """Where original RL-Glue programs join, and the session they join there.
+
+    Args:
+        port: 1 to 65535; 0 takes any free one.
+        session: the session's name.
+        host: address to listen on.
+    """
+
+    port: int
+    session: str = DEFAULT_SESSION
+    host: str = "127.0.0.1"
+
+    @classmethod
+    def parse(cls, text: str, session: str = DEFAULT_SESSION, insecure: bool = False) -> LegacyPort:
+        """Return what `[HOST:]PORT[=SESSION]` says; PORT may be `*`, and SESSION is `session` by default.
+
+        Raises:
+            ConfigError: `text` is malformed, or open to other machines without `insecure`.
+        """
+        match = _LEGACY.fullmatch(text)
+        if match is None:
+            raise ConfigError(f"{text!r} is no port for RL-Glue programs: write [HOST:]PORT[=SESSION]")
+        host = match["host"] or "127.0.0.1"
+        url = check_url(f"tcp://{host}:{match['port']}")
+        if not insecure and not _is_local(url):
+            raise ConfigError(
+                f"{host} can be reached from other machines, and RL-Glue programs are not authenticated: "
+                f"leave the host out, or say --insecure if the network is your own"
+            )
+        named = match["session"]
+        port = 0 if match["port"] == "*" else int(match["port"])
+        return cls(port, session if named is None else check_session(named), host.strip("[]"))
 
 
 def check_url(url: str) -> str:

@@ -29,7 +29,7 @@ import numpy as np
 from glue.errors import LocalProtocolError, PeerLost, RemoteProtocolError
 from glue.messages import CALLS, Kind, Role, Value
 
-__all__ = ["LEGAL", "Engine", "State", "Step"]
+__all__ = ["EPISODE_VERBS", "LEGAL", "Engine", "State", "Step"]
 
 
 class State(Enum):
@@ -47,7 +47,7 @@ LEGAL: Final[Mapping[State, frozenset[Kind]]] = {
 }
 """What may be said in each state. While an answer is awaited it must be the one to the call made."""
 
-_EPISODE_VERBS: Final = frozenset(
+EPISODE_VERBS: Final = frozenset(
     {Kind.RL_STEP, Kind.RL_ENV_STEP, Kind.RL_AGENT_START, Kind.RL_AGENT_STEP, Kind.RL_AGENT_END}
 )
 """Verbs that go on with an episode, and so make no sense once one of its players was replaced."""
@@ -123,7 +123,7 @@ class Engine:
             raise LocalProtocolError(f"{verb.name} came while {self.verb.name} is still being carried out")
         if verb not in LEGAL[State.IDLE]:
             raise LocalProtocolError(f"{verb.name} is not for an experiment to ask")
-        if self._void is not None and verb in _EPISODE_VERBS:
+        if self._void is not None and verb in EPISODE_VERBS:
             raise PeerLost(f"the episode is void: {self._void}; start another")
         self.verb = verb
         self._running = _VERBS[verb](self, scalars, body)

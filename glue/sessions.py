@@ -26,7 +26,7 @@ from glue.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Messa
 from glue.types import Action
 from glue.wire import UnknownKind, clip
 
-__all__ = ["INSTANCE_SIZE", "Route", "Switchboard"]
+__all__ = ["INSTANCE_SIZE", "ONE_RUN", "Route", "Switchboard"]
 
 Route = Hashable
 """Where a message came from and an answer can go: an identity of the ROUTER, or a gateway's client."""
@@ -35,6 +35,9 @@ Send = Callable[[Route, Message], bool]
 
 INSTANCE_SIZE: Final = 16
 """Bytes of the random number by which a peer is known across connections."""
+
+ONE_RUN: Final = "one-run"
+"""Capability of a player that takes part in one run alone: it is sent off when the experiment leaves."""
 
 _MAX_LABEL: Final = 255
 """Bytes of a peer's name and codec that are kept."""
@@ -96,6 +99,8 @@ class Switchboard:
             self._send(route, Message(Kind.HEARTBEAT, message.session, message.seq))
         elif kind is Kind.GOODBYE:
             self._lose(peer, f"left: {clip(str(message.scalars[0]))}")
+            if peer.role is Role.EXPERIMENT:
+                self._send_off(peer.session)
         else:
             self._error(route, message, ErrorCode.NOT_ASKED, f"{kind.name} is for the hub to send")
 
@@ -107,8 +112,13 @@ class Switchboard:
             self._error(route, message, ErrorCode.UNKNOWN_KIND, str(error))
             return
         self._error(route, Message(Kind.ERROR, "", 0), ErrorCode.MALFORMED, str(error))
+        self.lose(route, f"sent a malformed message: {error}", now, ErrorCode.PEER_FAILED)
+
+    def lose(self, route: Route, why: str, now: float, code: ErrorCode = ErrorCode.PEER_LOST) -> None:
+        """Go on without whoever is reached by `route`; `why` completes a sentence about them."""
+        self._now = now
         for peer in [peer for (known, _), peer in self._peers.items() if known == route]:
-            self._lose(peer, f"sent a malformed message: {error}", ErrorCode.PEER_FAILED)
+            self._lose(peer, why, code)
 
     def tick(self, now: float) -> None:
         """Send every peer a sign of life, and give up those that stayed out of reach too long."""
@@ -197,6 +207,14 @@ class Switchboard:
             self._log(f"session {session.name!r}: {role} {label} {'returned' if resumed else 'joined'}")
         session.join(peer, resumed, announce=current is None)
         return None
+
+    def _send_off(self, session: _Session) -> None:
+        """The run is over: say goodbye to those who came for one run."""
+        for player in list(session.peers.values()):
+            if ONE_RUN in player.capabilities:
+                goodbye = Message(Kind.GOODBYE, session.name, 0, ("the experiment is over",))
+                self._send(player.route, goodbye)
+                self._lose(player, "was sent off: the experiment is over")
 
     def _reach(self, peer: _Peer) -> bool:
         return self._send(peer.route, Message(Kind.HEARTBEAT, peer.session.name, 0))
