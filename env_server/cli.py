@@ -13,7 +13,7 @@ environment = player_command(
     "glue-env",
     lambda players, hub, log: serve_environment(players, hub, log=log),
     "Connect an environment to a hub, and serve until the hub says goodbye.",
-    "  glue-env mines\n  glue-env mines --rows 8 --hub tcp://127.0.0.1:5000",
+    "  glue-env mines\n  glue-env mines --random-start --hub tcp://127.0.0.1:5000",
 )
 
 

@@ -11,7 +11,7 @@ Source of names, payloads and ids: RL-Glue 3.04, RL_network.h.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum, IntEnum, StrEnum
 from types import MappingProxyType
 from typing import Final, NamedTuple
@@ -113,11 +113,22 @@ class Scalar(NamedTuple):
     items: Type | None = None
 
 
-class Shape(NamedTuple):
-    """What a message carries: scalars in the header, in this order, and a body."""
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """What a message carries: scalars in the header, in this order, and a body.
+
+    `plain` holds the types of the scalars if a value of the right type is right, so that one comparison
+    checks them all; None if one is optional or has a range of its own.
+    """
 
     scalars: tuple[Scalar, ...] = ()
     body: Body = Body.NONE
+    plain: tuple[type, ...] | None = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        types = tuple(scalar.type for scalar in self.scalars)
+        checked = any(s.optional or s.type in (int, tuple) for s in self.scalars)
+        object.__setattr__(self, "plain", None if checked else types)
 
 
 @dataclass(frozen=True, slots=True)
