@@ -23,13 +23,14 @@ from glue.config import HubConfig
 from glue.errors import RemoteProtocolError
 from glue.messages import Message
 from glue.sessions import Route, Switchboard
-from glue.wire import FROM_HUB, TO_HUB, decode, encode
+from glue.wire import FROM_HUB, MAX_HEADER, TO_HUB, decode, encode
 from glue.zmq_transport import Context, RouterTransport
 
 __all__ = ["GatewayRoute", "Hub"]
 
-_BATCH: Final = 256
-"""Messages taken from the ROUTER before the other sources get their turn."""
+_OWN_ROUTE: Final = (
+    "leave the routing id (ZMQ_IDENTITY) of your socket unset: by a new one the hub knows a new connection"
+)
 
 
 class GatewayRoute(Protocol):
@@ -48,6 +49,10 @@ class Hub:
         context: the ZeroMQ context to use; peers of the same process on `inproc://` need the same one.
         log: takes a line for people about each coming and going.
 
+    Attributes:
+        config: as given.
+        switchboard: where messages go.
+
     Raises:
         ConfigError: an address is taken or cannot be bound.
     """
@@ -58,13 +63,14 @@ class Hub:
         context: Context | None = None,
         log: Callable[[str], None] = lambda line: None,
     ) -> None:
-        self._config = config
+        self.config = config
         self._transport = RouterTransport(
             context or zmq.Context.instance(),
             config.bind,
             config.heartbeat,
             config.patience,
-            config.max_body + 1024,
+            # What is only a little too long is read, and answered with an error that says so.
+            config.max_body + MAX_HEADER,
         )
         self.switchboard = Switchboard(config, self._send, log)
         self._poller = zmq.Poller()
@@ -74,6 +80,7 @@ class Hub:
         self._stopping: str | None = None
         self._ended = threading.Event()
         self._readers: dict[int, Callable[[float], None]] = {}
+        self._tickers: list[Callable[[float], None]] = []
         self._closers: list[Callable[[], None]] = []
         self.watch(self._wake.fileno(), zmq.POLLIN, lambda now: None)
 
@@ -129,12 +136,16 @@ class Hub:
         del self._readers[fd]
         self._poller.unregister(fd)
 
+    def on_tick(self, tick: Callable[[float], None]) -> None:
+        """Call `tick` with the time at every heartbeat, before the switchboard's own. Before `run`."""
+        self._tickers.append(tick)
+
     def on_close(self, close: Callable[[], None]) -> None:
         """Call `close` when the hub ends, after its peers were told."""
         self._closers.append(close)
 
     def _loop(self) -> None:
-        heartbeat = self._config.heartbeat
+        heartbeat = self.config.heartbeat
         router = self._transport.socket
         poll = self._poller.poll
         tick_at = time.monotonic() + heartbeat
@@ -143,26 +154,26 @@ class Hub:
             now = time.monotonic()
             for source, _ in ready:
                 if source is router:
-                    self._receive_all(now)
+                    self._receive(now)
                 elif source in self._readers:
                     self._readers[source](now)
             if now >= tick_at:
+                for tick in self._tickers:
+                    tick(now)
                 self.switchboard.tick(now)
                 tick_at = now + heartbeat
 
-    def _receive_all(self, now: float) -> None:
-        transport, switchboard = self._transport, self.switchboard
-        max_body = self._config.max_body
-        for _ in range(_BATCH):
-            route, frames = transport.receive()
-            try:
-                message = decode(frames, TO_HUB, max_body)
-            except RemoteProtocolError as error:
-                switchboard.malformed(route, error, now)
-            else:
-                switchboard.receive(route, message, now)
-            if not transport.pending():
-                return
+    def _receive(self, now: float) -> None:
+        route, frames = self._transport.receive()
+        try:
+            if route[0]:
+                # Those that the ROUTER gives begin with a zero.
+                raise RemoteProtocolError(_OWN_ROUTE)
+            message = decode(frames, TO_HUB, self.config.max_body)
+        except RemoteProtocolError as error:
+            self.switchboard.malformed(route, error, now)
+        else:
+            self.switchboard.receive(route, message, now)
 
     def _send(self, route: Route, message: Message) -> bool:
         if type(route) is bytes:
