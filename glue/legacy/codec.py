@@ -127,6 +127,11 @@ class Decoder:
         """Read what comes from here on by `vocabulary`."""
         self._vocabulary = vocabulary
 
+    @property
+    def buffered(self) -> int:
+        """How many bytes are held, whole messages or not."""
+        return len(self._buffer)
+
     def receive_data(self, data: bytes) -> None:
         """Take in bytes as they come from the connection."""
         if self._error is None:
