@@ -43,10 +43,9 @@ _MAGIC: Final = b"mario\0\0\1"
 
 
 class InfiniteMario:
-    """The task of an instance or of an MDP; a parameter given by itself overrides theirs.
+    """Infinite Mario of the RL-Competition 2009.
 
-    Raises:
-        SimulatorError: a parameter is out of its bounds.
+    The task is that of an instance or of an MDP; a parameter given by itself overrides theirs.
     """
 
     def __init__(
@@ -65,7 +64,7 @@ class InfiniteMario:
             int | None, Option("0 overground, 1 underground, 2 castle; 0 by default", low=0, high=2)
         ] = None,
         level_difficulty: Annotated[
-            int | None, Option("more gaps, pipes and enemies; 0 by default", low=0, high=100)
+            int | None, Option("the higher, the more gaps, pipes and enemies; 0 by default", low=0, high=100)
         ] = None,
         level_width: Annotated[
             int | None,
@@ -115,13 +114,13 @@ class InfiniteMario:
         slidejump_time: Annotated[
             int | None,
             Option(
-                "minus how long a jump off a wall goes up, -6 by default", low=-100, high=100, unit="ticks"
+                "the same for jumps off a wall, negative; -6 by default", low=-100, high=100, unit="ticks"
             ),
         ] = None,
         render: Annotated[
             str,
             Option(
-                "when the original draws, which is when it sees the episode's end and moves the camera",
+                "when the original draws a frame, which moves the camera and notices the episode's end",
                 choices=("tick", "checkin"),
             ),
         ] = "tick",
@@ -133,9 +132,14 @@ class InfiniteMario:
         ] = 5,
         velocity: Annotated[
             str,
-            Option("tiles per step, or as the first binary release had it", choices=("source", "jar")),
+            Option("in tiles per step, or as the first binary release told it", choices=("source", "jar")),
         ] = "source",
     ) -> None:
+        """Check the parameters.
+
+        Raises:
+            SimulatorError: a parameter is out of its bounds.
+        """
         # The first statement, so that the parameters are all the locals there are.
         given = {name: value for name, value in locals().items() if name != "self" and value is not None}
         given = _check(given)

@@ -204,8 +204,6 @@ def _enemies(world: World, rng: random.State, begin: int, end: int, row: int) ->
 @jit
 def _decorate(world: World, rng: random.State, begin: int, end: int, floor: int) -> None:
     """Put enemies, coins and blocks over the floor of the columns from `begin` up to `end`."""
-    if floor < 1:
-        return
     _enemies(world, rng, begin + 1, end - 1, floor - 1)
     first = begin + 1 + random.draw(rng, 4)
     beyond = end - 1 - random.draw(rng, 4)
