@@ -16,8 +16,8 @@ from experiment_runner.resume import create_run, remaining, resume_run
 from experiment_runner.run import run_trials
 from experiment_runner.store import Results, Store
 from glue import __version__
-from glue.commands import run
-from glue.config import DEFAULT_HUB, DEFAULT_SESSION, check_session, check_url
+from glue.commands import legacy_port_option, run
+from glue.config import DEFAULT_HUB, DEFAULT_SESSION, LegacyPort, check_session, check_url
 from glue.errors import ConfigError
 from glue.experiment import Experiment
 from glue.loading import find, names
@@ -66,6 +66,7 @@ _LAST: int = 100
     f"[default: {DEFAULT_HUB}, if any is expected]",
 )
 @click.option("--session", default=DEFAULT_SESSION, show_default=True, help="Session to hold at the hub.")
+@legacy_port_option
 @click.option("--insecure", is_flag=True, help="Allow --bind to addresses that other machines can reach.")
 @click.option(
     "--out",
@@ -98,6 +99,7 @@ def experiment(
     hub: str | None,
     bind: tuple[str, ...],
     session: str,
+    legacy_port: tuple[str, ...],
     insecure: bool,
     out: Path | None,
     checkpoint_every: int,
@@ -114,6 +116,7 @@ def experiment(
       glue-experiment --env mines --agent sarsa --episodes 2000
       glue-experiment --env mines --agent my_agent.py:MyAgent --episodes 100 --in-process
       glue-experiment --env mines --agent sarsa --agent-option step_size=0.2 --episodes 500 --json
+      glue-experiment --env mines --episodes 100 --legacy-port 4096
     """
     plan = Plan(
         episodes=episodes,
@@ -123,7 +126,7 @@ def experiment(
         agents=_role(Role.AGENT, agent, agent_option),
     )
     plan = check_options(plan, lambda role, name: find(Role(role), name))
-    options = _hub_options(hub, bind, session, insecure)
+    options = _hub_options(hub, bind, session, insecure, legacy_port, one_process)
     reporter: Reporter = Progress()
     lines = JsonLines(reporter) if as_json else None
 
@@ -156,12 +159,24 @@ def _role(role: Role, name: str | None, assignments: tuple[str, ...]) -> tuple[R
     return (RoleSweep(name, parse_assignments(find(role, name), assignments)),)
 
 
-def _hub_options(hub: str | None, bind: tuple[str, ...], session: str, insecure: bool) -> HubOptions:
+def _hub_options(
+    hub: str | None,
+    bind: tuple[str, ...],
+    session: str,
+    insecure: bool,
+    legacy_port: tuple[str, ...],
+    one_process: bool,
+) -> HubOptions:
     if hub is not None and bind:
         raise ConfigError("--bind is for a hub of the experiment's own; with --hub there is none")
+    if legacy_port and (hub is not None or one_process):
+        flag = "--in-process" if one_process else "--hub"
+        raise ConfigError(f"--legacy-port is for a hub of the experiment's own; with {flag} there is none")
     for url in (*bind, *([hub] if hub else [])):
         check_url(url)
-    return HubOptions(hub, bind, check_session(session), insecure)
+    check_session(session)
+    legacy = tuple(LegacyPort.parse(text, session, insecure) for text in legacy_port)
+    return HubOptions(hub, bind, session, insecure, legacy)
 
 
 def _open(directory: Path, plan: Plan) -> Store:

@@ -20,14 +20,15 @@ import zmq
 
 from experiment_runner.plan import RoleSpec, TrialSpec
 from glue.client import connect as connect_to_hub
-from glue.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
+from glue.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig, LegacyPort
 from glue.errors import ExperimentError
 from glue.experiment import Experiment
 from glue.hub import Hub
+from glue.legacy.gateway import Gateway
 from glue.loading import find
 from glue.local import connect as connect_locally
 from glue.messages import Event, Role
-from glue.options import Value, build
+from glue.options import Value, build, parameters
 
 __all__ = ["HubOptions", "Say", "in_process", "over_hub", "player_arguments"]
 
@@ -53,12 +54,14 @@ class HubOptions:
         bind: addresses of our own hub for players from outside; by default one, if any is expected.
         session: the session's name.
         insecure: allow addresses that other machines can reach.
+        legacy: ports of our own hub for original RL-Glue programs.
     """
 
     hub: str | None = None
     bind: tuple[str, ...] = ()
     session: str = DEFAULT_SESSION
     insecure: bool = False
+    legacy: tuple[LegacyPort, ...] = ()
 
 
 @contextmanager
@@ -102,7 +105,10 @@ def over_hub(spec: TrialSpec, options: HubOptions, say: Say) -> Iterator[Experim
             inside, address = f"ipc://{folder}/hub", _INPROC
             outside = options.bind or ((DEFAULT_HUB,) if len(named) < len(players) else ())
             config = HubConfig(bind=(_INPROC, inside, *outside), insecure=options.insecure)
-            hub = stack.enter_context(Hub(config, context).in_background())
+            hub = Hub(config, context)
+            for port in Gateway(hub, options.legacy, say).ports:
+                say(f"original RL-Glue programs join on {port}")
+            stack.enter_context(hub.in_background())
             public = hub.endpoints[2] if outside else inside
         else:
             inside = public = address = options.hub
@@ -119,8 +125,9 @@ def player_arguments(
 ) -> list[str]:
     """Return the arguments of glue-agent or glue-env that start this player."""
     arguments = [name]
+    known = parameters(find(role, name)) if options else {}
     for key, value in options.items():
-        flag = key.replace("_", "-")
+        flag = known[key].flag
         if isinstance(value, bool):
             arguments.append(f"--{flag}" if value else f"--no-{flag}")
         else:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from typing import Final
 
 import click
 
 from glue import __version__
-from glue.commands import Terminated, run
-from glue.config import DEFAULT_HUB, HubConfig
+from glue.commands import Terminated, legacy_port_option, run
+from glue.config import DEFAULT_HUB, HubConfig, LegacyPort
 from glue.hub import Hub
+from glue.legacy.gateway import Gateway
 
 __all__ = ["hub", "main"]
 
@@ -47,9 +49,17 @@ _DEFAULTS: Final = HubConfig()
     show_default=True,
     help="Sessions served at once.",
 )
+@legacy_port_option
 @click.option("--insecure", is_flag=True, help="Allow addresses that other machines can reach.")
 @click.version_option(__version__, prog_name="glue-hub")
-def hub(bind: tuple[str, ...], heartbeat: float, patience: float, max_sessions: int, insecure: bool) -> None:
+def hub(
+    bind: tuple[str, ...],
+    heartbeat: float,
+    patience: float,
+    max_sessions: int,
+    legacy_port: tuple[str, ...],
+    insecure: bool,
+) -> None:
     """Run a hub alone, until Ctrl-C.
 
     Environments, agents and experiments connect to it; a session is one of each, paired by name. An
@@ -60,6 +70,7 @@ def hub(bind: tuple[str, ...], heartbeat: float, patience: float, max_sessions: 
       glue-hub
       glue-hub --bind tcp://127.0.0.1:5000
       glue-experiment --hub tcp://127.0.0.1:5000 --session a --episodes 100
+      glue-hub --legacy-port 4096 --legacy-port 5096=b
     """
     config = HubConfig(
         bind=bind,
@@ -68,14 +79,18 @@ def hub(bind: tuple[str, ...], heartbeat: float, patience: float, max_sessions: 
         max_sessions=max_sessions,
         insecure=insecure,
     )
-    serve_until_interrupted(config)
+    ports = [LegacyPort.parse(text, insecure=insecure) for text in legacy_port]
+    serve_until_interrupted(config, ports)
 
 
-def serve_until_interrupted(config: HubConfig) -> None:
+def serve_until_interrupted(config: HubConfig, ports: Sequence[LegacyPort] = ()) -> None:
     """Serve until Ctrl-C or SIGTERM; every peer is told."""
     running = Hub(config, log=_log)
+    gateway = Gateway(running, ports, _log)
     for endpoint in running.endpoints:
         _log(f"listening on {endpoint}")
+    for port in gateway.ports:
+        _log(f"listening for original RL-Glue programs on {port}")
     with running.in_background():
         try:
             running.wait()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from types import FrameType
 from typing import Any, Final, NoReturn
 
@@ -21,10 +22,18 @@ from glue.loading import find, names
 from glue.messages import Role
 from glue.options import Parameter, Value, build, parameters
 
-__all__ = ["EXIT_INTERRUPTED", "Terminated", "player_command", "run"]
+__all__ = ["EXIT_INTERRUPTED", "Extra", "Terminated", "player_command", "run"]
 
 EXIT_INTERRUPTED: Final = 130
 _EXIT_TERMINATED: Final = 143
+
+legacy_port_option: Final = click.option(
+    "--legacy-port",
+    multiple=True,
+    metavar="[HOST:]PORT[=SESSION]",
+    help="Port at which original RL-Glue programs join a session; they look for 4096. Repeat it for several.",
+)
+"""The option of all commands that bring a hub; see `glue.config.LegacyPort.parse`."""
 
 
 class Terminated(KeyboardInterrupt):
@@ -63,42 +72,63 @@ Serve = Callable[[Mapping[str, Any], str, Callable[[str], None]], str]
 """Serves players, by session, at a hub, with a log; returns the hub's reason for the goodbye."""
 
 
-def player_command(role: Role, command: str, serve: Serve, about: str, example: str) -> click.Group:
+@dataclass(frozen=True, slots=True)
+class Extra:
+    """An option that every player of a command has beside its own.
+
+    Args:
+        option: what click reads.
+        apply: returns the player to serve for the one made and the value given.
+    """
+
+    option: click.Option
+    apply: Callable[[Any, Any], Any]
+
+
+def player_command(
+    role: Role, command: str, serve: Serve, about: str, example: str, extra: Extra
+) -> click.Group:
     """Return the command that starts an agent or environment by name: `glue-agent`, `glue-env`.
 
     Its subcommands are the installed names; `module:Class` and `path/to/file.py:Class` work as well.
-    The options of each are its constructor's, see `glue.options`.
+    The options of each are its constructor's, see `glue.options`, and `extra`.
     """
     listed = ", ".join(names(role))
     help_text = (
         f"{about}\n\nNAME is one of {listed}, or your own as module:Class or path/to/file.py:Class. "
         f"`{command} NAME --help` lists its options.\n\n\b\nExamples:\n{example}"
     )
-    return _PlayerGroup(role, serve, name=command, help=help_text)
+    return _PlayerGroup(role, serve, extra, name=command, help=help_text)
 
 
 class _PlayerGroup(click.Group):
     """A group whose subcommands are made from the classes that its arguments name."""
 
-    def __init__(self, role: Role, serve: Serve, name: str, help: str) -> None:
+    def __init__(self, role: Role, serve: Serve, extra: Extra, name: str, help: str) -> None:
         super().__init__(name=name, help=help, subcommand_metavar="NAME [OPTIONS]", no_args_is_help=True)
         self._role = role
         self._serve = serve
+        self._extra = extra
         click.version_option(__version__, prog_name=name)(self)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return names(self._role)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command:
-        return _serving(self._role, cmd_name, find(self._role, cmd_name), self._serve)
+        return _serving(self._role, cmd_name, find(self._role, cmd_name), self._serve, self._extra)
 
 
-def _serving(role: Role, name: str, factory: type, serve: Serve) -> click.Command:
+def _serving(role: Role, name: str, factory: type, serve: Serve, extra: Extra) -> click.Command:
     known = parameters(factory)
+    extra_name = extra.option.name
+    assert extra_name is not None
 
     def start(hub: str, session: tuple[str, ...], quiet: bool, **options: Value | None) -> None:
+        added = options.pop(extra_name)
         given = {key: value for key, value in options.items() if value is not None}
         players = {one: build(factory, given) for one in session}
+        if added:
+            players = {one: extra.apply(player, added) for one, player in players.items()}
         log = _silent if quiet else _say
         log(f"the hub said goodbye: {serve(players, hub, log)}")
 
@@ -113,6 +143,7 @@ def _serving(role: Role, name: str, factory: type, serve: Serve) -> click.Comman
             help="Session to take part in; repeat it to serve several over one connection.",
         ),
         click.Option(["--quiet"], is_flag=True, help="Say nothing but errors."),
+        extra.option,
     ]
     own: Sequence[click.Parameter] = [_option(parameter) for parameter in known.values()]
     return click.Command(name, callback=start, params=[*own, *common], help=summary)
@@ -128,7 +159,7 @@ def _silent(line: str) -> None:
 
 def _option(parameter: Parameter) -> click.Option:
     """Return the command line's option for a constructor's parameter."""
-    flag = "--" + parameter.name.replace("_", "-")
+    flag = f"--{parameter.flag}"
     if parameter.type is bool:
         flag = f"{flag}/--no-{flag[2:]}"
     option = parameter.option

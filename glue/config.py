@@ -84,6 +84,10 @@ class LegacyPort:
     session: str = DEFAULT_SESSION
     host: str = "127.0.0.1"
 
+    def __str__(self) -> str:
+        host = f"[{self.host}]" if ":" in self.host else self.host
+        return f"{host}:{self.port}, session {self.session!r}"
+
     @classmethod
     def parse(cls, text: str, session: str = DEFAULT_SESSION, insecure: bool = False) -> LegacyPort:
         """Return what `[HOST:]PORT[=SESSION]` says; PORT may be `*`, and SESSION is `session` by default.

@@ -18,6 +18,7 @@ Source: RL-Glue core 3.04, RL_network_glue.c; rl-glue-ext, the C, Java and Pytho
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 import time
@@ -184,10 +185,7 @@ class _Listener:
         try:
             self._socket = socket.create_server((port.host, port.port), family=family, backlog=_BATCH)
         except OSError as error:
-            raise ConfigError(
-                f"cannot listen for RL-Glue programs on {port.host}:{port.port}: {error.strerror}; "
-                f"is the rl_glue server, or another hub, running there?"
-            ) from None
+            raise ConfigError(_cannot_listen(port, error)) from None
         self._socket.setblocking(False)
         self.port = replace(port, port=self._socket.getsockname()[1])
         self.listen()
@@ -219,6 +217,17 @@ class _Listener:
             except OSError:
                 # Gone already.
                 connected.close()
+
+
+def _cannot_listen(port: LegacyPort, error: OSError) -> str:
+    if error.errno == errno.EADDRINUSE:
+        return (
+            f"cannot listen for original RL-Glue programs on {port}: the port is in use; is the rl_glue "
+            f"server or another hub running? Stop it, or choose another port with --legacy-port"
+        )
+    # Python adds the address to the text of the system's own errors; those of names are negative.
+    reason = os.strerror(error.errno) if (error.errno or 0) > 0 else error.strerror
+    return f"cannot listen for original RL-Glue programs on {port}: {reason}"
 
 
 class _Stranger:
