@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import click
+
+from agents.trained import load_trained
 from glue.client import serve_agent
-from glue.commands import player_command, run
+from glue.commands import Extra, player_command, run
 from glue.messages import Role
 
 __all__ = ["agent", "main"]
@@ -13,7 +18,17 @@ agent = player_command(
     "glue-agent",
     lambda players, hub, log: serve_agent(players, hub, log=log),
     "Connect an agent to a hub, and serve until the hub says goodbye.",
-    "  glue-agent random\n  glue-agent sarsa --step-size 0.1 --hub tcp://127.0.0.1:5000",
+    "  glue-agent random\n"
+    "  glue-agent sarsa --step-size 0.1 --hub tcp://127.0.0.1:5000\n"
+    "  glue-agent hierarchical --load mario.agent --no-learning --epsilon 0",
+    Extra(
+        click.Option(
+            ["--load"],
+            type=click.Path(path_type=Path, dir_okay=False),
+            help="File of what an agent of this kind has learned, from `glue-results agent`.",
+        ),
+        load_trained,
+    ),
 )
 
 

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import sys
+
+import click
+
+from env_server.render import TerminalScreen
+from env_server.rendered import Rendered
 from glue.client import serve_environment
-from glue.commands import player_command, run
+from glue.commands import Extra, player_command, run
 from glue.messages import Role
 
 __all__ = ["environment", "main"]
@@ -13,7 +19,13 @@ environment = player_command(
     "glue-env",
     lambda players, hub, log: serve_environment(players, hub, log=log),
     "Connect an environment to a hub, and serve until the hub says goodbye.",
-    "  glue-env mines\n  glue-env mines --random-start --hub tcp://127.0.0.1:5000",
+    "  glue-env mines\n"
+    "  glue-env mario --level-difficulty 1 --render\n"
+    "  glue-env mines --random-start --hub tcp://127.0.0.1:5000",
+    Extra(
+        click.Option(["--render"], is_flag=True, help="Draw it in this terminal as it is played."),
+        lambda player, _: Rendered(player, TerminalScreen(sys.stdout)),
+    ),
 )
 
 

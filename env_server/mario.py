@@ -122,6 +122,7 @@ class InfiniteMario:
             Option(
                 "when the original draws a frame, which moves the camera and notices the episode's end",
                 choices=("tick", "checkin"),
+                flag="drawing",
             ),
         ] = "tick",
         alpha: Annotated[

@@ -29,13 +29,17 @@ Value = int | float | str | bool
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """What `Annotated` says of a constructor parameter: meaning, unit and bounds (ends included)."""
+    """What `Annotated` says of a constructor parameter: meaning, unit and bounds (ends included).
+
+    `flag` names it on the command line where its own name is taken, as `render` is by glue-env.
+    """
 
     help: str
     low: float | None = None
     high: float | None = None
     unit: str = ""
     choices: tuple[str, ...] = ()
+    flag: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +50,11 @@ class Parameter:
     type: type
     default: Value | None
     option: Option
+
+    @property
+    def flag(self) -> str:
+        """What the command line calls it, without the leading dashes."""
+        return (self.option.flag or self.name).replace("_", "-")
 
     def parse(self, text: str) -> Value:
         """Return `text` as a value of this parameter.

@@ -1,0 +1,50 @@
+"""An agent that begins every run with what another run taught it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+from glue.errors import ConfigError
+from glue.roles import SaveableAgent
+
+__all__ = ["Trained", "load_trained"]
+
+_MAX_SIZE: Final = 2**30
+"""Bytes of the greatest file that is read."""
+
+
+class Trained:
+    """`agent`, with `learned` loaded after every init; in all else it is the same.
+
+    Args:
+        agent: offers the capability `save`.
+        learned: what `agent_save` of the same class returned.
+    """
+
+    def __init__(self, agent: Any, learned: bytes) -> None:
+        self._agent = agent
+        self._learned = learned
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._agent, name)
+
+    def agent_init(self, task_spec: str) -> None:
+        self._agent.agent_init(task_spec)
+        self._agent.agent_load(self._learned)
+
+
+def load_trained(agent: Any, path: Path) -> Trained:
+    """Return `agent` with what the file at `path` holds, as `glue-results agent` writes it.
+
+    Raises:
+        ConfigError: the agent cannot load, or the file cannot be read.
+    """
+    if not isinstance(agent, SaveableAgent):
+        raise ConfigError(f"{type(agent).__name__} cannot load what was learned: it has no agent_load")
+    try:
+        if path.stat().st_size > _MAX_SIZE:
+            raise ConfigError(f"{path} is larger than {_MAX_SIZE} bytes, and no saved agent")
+        return Trained(agent, path.read_bytes())
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}") from error
