@@ -117,6 +117,8 @@ def check_url(url: str) -> str:
         ConfigError: it is not `tcp://host:port`, `ipc://path` or `inproc://name`.
     """
     scheme, separator, rest = url.partition("://")
+    if not url.isprintable():
+        raise ConfigError(f"{url!r:.120} is no address of a hub: it has unprintable characters")
     if separator and scheme in ("ipc", "inproc") and rest:
         if scheme == "ipc" and len(rest.encode()) > _IPC_PATH_LIMIT:
             raise ConfigError(
