@@ -23,7 +23,7 @@ agent = player_command(
     "  glue-agent hierarchical --load mario.agent --no-learning --epsilon 0",
     Extra(
         click.Option(
-            ["--load"],
+            ["--load", "_load"],
             type=click.Path(path_type=Path, dir_okay=False),
             help="File of what an agent of this kind has learned, from `glue-results agent`.",
         ),

@@ -23,7 +23,7 @@ environment = player_command(
     "  glue-env mario --level-difficulty 1 --render\n"
     "  glue-env mines --random-start --hub tcp://127.0.0.1:5000",
     Extra(
-        click.Option(["--render"], is_flag=True, help="Draw it in this terminal as it is played."),
+        click.Option(["--render", "_render"], is_flag=True, help="Draw it in this terminal as it is played."),
         lambda player, _: Rendered(player, TerminalScreen(sys.stdout)),
     ),
 )

@@ -123,26 +123,27 @@ def _serving(role: Role, name: str, factory: type, serve: Serve, extra: Extra) -
     extra_name = extra.option.name
     assert extra_name is not None
 
-    def start(hub: str, session: tuple[str, ...], quiet: bool, **options: Value | None) -> None:
+    # The names are ours, so that a player may have a parameter called hub or quiet.
+    def start(_hub: str, _session: tuple[str, ...], _quiet: bool, **options: Value | None) -> None:
         added = options.pop(extra_name)
         given = {key: value for key, value in options.items() if value is not None}
-        players = {one: build(factory, given) for one in session}
+        players = {one: build(factory, given) for one in _session}
         if added:
             players = {one: extra.apply(player, added) for one, player in players.items()}
-        log = _silent if quiet else _say
-        log(f"the hub said goodbye: {serve(players, hub, log)}")
+        log = _silent if _quiet else _say
+        log(f"the hub said goodbye: {serve(players, _hub, log)}")
 
     summary = (factory.__doc__ or f"The {role} {name}.").strip()
     common: list[click.Parameter] = [
-        click.Option(["--hub"], default=DEFAULT_HUB, show_default=True, help="Address of the hub."),
+        click.Option(["--hub", "_hub"], default=DEFAULT_HUB, show_default=True, help="Address of the hub."),
         click.Option(
-            ["--session"],
+            ["--session", "_session"],
             multiple=True,
             default=(DEFAULT_SESSION,),
             show_default=True,
             help="Session to take part in; repeat it to serve several over one connection.",
         ),
-        click.Option(["--quiet"], is_flag=True, help="Say nothing but errors."),
+        click.Option(["--quiet", "_quiet"], is_flag=True, help="Say nothing but errors."),
         extra.option,
     ]
     own: Sequence[click.Parameter] = [_option(parameter) for parameter in known.values()]
