@@ -188,7 +188,9 @@ class _Link:
             raise Refused(f"the hub at {self._hub} refused this {self._role}: {scalars[1]!s}")
         if kind is Kind.ERROR and scalars[0] == ErrorCode.UNKNOWN_PEER:
             if session in self._welcomed:
-                self._hello(session)
+                # The connection is a new one, so the hub knows it in no session.
+                for known in self._names:
+                    self._hello(known)
             return None
         if kind is Kind.WELCOME and session in self._names:
             _, _, heartbeat, patience, max_body = scalars
@@ -220,7 +222,7 @@ class _Link:
     def close(self, reason: str) -> None:
         """Say goodbye to the hub, if there is one, and close."""
         for session in self._welcomed:
-            self._transport.send(encode(Message(Kind.GOODBYE, session, 0, (reason,)), TO_HUB))
+            self._transport.send(encode(Message(Kind.GOODBYE, session, 0, (clip(reason),)), TO_HUB))
         self._transport.close(None if self._welcomed else 0)
 
 
