@@ -226,7 +226,8 @@ def _cannot_listen(port: LegacyPort, error: OSError) -> str:
             f"server or another hub running? Stop it, or choose another port with --legacy-port"
         )
     # Python adds the address to the text of the system's own errors; those of names are negative.
-    reason = os.strerror(error.errno) if (error.errno or 0) > 0 else error.strerror
+    number = error.errno or 0
+    reason = os.strerror(number) if number > 0 else error.strerror
     return f"cannot listen for original RL-Glue programs on {port}: {reason}"
 
 

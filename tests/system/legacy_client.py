@@ -218,6 +218,10 @@ class Connection:
             data += chunk
         return data
 
+    def close_writing(self) -> None:
+        """Say that no more will be sent; what comes can still be received."""
+        self._socket.shutdown(socket.SHUT_WR)
+
     def close(self) -> None:
         """Close in the orderly way."""
         self._socket.close()
