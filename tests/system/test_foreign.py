@@ -1,0 +1,236 @@
+"""The programs in docs/examples, which share no code with ours, play against ours and with each other."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+import pytest
+import zmq
+
+from env_server.toys import SkeletonEnvironment
+from glue.client import connect, serve_environment
+from glue.config import HubConfig
+from glue.experiment import Experiment
+from glue.hub import Hub
+from glue.types import Action, Observation
+
+EXAMPLES: Final = Path(__file__).parents[2] / "docs/examples"
+PYTHON: Final = EXAMPLES / "python"
+
+Agent = Callable[[str], list[str]]
+"""The command that starts an agent at a hub."""
+
+
+def python_agent(hub: str) -> list[str]:
+    return [sys.executable, str(PYTHON / "agent.py"), hub]
+
+
+def javascript_agent(hub: str) -> list[str]:
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("there is no node here to run the JavaScript agent")
+    return [node, str(EXAMPLES / "javascript/agent.mjs"), hub]
+
+
+@pytest.fixture(scope="module")
+def c_agent(tmp_path_factory: pytest.TempPathFactory) -> Agent:
+    compiler = shutil.which("cc")
+    if compiler is None:
+        pytest.skip("there is no C compiler here to build the C agent")
+    includes = subprocess.run([compiler, "-E", "-"], input=b"#include <zmq.h>\n", capture_output=True)
+    if includes.returncode != 0:
+        pytest.skip("there is no zmq.h here to build the C agent (Debian: libzmq3-dev)")
+    program = tmp_path_factory.mktemp("c") / "agent"
+    source = str(EXAMPLES / "c/agent.c")
+    strict = ["-std=c11", "-Wall", "-Wextra", "-Werror"]
+    subprocess.run([compiler, *strict, "-o", str(program), source, "-lzmq"], check=True)
+    return lambda hub: [str(program), hub]
+
+
+@pytest.fixture(params=["python", "javascript", "c"])
+def agent(request: pytest.FixtureRequest) -> Agent:
+    if request.param == "c":
+        compiled: Agent = request.getfixturevalue("c_agent")
+        return compiled
+    return {"python": python_agent, "javascript": javascript_agent}[request.param]
+
+
+class Wordy:
+    """Shows ints, doubles and chars; ends with the third step."""
+
+    def __init__(self) -> None:
+        self.actions: list[Action] = []
+
+    def env_init(self) -> str:
+        return "no task spec"
+
+    def env_start(self) -> Observation:
+        self.actions = []
+        return Observation(ints=[-7, 2**31 - 1], doubles=[1e300, -0.5], chars=b"\x00\xff")
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        self.actions.append(action)
+        below = Observation(ints=[-8], doubles=[0.25, -2.0, 4.0], chars=b"abc" * 100)
+        return -0.5, below, len(self.actions) == 3
+
+    def env_cleanup(self) -> None:
+        pass
+
+    def env_message(self, message: str) -> str:
+        return message
+
+
+@contextmanager
+def running(command: list[str]) -> Iterator[subprocess.Popen[str]]:
+    """Run a program; it must have ended by itself, without complaint, at the end of the `with`."""
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+            _, complaint = process.communicate(timeout=60)
+        finally:
+            process.kill()
+        assert (process.returncode, complaint) == (0, "")
+
+
+@contextmanager
+def table_for(agent: Agent, environment: object, through: Callable[[str], str] = str) -> Iterator[Experiment]:
+    """Sit down a foreign agent, our environment and an experiment at a hub of ours.
+
+    `through` may put something between the agent and the hub: it is given the hub's URL and returns another.
+    """
+    with zmq.Context() as context:
+        hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)), context)
+        url = hub.endpoints[0]
+        serve = threading.Thread(
+            target=serve_environment,
+            args=(environment, url),
+            kwargs={"context": context, "log": lambda line: None},
+        )
+        with running(agent(through(url))):
+            with hub.in_background(), connect(url, context=context, log=lambda line: None) as glue:
+                serve.start()
+                yield glue
+            serve.join()
+
+
+def test_agent_walks_the_skeleton_environment(agent: Agent) -> None:
+    with table_for(agent, SkeletonEnvironment()) as glue:
+        assert glue.rl_init(seed=1).startswith("VERSION RL-Glue-3.0")
+        assert [glue.rl_episode(max_steps) for max_steps in (0, 100, 5)] == [True, True, False]
+        assert (glue.rl_num_episodes(), glue.rl_num_steps(), glue.rl_return()) == (2, 5, 0.0)
+        said = glue.rl_agent_message("how was it?")
+        glue.rl_cleanup()
+
+    assert said == "2 episodes, 2 in all; last seen: 1 ints, 0 doubles that sum to 0, 0 chars"
+
+
+def test_agent_reads_all_three_runs_and_the_rewards(agent: Agent) -> None:
+    environment = Wordy()
+    with table_for(agent, environment) as glue:
+        glue.rl_init()
+        assert glue.rl_agent_message("") == (
+            "0 episodes, 0 in all; last seen: 0 ints, 0 doubles that sum to 0, 0 chars"
+        )
+        assert glue.rl_episode() is True
+        said = glue.rl_agent_message("größer")
+
+    assert said == "1 episodes, -1.5 in all; last seen: 1 ints, 3 doubles that sum to 2.25, 300 chars"
+    assert environment.actions == [Action([1]), Action([0]), Action([0])]
+
+
+def test_agent_survives_a_connection_that_is_cut_again_and_again(agent: Agent) -> None:
+    cutter = Cutter()
+    with cutter, table_for(agent, SkeletonEnvironment(), cutter.before) as glue:
+        glue.rl_init()
+        returns = []
+        for _ in range(3):
+            start = glue.rl_start()
+            cutter.cut()
+            states = [int(start.observation.ints[0])]
+            while not (step := glue.rl_step()).terminal:
+                states.append(int(step.observation.ints[0]))
+                if step.observation.ints[0] == 15:
+                    cutter.cut()
+            assert states == list(range(10, 20))
+            returns.append(glue.rl_return())
+        said = glue.rl_agent_message("did you notice?")
+
+    assert returns == [1.0, 1.0, 1.0]
+    assert said.startswith("3 episodes, 3 in all")
+    assert cutter.cuts >= 6
+
+
+def test_environment_agent_and_experiment_that_know_only_the_document_play_together() -> None:
+    with zmq.Context() as context:
+        hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)), context)
+        url = hub.endpoints[0]
+        environment = [sys.executable, str(PYTHON / "environment.py"), url, "foreign"]
+        experiment = [sys.executable, str(PYTHON / "experiment.py"), url, "foreign"]
+        with running(environment), running([*python_agent(url), "foreign"]), hub.in_background():
+            done = subprocess.run(experiment, capture_output=True, text=True, timeout=60)
+
+    assert done.returncode == 0, done.stderr
+    task_spec, *episodes, said = done.stdout.splitlines()
+    assert task_spec.startswith("VERSION RL-Glue-3.0")
+    assert episodes == [f"episode {n}: return 1, 10 steps, ended" for n in (1, 2, 3)]
+    assert said.startswith("3 episodes, 3 in all")
+
+
+class Cutter:
+    """Stands between a peer and the hub, and cuts their connection when told to."""
+
+    def __init__(self) -> None:
+        self.cuts = 0
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._pairs: list[tuple[socket.socket, socket.socket]] = []
+        self._hub = ("", 0)
+
+    def __enter__(self) -> Cutter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()
+        self.cut()
+
+    def before(self, hub: str) -> str:
+        """Stand before `hub`; return the URL to connect to instead."""
+        host, _, port = hub.removeprefix("tcp://").rpartition(":")
+        self._hub = (host, int(port))
+        threading.Thread(target=self._accept, daemon=True).start()
+        return f"tcp://127.0.0.1:{self._listener.getsockname()[1]}"
+
+    def cut(self) -> None:
+        """Cut what is connected now; new connections are let through."""
+        while self._pairs:
+            self.cuts += 1
+            for end in self._pairs.pop():
+                end.shutdown(socket.SHUT_RDWR)
+                end.close()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                near, _ = self._listener.accept()
+            except OSError:
+                return
+            far = socket.create_connection(self._hub)
+            self._pairs.append((near, far))
+            for source, target in ((near, far), (far, near)):
+                threading.Thread(target=self._pump, args=(source, target), daemon=True).start()
+
+    @staticmethod
+    def _pump(source: socket.socket, target: socket.socket) -> None:
+        try:
+            while data := source.recv(65536):
+                target.sendall(data)
+        except OSError:
+            return
