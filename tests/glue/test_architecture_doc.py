@@ -1,0 +1,68 @@
+"""docs/architecture.md and docs/glossary.md say how the program is built."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+ROOT: Final = Path(__file__).parents[2]
+TEXT: Final = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
+
+
+def rows_of_modules() -> list[list[str]]:
+    section = TEXT.partition("## Inside `glue`")[2].partition("\n## ")[0]
+    first_cells = re.findall(r"^\| (`.*?) \|", section, re.MULTILINE)
+    return [re.findall(r"`([\w.]+)`", cell) for cell in first_cells]
+
+
+ROWS: Final = {module: number for number, row in enumerate(rows_of_modules()) for module in row}
+
+
+def modules_of_glue() -> dict[str, Path]:
+    files = (ROOT / "glue").rglob("*.py")
+    return {
+        ".".join(file.relative_to(ROOT / "glue").with_suffix("").parts): file
+        for file in files
+        if file.name != "__init__.py"
+    }
+
+
+def test_every_module_of_glue_has_a_place_and_every_place_a_module() -> None:
+    assert sorted(ROWS) == sorted(modules_of_glue())
+
+
+@pytest.mark.parametrize("module", sorted(ROWS))
+def test_module_imports_only_from_its_own_row_and_those_above(module: str) -> None:
+    tree = ast.parse(modules_of_glue()[module].read_text(encoding="utf-8"))
+
+    imported = [
+        node.module.removeprefix("glue.")
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("glue.")
+    ]
+
+    assert [name for name in imported if ROWS[name] > ROWS[module]] == []
+
+
+def test_names_in_the_path_of_a_step_exist() -> None:
+    section = TEXT.partition("## The path of one step")[2].partition("\n## ")[0]
+    named = re.findall(r"`(\w+)\.(\w+)(?:\.(\w+))?`", section)
+
+    assert len(named) >= 5
+    for module, name, member in named:
+        source = modules_of_glue()[module].read_text(encoding="utf-8")
+        assert re.search(rf"^(class|def) {name}\b", source, re.MULTILINE)
+        assert not member or f"    def {member}(" in source
+
+
+@pytest.mark.parametrize("document", ["architecture", "glossary"])
+def test_links_lead_somewhere(document: str) -> None:
+    for target in re.findall(r"\]\(([^)]+)\)", (ROOT / f"docs/{document}.md").read_text(encoding="utf-8")):
+        file, _, anchor = target.partition("#")
+        linked = (ROOT / "docs" / file).read_text(encoding="utf-8")
+        headings = re.findall(r"^#+ (.*)$", linked, re.MULTILINE)
+        assert not anchor or anchor in {heading.lower().replace(" ", "-") for heading in headings}
