@@ -2,45 +2,55 @@
 
 from __future__ import annotations
 
+import itertools
 import time
-from contextlib import AbstractContextManager
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, Final
 
 import click
-import numpy as np
 
-from experiment_runner.plan import Plan, RoleSweep, TrialSpec, check_options
-from experiment_runner.players import HubOptions, in_process, over_hub
-from experiment_runner.progress import JsonLines, Progress, Reporter
-from experiment_runner.resume import create_run, remaining, resume_run
-from experiment_runner.run import run_trials
-from experiment_runner.store import Results, Store
+from experiment_runner.plan import Plan, RoleSweep, check_options, describe
+from experiment_runner.plan_file import load_plan
+from experiment_runner.players import HubOptions, Meeting
+from experiment_runner.progress import JsonLines, Progress
+from experiment_runner.resume import open_run, recorded_plan
+from experiment_runner.run import Engine, RunConfig, run_trials
+from experiment_runner.summary import summarize, tabulate
 from glue import __version__
 from glue.commands import legacy_port_option, run
 from glue.config import DEFAULT_HUB, DEFAULT_SESSION, LegacyPort, check_session, check_url
 from glue.errors import ConfigError
-from glue.experiment import Experiment
 from glue.loading import find, names
 from glue.messages import Role
 from glue.options import parse_assignments
 
 __all__ = ["experiment", "main"]
 
-_LAST: int = 100
+_MAX_STEPS: Final = 2**32 - 1
+_MAX_SEED: Final = 2**63 - 1
 
 
 @click.command()
-@click.option("--episodes", type=click.IntRange(1), required=True, help="Episodes to run.")
+@click.option(
+    "--plan",
+    "plan_file",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Plan to run, in TOML: several agents, environments, options. The next four options change it.",
+)
+@click.option("--episodes", type=click.IntRange(1), help="Episodes of each trial.")
 @click.option(
     "--max-steps",
-    type=click.IntRange(0, 2**32 - 1),
-    default=0,
-    show_default=True,
-    help="Step limit of an episode, as RL_episode's: RL_num_steps never exceeds it. 0 is none.",
+    type=click.IntRange(0, _MAX_STEPS),
+    help="Step limit of an episode, as RL_episode's: RL_num_steps never exceeds it. [default: 0, none]",
 )
 @click.option(
-    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Seed of all chance."
+    "--trials",
+    type=click.IntRange(1),
+    help="Times to repeat everything, each with its own seed. [default: 1]",
 )
+@click.option("--seed", type=click.IntRange(0, _MAX_SEED), help="Seed of all chance. [default: 0]")
 @click.option(
     "--env", "environment", metavar="NAME", help="Start this environment; without, one is waited for."
 )
@@ -55,7 +65,27 @@ _LAST: int = 100
     help="Option of --agent; see `glue-agent NAME --help`.",
 )
 @click.option(
-    "--in-process", "one_process", is_flag=True, help="All three in this process, without a hub; the fastest."
+    "--in-process",
+    is_flag=True,
+    help="Agent and environment in the process that runs the trial, without a hub; the fastest.",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1),
+    help="Trials at a time, each in a process of its own. [default: one after the other, in this process; "
+    "with --engine ray, as many as the cluster has processors]",
+)
+@click.option(
+    "--engine",
+    type=click.Choice(list(Engine)),
+    default=Engine.LOCAL,
+    show_default=True,
+    help="Where trials run: on this machine, or on a Ray cluster.",
+)
+@click.option(
+    "--address",
+    metavar="HOST:PORT",
+    help="The Ray cluster. [default: the one that Ray finds, or else one on this machine]",
 )
 @click.option("--hub", metavar="URL", help="Use a hub that runs already (glue-hub) instead of bringing one.")
 @click.option(
@@ -71,15 +101,24 @@ _LAST: int = 100
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Directory of the results. [default: a new one in runs/]",
+    metavar="DIR",
+    help="Directory of the results; if it holds a run of the same plan, that goes on. "
+    "[default: a new one in runs/]",
+)
+@click.option(
+    "--resume",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Go on with the run in this directory, whatever its plan is.",
 )
 @click.option(
     "--checkpoint-every",
     type=click.IntRange(0),
-    default=100,
+    default=RunConfig().checkpoint_every,
     show_default=True,
     help="Episodes between checkpoints of what agent and environment know; 0 for none.",
 )
+@click.option("--dry-run", is_flag=True, help="Show what would run, and do nothing.")
 @click.option(
     "--json",
     "as_json",
@@ -88,27 +127,35 @@ _LAST: int = 100
 )
 @click.version_option(__version__, prog_name="glue-experiment")
 def experiment(
-    episodes: int,
-    max_steps: int,
-    seed: int,
+    plan_file: Path | None,
+    episodes: int | None,
+    max_steps: int | None,
+    trials: int | None,
+    seed: int | None,
     environment: str | None,
     agent: str | None,
     env_option: tuple[str, ...],
     agent_option: tuple[str, ...],
-    one_process: bool,
+    in_process: bool,
+    workers: int | None,
+    engine: Engine,
+    address: str | None,
     hub: str | None,
     bind: tuple[str, ...],
     session: str,
     legacy_port: tuple[str, ...],
     insecure: bool,
     out: Path | None,
+    resume: Path | None,
     checkpoint_every: int,
+    dry_run: bool,
     as_json: bool,
 ) -> int:
-    """Run an experiment: so many episodes of an agent in an environment.
+    """Run an experiment: so many episodes of an agent in an environment, or everything in a plan.
 
     An agent or environment that is not named here is waited for, and the command that starts it in
-    another terminal is shown.
+    another terminal is shown. A run that was interrupted, by whatever, goes on with the same command
+    and --out, or with --resume, and ends as if nothing had happened.
 
     \b
     Examples:
@@ -117,34 +164,32 @@ def experiment(
       glue-experiment --env mines --agent my_agent.py:MyAgent --episodes 100 --in-process
       glue-experiment --env mines --agent sarsa --agent-option step_size=0.2 --episodes 500 --json
       glue-experiment --env mines --episodes 100 --legacy-port 4096
+      glue-experiment --plan sweep.toml --workers 4 --out runs/sweep
+      glue-experiment --resume runs/sweep --workers 4
     """
-    plan = Plan(
-        episodes=episodes,
-        max_steps=max_steps,
-        seed=seed,
-        environments=_role(Role.ENVIRONMENT, environment, env_option),
-        agents=_role(Role.AGENT, agent, agent_option),
-    )
-    plan = check_options(plan, lambda role, name: find(Role(role), name))
-    options = _hub_options(hub, bind, session, insecure, legacy_port, one_process)
-    reporter: Reporter = Progress()
-    lines = JsonLines(reporter) if as_json else None
-
-    def connect(spec: TrialSpec) -> AbstractContextManager[Experiment]:
-        return in_process(spec) if one_process else over_hub(spec, options, reporter.say)
-
-    began = time.monotonic()
-    with _open(out or _new_directory(plan), plan) as store:
-        failed = run_trials(
-            store, remaining(store), connect, lines or reporter, checkpoint_every=checkpoint_every
-        )
-        reporter.close()
-        seconds = time.monotonic() - began
-        if lines is not None:
-            lines.write(_summary(store, seconds))
-        else:
-            click.echo(_table(store, seconds))
-    return 1 if failed else 0
+    counts = {"episodes": episodes, "max_steps": max_steps, "trials": trials, "seed": seed}
+    given = {name: value for name, value in counts.items() if value is not None}
+    roles = {
+        "environments": _role(Role.ENVIRONMENT, environment, env_option),
+        "agents": _role(Role.AGENT, agent, agent_option),
+    }
+    if resume is not None:
+        if given or any(roles.values()) or plan_file or out:
+            raise ConfigError(
+                f"--resume goes on with the plan and the results in {resume}: "
+                "leave out --plan, --out, and what the plan says"
+            )
+        plan, directory = recorded_plan(resume), resume
+    else:
+        plan = _plan(plan_file, given, roles)
+        directory = out or _new_directory(plan_file.stem if plan_file else _labels(plan))
+    meeting = _meeting(in_process, hub, bind, session, legacy_port, insecure)
+    config = RunConfig(meeting, checkpoint_every, Engine(engine), workers, address)
+    config.check(plan)
+    if dry_run:
+        click.echo(describe(plan))
+        return 0
+    return _run(directory, plan, config, as_json)
 
 
 def _role(role: Role, name: str | None, assignments: tuple[str, ...]) -> tuple[RoleSweep, ...]:
@@ -159,91 +204,62 @@ def _role(role: Role, name: str | None, assignments: tuple[str, ...]) -> tuple[R
     return (RoleSweep(name, parse_assignments(find(role, name), assignments)),)
 
 
-def _hub_options(
+def _plan(plan_file: Path | None, counts: dict[str, Any], roles: dict[str, Any]) -> Plan:
+    if plan_file is None:
+        if "episodes" not in counts:
+            raise ConfigError("say how many --episodes to run, or give a --plan or a run to --resume")
+        plan = Plan(**counts, **roles)
+    elif any(roles.values()):
+        raise ConfigError(
+            f"{plan_file} says which agents and environments there are: leave out --env, --agent"
+        )
+    else:
+        plan = replace(load_plan(plan_file), **counts)
+    return check_options(plan, lambda role, name: find(Role(role), name))
+
+
+def _meeting(
+    in_process: bool,
     hub: str | None,
     bind: tuple[str, ...],
     session: str,
-    insecure: bool,
     legacy_port: tuple[str, ...],
-    one_process: bool,
-) -> HubOptions:
-    if hub is not None and bind:
+    insecure: bool,
+) -> Meeting:
+    if bind and hub is not None:
         raise ConfigError("--bind is for a hub of the experiment's own; with --hub there is none")
-    if legacy_port and (hub is not None or one_process):
-        flag = "--in-process" if one_process else "--hub"
+    if legacy_port and (hub is not None or in_process):
+        flag = "--in-process" if in_process else "--hub"
         raise ConfigError(f"--legacy-port is for a hub of the experiment's own; with {flag} there is none")
     for url in (*bind, *([hub] if hub else [])):
         check_url(url)
     check_session(session)
     legacy = tuple(LegacyPort.parse(text, session, insecure) for text in legacy_port)
-    return HubOptions(hub, bind, session, insecure, legacy)
+    return Meeting(in_process, HubOptions(hub, bind, session, insecure, legacy))
 
 
-def _open(directory: Path, plan: Plan) -> Store:
-    if (directory / "results.sqlite").exists():
-        store, _ = resume_run(directory, plan)
-        return store
-    return create_run(directory, plan)
+def _labels(plan: Plan) -> str:
+    return "-".join(sweeps[0].label for sweeps in (plan.agents, plan.environments) if sweeps) or "remote"
 
 
-def _new_directory(plan: Plan) -> Path:
-    parts = [time.strftime("%Y%m%d-%H%M%S")]
-    parts += [sweeps[0].label for sweeps in (plan.agents, plan.environments) if sweeps]
-    path = Path("runs") / "-".join(parts)
-    number = 2
-    while path.exists():
-        path = Path("runs") / "-".join([*parts, str(number)])
-        number += 1
-    return path
+def _new_directory(name: str) -> Path:
+    first = Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{name}"
+    candidates = itertools.chain([first], (Path(f"{first}-{number}") for number in itertools.count(2)))
+    return next(path for path in candidates if not path.exists())
 
 
-def _table(results: Results, seconds: float) -> str:
-    rows = [("trial", "episodes", "steps", "mean return", f"mean of last {_LAST}", "cut off", "void")]
-    for record in results.trials():
-        episodes = results.episodes(record.spec.id)
-        returns = np.array([episode.episode_return for episode in episodes])
-        rows.append(
-            (
-                record.spec.id,
-                f"{record.done}/{record.spec.episodes}",
-                f"{sum(episode.steps for episode in episodes):,}",
-                f"{returns.mean():.2f}" if len(returns) else "-",
-                f"{returns[-_LAST:].mean():.2f}" if len(returns) else "-",
-                f"{sum(not episode.terminal for episode in episodes)}",
-                f"{record.voids}",
-            )
-        )
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = [
-        "  ".join(
-            cell.ljust(width) if i == 0 else cell.rjust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    ]
-    return "\n".join([*lines, "", f"{seconds:.1f} s; results in {results.directory}"])
-
-
-def _summary(results: Results, seconds: float) -> dict[str, object]:
-    episodes = [episode for trial in results.trials() for episode in results.episodes(trial.spec.id)]
-    last = [
-        episode.episode_return
-        for trial in results.trials()
-        for episode in results.episodes(trial.spec.id)[-_LAST:]
-    ]
-    returns = [episode.episode_return for episode in episodes]
-    return {
-        "summary": True,
-        "episodes": len(episodes),
-        "steps": sum(episode.steps for episode in episodes),
-        "mean_return": float(np.mean(returns)) if returns else None,
-        f"mean_last_{_LAST}": float(np.mean(last)) if last else None,
-        "cut_off": sum(not episode.terminal for episode in episodes),
-        "voids": len(results.voids()),
-        "failed_trials": sum(trial.failure is not None for trial in results.trials()),
-        "seconds": seconds,
-        "out": str(results.directory),
-    }
+def _run(directory: Path, plan: Plan, config: RunConfig, as_json: bool) -> int:
+    progress = Progress()
+    lines = JsonLines(progress) if as_json else None
+    began = time.monotonic()
+    with open_run(directory, plan) as store:
+        failed = run_trials(store, config, lines or progress)
+        seconds = time.monotonic() - began
+        if lines is not None:
+            lines.write(summarize(store, seconds))
+        else:
+            click.echo(tabulate(store, seconds))
+    return 1 if failed else 0
 
 
 def main() -> None:

@@ -19,6 +19,7 @@ from glue.errors import ExperimentError
 __all__ = [
     "DATABASE_FILES",
     "MIGRATIONS",
+    "StorageError",
     "connect_to_read",
     "connect_to_write",
     "holds_run",
@@ -78,6 +79,10 @@ MIGRATIONS: tuple[tuple[str, ...], ...] = (
             text TEXT NOT NULL)""",
     ),
 )
+
+
+class StorageError(ExperimentError):
+    """The disk or the database failed: nothing more can be stored. What was committed is safe."""
 
 
 def holds_run(directory: Path) -> bool:
@@ -183,7 +188,7 @@ def reported(failed: str, hint: str = "") -> Iterator[None]:
     except BrokenPipeError:  # whoever read our output has seen enough, which is no error
         raise
     except (OSError, sqlite3.Error) as error:
-        raise ExperimentError(f"{failed}: {_reason(error)}{hint}") from error
+        raise StorageError(f"{failed}: {_reason(error)}{hint}") from error
 
 
 def _reason(error: OSError | sqlite3.Error) -> str:

@@ -6,19 +6,16 @@ waited for, and whoever is looking is told which command starts them.
 
 from __future__ import annotations
 
-import subprocess
-import sys
 import tempfile
-import threading
-import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass, field
 from typing import Final
 
 import zmq
 
-from experiment_runner.plan import RoleSpec, TrialSpec
+from experiment_runner.children import KeptAlive, Say
+from experiment_runner.plan import TrialSpec
 from glue.client import connect as connect_to_hub
 from glue.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig, LegacyPort
 from glue.errors import ExperimentError
@@ -30,19 +27,13 @@ from glue.local import connect as connect_locally
 from glue.messages import Event, Role
 from glue.options import Value, build, parameters
 
-__all__ = ["HubOptions", "Say", "in_process", "over_hub", "player_arguments"]
-
-Say = Callable[[str], None]
-"""Takes a line for people."""
+__all__ = ["HubOptions", "Meeting", "connect", "player_arguments"]
 
 _MODULES: Final = {Role.AGENT: "agents.cli", Role.ENVIRONMENT: "env_server.cli"}
 _COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
 _EXAMPLES: Final = {Role.AGENT: "random", Role.ENVIRONMENT: "mines"}
 
 _INPROC: Final = "inproc://experiment"
-_HOPELESS_DEATHS: Final = 3
-_HOPELESS_SECONDS: Final = 2.0
-_FAREWELL_SECONDS: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,31 +55,47 @@ class HubOptions:
     legacy: tuple[LegacyPort, ...] = ()
 
 
-@contextmanager
-def in_process(spec: TrialSpec) -> Iterator[Experiment]:
-    """Connect agent and environment of `spec` as objects of this process.
+@dataclass(frozen=True, slots=True)
+class Meeting:
+    """How agent and environment of a trial meet; it changes no result.
+
+    Args:
+        in_process: as objects of one process; otherwise as processes, over a hub.
+        hub: where, when they are processes.
+    """
+
+    in_process: bool = False
+    hub: HubOptions = field(default_factory=HubOptions)
+
+
+def connect(spec: TrialSpec, meeting: Meeting, say: Say) -> AbstractContextManager[Experiment]:
+    """Bring the players of a trial together.
+
+    Args:
+        spec: the trial.
+        meeting: how they meet.
+        say: takes lines for people; may be called from any thread.
 
     Raises:
-        ConfigError: a name or an option is wrong.
-        ExperimentError: a role is left out, which only a hub can wait for.
+        ConfigError: a name, an option or an address is wrong, or an address is in use.
+        ExperimentError: a child process cannot be started, or in one process a role is left out.
     """
+    return _in_process(spec) if meeting.in_process else _over_hub(spec, meeting.hub, say)
+
+
+@contextmanager
+def _in_process(spec: TrialSpec) -> Iterator[Experiment]:
     players = {}
     for role, player in ((Role.AGENT, spec.agent), (Role.ENVIRONMENT, spec.environment)):
         if player is None:
-            raise ExperimentError(f"in one process the {role} must be named: --{_flag(role)} NAME")
+            raise ExperimentError(f"in one process an {role} must be named: only a hub can wait for one")
         players[role] = build(find(role, player.name), player.options)
     with connect_locally(players[Role.AGENT], players[Role.ENVIRONMENT]) as glue:
         yield glue
 
 
 @contextmanager
-def over_hub(spec: TrialSpec, options: HubOptions, say: Say) -> Iterator[Experiment]:
-    """Connect agent and environment of `spec` over a hub, as processes of their own.
-
-    Raises:
-        ConfigError: an address is wrong or in use.
-        ExperimentError: a child process cannot be started.
-    """
+def _over_hub(spec: TrialSpec, options: HubOptions, say: Say) -> Iterator[Experiment]:
     players = {Role.ENVIRONMENT: spec.environment, Role.AGENT: spec.agent}
     named = {role: player for role, player in players.items() if player is not None}
 
@@ -98,7 +105,7 @@ def over_hub(spec: TrialSpec, options: HubOptions, say: Say) -> Iterator[Experim
 
     with ExitStack() as stack:
         # Entered first, so left last: the children go when the hub has said goodbye to them.
-        children = stack.enter_context(_Children(say))
+        children = stack.enter_context(KeptAlive(say))
         context = stack.enter_context(zmq.Context())
         if options.hub is None:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="glue-"))
@@ -115,7 +122,8 @@ def over_hub(spec: TrialSpec, options: HubOptions, say: Say) -> Iterator[Experim
         glue = connect_to_hub(address, options.session, context=context, log=say, on_notice=notice)
         stack.enter_context(glue)
         for role, player in named.items():
-            children.start(role, player, inside, options.session, glue.give_up)
+            arguments = player_arguments(role, player.name, player.options, inside, options.session)
+            children.start(f"{role} {player.name}", _MODULES[role], [*arguments, "--quiet"], glue.give_up)
         glue.wait_for_players(lambda missing: say(_missing(missing, named, public, options.session)))
         yield glue
 
@@ -148,84 +156,3 @@ def _missing(missing: frozenset[Role], named: Mapping[Role, object], hub: str, s
             arguments = " ".join(player_arguments(role, _EXAMPLES[role], {}, hub, session))
             lines.append(f"waiting for an {role}; in another terminal: {_COMMANDS[role]} {arguments}")
     return "\n".join(lines)
-
-
-def _flag(role: Role) -> str:
-    return "agent" if role is Role.AGENT else "env"
-
-
-class _Children:
-    """Players as child processes: started again if they are killed, ended with the experiment."""
-
-    def __init__(self, say: Say) -> None:
-        self._say = say
-        self._children: list[_Child] = []
-
-    def start(
-        self, role: Role, player: RoleSpec, hub: str, session: str, give_up: Callable[[str], None]
-    ) -> None:
-        """Start a player. If it cannot be kept alive, `give_up` is called with the reason."""
-        arguments = player_arguments(role, player.name, player.options, hub, session)
-        command = [sys.executable, "-m", _MODULES[role], *arguments, "--quiet"]
-        self._children.append(_Child(f"{role} {player.name}", command, self._say, give_up))
-
-    def __enter__(self) -> _Children:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        for child in self._children:
-            child.leave()
-        for child in self._children:
-            child.end()
-
-
-class _Child:
-    """One child process and the thread that watches it.
-
-    A process that ends by itself has said why, and is not started again.
-    """
-
-    def __init__(self, label: str, command: list[str], say: Say, give_up: Callable[[str], None]) -> None:
-        self._label = label
-        self._command = command
-        self._say = say
-        self._give_up = give_up
-        self._leaving = False
-        self._process = self._start()
-        self._watcher = threading.Thread(target=self._watch, name=label, daemon=True)
-        self._watcher.start()
-
-    def leave(self) -> None:
-        """The experiment is over: from now on the process may end."""
-        self._leaving = True
-
-    def end(self) -> None:
-        """Wait a moment for the process to end, as it does when its hub says goodbye; then make it."""
-        for insist in (self._process.terminate, self._process.kill):
-            try:
-                self._process.wait(_FAREWELL_SECONDS)
-            except subprocess.TimeoutExpired:
-                insist()
-        self._process.wait()
-        self._watcher.join()
-
-    def _start(self) -> subprocess.Popen[bytes]:
-        try:
-            return subprocess.Popen(self._command, stdin=subprocess.DEVNULL)
-        except OSError as error:
-            raise ExperimentError(f"cannot start the {self._label}: {error}") from error
-
-    def _watch(self) -> None:
-        deaths = 0
-        while True:
-            began = time.monotonic()
-            status = self._process.wait()
-            if self._leaving:
-                return
-            deaths = deaths + 1 if time.monotonic() - began < _HOPELESS_SECONDS else 1
-            how = f"ended with status {status}" if status >= 0 else f"was killed by signal {-status}"
-            if status >= 0 or deaths >= _HOPELESS_DEATHS:
-                self._give_up(f"the {self._label} {how}")
-                return
-            self._say(f"the {self._label} {how}; starting it again")
-            self._process = self._start()

@@ -6,24 +6,36 @@ Everything for people goes to standard error, so that standard output is free fo
 from __future__ import annotations
 
 import json
+import math
+import shutil
 import sys
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol, TextIO
 
 from experiment_runner.plan import TrialSpec
-from experiment_runner.store import EpisodeResult
+from experiment_runner.store import EpisodeResult, TrialRecord
+from experiment_runner.tables import format_table
 
 __all__ = ["JsonLines", "Progress", "Reporter"]
 
 _WINDOW: Final = 100
 _TTY_SECONDS: Final = 0.2
 _LOG_SECONDS: Final = 10.0
+_COLUMNS: Final = ("trial", "episode", "steps/s", "return", f"mean of last {_WINDOW}", "left")
+
+_UP: Final = "\x1b[{}A\r"
+_CLEAR_LINE: Final = "\x1b[K"
+_CLEAR_BELOW: Final = "\x1b[J"
 
 
 class Reporter(Protocol):
     """Is told what happens to the trials; an episode it hears of is stored already."""
+
+    def start(self, trials: Sequence[TrialRecord]) -> None:
+        """All trials of the run, and how far they are."""
+        ...
 
     def begin(self, spec: TrialSpec, done: int) -> None:
         """A trial starts, or goes on after `done` episodes."""
@@ -31,6 +43,10 @@ class Reporter(Protocol):
 
     def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
         """An episode is finished."""
+        ...
+
+    def end(self, spec: TrialSpec) -> None:
+        """A trial is finished, or has failed."""
         ...
 
     def say(self, line: str) -> None:
@@ -43,7 +59,7 @@ class Reporter(Protocol):
 
 
 class Progress:
-    """One line on a terminal, rewritten in place; a line every ten seconds elsewhere.
+    """A table of the trials under way, redrawn in place on a terminal; a line now and then elsewhere.
 
     Args:
         stream: where to write.
@@ -54,62 +70,139 @@ class Progress:
         self._stream = stream
         self._clock = clock
         self._live = stream.isatty()
-        self._shown_at = -_LOG_SECONDS if self._live else clock()
-        self._width = 0
-        self._began = clock()
-        self._steps = 0
-        self._done = 0
-        self._before = 0
-        self._recent: deque[float] = deque(maxlen=_WINDOW)
-        self._spec: TrialSpec | None = None
+        self._every = _TTY_SECONDS if self._live else _LOG_SECONDS
+        self._shown_at = clock() - (self._every if self._live else 0)
+        self._drawn = 0  # lines of the table that stand on the terminal
+        self._rows: dict[str, _Row] = {}
+        self._total = _Total([], clock())
+
+    def start(self, trials: Sequence[TrialRecord]) -> None:
+        self._total = _Total(trials, self._clock())
 
     def begin(self, spec: TrialSpec, done: int) -> None:
-        self._began = self._clock()
-        self._steps = 0
-        self._done = self._before = done
-        self._recent.clear()
-        self._spec = spec
+        self._rows[spec.id] = _Row(spec, done, self._clock())
+        self._total.done[spec.id] = done
 
     def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
-        self._done = result.episode
-        self._steps += result.steps
-        self._recent.append(result.episode_return)
+        self._rows[spec.id].add(result)
+        self._total.add(spec, result)
         now = self._clock()
-        last = result.episode == spec.episodes
-        if last or now - self._shown_at >= (_TTY_SECONDS if self._live else _LOG_SECONDS):
-            self._shown_at = now
-            self._show(self._line(spec, now))
+        if now - self._shown_at >= self._every:
+            self._show(now)
+
+    def end(self, spec: TrialSpec) -> None:
+        row = self._rows[spec.id]
+        if self._live:
+            self._show(self._clock())
+        elif row.recent:
+            self.say(row.line(self._clock()))
+        del self._rows[spec.id]
 
     def say(self, line: str) -> None:
-        self._clear()
+        self._erase()
         print(line, file=self._stream, flush=True)
 
     def close(self) -> None:
-        if self._live and self._width:
-            print(file=self._stream, flush=True)
-            self._width = 0
+        self._erase()
+        self._stream.flush()
 
-    def _line(self, spec: TrialSpec, now: float) -> str:
-        elapsed = max(now - self._began, 1e-9)
-        left = elapsed / max(self._done - self._before, 1) * (spec.episodes - self._done)
-        mean = sum(self._recent) / len(self._recent)
+    def _show(self, now: float) -> None:
+        self._shown_at = now
+        begun = [row for row in self._rows.values() if row.recent]
+        if self._live:
+            self._draw(now, begun)
+        elif self._total.trials > 1:
+            self.say(self._total.line(now))
+        else:
+            for row in begun:
+                self.say(row.line(now))
+
+    def _draw(self, now: float, begun: Sequence[_Row]) -> None:
+        width, height = shutil.get_terminal_size()
+        room = max(height - 4, 1)
+        lines = format_table(_COLUMNS, [row.cells(now) for row in begun[:room]]).splitlines()
+        if len(begun) > room:
+            lines.append(f"and {len(begun) - room} more")
+        if self._total.trials > 1:
+            lines.append(self._total.line(now))
+        back = _UP.format(self._drawn) if self._drawn else ""
+        text = "".join(f"{line[: width - 1]}{_CLEAR_LINE}\n" for line in lines)
+        print(f"{back}{text}{_CLEAR_BELOW}", end="", file=self._stream, flush=True)
+        self._drawn = len(lines)
+
+    def _erase(self) -> None:
+        if self._drawn:
+            print(f"{_UP.format(self._drawn)}{_CLEAR_BELOW}", end="", file=self._stream)
+            self._drawn = 0
+
+
+class _Row:
+    """A trial under way."""
+
+    def __init__(self, spec: TrialSpec, done: int, now: float) -> None:
+        self._spec = spec
+        self._before = self._done = done
+        self._steps = 0
+        self._began = now
+        self.recent: deque[float] = deque(maxlen=_WINDOW)
+
+    def add(self, result: EpisodeResult) -> None:
+        self._done = result.episode
+        self._steps += result.steps
+        self.recent.append(result.episode_return)
+
+    def cells(self, now: float) -> tuple[str, ...]:
+        """Return the trial's row of the table, `_COLUMNS`."""
+        elapsed = _at_least_an_instant(now - self._began)
+        left = elapsed / (self._done - self._before) * (self._spec.episodes - self._done)
         return (
-            f"{spec.id}  episode {self._done}/{spec.episodes}  {self._steps / elapsed:,.0f} steps/s  "
-            f"return {self._recent[-1]:.2f}  mean of last {len(self._recent)} {mean:.2f}  "
-            f"{_duration(left)} left"
+            self._spec.id,
+            f"{self._done}/{self._spec.episodes}",
+            f"{self._steps / elapsed:,.0f}",
+            f"{self.recent[-1]:.2f}",
+            f"{sum(self.recent) / len(self.recent):.2f}",
+            _duration(left),
         )
 
-    def _show(self, line: str) -> None:
-        if not self._live:
-            print(line, file=self._stream, flush=True)
-            return
-        print(f"\r{line:<{self._width}}", end="", file=self._stream, flush=True)
-        self._width = len(line)
+    def line(self, now: float) -> str:
+        """Return the same as a line."""
+        trial, episode, rate, latest, mean, left = self.cells(now)
+        return (
+            f"{trial}  episode {episode}  {rate} steps/s  return {latest}  "
+            f"mean of last {len(self.recent)} {mean}  {left} left"
+        )
 
-    def _clear(self) -> None:
-        if self._live and self._width:
-            print(f"\r{'':<{self._width}}\r", end="", file=self._stream)
-            self._width = 0
+
+class _Total:
+    """All trials of a run together.
+
+    Attributes:
+        trials: how many there are.
+        done: episodes of each, by id.
+    """
+
+    def __init__(self, trials: Sequence[TrialRecord], now: float) -> None:
+        self.trials = len(trials)
+        self.done = {trial.spec.id: trial.done for trial in trials}
+        self._episodes = {trial.spec.id: trial.spec.episodes for trial in trials}
+        self._began = now
+        self._steps = 0
+        self._run = 0  # episodes, since the beginning
+
+    def add(self, spec: TrialSpec, result: EpisodeResult) -> None:
+        self.done[spec.id] = result.episode
+        self._steps += result.steps
+        self._run += 1
+
+    def line(self, now: float) -> str:
+        elapsed = _at_least_an_instant(now - self._began)
+        done, episodes = sum(self.done.values()), sum(self._episodes.values())
+        finished = sum(self.done[trial] == self._episodes[trial] for trial in self.done)
+        left = elapsed / max(self._run, 1) * (episodes - done)
+        return (
+            f"{finished} of {self.trials} trials finished  episode {done}/{episodes}  "
+            f"{self._steps / elapsed:,.0f} steps/s  {_duration(left)} left"
+        )
 
 
 class JsonLines:
@@ -119,6 +212,9 @@ class JsonLines:
         self._inner = inner
         self._stream = stream
 
+    def start(self, trials: Sequence[TrialRecord]) -> None:
+        self._inner.start(trials)
+
     def begin(self, spec: TrialSpec, done: int) -> None:
         self._inner.begin(spec, done)
 
@@ -127,12 +223,15 @@ class JsonLines:
             {
                 "trial": spec.id,
                 "episode": result.episode,
-                "return": result.episode_return,
+                "return": None if math.isnan(result.episode_return) else result.episode_return,
                 "steps": result.steps,
                 "terminal": result.terminal,
             }
         )
         self._inner.episode(spec, result)
+
+    def end(self, spec: TrialSpec) -> None:
+        self._inner.end(spec)
 
     def say(self, line: str) -> None:
         self._inner.say(line)
@@ -143,6 +242,10 @@ class JsonLines:
     def write(self, value: dict[str, Any]) -> None:
         """Write one object."""
         print(json.dumps(value), file=self._stream, flush=True)
+
+
+def _at_least_an_instant(seconds: float) -> float:
+    return max(seconds, 1e-9)
 
 
 def _duration(seconds: float) -> str:

@@ -13,13 +13,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from experiment_runner.database import holds_run, reported
 from experiment_runner.plan import Plan, differences
 from experiment_runner.plan_file import dump_plan, load_plan
 from experiment_runner.provenance import about, program
 from experiment_runner.store import ABOUT_FILE, PLAN_FILE, Results, Store
 from glue.errors import ExperimentError
 
-__all__ = ["Remaining", "create_run", "remaining", "resume_run"]
+__all__ = ["Remaining", "create_run", "go_back", "open_run", "recorded_plan", "remaining", "resume_run"]
 
 
 class Remaining(NamedTuple):
@@ -67,15 +68,37 @@ def resume_run(
         store.record_event("resume", program())
         left = remaining(store)
         for trial in left:
-            if trial.dropped:
-                again = f"{trial.dropped} recorded episodes are run again"
-                where = f"goes on after episode {trial.after}" if trial.after else "starts over"
-                store.record_event("rewind", f"{where}; {again}", trial.trial_id)
-            store.rewind(trial.trial_id, trial.after)
+            go_back(store, trial)
     except BaseException:
         store.close()
         raise
     return store, left
+
+
+def open_run(directory: Path, plan: Plan, *, clock: Callable[[], float] = time.time) -> Store:
+    """Return the store of a plan's run: a new one, or the one that the directory holds, ready to go on.
+
+    Raises:
+        ExperimentError: as `create_run` and `resume_run`.
+    """
+    with reported(f"cannot open {directory}"):
+        exists = holds_run(directory)
+    return resume_run(directory, plan, clock=clock)[0] if exists else create_run(directory, plan, clock=clock)
+
+
+def recorded_plan(directory: Path) -> Plan:
+    """Return the plan of the run in a directory.
+
+    Raises:
+        ExperimentError: there is no run, or it was merged from others, and has no plan.
+    """
+    with reported(f"cannot open {directory}"):
+        if not holds_run(directory):
+            raise ExperimentError(f"{directory} holds no run")
+    path = directory / PLAN_FILE
+    if not path.exists():
+        raise ExperimentError(f"{directory} was merged from other runs: go on with those")
+    return load_plan(path)
 
 
 def remaining(results: Results) -> list[Remaining]:
@@ -89,12 +112,19 @@ def remaining(results: Results) -> list[Remaining]:
     return left
 
 
+def go_back(store: Store, trial: Remaining) -> None:
+    """Make a trial ready to go on: forget what it recorded past that point, and that it failed."""
+    if trial.dropped:
+        again = f"{trial.dropped} recorded episodes are run again"
+        where = f"goes on after episode {trial.after}" if trial.after else "starts over"
+        store.record_event("rewind", f"{where}; {again}", trial.trial_id)
+    store.rewind(trial.trial_id, trial.after)
+
+
 def _check_plan(store: Store, plan: Plan | None) -> None:
-    path = store.directory / PLAN_FILE
-    if not path.exists():
-        raise ExperimentError(f"{store.directory} was merged from other runs: go on with those")
-    recorded = load_plan(path)
+    recorded = recorded_plan(store.directory)
     if recorded.expand() != [trial.spec for trial in store.trials()]:
+        path = store.directory / PLAN_FILE
         raise ExperimentError(f"{path} was changed after its run began: put it back")
     if plan is not None and (found := differences(recorded, plan)):
         raise ExperimentError(

@@ -1,84 +1,102 @@
-"""Run what remains of a plan, trial by trial, into its store."""
+"""Run what remains of a plan into its store: here, in processes of this machine, or on a Ray cluster."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import partial
 
-from experiment_runner.plan import TrialSpec
+from experiment_runner.distribute import Pool, distribute
+from experiment_runner.plan import Plan
+from experiment_runner.players import HubOptions, Meeting
 from experiment_runner.progress import Reporter
-from experiment_runner.resume import Remaining
-from experiment_runner.store import Checkpoint, EpisodeResult, Store
-from experiment_runner.trial import BEGINNING, Recorder, Start, run_trial
-from glue.errors import GlueError
-from glue.experiment import Experiment
+from experiment_runner.ray_cluster import RayCluster
+from experiment_runner.resume import remaining
+from experiment_runner.store import Store
+from experiment_runner.work import work
+from experiment_runner.workers import Workers
+from experiment_runner.writer import Writer
+from glue.errors import ConfigError
 
-__all__ = ["Connect", "run_trials", "start_of"]
-
-Connect = Callable[[TrialSpec], AbstractContextManager[Experiment]]
-"""Brings the players of a trial together."""
-
-
-class _StoreSink:
-    """Puts a trial's results into the store, and then tells the reporter."""
-
-    def __init__(self, store: Store, spec: TrialSpec, reporter: Reporter) -> None:
-        self._store = store
-        self._spec = spec
-        self._reporter = reporter
-
-    def record(self, result: EpisodeResult, checkpoint: Checkpoint | None) -> None:
-        self._store.record(self._spec.id, result, checkpoint)
-        self._reporter.episode(self._spec, result)
-
-    def void(self, episode: int, why: str) -> None:
-        self._store.record_void(self._spec.id, episode, why)
-        self._reporter.say(f"episode {episode} is void: {why}")
-
-    def event(self, kind: str, text: str) -> None:
-        self._store.record_event(kind, text, self._spec.id)
-        self._reporter.say(text)
+__all__ = ["Engine", "RunConfig", "run_trials"]
 
 
-def run_trials(
-    store: Store,
-    left: Sequence[Remaining],
-    connect: Connect,
-    reporter: Reporter,
-    *,
-    checkpoint_every: int,
-    recorder: Recorder | None = None,
-) -> int:
-    """Run the trials that are left, one after the other; return how many failed.
+class Engine(StrEnum):
+    """Where trials run."""
 
-    A trial that fails is recorded, with the reason, and the next one begins.
+    LOCAL = "local"
+    RAY = "ray"
+
+
+@dataclass(frozen=True, slots=True)
+class RunConfig:
+    """How a run is carried out. Nothing of it changes a result.
+
+    Args:
+        meeting: how the players of each trial meet.
+        checkpoint_every: episodes between checkpoints of what the players know; 0 for none.
+        engine: where trials run.
+        workers: trials at a time, each in a process of its own. None: one after the other in this
+            process, or as many as a cluster has processors.
+        address: of the Ray cluster; None for the one that Ray finds, or one on this machine.
+    """
+
+    meeting: Meeting = field(default_factory=Meeting)
+    checkpoint_every: int = 100
+    engine: Engine = Engine.LOCAL
+    workers: int | None = None
+    address: str | None = None
+
+    def check(self, plan: Plan) -> None:
+        """Check that `plan` can be carried out so.
+
+        Raises:
+            ConfigError: it cannot; the message says why.
+        """
+        if self.address is not None and self.engine is not Engine.RAY:
+            raise ConfigError("--address is that of a Ray cluster: say --engine ray")
+        parallel = self.engine is Engine.RAY or self.workers is not None
+        if parallel and self.meeting.hub != HubOptions():
+            raise ConfigError(
+                "every worker brings its own players, and a hub if they need one: "
+                "--hub, --bind, --session and --legacy-port are for trials one after the other"
+            )
+        if parallel or self.meeting.in_process:
+            for role, sweeps in (("agent", plan.agents), ("env", plan.environments)):
+                if not sweeps:
+                    raise ConfigError(
+                        f"--{role} NAME is missing: a player can join from outside only where trials run "
+                        "one after the other, over a hub"
+                    )
+
+
+def run_trials(store: Store, config: RunConfig, reporter: Reporter) -> int:
+    """Run what remains of a run; return how many of its trials have failed.
+
+    A trial that fails is recorded, with the reason, and the others go on.
 
     Raises:
-        ExperimentError: the store cannot be written.
+        StorageError: the store cannot be written.
+        ExperimentError: workers or cluster cannot be started.
     """
-    specs = {record.spec.id: record.spec for record in store.trials()}
-    failed = 0
-    for trial in left:
-        spec = specs[trial.trial_id]
-        reporter.begin(spec, trial.after)
-        try:
-            with connect(spec) as glue:
-                run_trial(
-                    glue,
-                    spec,
-                    _StoreSink(store, spec, reporter),
-                    start=start_of(store, trial),
-                    checkpoint_every=checkpoint_every,
-                    recorder=recorder,
-                )
-        except GlueError as error:
-            store.record_failure(spec.id, str(error))
-            reporter.say(f"Error: {error}")
-            failed += 1
-    return failed
+    reporter.start(store.trials())
+    writer = Writer(store, reporter, config.meeting, config.checkpoint_every)
+    try:
+        pool = _pool(config)
+        if pool is None:
+            for trial in remaining(store):
+                work(writer.job(trial), partial(writer.take, trial.trial_id))
+        else:
+            distribute(remaining(store), pool, writer)
+    except KeyboardInterrupt:
+        reporter.say(f"interrupted; go on with: glue-experiment --resume {store.directory}")
+        raise
+    finally:
+        reporter.close()
+    return sum(trial.failure is not None for trial in store.trials())
 
 
-def start_of(store: Store, trial: Remaining) -> Start:
-    """Return where a trial goes on."""
-    found = store.checkpoint(trial.trial_id) if trial.after else None
-    return Start(*found) if found else BEGINNING
+def _pool(config: RunConfig) -> Pool | None:
+    if config.engine is Engine.RAY:
+        return RayCluster(config.address, config.workers)
+    return None if config.workers is None else Workers(config.workers)

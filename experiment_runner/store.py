@@ -425,6 +425,11 @@ class Store(Results):
             write(_PUT_EVENT, ((e.time, key, e.kind, e.text) for e in events))
         self._done[as_id] = len(episodes)
 
+    def done(self, trial_id: str) -> int:
+        """Return how many episodes of a trial are recorded."""
+        self._key(trial_id)
+        return self._done[trial_id]
+
     def _key(self, trial_id: str) -> int:
         if trial_id not in self._keys:
             raise ExperimentError(f"{self.directory} has no trial {trial_id}")

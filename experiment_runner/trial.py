@@ -14,7 +14,7 @@ from experiment_runner.store import Checkpoint, EpisodeResult
 from glue.errors import PeerLost, Unsupported
 from glue.experiment import Experiment
 
-__all__ = ["BEGINNING", "Recorder", "Sink", "Start", "run_trial"]
+__all__ = ["BEGINNING", "Sink", "Start", "run_trial"]
 
 
 class Sink(Protocol):
@@ -30,14 +30,6 @@ class Sink(Protocol):
 
     def event(self, kind: str, text: str) -> None:
         """Take note of anything else that a reader of the results should know."""
-        ...
-
-
-class Recorder(Protocol):
-    """Takes an episode step by step, for a file of trajectories."""
-
-    def run_episode(self, glue: Experiment, max_steps: int) -> bool:
-        """Run and write down an episode; return whether it reached its end."""
         ...
 
 
@@ -58,7 +50,6 @@ def run_trial(
     *,
     start: Start = BEGINNING,
     checkpoint_every: int = 0,
-    recorder: Recorder | None = None,
 ) -> None:
     """Run the episodes of `spec` that come after `start`.
 
@@ -72,12 +63,11 @@ def run_trial(
         sink: takes the results as they come.
         start: where to begin.
         checkpoint_every: episodes between checkpoints; 0 for none.
-        recorder: runs the episodes that count, if given.
 
     Raises:
         GlueError: the trial cannot go on. What the sink was given stays true.
     """
-    _Trial(glue, spec, sink, start, checkpoint_every, recorder).run()
+    _Trial(glue, spec, sink, start, checkpoint_every).run()
 
 
 class _Trial:
@@ -88,14 +78,12 @@ class _Trial:
         sink: Sink,
         start: Start,
         checkpoint_every: int,
-        recorder: Recorder | None,
     ) -> None:
         self._glue = glue
         self._spec = spec
         self._sink = sink
         self._start = start
         self._every = checkpoint_every
-        self._recorder = recorder
         self._done = start.after
         self._since: list[EpisodeResult] = []  # what was run after `start`, oldest first
         self._can_save: bool | None = None
@@ -107,7 +95,7 @@ class _Trial:
                 if not ready:
                     self._make_ready()
                     ready = True
-                result = self._episode(self._done + 1, self._recorder)
+                result = self._episode(self._done + 1)
             except PeerLost as error:
                 self._sink.void(self._done + 1, str(error))
                 # Those who cannot be brought back go on as they are; the hub initialises newcomers.
@@ -128,16 +116,13 @@ class _Trial:
         if self._can_save is None:
             self._can_save = self._save() is not None
         for before in self._since:
-            again = self._episode(before.episode, None)
+            again = self._episode(before.episode)
             if again[:4] != before[:4]:
                 self._sink.event("differs", f"episode {before.episode} came out otherwise when repeated")
 
-    def _episode(self, number: int, recorder: Recorder | None) -> EpisodeResult:
+    def _episode(self, number: int) -> EpisodeResult:
         began = time.perf_counter()
-        if recorder is None:
-            terminal = self._glue.rl_episode(self._spec.max_steps)
-        else:
-            terminal = recorder.run_episode(self._glue, self._spec.max_steps)
+        terminal = self._glue.rl_episode(self._spec.max_steps)
         episode_return, steps = self._glue.rl_return(), self._glue.rl_num_steps()
         return EpisodeResult(number, episode_return, steps, terminal, time.perf_counter() - began)
 

@@ -1,0 +1,32 @@
+"""A process that runs one trial for `experiment_runner.workers`: it is sent a job and sends reports."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from multiprocessing.connection import Connection
+from types import FrameType
+from typing import NoReturn
+
+from experiment_runner.work import work
+from glue.commands import Terminated
+
+__all__ = ["main"]
+
+
+def main() -> None:
+    """Run the job that comes over the socket whose number is the first argument."""
+    signal.signal(signal.SIGTERM, _terminate)
+    try:
+        with Connection(int(sys.argv[1])) as connection:
+            work(connection.recv(), connection.send)
+    except (Terminated, BrokenPipeError):
+        pass  # the writer wants no more
+
+
+def _terminate(number: int, frame: FrameType | None) -> NoReturn:
+    raise Terminated
+
+
+if __name__ == "__main__":
+    main()
