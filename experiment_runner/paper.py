@@ -1,0 +1,128 @@
+"""The experiments of Mohan (2010) as data: which agents on which levels, and the numbers of the paper.
+
+An experiment is a plan, and so a run directory: its trials are those of `glue-experiment`, and
+`glue-results` and `glue-plot` read them too.
+Source: S. Mohan (2010), "Reinforcement Learning in Infinite Mario".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+from experiment_runner.plan import Plan, RoleSpec, RoleSweep
+
+__all__ = [
+    "EPISODES",
+    "EXPERIMENTS",
+    "PAPER_LEVEL",
+    "TRIALS",
+    "Level",
+    "PaperExperiment",
+    "Published",
+    "level_of",
+    "plan_of",
+]
+
+TRIALS: Final = 10
+EPISODES: Final = 5000
+SEED: Final = 0  # of all chance; the paper, run on a clock, has none
+
+
+class Level(NamedTuple):
+    """A level of type 0 (overground), the game's parameters those of instance 0."""
+
+    seed: int
+    difficulty: int
+
+
+PAPER_LEVEL: Final = Level(121, 0)
+_OTHER_SEEDS: Final = tuple(range(1, 11))
+
+
+class Published(NamedTuple):
+    """What the paper tells of an agent: mean return of the last 100 episodes, and when it converged."""
+
+    reward: float | None
+    convergence: str
+
+
+@dataclass(frozen=True, slots=True)
+class PaperExperiment:
+    """One experiment: every agent meets every level.
+
+    Args:
+        name: what the command calls it; the paper's number, if it has one.
+        title: what tells it from the others.
+        agents: the paper's agent, then others to compare it with.
+        difficulties: of the levels.
+        level_seeds: of the levels.
+        figure: the paper's figure of it, if any.
+        published: the paper's numbers for the first agent, by difficulty.
+    """
+
+    name: str
+    title: str
+    agents: tuple[RoleSweep, ...]
+    difficulties: tuple[int, ...] = (0,)
+    level_seeds: tuple[int, ...] = (PAPER_LEVEL.seed,)
+    figure: int | None = None
+    published: Mapping[int, Published] = field(default_factory=dict)
+
+
+def plan_of(experiment: PaperExperiment, episodes: int = EPISODES, trials: int = TRIALS) -> Plan:
+    """Return the plan of an experiment."""
+    mario = RoleSweep(
+        "mario",
+        {
+            "instance": 0,
+            "level_type": 0,
+            "level_seed": experiment.level_seeds,
+            "level_difficulty": experiment.difficulties,
+        },
+    )
+    return Plan(episodes=episodes, trials=trials, seed=SEED, environments=(mario,), agents=experiment.agents)
+
+
+def level_of(environment: RoleSpec) -> Level:
+    """Return the level of a trial of such a plan."""
+    seed, difficulty = (environment.options[name] for name in ("level_seed", "level_difficulty"))
+    assert isinstance(seed, int)
+    assert isinstance(difficulty, int)
+    return Level(seed, difficulty)
+
+
+def _flat(name: str) -> tuple[RoleSweep, ...]:
+    """Return an agent that loses the terminal reward, as published, and the textbook's beside it."""
+    return RoleSweep(name), RoleSweep(name, {"terminal_update": True}, f"{name}-textbook")
+
+
+_FAILS: Final = Published(None, "none")
+
+EXPERIMENTS: Final[Mapping[str, PaperExperiment]] = {
+    experiment.name: experiment
+    for experiment in (
+        PaperExperiment("sample", "the sample agent", (RoleSweep("sample"),), (0, 1),
+            published={0: Published(128.48, "first success")}),
+        PaperExperiment("1", "flat, propositional", _flat("tiles"),
+            figure=2, published={0: Published(None, "none in 10000")}),
+        PaperExperiment("2", "flat, propositional, linear", _flat("tiles-coarse"),
+            figure=3, published={0: _FAILS}),
+        PaperExperiment("3", "flat, object-oriented", _flat("objects-flat"),
+            figure=5, published={0: Published(None, "none in 5000")}),
+        PaperExperiment("4", "programmed selection", (RoleSweep("hierarchical-programmed"),), (0, 1),
+            figure=8, published={0: Published(146.91, "about 1500"), 1: _FAILS}),
+        PaperExperiment("5", "learned selection", (RoleSweep("hierarchical"),), (0, 1),
+            figure=9, published={0: Published(145.95, "about 600, or 400"), 1: _FAILS}),
+        PaperExperiment("6", "background facts", (RoleSweep("hierarchical-facts"),), (0, 1),
+            figure=10, published={0: Published(148.56, "like 5"), 1: _FAILS}),
+        PaperExperiment("7", "internal rewards", (RoleSweep("hierarchical-internal"),), (0, 1),
+            figure=11, published={0: Published(145.98, "about 200"), 1: _FAILS}),
+        PaperExperiment("8", "object-based coarse coding", (RoleSweep("objects-coarse"),), (1,),
+            (PAPER_LEVEL.seed, *_OTHER_SEEDS), figure=13, published={1: Published(61.93, "")}),
+        PaperExperiment("best", "beyond the paper", (RoleSweep("best"),), (0, 1, 2, 3),
+            (PAPER_LEVEL.seed, *_OTHER_SEEDS)),
+    )
+}  # fmt: skip
+"""Every experiment by name, in the order in which they run: the sample agent stands in all figures."""

@@ -1,0 +1,54 @@
+"""Figures of the experiments of Mohan (2010): the paper's, and learning curves of all beside each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from experiment_runner.paper import EXPERIMENTS, PAPER_LEVEL, Level
+from experiment_runner.paper_outcomes import WINDOW, FloatArray, Outcome
+from experiment_runner.plots import learning_curves, scatter
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["figures"]
+
+_SEED: Final = 0  # of the bootstrap: the same runs always make the same figures
+_IN_CURVES: Final = ("sample", "4", "5", "6", "7", "8", "best")
+_SAMPLE: Final = "sample"
+
+
+def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
+    """Return the figures that these outcomes allow, by name.
+
+    figure-2, ...        the paper's: every episode of every trial as a dot, on the level of the paper
+    curves-0, curves-1   the agents that learn, and the sample agent, on the paper's level and at
+                         difficulty 1
+
+    Raises:
+        ExperimentError: matplotlib or SciPy is not installed.
+    """
+    drawn = {}
+    for experiment in EXPERIMENTS.values():
+        level = Level(PAPER_LEVEL.seed, experiment.difficulties[0])
+        panels = {o.agent: o.curves for o in outcomes if o.experiment is experiment and o.level == level}
+        if experiment.figure is not None and panels:
+            reference = _sample(outcomes, level)
+            drawn[f"figure-{experiment.figure}"] = scatter(panels, window=WINDOW, reference=reference)
+    for difficulty in (0, 1):
+        level = Level(PAPER_LEVEL.seed, difficulty)
+        curves = {o.agent: o.curves for o in outcomes if o.experiment.name in _IN_CURVES and o.level == level}
+        if curves:
+            rng = np.random.default_rng(_SEED)
+            drawn[f"curves-{difficulty}"] = learning_curves(curves, rng, window=WINDOW)
+    return drawn
+
+
+def _sample(outcomes: Sequence[Outcome], level: Level) -> tuple[str, FloatArray] | None:
+    for outcome in outcomes:
+        if outcome.experiment.name == _SAMPLE and outcome.level == level:
+            return "the sample agent", outcome.curves
+    return None
