@@ -1,0 +1,55 @@
+"""docs/agents.md names every agent, and every option with its default."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import agents
+from agents.flat import ObjectsFlatAgent, TilesAgent, TilesCoarseAgent
+from agents.hierarchical import (
+    HierarchicalAgent,
+    HierarchicalFactsAgent,
+    HierarchicalInternalAgent,
+    HierarchicalProgrammedAgent,
+    ObjectsCoarseAgent,
+)
+from agents.sample import SampleAgent
+from glue.options import parameters
+
+DOCUMENT = (Path(__file__).parents[2] / "docs" / "agents.md").read_text(encoding="utf-8")
+EXPERIMENTS = {
+    SampleAgent: "",
+    TilesAgent: "1",
+    TilesCoarseAgent: "2",
+    ObjectsFlatAgent: "3",
+    HierarchicalProgrammedAgent: "4",
+    HierarchicalAgent: "5",
+    HierarchicalFactsAgent: "6",
+    HierarchicalInternalAgent: "7",
+    ObjectsCoarseAgent: "8",
+}
+
+
+@pytest.mark.parametrize("kind", EXPERIMENTS, ids=lambda kind: kind.name)
+def test_every_agent_and_option_is_documented(kind: type[SampleAgent] | type[TilesAgent]) -> None:
+    assert re.search(rf"^\| `{kind.name}` \| {EXPERIMENTS[kind]} ?\|", DOCUMENT, re.MULTILINE)
+    for name, parameter in parameters(kind).items():
+        default = "the experiment's" if parameter.default is None else f"{parameter.default:g}"
+        if parameter.type is bool:
+            default = str(parameter.default).lower()
+        assert f"| `{name}` | {default} |" in DOCUMENT
+
+
+def test_no_option_is_documented_that_is_not_there() -> None:
+    table = DOCUMENT.partition("| option |")[2].partition("\n\n")[0]
+    known = {name for kind in EXPERIMENTS for name in parameters(kind)}
+    assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == known
+
+
+def test_the_modules_that_are_documented_are_there() -> None:
+    documented = set(re.findall(r"^\| `(\w+)\.py` \|", DOCUMENT, re.MULTILINE))
+    assert {"observation", "objects", "hierarchical", "flat"} < documented
+    assert documented < {path.stem for path in Path(agents.__path__[0]).glob("*.py")}
