@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+import zlib
 from collections.abc import Callable
 
 from glue.types import Action, Observation
@@ -101,3 +103,86 @@ class SeededAgent(ScriptedAgent):
 
     def agent_seed(self, seed: int) -> None:
         self._note(f"agent_seed {seed}")
+
+
+class TellingAgent(SeededAgent):
+    """Answers a message with the calls it has had before it."""
+
+    def agent_message(self, message: str) -> str:
+        return "\n".join(self.calls)
+
+
+class TellingEnvironment(SeededEnvironment):
+    """Answers a message with the calls it has had before it."""
+
+    def env_message(self, message: str) -> str:
+        return "\n".join(self.calls)
+
+
+class ChainEnvironment:
+    """Each reward depends on every call that came before: one too many, or too few, shows in the return."""
+
+    def __init__(self) -> None:
+        self._chain = 0
+        self._steps = 0
+
+    def _add(self, data: bytes) -> int:
+        self._chain = zlib.crc32(data, self._chain)
+        return self._chain
+
+    def env_init(self) -> str:
+        self._chain = 0
+        return "chain"
+
+    def env_start(self) -> Observation:
+        self._steps = 0
+        return Observation(ints=[self._add(b"start") >> 1])
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        self._steps += 1
+        link = self._add(action.body)
+        return link / 8, Observation(ints=[link >> 1], chars=bytes(link % 200)), self._steps == 20
+
+    def env_cleanup(self) -> None:
+        pass
+
+    def env_message(self, message: str) -> str:
+        return str(self._add(message.encode()))
+
+
+class ChainAgent:
+    """The same for actions."""
+
+    def __init__(self) -> None:
+        self._chain = 0
+
+    def _act(self, data: bytes) -> Action:
+        self._chain = zlib.crc32(data, self._chain)
+        return Action(ints=[self._chain >> 1])
+
+    def agent_init(self, task_spec: str) -> None:
+        self._chain = 0
+
+    def agent_start(self, observation: Observation) -> Action:
+        return self._act(observation.body)
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return self._act(observation.body + struct.pack("<d", reward))
+
+    def agent_end(self, reward: float) -> None:
+        self._act(struct.pack("<d", reward))
+
+    def agent_cleanup(self) -> None:
+        pass
+
+    def agent_message(self, message: str) -> str:
+        return str(self._act(message.encode()).ints[0])
+
+
+class FailingAgent(ScriptedAgent):
+    """Raises at its second step."""
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        if observation.ints[0] == 2:
+            raise ValueError("the second step is too much")
+        return super().agent_step(reward, observation)

@@ -1,0 +1,398 @@
+"""Processes that die, stop and come back, and connections that break: with real processes and sockets."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, NoReturn
+
+import pytest
+import zmq
+
+from env_server.toys import SkeletonEnvironment
+from glue import client, local
+from glue.client import RemoteExperiment, serve_agent, serve_environment
+from glue.config import HubConfig
+from glue.errors import HubClosed, PeerFailed, PeerLost
+from glue.experiment import Experiment
+from glue.hub import Hub
+from glue.types import Action, Observation
+from glue.zmq_transport import Context
+from tests.players import ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
+from tests.system.peer import TIMEOUT, peer, running
+from tests.system.proxy import CuttingProxy
+
+EPISODES = 4
+HEARTBEAT = 0.1
+
+
+def quiet(line: str) -> None:
+    """Log nothing."""
+
+
+@contextmanager
+def serving(hub: str, player: Any, session: str = "default") -> Iterator[None]:
+    """Serve an agent or environment in a thread; the hub must end before this does."""
+    serve = serve_agent if hasattr(player, "agent_init") else serve_environment
+    context: Context = zmq.Context()
+
+    def program() -> None:
+        serve(player, hub, session, context=context, log=quiet)
+
+    thread = threading.Thread(target=program)
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join(TIMEOUT)
+        context.destroy(linger=0)
+        assert not thread.is_alive()
+
+
+class Processes:
+    """Players in processes of their own, any number after one another."""
+
+    def __init__(self, hub: str, role: str, player: str) -> None:
+        self._arguments = peer(role, hub, player)
+        self._stack = ExitStack()
+        self._latest: subprocess.Popen[str] | None = None
+
+    def __enter__(self) -> Processes:
+        self.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stack.close()
+
+    def start(self) -> None:
+        """Start another."""
+        self._latest = self._stack.enter_context(running(*self._arguments))
+
+    def signal(self, number: int) -> None:
+        """Send the latest a signal."""
+        assert self._latest is not None
+        os.kill(self._latest.pid, number)
+
+
+class At:
+    """Does something at one moment of a run: when the call `call` comes for the `count`th time."""
+
+    def __init__(self, call: str, count: int, act: Callable[[], None]) -> None:
+        self._call = call
+        self._left = count
+        self._act = act
+
+    def __call__(self, call: str) -> None:
+        if call.startswith(self._call):
+            self._left -= 1
+            if self._left == 0:
+                self._act()
+
+
+def play(glue: Experiment) -> list[str]:
+    """Run exactly EPISODES episodes to their end; return what was said of each that was void."""
+    void = []
+    while glue.rl_num_episodes() < EPISODES:
+        try:
+            assert glue.rl_episode()
+        except PeerLost as error:
+            void.append(str(error))
+    return void
+
+
+def play_on(glue: Experiment) -> NoReturn:
+    """Run episodes until something stops it."""
+    while True:
+        glue.rl_episode()
+
+
+class Run:
+    """A hub with an experiment, one player in a process and the other in a thread."""
+
+    def __init__(self, patience: float) -> None:
+        config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, patience=patience)
+        self.hub = Hub(config)
+        self.notices: list[tuple[str, str]] = []
+        self.on_notice: dict[str, Callable[[], None]] = {}
+
+    @contextmanager
+    def experiment(
+        self, role: str, player: str, partner: Any
+    ) -> Iterator[tuple[RemoteExperiment, Processes]]:
+        with self.hub.in_background():
+            (url,) = self.hub.endpoints
+            with ExitStack() as ending:
+                # The hub must say goodbye before the partner's thread can be joined.
+                ending.enter_context(serving(url, partner))
+                ending.callback(self.hub.stop, "over")
+                processes = ending.enter_context(Processes(url, role, player))
+                yield ending.enter_context(client.connect(url, on_notice=self._notice, log=quiet)), processes
+
+    def _notice(self, event: str, role: str, name: str) -> None:
+        self.notices.append((event, role))
+        self.on_notice.get(event, lambda: None)()
+
+
+CASES = {
+    "agent": (
+        "tests.players:TellingAgent",
+        ScriptedEnvironment,
+        "env_step",
+        "agent_seed agent_init agent_start",
+    ),
+    "environment": (
+        "tests.players:TellingEnvironment",
+        ScriptedAgent,
+        "agent_step",
+        "env_seed env_init env_start",
+    ),
+}
+"""For each role that a fault strikes: who plays it, its partner, whose call is the moment, a beginning."""
+
+
+def beginning(glue: Experiment, role: str) -> list[str]:
+    """The names of the first three calls that the player of `role` has had."""
+    ask = glue.rl_agent_message if role == "agent" else glue.rl_env_message
+    return [call.split()[0] for call in ask("calls").splitlines()[:3]]
+
+
+def count(glue: Experiment, role: str, call: str) -> int:
+    """How often the player of `role` has had `call`."""
+    ask = glue.rl_agent_message if role == "agent" else glue.rl_env_message
+    return sum(line.startswith(call) for line in ask("calls").splitlines())
+
+
+@pytest.mark.parametrize("role", CASES)
+def test_a_killed_player_is_noticed_replaced_and_the_episodes_are_completed(role: str) -> None:
+    player, partner, moment, first_calls = CASES[role]
+    run = Run(patience=1.0)
+    kill = At(moment, 5, lambda: processes.signal(signal.SIGKILL))
+    with run.experiment(role, player, partner(before=kill)) as (glue, processes):
+        run.on_notice["lost"] = processes.start
+        glue.rl_init(seed=5)
+        void = play(glue)
+        assert len(void) == 1
+        assert f"the {role} Telling" in void[0]
+        assert run.notices[-2:] == [("lost", role), ("joined", role)]
+        assert glue.rl_num_episodes() == EPISODES
+        assert beginning(glue, role) == first_calls.split()
+
+
+@pytest.mark.parametrize("role", CASES)
+def test_a_player_that_stops_for_longer_than_patience_returns_as_it_was(role: str) -> None:
+    player, partner, moment, first_calls = CASES[role]
+    run = Run(patience=1.0)
+    stop = At(moment, 5, lambda: processes.signal(signal.SIGSTOP))
+    with run.experiment(role, player, partner(before=stop)) as (glue, processes):
+        run.on_notice["lost"] = lambda: processes.signal(signal.SIGCONT)
+        glue.rl_init(seed=5)
+        assert len(play(glue)) == 1
+        assert run.notices[-2:] == [("lost", role), ("returned", role)]
+        assert glue.rl_num_episodes() == EPISODES
+        assert beginning(glue, role) == first_calls.split()
+        assert count(glue, role, first_calls.split()[1]) == 1, "it was not initialised again"
+
+
+@pytest.mark.parametrize("role", CASES)
+def test_a_player_that_stops_for_less_than_patience_is_waited_for(role: str) -> None:
+    player, partner, moment, _ = CASES[role]
+    run = Run(patience=60.0)
+    stopped = threading.Event()
+
+    def stop() -> None:
+        processes.signal(signal.SIGSTOP)
+        stopped.set()
+
+    ticks = iter(range(1000))
+
+    def go_on(now: float) -> None:
+        if stopped.is_set() and next(ticks) == 5:
+            processes.signal(signal.SIGCONT)
+
+    run.hub.on_tick(go_on)
+    with run.experiment(role, player, partner(before=At(moment, 5, stop))) as (glue, processes):
+        glue.rl_init(seed=5)
+        assert play(glue) == []
+        assert stopped.is_set()
+        assert {event for event, _ in run.notices} == {"joined"}
+
+
+def chain(glue: Experiment, episodes: int) -> list[float]:
+    """The returns of `episodes` episodes, and a message to each player, which shows all that went before."""
+    glue.rl_init()
+    returns = []
+    for _ in range(episodes):
+        assert glue.rl_episode()
+        returns.append(glue.rl_return())
+    return [*returns, float(glue.rl_agent_message("?")), float(glue.rl_env_message("?"))]
+
+
+def test_a_run_over_connections_that_break_a_hundred_times_has_the_same_returns() -> None:
+    episodes = 60
+    expected = chain(local.connect(ChainAgent(), ChainEnvironment()), episodes)
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, patience=60.0))
+    with hub.in_background():
+        proxy = CuttingProxy(int(hub.endpoints[0].rpartition(":")[2]), seed=1, cuts=100)
+        with (
+            proxy.in_background(),
+            Processes(proxy.url, "agent", "tests.players:ChainAgent"),
+            Processes(proxy.url, "environment", "tests.players:ChainEnvironment"),
+            client.connect(proxy.url, log=quiet) as glue,
+        ):
+            assert chain(glue, episodes) == expected
+            assert proxy.finished.is_set(), "a hundred cuts were made"
+
+
+HUB = "from glue.cli import main; main()"
+
+
+@contextmanager
+def hub_process(bind: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """`glue-hub` in a process, and its address."""
+    with running("-c", HUB, "--bind", bind, "--heartbeat", str(HEARTBEAT), "--patience", "1") as hub:
+        assert hub.stderr is not None
+        yield hub, hub.stderr.readline().split()[-1]
+
+
+def test_players_come_back_to_a_hub_that_was_killed_and_started_again() -> None:
+    with ExitStack() as stack:
+        with hub_process("tcp://127.0.0.1:*") as (hub, url):
+            stack.enter_context(Processes(url, "agent", "tests.players:TellingAgent"))
+            stack.enter_context(Processes(url, "environment", "tests.players:TellingEnvironment"))
+            before = stack.enter_context(client.connect(url, log=quiet))
+            before.rl_init()
+            assert before.rl_episode()
+            hub.kill()
+            hub.wait(TIMEOUT)
+        with hub_process(url):
+            with pytest.raises(HubClosed, match="knows nothing of this experiment"):
+                before.rl_episode()
+            before.close()
+            with client.connect(url, log=quiet) as after:
+                after.rl_init()
+                assert after.rl_episode()
+                assert count(after, "agent", "agent_init") == 2, "the same process as before"
+                assert count(after, "environment", "env_init") == 2
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_hub_that_is_told_to_stop_tells_every_peer(number: signal.Signals, tmp_path: Path) -> None:
+    reason = f"the hub was stopped by {number.name}"
+    with hub_process(f"ipc://{tmp_path}/hub") as (hub, url):
+        with (
+            running(*peer("agent", url, "tests.players:ScriptedAgent")) as agent,
+            running(*peer("environment", url, "tests.players:ScriptedEnvironment")) as environment,
+            client.connect(url, log=quiet) as glue,
+        ):
+            glue.rl_init()
+            hub.send_signal(number)
+            with pytest.raises(HubClosed, match=reason):
+                play_on(glue)
+            for process in (agent, environment):
+                output, _ = process.communicate(timeout=TIMEOUT)
+                assert (process.returncode, output) == (0, f"goodbye: {reason}\n")
+        assert hub.wait(TIMEOUT) == 0
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_player_that_is_told_to_stop_tells_the_hub(number: signal.Signals, code: int) -> None:
+    class Walk(SkeletonEnvironment):
+        def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+            process.send_signal(number)
+            return super().env_step(action)
+
+    agent = "from agents.cli import main; main()"
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, patience=60.0))
+    with hub.in_background(), ExitStack() as ending:
+        (url,) = hub.endpoints
+        ending.enter_context(serving(url, Walk()))
+        ending.callback(hub.stop, "over")
+        process = ending.enter_context(running("-c", agent, "skeleton", "--hub", url))
+        glue = ending.enter_context(client.connect(url, log=quiet))
+        glue.rl_init()
+        with pytest.raises(PeerLost, match=r"the agent SkeletonAgent .* left: interrupted"):
+            play_on(glue)
+        assert process.wait(TIMEOUT) == code
+
+
+def test_an_exception_shows_its_traceback_where_it_happened_and_its_name_at_the_experiment() -> None:
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, patience=60.0))
+    with hub.in_background(), ExitStack() as ending:
+        (url,) = hub.endpoints
+        ending.enter_context(serving(url, ScriptedEnvironment()))
+        ending.callback(hub.stop, "over")
+        agent = ending.enter_context(running(*peer("agent", url, "tests.players:FailingAgent")))
+        glue = ending.enter_context(client.connect(url, log=quiet))
+        glue.rl_init()
+        text = "agent FailingAgent .* raised in agent_step: ValueError: the second step is too much"
+        with pytest.raises(PeerFailed, match=text):
+            glue.rl_episode()
+        _, shown = agent.communicate(timeout=TIMEOUT)
+        assert agent.returncode == 1
+        assert "Traceback (most recent call last)" in shown
+        assert 'raise ValueError("the second step is too much")' in shown
+
+
+def test_a_slow_session_delays_no_other() -> None:
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, patience=1.0))
+    release = threading.Event()
+    waits = threading.Event()
+
+    def wait(call: str) -> None:
+        if call == "env_start":
+            waits.set()
+            assert release.wait(TIMEOUT)
+
+    with hub.in_background(), ExitStack() as ending:
+        (url,) = hub.endpoints
+        for session, environment in (
+            ("slow", ScriptedEnvironment(before=wait)),
+            ("fast", ScriptedEnvironment()),
+        ):
+            ending.enter_context(serving(url, environment, session))
+            ending.enter_context(serving(url, ScriptedAgent(), session))
+        ending.callback(hub.stop, "over")
+        slow = ending.enter_context(client.connect(url, "slow", log=quiet))
+        fast = ending.enter_context(client.connect(url, "fast", log=quiet))
+        results: list[bool] = []
+        thread = threading.Thread(target=lambda: results.append(slow.rl_episode()))
+        thread.start()
+        assert waits.wait(TIMEOUT)
+        for _ in range(50):
+            assert fast.rl_episode()
+        assert not results
+        release.set()
+        thread.join(TIMEOUT)
+        assert results == [True]
+
+
+def test_a_player_may_compute_for_many_heartbeats() -> None:
+    # Heartbeats pile up while it does; that must not cost it its connection.
+    heartbeat = 0.01
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=heartbeat, patience=0.5))
+    computes = threading.Event()
+    done = threading.Event()
+    ticks = iter(range(10_000))
+
+    def count_ticks(now: float) -> None:
+        if computes.is_set() and next(ticks) == 250:
+            done.set()
+
+    def compute() -> None:
+        computes.set()
+        assert done.wait(TIMEOUT)
+
+    hub.on_tick(count_ticks)
+    with hub.in_background(), ExitStack() as ending:
+        (url,) = hub.endpoints
+        ending.enter_context(serving(url, ScriptedEnvironment()))
+        ending.enter_context(serving(url, ScriptedAgent(before=At("agent_step", 1, compute))))
+        ending.callback(hub.stop, "over")
+        glue = ending.enter_context(client.connect(url, log=quiet))
+        assert glue.rl_episode()
+        assert done.is_set()
