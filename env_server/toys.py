@@ -51,6 +51,15 @@ class SkeletonEnvironment:
             return "my name is skeleton_environment!"
         return "I don't know how to respond to your message"
 
+    def env_save(self) -> bytes:
+        return b""  # nothing outlives an episode
+
+    def env_load(self, data: bytes) -> None:
+        if data:
+            raise SimulatorError(
+                f"the skeleton environment saves nothing; {len(data)} bytes came to env_load"
+            )
+
 
 _MINES_MAP: Final = (
     "S.......*.........",

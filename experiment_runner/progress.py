@@ -80,13 +80,13 @@ class Progress:
         self._total = _Total(trials, self._clock())
 
     def begin(self, spec: TrialSpec, done: int) -> None:
-        self._rows[spec.id] = _Row(spec, done, self._clock())
+        self._rows[spec.id] = _Row(spec, done)
         self._total.done[spec.id] = done
 
     def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
-        self._rows[spec.id].add(result)
-        self._total.add(spec, result)
         now = self._clock()
+        self._rows[spec.id].add(result, now)
+        self._total.add(spec, result)
         if now - self._shown_at >= self._every:
             self._show(now)
 
@@ -139,14 +139,16 @@ class Progress:
 class _Row:
     """A trial under way."""
 
-    def __init__(self, spec: TrialSpec, done: int, now: float) -> None:
+    def __init__(self, spec: TrialSpec, done: int) -> None:
         self._spec = spec
         self._before = self._done = done
         self._steps = 0
-        self._began = now
+        self._began = 0.0
         self.recent: deque[float] = deque(maxlen=_WINDOW)
 
-    def add(self, result: EpisodeResult) -> None:
+    def add(self, result: EpisodeResult, now: float) -> None:
+        if not self.recent:
+            self._began = now - result.wall_time  # the time that players took to start says nothing
         self._done = result.episode
         self._steps += result.steps
         self.recent.append(result.episode_return)

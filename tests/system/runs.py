@@ -1,0 +1,93 @@
+"""Real runs of `glue-experiment`, for tests: starting them, watching their processes, comparing them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from experiment_runner.store import Checkpoint, Results
+
+__all__ = ["COMMAND", "alive", "children", "contents", "run", "start", "wait_until"]
+
+COMMAND = [sys.executable, "-m", "experiment_runner.cli"]
+_SECONDS = 60.0
+
+
+def start(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
+    """Start `glue-experiment` in a session of its own, as a terminal would."""
+    return subprocess.Popen(
+        [*COMMAND, *map(str, arguments)],
+        cwd=cwd,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    """Run `glue-experiment` to its end."""
+    command = [*COMMAND, *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=_SECONDS)
+
+
+Contents = dict[str, tuple[list[tuple[int, float, int, bool]], tuple[int, Checkpoint] | None]]
+"""Of each trial: every episode without its wall time, and the newest checkpoint."""
+
+
+def contents(directory: Path) -> Contents:
+    """Return what a run came to, as far as it must be the same whenever the plan is."""
+    with Results.open(directory) as results:
+        return {
+            trial.spec.id: (
+                [(e.episode, e.episode_return, e.steps, e.terminal) for e in results.episodes(trial.spec.id)],
+                results.checkpoint(trial.spec.id),
+            )
+            for trial in results.trials()
+        }
+
+
+def children(pid: int, naming: str = "") -> list[int]:
+    """Return the processes that `pid` started, and they in turn, whose command line has `naming` in it."""
+    parents: dict[int, list[int]] = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit() and (parent := _parent(int(entry.name))) is not None:
+            parents.setdefault(parent, []).append(int(entry.name))
+    found: list[int] = []
+    new = [pid]
+    while new:
+        new = [child for one in new for child in parents.get(one, [])]
+        found += new
+    return sorted(child for child in found if naming in _command_line(child))
+
+
+def alive(pid: int) -> bool:
+    """Return whether there is such a process, and it has not ended."""
+    return _parent(pid) is not None
+
+
+def _parent(pid: int) -> int | None:
+    try:
+        # The name of the program, in brackets, may hold anything.
+        state, parent = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[:2]
+    except OSError:
+        return None
+    return None if state in "ZX" else int(parent)
+
+
+def _command_line(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+    except OSError:
+        return ""
+
+
+def wait_until(true: Callable[[], object], what: str) -> None:
+    """Return as soon as `true()`; fail after a minute."""
+    deadline = time.monotonic() + _SECONDS
+    while not true():
+        assert time.monotonic() < deadline, f"waited in vain for {what}"
+        time.sleep(0.01)

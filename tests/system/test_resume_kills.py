@@ -1,0 +1,74 @@
+"""SIGKILL at any moment, of any process: the run ends as one that nobody disturbed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from experiment_runner.store import Results
+from tests.system.runs import alive, children, contents, run, start, wait_until
+
+PLAN = [
+    *("--env", "mines", "--env-option", "random_start=true", "--agent", "sarsa"),
+    *("--episodes", 500, "--max-steps", 30, "--trials", 4, "--seed", 11),
+]
+KILLS = 24
+VICTIMS = ("experiment", "agents.cli", "env_server.cli", "experiment_runner.worker")
+LONGEST_LIFE = 1.0
+
+
+def kill_one(experiment: subprocess.Popen[str], program: str, chance: random.Random) -> None:
+    """Kill one of the processes that run a program, as soon as there is one."""
+
+    def killed() -> bool:
+        assert experiment.poll() is None, f"finished too early: {experiment.communicate()}"
+        running = children(experiment.pid, program)
+        if not running:
+            return False
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(chance.choice(running), signal.SIGKILL)
+            return True
+        return False
+
+    wait_until(killed, program)
+
+
+def kill_experiment(experiment: subprocess.Popen[str]) -> None:
+    """Kill the experiment, and see that nobody outlives it."""
+    everybody = children(experiment.pid)
+    experiment.kill()
+    experiment.communicate()
+    assert experiment.returncode == -signal.SIGKILL, "finished too early"
+    wait_until(lambda: not any(map(alive, everybody)), "the end of its processes")
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
+    undisturbed = run(*PLAN, "--in-process", "--out", "undisturbed", cwd=tmp_path)
+    assert undisturbed.returncode == 0, undisturbed.stderr
+    command = [*PLAN, "--workers", 2, "--checkpoint-every", 20, "--out", "killed"]
+    chance = random.Random(4)
+    experiment = start(*command, cwd=tmp_path)
+    for kill in range(KILLS):
+        time.sleep(chance.uniform(0, LONGEST_LIFE))
+        victim = VICTIMS[kill % len(VICTIMS)]
+        if victim == "experiment":
+            kill_experiment(experiment)
+            experiment = start(*command, cwd=tmp_path)
+        else:
+            kill_one(experiment, victim, chance)
+    _, errors = experiment.communicate(timeout=200)
+    assert experiment.returncode == 0, errors
+    assert contents(tmp_path / "killed") == contents(tmp_path / "undisturbed")
+    with Results.open(tmp_path / "killed") as results:
+        events = {event.kind for event in results.events()}
+        assert {"resume", "rewind", "lost"} <= events  # the experiment and workers were killed in the midst
+        assert results.voids()  # and so were players
