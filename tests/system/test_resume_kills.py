@@ -13,11 +13,12 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.store import Results
+from glue.errors import ExperimentError
 from tests.system.runs import alive, children, contents, run, start, wait_until
 
 PLAN = [
     *("--env", "mines", "--env-option", "random_start=true", "--agent", "sarsa"),
-    *("--episodes", 500, "--max-steps", 30, "--trials", 4, "--seed", 11),
+    *("--episodes", 600, "--max-steps", 30, "--trials", 4, "--seed", 11),
 ]
 KILLS = 24
 VICTIMS = ("experiment", "agents.cli", "env_server.cli", "experiment_runner.worker")
@@ -49,6 +50,18 @@ def kill_experiment(experiment: subprocess.Popen[str]) -> None:
     wait_until(lambda: not any(map(alive, everybody)), "the end of its processes")
 
 
+def wait_for_an_episode(directory: Path) -> None:
+    """Return when one more is stored than now."""
+
+    def stored() -> int:
+        with contextlib.suppress(ExperimentError), Results.open(directory) as results:
+            return sum(trial.done for trial in results.trials())
+        return 0
+
+    before = stored()
+    wait_until(lambda: stored() > before, "an episode")
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
@@ -60,6 +73,8 @@ def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(tmp_path: Pat
     for kill in range(KILLS):
         time.sleep(chance.uniform(0, LONGEST_LIFE))
         victim = VICTIMS[kill % len(VICTIMS)]
+        if (kill // len(VICTIMS)) % 2:  # every second round in the midst of episodes, not at a start
+            wait_for_an_episode(tmp_path / "killed")
         if victim == "experiment":
             kill_experiment(experiment)
             experiment = start(*command, cwd=tmp_path)

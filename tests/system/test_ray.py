@@ -1,0 +1,84 @@
+"""The same trials on a Ray cluster of two nodes, both on this machine."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from experiment_runner.store import Results
+from tests.system.runs import contents, run
+from tests.system.test_workers import FAULTY, MINES, SARSA
+
+pytest.importorskip("ray", reason="needs the extra `ray`; .ci/run installs it")
+
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("default")]
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[str]:
+    """The address of a cluster of two nodes with one processor each."""
+    from ray.cluster_utils import Cluster
+
+    nodes = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    nodes.add_node(num_cpus=1)
+    nodes.wait_for_nodes()
+    yield nodes.address
+    nodes.shutdown()
+
+
+def test_engines_agree(cluster: str, tmp_path: Path) -> None:
+    plan = (*SARSA, "--episodes", 40, "--trials", 4)
+    for how, name in (
+        (("--in-process",), "one"),
+        (("--in-process", "--workers", 2), "workers"),
+        (("--in-process", "--engine", "ray", "--address", cluster), "ray"),
+        (("--engine", "ray", "--address", cluster, "--workers", 2), "ray with players of their own"),
+    ):
+        done = run(*plan, *how, "--out", name, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert contents(tmp_path / name) == contents(tmp_path / "one")
+    assert len(contents(tmp_path / "ray")) == 4
+
+
+def test_lost_worker_is_replaced_and_no_episode_comes_twice(cluster: str, tmp_path: Path) -> None:
+    (tmp_path / "faulty.py").write_text(FAULTY)
+    agent = f"{tmp_path}/faulty.py:Faulty"  # workers of Ray have another working directory
+    plan = (*MINES, "--agent", agent, "--episodes", 12, "--trials", 2, "--in-process")
+    assert run(*plan, "--out", "undisturbed", cwd=tmp_path).returncode == 0
+    options = ("--agent-option", "how=SIGKILL", "--agent-option", f"once={tmp_path}/mark")
+    ray = ("--engine", "ray", "--address", cluster, "--checkpoint-every", 4)
+    done = run(*plan, *options, *ray, "--json", "--out", "run", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert contents(tmp_path / "run") == contents(tmp_path / "undisturbed")
+    assert json.loads(done.stdout.splitlines()[-1])["episodes"] == 24
+    with Results.open(tmp_path / "run") as results:
+        lost = [event.text for event in results.events() if event.kind == "lost"]
+        assert len(lost) == 1
+        assert lost[0].startswith("its Ray worker was lost: ")
+
+
+def test_trial_that_fails_is_recorded(cluster: str, tmp_path: Path) -> None:
+    (tmp_path / "faulty.py").write_text(FAULTY)
+    plan = (
+        *MINES,
+        "--agent",
+        f"{tmp_path}/faulty.py:Faulty",
+        "--agent-option",
+        "how=raise",
+        "--episodes",
+        12,
+    )
+    done = run(*plan, "--in-process", "--engine", "ray", "--address", cluster, "--out", "run", cwd=tmp_path)
+    assert done.returncode == 1, done.stderr
+    assert "failed: Faulty/mines/0: agent Faulty raised in agent_start: ValueError: a mistake" in done.stdout
+
+
+def test_cluster_that_is_not_there_is_said_in_one_line(tmp_path: Path) -> None:
+    where = ("--engine", "ray", "--address", "127.0.0.1:1")
+    done = run(*SARSA, "--episodes", 1, *where, "--out", "run", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "Error: cannot use a Ray cluster at 127.0.0.1:1: " in done.stderr
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,233 @@
+"""`glue-experiment` with several trials: the same results in any processes, and what goes wrong there."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from experiment_runner.store import Results
+from tests.system.runs import COMMAND, alive, children, contents, run, start, wait_until
+
+FAULTY = '''
+import os
+import signal
+from pathlib import Path
+
+from agents.tabular import SarsaAgent
+
+
+class Faulty(SarsaAgent):
+    """Does something bad in its 7th episode: always, or only if `once` cannot be made."""
+
+    def __init__(self, *, how: str = "", once: str = "") -> None:
+        super().__init__()
+        self.how, self.once, self.episodes = how, once, 0
+
+    def agent_start(self, observation):
+        self.episodes += 1
+        if self.episodes == 7:
+            self.misbehave()
+        return super().agent_start(observation)
+
+    def misbehave(self):
+        if self.once:
+            try:
+                Path(self.once).touch(exist_ok=False)
+            except FileExistsError:
+                return
+        if self.how == "raise":
+            raise ValueError("a mistake")
+        if self.how == "exit":
+            raise SystemExit(3)
+        if self.how:
+            os.kill(os.getpid(), getattr(signal, self.how))
+
+
+class Forgetful(Faulty):
+    """Cannot be saved."""
+
+    agent_save = agent_load = None
+'''
+
+MINES = ("--env", "mines", "--env-option", "random_start=true", "--max-steps", 30, "--seed", 3)
+SARSA = (*MINES, "--agent", "sarsa")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "faulty.py").write_text(FAULTY)
+    return tmp_path
+
+
+def failures(directory: Path) -> dict[str, str | None]:
+    with Results.open(directory) as results:
+        return {trial.spec.id: trial.failure for trial in results.trials()}
+
+
+def events(directory: Path) -> list[tuple[str, str | None, str]]:
+    with Results.open(directory) as results:
+        return [(event.kind, event.trial_id, event.text) for event in results.events()]
+
+
+def test_results_do_not_depend_on_the_processes(tmp_path: Path) -> None:
+    plan = (*SARSA, "--episodes", 40, "--trials", 3)
+    for how, name in (
+        (("--in-process",), "one"),
+        ((), "three"),
+        (("--in-process", "--workers", 2), "workers"),
+        (("--workers", 3), "workers with players of their own"),
+    ):
+        done = run(*plan, *how, "--out", name, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert contents(tmp_path / name) == contents(tmp_path / "one")
+    episodes, checkpoint = contents(tmp_path / "one")["sarsa/mines/2"]
+    assert [episode[0] for episode in episodes] == list(range(1, 41))
+    assert checkpoint is not None
+
+
+@pytest.mark.parametrize(
+    ("how", "why"),
+    [
+        ("raise", "agent Faulty raised in agent_start: ValueError: a mistake"),
+        ("exit", "SystemExit: 3"),
+        ("SIGKILL", "its worker was killed by signal 9, for the 3rd time with no more than 6 episodes done"),
+        ("SIGSEGV", "its worker was killed by signal 11, for the 3rd time with no more than 6 episodes done"),
+    ],
+)
+def test_trial_that_crashes_is_recorded_and_the_rest_go_on(folder: Path, how: str, why: str) -> None:
+    (folder / "plan.toml").write_text(
+        f"""episodes = 10
+[environments.mines]
+[agents.good]
+class = "faulty.py:Faulty"
+[agents.bad]
+class = "faulty.py:Faulty"
+how = "{how}"
+[agents.best]
+class = "sarsa"
+"""
+    )
+    done = run("--plan", "plan.toml", "--in-process", "--workers", 2, "--out", "run", cwd=folder)
+    assert done.returncode == 1, done.stderr
+    assert f"failed: bad/mines/0: {why}" in done.stdout
+    assert f"bad/mines/0: Error: {why}" in done.stderr
+    assert failures(folder / "run") == {"good/mines/0": None, "bad/mines/0": why, "best/mines/0": None}
+    assert {name: len(of[0]) for name, of in contents(folder / "run").items()} == {
+        "good/mines/0": 10,
+        "bad/mines/0": 6,
+        "best/mines/0": 10,
+    }
+
+
+@pytest.mark.parametrize("agent", ["Faulty", "Forgetful"])
+def test_lost_worker_is_replaced_without_a_trace_in_the_results(folder: Path, agent: str) -> None:
+    plan = (*MINES, "--agent", f"faulty.py:{agent}", "--episodes", 12, "--in-process")
+    assert run(*plan, "--out", "undisturbed", cwd=folder).returncode == 0
+    options = ("--agent-option", "how=SIGKILL", "--agent-option", "once=mark")
+    (folder / "run").mkdir()
+    done = run(
+        *(*plan, *options, "--workers", 1, "--checkpoint-every", 4, "--json", "--out", "run"), cwd=folder
+    )
+    assert done.returncode == 0, done.stderr
+    assert contents(folder / "run") == contents(folder / "undisturbed")
+    trial = f"{agent}/mines/0"
+    happened = events(folder / "run")
+    assert ("lost", trial, "its worker was killed by signal 9") in happened
+    where = "goes on after episode 4; 2" if agent == "Faulty" else "starts over; 6"
+    assert ("rewind", trial, f"{where} recorded episodes are run again") in happened
+    unsaved = [text for kind, _, text in happened if kind == "unsaved"]
+    assert len(unsaved) == (2 if agent == "Forgetful" else 0)
+    for text in unsaved:
+        assert text.endswith("interrupted, this trial starts over")
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert {line["trial"] for line in lines[:-1]} == {trial}
+    assert lines[-1]["summary"]
+    assert (lines[-1]["episodes"], lines[-1]["failed_trials"]) == (12, 0)
+
+
+def first_line(process: subprocess.Popen[str]) -> None:
+    assert process.stdout is not None
+    assert process.stdout.readline()
+
+
+@pytest.mark.parametrize("how", [(), ("--workers", 2), ("--in-process",)])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_interrupted_run_leaves_nobody_and_goes_on(
+    tmp_path: Path, how: tuple[object, ...], number: signal.Signals, code: int
+) -> None:
+    plan = (*SARSA, "--episodes", 400, "--trials", 2)
+    process = start(*plan, *how, "--checkpoint-every", 10, "--json", "--out", "run", cwd=tmp_path)
+    first_line(process)
+    everybody = children(process.pid)
+    if number is signal.SIGINT:
+        os.killpg(process.pid, number)  # as Ctrl-C does
+    else:
+        process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == code, errors
+    assert errors.rstrip().endswith("interrupted; go on with: glue-experiment --resume run"), errors
+    assert "Traceback" not in errors
+    assert not any(map(alive, everybody))
+    assert run("--resume", "run", "--in-process", cwd=tmp_path).returncode == 0
+    assert run(*plan, "--in-process", "--out", "undisturbed", cwd=tmp_path).returncode == 0
+    assert contents(tmp_path / "run") == contents(tmp_path / "undisturbed")
+
+
+def test_second_run_into_a_directory_is_refused(tmp_path: Path) -> None:
+    plan = (*SARSA, "--episodes", 100_000, "--workers", 1, "--in-process", "--json", "--out", "run")
+    first = start(*plan, cwd=tmp_path)
+    first_line(first)
+    second = run(*plan, cwd=tmp_path)
+    assert second.returncode == 1
+    assert second.stdout == ""
+    assert second.stderr.startswith(f"Error: run is in use by process {first.pid} on "), second.stderr
+    first.terminate()
+    first.communicate()
+
+
+def test_read_only_directory_is_refused(tmp_path: Path) -> None:
+    probe = ["unshare", "--map-root-user", "--mount", "sh", "-c", 'mount -t tmpfs -o ro none "$1"', "sh", "."]
+    if not shutil.which("unshare") or subprocess.run(probe, capture_output=True, cwd=tmp_path).returncode:
+        pytest.skip("this user may not mount a disk")
+    command = [*COMMAND, *map(str, SARSA), "--episodes", "5", "--in-process", "--out", f"{tmp_path}/disk/run"]
+    (tmp_path / "disk").mkdir()
+    mounted = [*probe[:5], 'mount -t tmpfs -o ro none "$0" && exec "$@"', f"{tmp_path}/disk", *command]
+    done = subprocess.run(mounted, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 1
+    assert done.stdout == ""
+    assert done.stderr == f"Error: cannot make {tmp_path}/disk/run: Read-only file system\n"
+
+
+@pytest.mark.parametrize("workers", [(), ("--workers", "1")])
+def test_full_disk_ends_the_run_and_what_was_stored_is_readable(
+    tmp_path: Path, workers: tuple[str, ...]
+) -> None:
+    """The disk is one whose files may not grow past 200 kB."""
+    command = [*COMMAND, *map(str, SARSA), "--episodes", "100000", "--in-process", "--json", "--out", "run"]
+    limited = ["sh", "-c", 'ulimit -f 400; exec "$@"', "sh", *command, *workers]
+    done = subprocess.run(limited, cwd=tmp_path, capture_output=True, text=True, timeout=100)
+    assert done.returncode == 1
+    last = json.loads(done.stdout.splitlines()[-1])["episode"]
+    assert (
+        f"Error: episode {last + 1} of sarsa/mines/0 is not recorded: disk I/O error; "
+        "the episodes before it are. Mend that, and continue with --resume run\n"
+    ) in done.stderr
+    assert "Traceback" not in done.stderr
+    [(episodes, _)] = contents(tmp_path / "run").values()
+    assert [episode[0] for episode in episodes] == list(range(1, last + 1))
+
+
+def test_players_do_not_outlive_a_killed_experiment(tmp_path: Path) -> None:
+    process = start(*SARSA, "--episodes", 100_000, "--json", "--out", "run", cwd=tmp_path)
+    first_line(process)
+    players = children(process.pid)
+    assert len(players) == 2
+    process.kill()
+    process.communicate()
+    wait_until(lambda: not any(map(alive, players)), "the end of the players")
