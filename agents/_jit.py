@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import sys
+import time
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
@@ -19,9 +21,10 @@ from typing import Annotated, Any, Final, TypeVar
 import numba
 import numpy as np
 import numpy.typing as npt
+from numba.core import event
 from numba.core.caching import FunctionCache
 
-__all__ = ["Array", "Flag", "Int", "Real", "Word", "entry", "jit", "layout", "new"]
+__all__ = ["Array", "Flag", "Int", "Real", "Word", "entry", "jit", "layout", "new", "say_when_compiling"]
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -63,10 +66,37 @@ def jit(function: Function) -> Function:
 def entry(function: Function) -> Function:
     """Return `function` compiled when first called, or read from disk if it was compiled before."""
     compiled = jit(function)
-    if compiled is not function:  # as it is with NUMBA_DISABLE_JIT=1
-        with contextlib.suppress(RuntimeError):  # no folder to write to: compile in every process
-            compiled._cache = _Cache(function)  # type: ignore[attr-defined, no-untyped-call]
+    with contextlib.suppress(RuntimeError):  # no folder to write to: compile in every process
+        compiled._cache = _Cache(function)  # type: ignore[attr-defined, no-untyped-call]
     return compiled
+
+
+@contextlib.contextmanager
+def say_when_compiling() -> Iterator[None]:
+    """Tell the person at the terminal, on stderr, if an entry called in this block must be compiled."""
+    listener = _Announcement()
+    with event.install_listener("numba:compile", listener):
+        yield
+    listener.finish()
+
+
+class _Announcement(event.Listener):
+    """One line that begins with the first compilation and ends when all are done."""
+
+    def __init__(self) -> None:
+        self._began: float | None = None
+
+    def on_start(self, event: object) -> None:
+        if self._began is None:
+            self._began = time.perf_counter()
+            print("compiling the agent, this once ...", end=" ", file=sys.stderr, flush=True)
+
+    def on_end(self, event: object) -> None:
+        pass
+
+    def finish(self) -> None:
+        if self._began is not None:
+            print(f"done in {time.perf_counter() - self._began:.0f} s", file=sys.stderr, flush=True)
 
 
 @cache

@@ -13,10 +13,10 @@ from typing import Annotated, ClassVar, Final
 
 import numpy as np
 
-from agents._jit import Array, new
+from agents._jit import Array, new, say_when_compiling
 from agents.checkpoint import Checkpoint, CheckpointError, pack, unpack
 from agents.klo import ACTIONS
-from agents.observation import malformed
+from agents.observation import CHARS, malformed
 from agents.policy import seeded
 from agents.sarsa import Learner, contents, grown, table_of
 from glue.errors import ConfigError, TaskSpecError
@@ -115,6 +115,7 @@ class MarioLearner(abc.ABC):
             ConfigError: the task is not Infinite Mario.
         """
         require_mario(task_spec, self.name)
+        self._warm_up()
         self._forget()
         self._mind = self._new_mind()
 
@@ -169,6 +170,14 @@ class MarioLearner(abc.ABC):
         self._learner["cycles"] = cycles
         self._learner["entries"] = len(keys)
         self._table = table_of(keys, values)
+
+    def _warm_up(self) -> None:
+        """Have the kernels compiled or read from disk, so that no step of an episode waits for that."""
+        nothing = Observation([0] * 3, [0.0] * 4, bytes(CHARS))
+        self._mind = self._new_mind()
+        with say_when_compiling():
+            self.agent_start(nothing)
+            self.agent_end(0.0)
 
     def _forget(self) -> None:
         self._learner = new(Learner)
