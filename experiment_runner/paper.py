@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from experiment_runner.plan import Plan, RoleSpec, RoleSweep
+from glue.errors import ExperimentError
 
 __all__ = [
     "EPISODES",
@@ -86,10 +87,14 @@ def plan_of(experiment: PaperExperiment, episodes: int = EPISODES, trials: int =
 
 
 def level_of(environment: RoleSpec) -> Level:
-    """Return the level of a trial of such a plan."""
-    seed, difficulty = (environment.options[name] for name in ("level_seed", "level_difficulty"))
-    assert isinstance(seed, int)
-    assert isinstance(difficulty, int)
+    """Return the level of a trial of such a plan.
+
+    Raises:
+        ExperimentError: its environment does not say the level.
+    """
+    seed, difficulty = (environment.options.get(name) for name in ("level_seed", "level_difficulty"))
+    if not isinstance(seed, int) or not isinstance(difficulty, int):
+        raise ExperimentError(f"{environment.label} does not name its level, as those of glue-paper do")
     return Level(seed, difficulty)
 
 

@@ -88,7 +88,7 @@ def paper(
     for name, plan in plans.items():
         click.echo(f"{name}: {EXPERIMENTS[name].title}", err=True)
         failed += _run(out / name, plan, workers)
-    click.echo(write_report(out, docs))
+    click.echo(write_report(out, docs), nl=False)
     return 1 if failed else 0
 
 

@@ -9,11 +9,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from experiment_runner.database import holds_run
+from experiment_runner.database import holds_run, reported
 from experiment_runner.paper import EXPERIMENTS, Level, PaperExperiment, Published, level_of
 from experiment_runner.plan import RoleSpec
 from experiment_runner.settings import Setting, collect
-from experiment_runner.stats import Estimate, convergence_episode, estimate, mean, mean_of_last
+from experiment_runner.stats import Estimate, convergence_episode, estimate, mean, mean_of_last, running_mean
 from experiment_runner.store import Results
 from glue.errors import ExperimentError
 from glue.loading import find
@@ -21,11 +21,13 @@ from glue.local import connect
 from glue.messages import Role
 from glue.options import build
 
-__all__ = ["FINISHED", "WINDOW", "FloatArray", "Outcome", "load"]
+__all__ = ["FINISHED", "TOLERANCE", "WINDOW", "FloatArray", "Outcome", "load"]
 
 FloatArray = npt.NDArray[np.float64]
 
 WINDOW: Final = 100
+TOLERANCE: Final = 2.0
+"""How far from its end, in reward, a running mean of `WINDOW` episodes counts as converged."""
 FINISHED: Final = 90.0
 """The least return of an episode that reached the goal: 100, less 0.01 for each of at most 1000 steps.
 
@@ -64,24 +66,33 @@ class Outcome:
         return self.experiment.published.get(self.level.difficulty) if faithful else None
 
     @property
-    def reached(self) -> FloatArray:
+    def rewards(self) -> FloatArray:
         """The mean of each trial's last episodes, (trials,)."""
         return np.array([mean_of_last(trial, WINDOW) for trial in self.curves])
 
     @property
     def reward(self) -> Estimate:
-        """The mean of `reached`, with its 95 % bootstrap interval."""
-        return estimate([self.reached], mean, np.random.default_rng(_SEED))
+        """The mean of `rewards`, with its 95 % bootstrap interval."""
+        return estimate([self.rewards], mean, np.random.default_rng(_SEED))
 
     @property
-    def converged(self) -> int | None:
-        """When the mean over trials converged."""
-        return convergence_episode(mean(self.curves), WINDOW)
+    def reached(self) -> int | None:
+        """The episode at which the mean curve first came within `TOLERANCE` of its end, or above it.
+
+        How fast the agents learned, whatever befell them later; None for less than `WINDOW` episodes.
+        """
+        means = running_mean(mean(self.curves), WINDOW)
+        return int(np.argmax(means >= means[-1] - TOLERANCE)) + WINDOW if means.size else None
 
     @property
-    def trials_converged(self) -> list[int]:
-        """When each trial converged that did, ascending."""
-        episodes = [convergence_episode(trial, WINDOW) for trial in self.curves]
+    def settled(self) -> int | None:
+        """The episode from which the mean curve stayed where it ends: a relapse of one trial can delay it."""
+        return convergence_episode(mean(self.curves), WINDOW, TOLERANCE)
+
+    @property
+    def trials_settled(self) -> list[int]:
+        """The same of each trial that settled, ascending."""
+        episodes = [convergence_episode(trial, WINDOW, TOLERANCE) for trial in self.curves]
         return sorted(episode for episode in episodes if episode is not None)
 
     @property
@@ -106,7 +117,9 @@ def load(directory: Path) -> list[Outcome]:
     """
     outcomes = []
     for name, experiment in EXPERIMENTS.items():
-        if holds_run(directory / name):
+        with reported(f"cannot read {directory / name}"):
+            begun = holds_run(directory / name)
+        if begun:
             with Results.open(directory / name) as results:
                 found = [_outcome(experiment, setting, results) for setting in collect([results])]
             outcomes += [outcome for outcome in found if outcome.curves.size]
@@ -132,16 +145,17 @@ def _outcome(experiment: PaperExperiment, setting: Setting, results: Results) ->
 
 def _values(agent: RoleSpec, environment: RoleSpec, setting: Setting, results: Results) -> tuple[int, ...]:
     """Return what agents brought back from the newest checkpoints answer to `values`."""
+    found = [results.checkpoint(trial.spec.id) for trial in setting.trials]
+    saved = [checkpoint.agent for _, checkpoint in filter(None, found)]
+    if not saved:
+        return ()
     answers = []
-    players = (
+    with connect(
         build(find(Role.AGENT, agent.name), agent.options),
         build(find(Role.ENVIRONMENT, environment.name), environment.options),
-    )
-    with connect(*players) as glue:
+    ) as glue:
         glue.rl_init()
-        for trial in setting.trials:
-            found = results.checkpoint(trial.spec.id)
-            if found is not None:
-                glue.rl_agent_load(found[1].agent)
-                answers.append(glue.rl_agent_message("values"))
+        for learned in saved:
+            glue.rl_agent_load(learned)
+            answers.append(glue.rl_agent_message("values"))
     return tuple(int(answer) for answer in answers if answer.isdecimal())

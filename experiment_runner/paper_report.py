@@ -35,6 +35,7 @@ def write_report(out: Path, docs: Path | None = None) -> str:
     if not outcomes:
         raise ExperimentError(f"{out} holds no finished episode of any experiment")
     tables = as_markdown(outcomes)
+    page = None if docs is None else _with_tables(docs, tables)
     drawn = figures(outcomes)
     folder = _folder(out / REPORT)
     _write(folder / "tables.md", tables)
@@ -42,8 +43,8 @@ def write_report(out: Path, docs: Path | None = None) -> str:
     for name, figure in drawn.items():
         for ending in ("png", "svg"):
             save(figure, folder / f"{name}.{ending}")
-    if docs is not None:
-        _write(docs, _with_tables(docs, tables))
+    if docs is not None and page is not None:
+        _write(docs, page)
         images = _folder(docs.parent / "images" / "paper")
         for name, figure in drawn.items():
             save(figure, images / f"{name}.png")

@@ -10,23 +10,25 @@ from typing import Final
 import numpy as np
 
 from experiment_runner.paper import PAPER_LEVEL
-from experiment_runner.paper_outcomes import FINISHED, WINDOW, Outcome
+from experiment_runner.paper_goals import verdicts
+from experiment_runner.paper_outcomes import FINISHED, TOLERANCE, WINDOW, Outcome
 
 __all__ = ["as_csv", "as_markdown"]
 
 _HEADER: Final = (
     "experiment", "agent", "level", "paper", "ours", "95 % interval", "single trials",
-    "converged: paper", "ours", "single trials", "values", "trials finish", "episodes finish",
+    "converged: paper", "reached", "settled", "trials settled", "values", "trials finish", "episodes finish",
 )  # fmt: skip
+_GOALS_HEADER: Final = ("required", "found", "met")
 _WORDS: Final = 3  # the first columns; the others are numbers
 _LEGEND: Final = f"""\
-A *level* is a seed and a difficulty. Rewards are means over trials of the mean return of the last
-{WINDOW} episodes, with a 95 % bootstrap interval over trials; *single trials* are the lowest and the
-highest of them. *Converged* is the episode from which the running mean of {WINDOW} episodes stays within
-2 of its last value: for the mean curve of all trials, and as the median of the single trials that
-converge (and how many do). *Values* is how many a trial has learned in the end, on average. A trial
-*finishes* when at least half of its last {WINDOW} episodes reach the goal, that is, return {FINISHED:g}
-or more."""
+A *level* is a seed and a difficulty. *Ours* is the mean over trials of the mean return of the last
+{WINDOW} episodes, with its 95 % bootstrap interval; *single trials* are the lowest and the highest of them.
+The running mean of {WINDOW} episodes, over all trials, has *reached* its end when it first comes within
+{TOLERANCE:g} of its last value, or above; it has *settled* when from then on it stays within {TOLERANCE:g}
+of it. *Trials settled* is the median of the single trials that did, and how many they are. *Values* is
+how many values a trial has learned in the end, on average. A trial *finishes* when at least half of its
+last {WINDOW} episodes reach the goal, that is, return {FINISHED:g} or more."""
 
 
 def as_markdown(outcomes: Sequence[Outcome]) -> str:
@@ -41,8 +43,14 @@ def as_markdown(outcomes: Sequence[Outcome]) -> str:
         ],
         "Other level seeds": [outcome for outcome in outcomes if outcome.level.seed != seed],
     }
-    tables = [f"**{title}**\n\n{_table(group)}" for title, group in groups.items() if group]
-    return "\n\n".join([*tables, _LEGEND, _effort(outcomes)]) + "\n"
+    tables = [
+        f"**{title}**\n\n{_table(_HEADER, map(_cells, group))}" for title, group in groups.items() if group
+    ]
+    given = verdicts(outcomes)
+    if given:
+        rows = ((v.required, v.found, "yes" if v.met else "**no**") for v in given)
+        tables.append(f"**Required and found**\n\n{_table(_GOALS_HEADER, rows)}")
+    return "\n\n".join([_LEGEND, *tables, _effort(outcomes)]) + "\n"
 
 
 def as_csv(outcomes: Sequence[Outcome]) -> str:
@@ -55,13 +63,13 @@ def as_csv(outcomes: Sequence[Outcome]) -> str:
     return text.getvalue()
 
 
-def _table(outcomes: Iterable[Outcome]) -> str:
-    rule = ["---"] * _WORDS + ["---:"] * (len(_HEADER) - _WORDS)
-    return "\n".join(f"| {' | '.join(row)} |" for row in (_HEADER, rule, *map(_cells, outcomes)))
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    rule = ["---" if number < _WORDS else "---:" for number in range(len(header))]
+    return "\n".join(f"| {' | '.join(row)} |" for row in (header, rule, *rows))
 
 
 def _cells(outcome: Outcome) -> tuple[str, ...]:
-    paper, reward, single = outcome.published, outcome.reward, outcome.trials_converged
+    paper, reward, settled = outcome.published, outcome.reward, outcome.trials_settled
     experiment, count = outcome.experiment, len(outcome.curves)
     return (
         f"{experiment.name}, {experiment.title}",
@@ -70,10 +78,11 @@ def _cells(outcome: Outcome) -> tuple[str, ...]:
         f"{paper.reward:.2f}" if paper and paper.reward is not None else "",
         f"{reward.value:.2f}",
         "" if np.isnan(reward.low) else f"{reward.low:.2f} to {reward.high:.2f}",
-        f"{outcome.reached.min():.1f} to {outcome.reached.max():.1f}",
+        f"{outcome.rewards.min():.1f} to {outcome.rewards.max():.1f}",
         paper.convergence if paper else "",
-        "never" if outcome.converged is None else f"{outcome.converged}",
-        f"{np.median(single):.0f} ({len(single)})" if single else "never",
+        f"{outcome.reached or ''}",
+        f"{outcome.settled or 'never'}",
+        f"{np.median(settled):.0f} ({len(settled)})" if settled else "never",
         f"{np.mean(outcome.values):,.0f}" if outcome.values else "",
         f"{outcome.trials_finishing} of {count}",
         f"{outcome.finishing.mean():.0%}",
@@ -81,7 +90,7 @@ def _cells(outcome: Outcome) -> tuple[str, ...]:
 
 
 def _record(outcome: Outcome) -> dict[str, object]:
-    paper, reward, single = outcome.published, outcome.reward, outcome.trials_converged
+    paper, reward, settled = outcome.published, outcome.reward, outcome.trials_settled
     return {
         "experiment": outcome.experiment.name,
         "agent": outcome.agent,
@@ -93,12 +102,13 @@ def _record(outcome: Outcome) -> dict[str, object]:
         "reward": float(reward.value),
         "reward_low": None if np.isnan(reward.low) else float(reward.low),
         "reward_high": None if np.isnan(reward.high) else float(reward.high),
-        "reward_lowest": float(outcome.reached.min()),
-        "reward_highest": float(outcome.reached.max()),
+        "reward_lowest": float(outcome.rewards.min()),
+        "reward_highest": float(outcome.rewards.max()),
         "paper_converged": paper.convergence if paper else None,
-        "converged": outcome.converged,
-        "converged_median": float(np.median(single)) if single else None,
-        "trials_converged": len(single),
+        "reached": outcome.reached,
+        "settled": outcome.settled,
+        "trials_settled": len(settled),
+        "trials_settled_median": float(np.median(settled)) if settled else None,
         "values": float(np.mean(outcome.values)) if outcome.values else None,
         "trials_finishing": outcome.trials_finishing,
         "episodes_finishing": float(outcome.finishing.mean()),
