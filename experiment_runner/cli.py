@@ -77,8 +77,8 @@ _MAX_SEED: Final = 2**63 - 1
 )
 @click.option(
     "--engine",
-    type=click.Choice(list(Engine)),
-    default=Engine.LOCAL,
+    type=click.Choice([engine.value for engine in Engine]),
+    default=Engine.LOCAL.value,
     show_default=True,
     help="Where trials run: on this machine, or on a Ray cluster.",
 )
@@ -138,7 +138,7 @@ def experiment(
     agent_option: tuple[str, ...],
     in_process: bool,
     workers: int | None,
-    engine: Engine,
+    engine: str,
     address: str | None,
     hub: str | None,
     bind: tuple[str, ...],

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import socket
 import time
 from collections.abc import Iterator
 from queue import SimpleQueue
@@ -21,6 +22,7 @@ from glue.errors import ConfigError, ExperimentError
 __all__ = ["RayCluster"]
 
 _BATCH_SECONDS: Final = 0.1
+_KNOCK_SECONDS: Final = 5.0
 
 
 class RayCluster:
@@ -72,12 +74,13 @@ class RayCluster:
             self._ray.cancel(stream, force=True)
 
     def __enter__(self) -> Self:
+        if self._address is not None:
+            _knock(self._address)
         try:
             self._ray.init(address=self._address, logging_level=logging.ERROR)
         except (ConnectionError, ValueError, RuntimeError) as error:
-            where = f"at {self._address}" if self._address else "on this machine"
             reason = str(error).strip().partition("\n")[0]
-            raise ExperimentError(f"cannot use a Ray cluster {where}: {reason}") from error
+            raise ExperimentError(f"cannot use Ray: {reason}") from error
         self.size = self._asked or max(1, int(self._ray.cluster_resources().get("CPU", 1)))
         return self
 
@@ -102,6 +105,18 @@ def _run(job: Job) -> Iterator[list[Report]]:
             batch.append(reports.get())
         ended = isinstance(batch[-1], Ended)
         yield batch
+
+
+def _knock(address: str) -> None:
+    """See that somebody is there: Ray itself tries for minutes."""
+    host, colon, port = address.rpartition(":")
+    if not colon or not port.isdecimal():
+        raise ConfigError(f"{address!r} is no address of a Ray cluster: write HOST:PORT")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), _KNOCK_SECONDS).close()
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ExperimentError(f"there is no Ray cluster at {address}: {reason}") from error
 
 
 def _import_ray() -> Any:
