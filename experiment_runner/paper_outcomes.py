@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -21,7 +22,7 @@ from glue.local import connect
 from glue.messages import Role
 from glue.options import build
 
-__all__ = ["FINISHED", "TOLERANCE", "WINDOW", "FloatArray", "Outcome", "load"]
+__all__ = ["FINISHED", "TOLERANCE", "WINDOW", "FloatArray", "Outcome", "load", "reach_episode"]
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -77,23 +78,23 @@ class Outcome:
 
     @property
     def reached(self) -> int | None:
-        """The episode at which the mean curve first came within `TOLERANCE` of its end, or above it.
+        """When the mean curve first came where it ends; see `reach_episode`."""
+        return reach_episode(mean(self.curves))
 
-        How fast the agents learned, whatever befell them later; None for less than `WINDOW` episodes.
-        """
-        means = running_mean(mean(self.curves), WINDOW)
-        return int(np.argmax(means >= means[-1] - TOLERANCE)) + WINDOW if means.size else None
+    @property
+    def trials_reached(self) -> list[int]:
+        """The same of each trial, ascending."""
+        return _ascending(map(reach_episode, self.curves))
 
     @property
     def settled(self) -> int | None:
-        """The episode from which the mean curve stayed where it ends: a relapse of one trial can delay it."""
+        """From when on the mean curve stayed where it ends: a relapse of a single trial can delay it."""
         return convergence_episode(mean(self.curves), WINDOW, TOLERANCE)
 
     @property
     def trials_settled(self) -> list[int]:
         """The same of each trial that settled, ascending."""
-        episodes = [convergence_episode(trial, WINDOW, TOLERANCE) for trial in self.curves]
-        return sorted(episode for episode in episodes if episode is not None)
+        return _ascending(convergence_episode(trial, WINDOW, TOLERANCE) for trial in self.curves)
 
     @property
     def finishing(self) -> FloatArray:
@@ -104,6 +105,15 @@ class Outcome:
     def trials_finishing(self) -> int:
         """How many trials reached the goal in at least half of their last episodes."""
         return int(np.sum(self.finishing >= 0.5))
+
+
+def reach_episode(returns: FloatArray) -> int | None:
+    """Return the episode at which the running mean first came within `TOLERANCE` of its end, or above it.
+
+    That is how fast an agent learned, whatever befell it later; None for less than `WINDOW` episodes.
+    """
+    means = running_mean(returns, WINDOW)
+    return int(np.argmax(means >= means[-1] - TOLERANCE)) + WINDOW if means.size else None
 
 
 def load(directory: Path) -> list[Outcome]:
@@ -159,3 +169,7 @@ def _values(agent: RoleSpec, environment: RoleSpec, setting: Setting, results: R
             glue.rl_agent_load(learned)
             answers.append(glue.rl_agent_message("values"))
     return tuple(int(answer) for answer in answers if answer.isdecimal())
+
+
+def _ascending(episodes: Iterable[int | None]) -> list[int]:
+    return sorted(episode for episode in episodes if episode is not None)

@@ -17,7 +17,7 @@ __all__ = ["as_csv", "as_markdown"]
 
 _HEADER: Final = (
     "experiment", "agent", "level", "paper", "ours", "95 % interval", "single trials",
-    "converged: paper", "reached", "settled", "trials settled", "values", "trials finish", "episodes finish",
+    "converged: paper", "reached", "settled", "trials reached", "values", "trials finish", "episodes finish",
 )  # fmt: skip
 _GOALS_HEADER: Final = ("required", "found", "met")
 _WORDS: Final = 3  # the first columns; the others are numbers
@@ -25,10 +25,10 @@ _LEGEND: Final = f"""\
 A *level* is a seed and a difficulty. *Ours* is the mean over trials of the mean return of the last
 {WINDOW} episodes, with its 95 % bootstrap interval; *single trials* are the lowest and the highest of them.
 The running mean of {WINDOW} episodes, over all trials, has *reached* its end when it first comes within
-{TOLERANCE:g} of its last value, or above; it has *settled* when from then on it stays within {TOLERANCE:g}
-of it. *Trials settled* is the median of the single trials that did, and how many they are. *Values* is
-how many values a trial has learned in the end, on average. A trial *finishes* when at least half of its
-last {WINDOW} episodes reach the goal, that is, return {FINISHED:g} or more."""
+{TOLERANCE:g} of its last value, or above it; it has *settled* when from then on it stays within
+{TOLERANCE:g}. *Trials reached* is the median of the episodes at which the single trials reached theirs.
+*Values* is how many values a trial has learned in the end, on average. A trial *finishes* when at least
+half of its last {WINDOW} episodes reach the goal, that is, return {FINISHED:g} or more."""
 
 
 def as_markdown(outcomes: Sequence[Outcome]) -> str:
@@ -69,7 +69,7 @@ def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _cells(outcome: Outcome) -> tuple[str, ...]:
-    paper, reward, settled = outcome.published, outcome.reward, outcome.trials_settled
+    paper, reward, reached = outcome.published, outcome.reward, outcome.trials_reached
     experiment, count = outcome.experiment, len(outcome.curves)
     return (
         f"{experiment.name}, {experiment.title}",
@@ -82,7 +82,7 @@ def _cells(outcome: Outcome) -> tuple[str, ...]:
         paper.convergence if paper else "",
         f"{outcome.reached or ''}",
         f"{outcome.settled or 'never'}",
-        f"{np.median(settled):.0f} ({len(settled)})" if settled else "never",
+        f"{np.median(reached):.0f}" if reached else "",
         f"{np.mean(outcome.values):,.0f}" if outcome.values else "",
         f"{outcome.trials_finishing} of {count}",
         f"{outcome.finishing.mean():.0%}",
@@ -90,7 +90,8 @@ def _cells(outcome: Outcome) -> tuple[str, ...]:
 
 
 def _record(outcome: Outcome) -> dict[str, object]:
-    paper, reward, settled = outcome.published, outcome.reward, outcome.trials_settled
+    paper, reward = outcome.published, outcome.reward
+    reached, settled = outcome.trials_reached, outcome.trials_settled
     return {
         "experiment": outcome.experiment.name,
         "agent": outcome.agent,
@@ -107,6 +108,7 @@ def _record(outcome: Outcome) -> dict[str, object]:
         "paper_converged": paper.convergence if paper else None,
         "reached": outcome.reached,
         "settled": outcome.settled,
+        "trials_reached_median": float(np.median(reached)) if reached else None,
         "trials_settled": len(settled),
         "trials_settled_median": float(np.median(settled)) if settled else None,
         "values": float(np.mean(outcome.values)) if outcome.values else None,

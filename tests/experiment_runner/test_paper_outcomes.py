@@ -49,7 +49,7 @@ def test_relapse_delays_settling_but_not_reaching() -> None:
     curves[0, 1000:1010] = 0.0  # 0 is 140 below, so ten episodes of one of two trials cost the mean 7
     relapsed = outcome("4", curves)
     assert (relapsed.reached, relapsed.settled) == (199, 1108)
-    assert relapsed.trials_settled == [199, 1109]
+    assert (relapsed.trials_reached, relapsed.trials_settled) == ([199, 199], [199, 1109])
 
 
 def test_curve_that_ends_lower_reached_its_end_at_once() -> None:
@@ -58,7 +58,7 @@ def test_curve_that_ends_lower_reached_its_end_at_once() -> None:
 
 def test_fewer_episodes_than_the_window_reach_nothing() -> None:
     found = outcome("4", constant(140, episodes=99))
-    assert (found.reached, found.settled, found.trials_settled) == (None, None, [])
+    assert (found.reached, found.settled, found.trials_reached, found.trials_settled) == (None, None, [], [])
     assert found.reward.value == 140
 
 
@@ -111,13 +111,15 @@ def test_verdicts_hold_what_was_found_against_what_was_required() -> None:
             outcome("5", learned_at(600, 143.5)),
         ]
     )
+    later = "no later than that of `hierarchical-programmed`"
     assert {(v.required.split(":")[0], v.required.split(": ", 1)[1]): (v.found, v.met) for v in given} == {
         ("`sample`", "within 3 of 130.45, the original's reward"): ("134.00", False),
         ("`tiles`", "fails: less reward than the sample agent"): ("20.00 against 134.00", True),
         ("`hierarchical-programmed`", "reward of 143.5 or more"): ("143.50", True),
         ("`hierarchical`", "reward of 144 or more"): ("143.50", False),
-        ("`hierarchical`", "reached by episode 1000"): ("699", True),
-        ("`hierarchical`", "reached no later than `hierarchical-programmed`"): ("699 against 599", False),
+        ("`hierarchical`", "mean curve reached by episode 1000"): ("699", True),
+        ("`hierarchical`", f"mean curve reached {later}"): ("699 against 599", False),
+        ("`hierarchical`", f"median trial reached {later}"): ("699 against 599", False),
     }
 
 
@@ -132,9 +134,9 @@ def test_verdict_on_spread_and_order_is_against_all_three() -> None:
         for v in given
         if v.required.startswith("`hierarchical-internal`")
     }
-    assert seven["reached by episode 200"] == ("199", True)
-    assert seven["reached no later than any of experiments 4 to 6"] == ("199 against 399, 189, 399", False)
-    assert seven["less deviation between trials than any of these"] == ("0.50 against 1.00, 1.00, 1.00", True)
+    assert seven["mean curve reached by episode 200"] == ("199", True)
+    assert seven["mean curve reached before those of 4, 5 and 6"] == ("199 against 399, 189, 399", False)
+    assert seven["deviation between trials less than theirs"] == ("0.50 against 1.00, 1.00, 1.00", True)
 
 
 def test_best_is_held_against_goals_at_every_difficulty() -> None:

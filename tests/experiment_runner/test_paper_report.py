@@ -45,7 +45,7 @@ def test_tables_show_ours_beside_the_papers(study: Path) -> None:
     tables = (study / REPORT / "tables.md").read_text(encoding="utf-8")
     assert (
         "| 4, programmed selection | `hierarchical-programmed` (1 of 2 trials) | 121, 0 "
-        "| 146.91 | 144.00 |  | 144.0 to 144.0 | about 1500 | 100 | 100 | 100 (1) |  | 1 of 1 | 100% |"
+        "| 146.91 | 144.00 |  | 144.0 to 144.0 | about 1500 | 100 | 100 | 100 |  | 1 of 1 | 100% |"
     ) in tables
     row = next(line for line in tables.splitlines() if "`tiles-textbook`" in line)
     assert row.startswith(
