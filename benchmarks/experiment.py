@@ -62,7 +62,7 @@ def _table(episodes: int, outcomes: list[_Outcome]) -> Table:
     return Table(
         "The reference command",
         f"`glue-experiment --env mario --agent random --episodes {episodes}`: three processes over ipc, "
-        "every episode committed to disk. Memory is what is resident; what the three share is counted three times.",
+        "every episode committed to disk. Memory is what is resident; what is shared counts three times.",
         ("measure", "value"),
         rows,
     )

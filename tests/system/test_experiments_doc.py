@@ -1,0 +1,71 @@
+"""docs/experiments.md: every command in it runs, in its order, in one directory."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from experiment_runner.plan_file import load_plan
+from experiment_runner.store import Results
+from tests.system.runs import contents
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "docs" / "experiments.md").read_text(encoding="utf-8")
+BLOCK = re.compile(r"^<!-- (?P<note>.*?) -->\n```(?P<language>\w+)\n(?P<body>.*?)^```$", re.M | re.S)
+SECONDS = 120
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the whole text was followed."""
+    folder = tmp_path_factory.mktemp("tutorial")
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    for block in BLOCK.finditer(TEXT):
+        note, body = block["note"], block["body"]
+        if note.startswith("file: "):
+            (folder / note.removeprefix("file: ")).write_text(body)
+        elif note == "runs in the tests":
+            done = subprocess.run(
+                ["bash", "-euo", "pipefail", "-c", body],
+                cwd=folder,
+                env={**os.environ, "PATH": path},
+                capture_output=True,
+                text=True,
+                timeout=SECONDS,
+            )
+            assert done.returncode == 0, f"{body}\n{done.stdout}\n{done.stderr}"
+    return folder
+
+
+def test_every_block_is_accounted_for() -> None:
+    assert TEXT.count("```") == 2 * len(BLOCK.findall(TEXT))
+    notes = {note for note, _, _ in BLOCK.findall(TEXT)}
+    cluster = "runs in the tests, where Ray is installed"
+    assert notes == {"runs in the tests", "file: lazy.py", "file: sweep.toml", cluster}
+
+
+@pytest.mark.slow
+def test_text_can_be_followed(folder: Path) -> None:
+    for name in ("first.csv", "first.png", "sweep.png", "sweep.svg", "sweep.parquet"):
+        assert (folder / name).stat().st_size > 0, name
+    for run in ("first", "trials", "try", "sweep", "killed", "both"):
+        with Results.open(folder / "runs" / run) as results:
+            assert all(trial.finished for trial in results.trials()), run
+
+
+@pytest.mark.slow
+def test_killed_run_is_that_of_the_text(folder: Path) -> None:
+    """It goes on after the kill; were it over before, the text would show nothing."""
+    with Results.open(folder / "runs" / "killed") as results:
+        assert [event.kind for event in results.events()][:2] == ["start", "resume"]
+
+
+@pytest.mark.slow
+def test_trials_are_called_as_the_text_says(folder: Path) -> None:
+    assert "sarsa/mines/3" in contents(folder / "runs" / "trials")
+    assert len(load_plan(folder / "sweep.toml").expand()) == len(contents(folder / "runs" / "sweep")) == 12
