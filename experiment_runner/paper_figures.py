@@ -17,8 +17,9 @@ if TYPE_CHECKING:
 __all__ = ["figures"]
 
 _SEED: Final = 0  # of the bootstrap: the same runs always make the same figures
-_IN_CURVES: Final = ("sample", "4", "5", "6", "7", "8", "best")
 _SAMPLE: Final = "sample"
+_BEST: Final = "best"
+_IN_CURVES: Final = (_SAMPLE, "4", "5", "6", "7", "8", _BEST)
 
 
 def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
@@ -27,6 +28,7 @@ def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
     figure-2, ...        the paper's: every episode of every trial as a dot, on the level of the paper
     curves-0, curves-1   the agents that learn, and the sample agent, on the paper's level and at
                          difficulty 1
+    best                 every episode of the agent beyond the paper, on the paper's seed
 
     Raises:
         ExperimentError: matplotlib or SciPy is not installed.
@@ -44,6 +46,13 @@ def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
         if curves:
             rng = np.random.default_rng(_SEED)
             drawn[f"curves-{difficulty}"] = learning_curves(curves, rng, window=WINDOW)
+    best = {
+        f"difficulty {o.level.difficulty}": o.curves
+        for o in outcomes
+        if o.experiment.name == _BEST and o.level.seed == PAPER_LEVEL.seed
+    }
+    if best:
+        drawn[_BEST] = scatter(best, window=WINDOW)
     return drawn
 
 

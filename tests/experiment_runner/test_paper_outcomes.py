@@ -7,6 +7,7 @@ import numpy.typing as npt
 import pytest
 
 from experiment_runner.paper import EXPERIMENTS, PAPER_LEVEL, Level, plan_of
+from experiment_runner.paper_figures import figures
 from experiment_runner.paper_goals import verdicts
 from experiment_runner.paper_outcomes import Outcome, load
 from experiment_runner.plan import Plan, RoleSweep
@@ -144,3 +145,28 @@ def test_best_is_held_against_goals_at_every_difficulty() -> None:
         [outcome("best", constant(120), level=Level(121, difficulty)) for difficulty in range(4)]
     )
     assert [verdict.met for verdict in given] == [False, True, True, True, True]
+
+
+def test_figures_hold_the_levels_and_agents_they_are_for() -> None:
+    drawn = figures(
+        [
+            outcome("sample", constant(130)),
+            outcome("1", constant(20)),
+            outcome("1", constant(140), agent=1),
+            outcome("7", constant(145)),
+            outcome("7", constant(-5), level=Level(121, 1)),
+            outcome("best", constant(150)),
+            outcome("best", constant(90), level=Level(121, 3)),
+            outcome("best", constant(80), level=Level(5, 3)),
+        ]
+    )
+    titles = {name: [axes.get_title(loc="left") for axes in figure.axes] for name, figure in drawn.items()}
+    assert [title.replace("\N{NO-BREAK SPACE}", " ") for title in titles["figure-2"]] == [
+        "tiles (2 trials)",
+        "tiles-textbook (2 trials)",
+    ]
+    assert len(titles["figure-11"]) == 1
+    assert [title.split(" (")[0] for title in titles["best"]] == ["difficulty 0", "difficulty 3"]
+    curves = [text.get_text() for text in drawn["curves-0"].legends[0].get_texts()]
+    assert curves == ["sample", "hierarchical-internal", "best"]
+    assert sorted(drawn) == ["best", "curves-0", "curves-1", "figure-11", "figure-2"]
