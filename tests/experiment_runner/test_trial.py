@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from agents.baselines import RandomAgent
+from agents.tabular import SarsaAgent
+from env_server.toys import MinesEnvironment
+from experiment_runner.plan import TrialSpec
+from experiment_runner.store import Checkpoint, EpisodeResult
+from experiment_runner.trial import Start, run_trial
+from glue.errors import PeerFailed, PeerLost
+from glue.experiment import Experiment
+from glue.local import LocalExperiment, connect
+from glue.messages import Kind
+from glue.roles import Agent, Environment
+
+SPEC = TrialSpec("sarsa/mines/0", None, None, episodes=25, max_steps=40, seed=5)
+
+
+class Kept:
+    """Keeps what it is given."""
+
+    def __init__(self) -> None:
+        self.results: list[EpisodeResult] = []
+        self.checkpoints: dict[int, Checkpoint] = {}
+        self.voids: list[int] = []
+        self.events: list[str] = []
+
+    def record(self, result: EpisodeResult, checkpoint: Checkpoint | None) -> None:
+        assert result.episode == len(self.results) + 1
+        self.results.append(result)
+        if checkpoint is not None:
+            self.checkpoints[result.episode] = checkpoint
+
+    def void(self, episode: int, why: str) -> None:
+        self.voids.append(episode)
+
+    def event(self, kind: str, text: str) -> None:
+        self.events.append(kind)
+
+    @property
+    def numbers(self) -> list[tuple[float, ...]]:
+        return [result[:4] for result in self.results]
+
+
+class Lossy(Experiment):
+    """Loses both players at chosen calls, counted from 1; fresh ones are there for the next."""
+
+    def __init__(self, losses: dict[Kind, set[int]], agent: Callable[[], Agent]) -> None:
+        self._losses = losses
+        self._agent = agent
+        self._counts: dict[Kind, int] = {}
+        self._players = self._fresh()
+        self._seed: int | None = None
+
+    def _fresh(self) -> LocalExperiment:
+        return connect(self._agent(), mines())
+
+    def _call(self, kind: Kind, scalars: tuple[Any, ...] = (), body: Any = None) -> tuple[Any, Any]:
+        self._counts[kind] = self._counts.get(kind, 0) + 1
+        if kind is Kind.RL_INIT:
+            self._seed = scalars[0]
+        if self._counts[kind] in self._losses.get(kind, ()):
+            self._players = self._fresh()
+            if kind is not Kind.RL_INIT:
+                self._players.rl_init(self._seed)
+            raise PeerLost("the agent was lost")
+        return self._players._call(kind, scalars, body)
+
+
+def mines() -> Environment:
+    return MinesEnvironment(random_start=True)
+
+
+def undisturbed(every: int = 0) -> Kept:
+    kept = Kept()
+    run_trial(connect(SarsaAgent(), mines()), SPEC, kept, checkpoint_every=every)
+    return kept
+
+
+def test_every_episode_is_recorded_with_the_checkpoints_that_are_due() -> None:
+    kept = undisturbed(every=10)
+    assert [result.episode for result in kept.results] == list(range(1, 26))
+    assert list(kept.checkpoints) == [10, 20, 25]
+    assert not kept.voids
+    assert not kept.events
+    assert any(result.terminal for result in kept.results)
+    assert all(result.steps <= 40 for result in kept.results)
+
+
+@pytest.mark.parametrize("after", [10, 20])
+def test_trial_goes_on_from_a_checkpoint_as_if_never_interrupted(after: int) -> None:
+    whole = undisturbed(every=10)
+    kept = Kept()
+    kept.results = whole.results[:after]
+    start = Start(after, whole.checkpoints[after])
+    run_trial(connect(SarsaAgent(), mines()), SPEC, kept, start=start, checkpoint_every=10)
+    assert kept.numbers == whole.numbers
+    assert kept.checkpoints[25] == whole.checkpoints[25]
+
+
+@pytest.mark.parametrize(
+    ("losses", "voids"),
+    [
+        ({Kind.RL_EPISODE: {1}}, [1]),
+        ({Kind.RL_EPISODE: {14}}, [14]),
+        ({Kind.RL_EPISODE: {10, 14, 16}}, [10, 10, 10]),  # the later ones while the first nine are repeated
+        ({Kind.RL_EPISODE: {11, 12, 13}}, [11, 11, 11]),
+        ({Kind.RL_INIT: {1, 2}}, [1, 1]),
+        ({Kind.RL_AGENT_LOAD: {1}, Kind.RL_EPISODE: {13}}, [13, 13]),
+        ({Kind.RL_AGENT_SAVE: {2}}, []),
+        ({Kind.RL_RETURN: {3}}, [3]),
+    ],
+)
+def test_loss_of_players_that_can_save_leaves_no_trace_in_the_results(
+    losses: dict[Kind, set[int]], voids: list[int]
+) -> None:
+    whole, kept = undisturbed(every=10), Kept()
+    run_trial(Lossy(losses, SarsaAgent), SPEC, kept, checkpoint_every=10)
+    assert kept.numbers == whole.numbers
+    assert kept.checkpoints[25] == whole.checkpoints[25]
+    assert kept.voids == voids
+    assert "differs" not in kept.events
+
+
+class Forgetful(RandomAgent):
+    """Cannot be saved."""
+
+    agent_save = agent_load = None  # type: ignore[assignment]
+
+
+def test_player_that_cannot_save_is_replaced_and_the_trial_goes_on() -> None:
+    kept = Kept()
+    run_trial(Lossy({Kind.RL_EPISODE: {4}}, Forgetful), SPEC, kept, checkpoint_every=10)
+    assert len(kept.results) == SPEC.episodes
+    assert kept.voids == [4]
+    assert kept.events == ["unsaved", "replaced"]
+    assert not kept.checkpoints
+
+
+def test_episode_that_cannot_be_repeated_is_noted() -> None:
+    seeds = iter(range(100))
+    kept = Kept()
+    run_trial(Lossy({Kind.RL_EPISODE: {6}}, lambda: RandomAgent(seed=next(seeds))), SPEC, kept)
+    assert len(kept.results) == SPEC.episodes
+    assert "differs" in kept.events
+
+
+def test_player_that_fails_ends_the_trial_and_what_came_before_stays() -> None:
+    class Failing(SarsaAgent):
+        episodes = 0
+
+        def agent_start(self, observation: Any) -> Any:
+            self.episodes += 1
+            if self.episodes == 5:
+                raise ValueError("a mistake")
+            return super().agent_start(observation)
+
+    kept = Kept()
+    with pytest.raises(PeerFailed, match="ValueError: a mistake"):
+        run_trial(connect(Failing(), mines()), SPEC, kept)
+    assert kept.numbers == undisturbed().numbers[:4]
+
+
+def test_players_are_cleaned_up_at_the_end() -> None:
+    cleaned: list[bool] = []
+
+    class Tidy(SarsaAgent):
+        def agent_cleanup(self) -> None:
+            cleaned.append(True)
+            super().agent_cleanup()
+
+    run_trial(connect(Tidy(), mines()), SPEC, Kept())
+    assert cleaned == [True]
