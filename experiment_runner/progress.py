@@ -62,14 +62,14 @@ class Progress:
     """A table of the trials under way, redrawn in place on a terminal; a line now and then elsewhere.
 
     Args:
-        stream: where to write.
+        stream: where to write; None for standard error.
         clock: returns seconds.
     """
 
-    def __init__(self, stream: TextIO = sys.stderr, clock: Callable[[], float] = time.monotonic) -> None:
-        self._stream = stream
+    def __init__(self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+        self._stream = stream or sys.stderr
         self._clock = clock
-        self._live = stream.isatty()
+        self._live = self._stream.isatty()
         self._every = _TTY_SECONDS if self._live else _LOG_SECONDS
         self._shown_at = clock() - (self._every if self._live else 0)
         self._drawn = 0  # lines of the table that stand on the terminal
@@ -210,9 +210,9 @@ class _Total:
 class JsonLines:
     """An object a line on standard output for every episode; for people, what `inner` shows."""
 
-    def __init__(self, inner: Reporter, stream: TextIO = sys.stdout) -> None:
+    def __init__(self, inner: Reporter, stream: TextIO | None = None) -> None:
         self._inner = inner
-        self._stream = stream
+        self._stream = stream or sys.stdout
 
     def start(self, trials: Sequence[TrialRecord]) -> None:
         self._inner.start(trials)

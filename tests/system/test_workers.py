@@ -191,24 +191,46 @@ def test_second_run_into_a_directory_is_refused(tmp_path: Path) -> None:
     first.communicate()
 
 
-def test_read_only_directory_is_refused(tmp_path: Path) -> None:
-    probe = ["unshare", "--map-root-user", "--mount", "sh", "-c", 'mount -t tmpfs -o ro none "$1"', "sh", "."]
-    if not shutil.which("unshare") or subprocess.run(probe, capture_output=True, cwd=tmp_path).returncode:
+def on_a_disk(kind: str, folder: Path, *command: object) -> subprocess.CompletedProcess[str]:
+    """Run a shell's command where `folder` is a disk of its own; the shell's arguments are `command`."""
+    mounting = ["unshare", "--map-root-user", "--mount", "sh", "-c"]
+    mount = f'mount -t tmpfs -o {kind} none "$0" && cd "$0" && '
+    if not shutil.which("unshare") or subprocess.run([*mounting, mount + "true", str(folder)]).returncode:
         pytest.skip("this user may not mount a disk")
-    command = [*COMMAND, *map(str, SARSA), "--episodes", "5", "--in-process", "--out", f"{tmp_path}/disk/run"]
-    (tmp_path / "disk").mkdir()
-    mounted = [*probe[:5], 'mount -t tmpfs -o ro none "$0" && exec "$@"', f"{tmp_path}/disk", *command]
-    done = subprocess.run(mounted, capture_output=True, text=True, timeout=60)
+    script, *arguments = map(str, command)
+    return subprocess.run(
+        [*mounting, mount + script, str(folder), *arguments], capture_output=True, text=True, timeout=100
+    )
+
+
+def test_read_only_directory_is_refused(tmp_path: Path) -> None:
+    done = on_a_disk(
+        "ro", tmp_path, '"$@"', *COMMAND, *SARSA, "--episodes", 5, "--in-process", "--out", "run"
+    )
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == "Error: cannot make run: Read-only file system\n"
+
+
+def test_full_disk_is_named_and_what_was_stored_is_readable(tmp_path: Path) -> None:
+    script = '"$@" >/dev/null; code=$?; glue() { "$1" -m experiment_runner.results_cli export run; }; '
+    script += 'glue "$1" | tail -n 1 | cut -d , -f 1,2; exit $code'
+    plan = (*SARSA, "--episodes", 100_000, "--in-process", "--out", "run")
+    done = on_a_disk("size=400k", tmp_path, script, *COMMAND, *plan)
     assert done.returncode == 1
-    assert done.stdout == ""
-    assert done.stderr == f"Error: cannot make {tmp_path}/disk/run: Read-only file system\n"
+    trial, last = done.stdout.strip().split(",")
+    assert trial == "sarsa/mines/0"
+    assert done.stderr.strip().splitlines()[-1] == (
+        f"Error: episode {int(last) + 1} of {trial} is not recorded: the disk is full; "
+        "the episodes before it are. Mend that, and continue with --resume run"
+    )
+    assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize("workers", [(), ("--workers", "1")])
-def test_full_disk_ends_the_run_and_what_was_stored_is_readable(
+def test_file_that_may_not_grow_ends_the_run_and_what_was_stored_is_readable(
     tmp_path: Path, workers: tuple[str, ...]
 ) -> None:
-    """The disk is one whose files may not grow past 200 kB."""
+    """Stands in, everywhere, for a full disk."""
     command = [*COMMAND, *map(str, SARSA), "--episodes", "100000", "--in-process", "--json", "--out", "run"]
     limited = ["sh", "-c", 'ulimit -f 400; exec "$@"', "sh", *command, *workers]
     done = subprocess.run(limited, cwd=tmp_path, capture_output=True, text=True, timeout=100)

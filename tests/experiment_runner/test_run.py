@@ -1,0 +1,180 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Self
+
+import pytest
+
+from experiment_runner.distribute import distribute
+from experiment_runner.plan import Plan, RoleSweep, TrialSpec
+from experiment_runner.players import HubOptions, Meeting
+from experiment_runner.resume import create_run, open_run, remaining
+from experiment_runner.run import Engine, RunConfig, run_trials
+from experiment_runner.store import EpisodeResult, Store, TrialRecord
+from experiment_runner.work import Job, Lost, Recorded, Report, work
+from experiment_runner.writer import Writer
+from glue.errors import ConfigError
+from tests.system.runs import contents
+
+PLAN = Plan(
+    episodes=12,
+    max_steps=30,
+    trials=3,
+    environments=(RoleSweep("mines", {"random_start": True}),),
+    agents=(RoleSweep("sarsa"),),
+)
+FIRST, SECOND, THIRD = (spec.id for spec in PLAN.expand())
+HERE = Meeting(in_process=True)
+
+
+class Silent:
+    """Reports nothing; interrupts the run after an episode, if told so."""
+
+    def __init__(self, interrupt_after: int = 0) -> None:
+        self._left = interrupt_after
+
+    def start(self, trials: Sequence[TrialRecord]) -> None: ...
+
+    def begin(self, spec: TrialSpec, done: int) -> None: ...
+
+    def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
+        self._left -= 1
+        if self._left == 0:
+            raise KeyboardInterrupt
+
+    def end(self, spec: TrialSpec) -> None: ...
+
+    def say(self, line: str) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class Unreliable:
+    """A pool that runs one report after another, and loses trials where it is told to.
+
+    Args:
+        losses: per trial, how many reports each attempt gets to make; more attempts are not lost.
+    """
+
+    def __init__(self, size: int, losses: dict[str, list[int]]) -> None:
+        self.size = size
+        self.most_at_a_time = 0
+        self._losses = losses
+        self._running: dict[str, list[Report]] = {}
+
+    def start(self, job: Job) -> None:
+        reports: list[Report] = []
+        work(job, reports.append)
+        losses = self._losses.get(job.spec.id)
+        if losses:
+            reports[losses.pop(0) :] = [Lost("its worker was lost")]
+        self._running[job.spec.id] = reports
+        self.most_at_a_time = max(self.most_at_a_time, len(self._running))
+
+    def receive(self) -> list[tuple[str, Report]]:
+        received = [(trial_id, reports.pop(0)) for trial_id, reports in self._running.items()]
+        self._running = {trial_id: reports for trial_id, reports in self._running.items() if reports}
+        return received
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("undisturbed") / "run"
+    with create_run(directory, PLAN) as store:
+        assert run_trials(store, RunConfig(HERE, checkpoint_every=5), Silent()) == 0
+    return directory
+
+
+def hand_out(store: Store, pool: Unreliable) -> None:
+    distribute(remaining(store), pool, Writer(store, Silent(), HERE, checkpoint_every=5))
+
+
+@pytest.mark.parametrize("size", [1, 2, 5])
+def test_lost_trials_end_as_undisturbed_ones(undisturbed: Path, tmp_path: Path, size: int) -> None:
+    pool = Unreliable(size, {FIRST: [0, 3, 7, 0], SECOND: [11], THIRD: [12]})
+    with create_run(tmp_path / "run", PLAN) as store:
+        hand_out(store, pool)
+        lost = [event.trial_id for event in store.events() if event.kind == "lost"]
+    assert contents(tmp_path / "run") == contents(undisturbed)
+    assert sorted(lost, key=str) == [FIRST] * 4 + [SECOND, THIRD]
+    assert pool.most_at_a_time == min(size, 3)
+
+
+def test_trial_that_gets_no_further_is_given_up(undisturbed: Path, tmp_path: Path) -> None:
+    with create_run(tmp_path / "run", PLAN) as store:
+        hand_out(store, Unreliable(2, {SECOND: [3, 2, 1, 12]}))
+        assert [trial.failure for trial in store.trials()] == [
+            None,
+            "its worker was lost, for the 3rd time with no more than 3 episodes done",
+            None,
+        ]
+    with open_run(tmp_path / "run", PLAN) as store:  # and the same command tries again
+        hand_out(store, Unreliable(2, {}))
+        assert [trial.failure for trial in store.trials()] == [None] * 3
+    assert contents(tmp_path / "run") == contents(undisturbed)
+
+
+def test_trial_lost_after_its_last_episode_is_finished(undisturbed: Path, tmp_path: Path) -> None:
+    with create_run(tmp_path / "run", PLAN) as store:
+        hand_out(store, Unreliable(1, {FIRST: [12]}))
+    assert contents(tmp_path / "run") == contents(undisturbed)
+
+
+@pytest.mark.parametrize("agent", ["hierarchical", "sample", "tiles-coarse", "random"])
+def test_interrupted_learning_in_mario_goes_on_as_if_nothing_had_happened(tmp_path: Path, agent: str) -> None:
+    plan = Plan(
+        episodes=5,
+        max_steps=60,
+        seed=8,
+        environments=(RoleSweep("mario"),),
+        agents=(RoleSweep(agent),),
+    )
+    config = RunConfig(HERE, checkpoint_every=2)
+    with open_run(tmp_path / "undisturbed", plan) as store:
+        assert run_trials(store, config, Silent()) == 0
+    for interrupt_after in (3, 1, 0):
+        with open_run(tmp_path / "run", plan) as store:
+            if interrupt_after:
+                with pytest.raises(KeyboardInterrupt):
+                    run_trials(store, config, Silent(interrupt_after))
+            else:
+                assert run_trials(store, config, Silent()) == 0
+    assert contents(tmp_path / "run") == contents(tmp_path / "undisturbed")
+    [(episodes, checkpoint)] = contents(tmp_path / "run").values()
+    assert len(episodes) == 5
+    assert checkpoint is not None
+
+
+@pytest.mark.parametrize(
+    ("config", "plan", "message"),
+    [
+        (RunConfig(address="head:6379"), PLAN, "--engine ray"),
+        (RunConfig(workers=2, meeting=Meeting(hub=HubOptions(session="a"))), PLAN, "one after the other"),
+        (RunConfig(engine=Engine.RAY, meeting=Meeting(hub=HubOptions(hub="tcp://h:1"))), PLAN, "a hub"),
+        (RunConfig(workers=2), Plan(episodes=1, agents=PLAN.agents), "--env NAME is missing"),
+        (RunConfig(HERE), Plan(episodes=1, environments=PLAN.environments), "--agent NAME is missing"),
+    ],
+)
+def test_what_cannot_be_carried_out_is_said_beforehand(config: RunConfig, plan: Plan, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        config.check(plan)
+
+
+def test_report_of_a_recorded_episode_is_stored_before_anybody_hears_of_it(tmp_path: Path) -> None:
+    heard: list[int] = []
+
+    class Listening(Silent):
+        def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
+            heard.append(len(store.episodes(spec.id)))
+
+    with create_run(tmp_path / "run", PLAN) as store:
+        writer = Writer(store, Listening(), HERE, checkpoint_every=0)
+        for episode in (1, 2):
+            writer.take(FIRST, Recorded(EpisodeResult(episode, 1.0, 2, True, 0.5), None))
+    assert heard == [1, 2]
