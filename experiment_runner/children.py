@@ -70,10 +70,15 @@ class KeptAlive:
     """Children that are started again when they are killed, and end with the context.
 
     One that ends by itself has said why, and is not started again.
+
+    Args:
+        say: takes lines for people, from any thread.
+        sent_off: whether somebody tells them to leave when the context ends; if not, they are made to.
     """
 
-    def __init__(self, say: Say) -> None:
+    def __init__(self, say: Say, sent_off: bool) -> None:
         self._say = say
+        self._sent_off = sent_off
         self._children: list[_Child] = []
 
     def start(
@@ -91,7 +96,7 @@ class KeptAlive:
 
     def __exit__(self, *_: object) -> None:
         for child in self._children:
-            child.leave()
+            child.leave(self._sent_off)
         for child in self._children:
             child.end()
 
@@ -118,10 +123,12 @@ class _Child:
         self._watcher = threading.Thread(target=self._watch, name=label, daemon=True)
         self._watcher.start()
 
-    def leave(self) -> None:
-        """From now on the process may end."""
+    def leave(self, sent_off: bool) -> None:
+        """From now on the process may end, or has to."""
         with self._lock:
             self._leaving = True
+        if not sent_off:
+            self._process.terminate()
 
     def end(self) -> None:
         """Let the process end, as it does when its hub says goodbye."""

@@ -80,7 +80,7 @@ class _Losses:
         furthest, count = self._seen.get(trial_id, (-1, 0))
         count = 1 if done > furthest else count + 1
         if count == _HOPELESS_LOSSES:
-            why = f"{loss.why}, for the {count}rd time with no more than {furthest} episodes done"
+            why = f"{loss.why}, {count} times without getting past episode {furthest}"
             self._writer.take(trial_id, Ended(why))
             return []
         self._seen[trial_id] = (max(done, furthest), count)

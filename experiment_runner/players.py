@@ -104,8 +104,8 @@ def _over_hub(spec: TrialSpec, options: HubOptions, say: Say) -> Iterator[Experi
             say(f"{role} {name} {event}")
 
     with ExitStack() as stack:
-        # Entered first, so left last: the children go when the hub has said goodbye to them.
-        children = stack.enter_context(KeptAlive(say))
+        # Entered first, so left last: the children go when our hub has said goodbye to them.
+        children = stack.enter_context(KeptAlive(say, sent_off=options.hub is None))
         context = stack.enter_context(zmq.Context())
         if options.hub is None:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="glue-"))

@@ -80,11 +80,6 @@ def collect(runs: Iterable[Results]) -> list[Setting]:
     ]
 
 
-def _key(spec: TrialSpec) -> str:
-    roles = [(_label(role), _fields(role)) for role in (spec.agent, spec.environment)]
-    return json.dumps([roles, _limits(spec)], sort_keys=True)
-
-
 def _label(role: RoleSpec | None) -> str:
     return "remote" if role is None else role.label
 

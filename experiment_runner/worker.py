@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import sys
 from multiprocessing.connection import Connection
 from types import FrameType
 from typing import NoReturn
 
-from experiment_runner.work import work
+from experiment_runner.work import Report, work
 from glue.commands import Terminated
 
 __all__ = ["main"]
@@ -17,11 +18,15 @@ __all__ = ["main"]
 def main() -> None:
     """Run the job that comes over the socket whose number is the first argument."""
     signal.signal(signal.SIGTERM, _terminate)
-    try:
-        with Connection(int(sys.argv[1])) as connection:
-            work(connection.recv(), connection.send)
-    except (Terminated, BrokenPipeError):
-        pass  # the writer wants no more
+    with contextlib.suppress(Terminated, EOFError), Connection(int(sys.argv[1])) as connection:
+
+        def send(report: Report) -> None:
+            try:
+                connection.send(report)
+            except OSError:
+                raise Terminated from None  # nobody takes it: the experiment is over
+
+        work(connection.recv(), send)
 
 
 def _terminate(number: int, frame: FrameType | None) -> NoReturn:

@@ -76,5 +76,6 @@ class Writer:
         """Return how many episodes of a trial are stored."""
         return self._store.done(trial_id)
 
-    def _say(self, trial_id: str, line: str) -> None:
-        self._reporter.say(line if len(self._specs) == 1 else f"{trial_id}: {line}")
+    def _say(self, trial_id: str, text: str) -> None:
+        for line in text.splitlines():
+            self._reporter.say(line if len(self._specs) == 1 else f"{trial_id}: {line}")

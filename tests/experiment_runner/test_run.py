@@ -111,7 +111,7 @@ def test_trial_that_gets_no_further_is_given_up(undisturbed: Path, tmp_path: Pat
         hand_out(store, Unreliable(2, {SECOND: [3, 2, 1, 12]}))
         assert [trial.failure for trial in store.trials()] == [
             None,
-            "its worker was lost, for the 3rd time with no more than 3 episodes done",
+            "its worker was lost, 3 times without getting past episode 3",
             None,
         ]
     with open_run(tmp_path / "run", PLAN) as store:  # and the same command tries again

@@ -7,6 +7,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -96,8 +97,8 @@ def test_results_do_not_depend_on_the_processes(tmp_path: Path) -> None:
     [
         ("raise", "agent Faulty raised in agent_start: ValueError: a mistake"),
         ("exit", "SystemExit: 3"),
-        ("SIGKILL", "its worker was killed by signal 9, for the 3rd time with no more than 6 episodes done"),
-        ("SIGSEGV", "its worker was killed by signal 11, for the 3rd time with no more than 6 episodes done"),
+        ("SIGKILL", "its worker was killed by signal 9, 3 times without getting past episode 6"),
+        ("SIGSEGV", "its worker was killed by signal 11, 3 times without getting past episode 6"),
     ],
 )
 def test_trial_that_crashes_is_recorded_and_the_rest_go_on(folder: Path, how: str, why: str) -> None:
@@ -253,3 +254,25 @@ def test_players_do_not_outlive_a_killed_experiment(tmp_path: Path) -> None:
     process.kill()
     process.communicate()
     wait_until(lambda: not any(map(alive, players)), "the end of the players")
+
+
+def test_hub_that_stays_serves_one_trial_after_another(tmp_path: Path) -> None:
+    """With a player from outside, who is there for all of them."""
+    url = "ipc://meeting"
+    scripts = Path(sys.executable).parent
+    commands = [f"{scripts}/glue-hub --bind {url}", f"{scripts}/glue-agent sarsa --hub {url}"]
+    outside = [
+        subprocess.Popen(command.split(), cwd=tmp_path, stderr=subprocess.DEVNULL) for command in commands
+    ]
+    try:
+        plan = (*MINES, "--episodes", 20, "--trials", 2)
+        done = run(*plan, "--hub", url, "--out", "hub", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert outside[1].poll() is None
+    finally:
+        for process in outside:
+            process.terminate()
+            process.wait()
+    [(first, _), (second, _)] = contents(tmp_path / "hub").values()
+    assert len(first) == len(second) == 20
+    assert first != second  # each with a seed of its own
