@@ -5,15 +5,16 @@ from __future__ import annotations
 import socket
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final
 
 import zmq
 
 from glue.hub import Hub
 
-__all__ = ["CHUNK", "Connection"]
+__all__ = ["Connection"]
 
-CHUNK: Final = 65_536
+_CHUNK: Final = 65_536
 """The most bytes that are read at once; beyond it, memory for a short message would cost a system call."""
 
 _PROBES: Final = 3
@@ -34,7 +35,6 @@ class Connection:
     Attributes:
         ready: called with the time when something has come, when all has been sent, and after `later`.
         closed: nothing can be sent or received any more.
-        broken: the other side is gone for good, not merely done with sending.
     """
 
     def __init__(self, hub: Hub, connected: socket.socket, name: str) -> None:
@@ -44,13 +44,13 @@ class Connection:
         self.name = name
         self.ready: Callable[[float], None] = lambda now: None
         self.closed = False
-        self.broken = False
         self._hub = hub
         self._socket = connected
         self._unsent = bytearray()
         self._reading = True
         self._later = False
         self._finishing = False
+        self._gone = False
         self._watched = 0
         self._watch()
 
@@ -87,14 +87,15 @@ class Connection:
 
     def receive(self) -> bytes | None:
         """Return what has come: None if nothing did, or is wanted; no bytes if nothing will any more."""
+        if self._gone:
+            return b""
         if not self._reading:
             return None
         try:
-            return self._socket.recv(CHUNK)
+            return self._socket.recv(_CHUNK)
         except BlockingIOError:
             return None
         except OSError:
-            self.broken = True
             return b""
 
     def send(self, data: bytes) -> None:
@@ -125,16 +126,6 @@ class Connection:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
             self.close()
 
-    def _write(self, data: bytes | bytearray) -> int:
-        try:
-            return self._socket.send(data)
-        except BlockingIOError:
-            return 0
-        except OSError:
-            # It is read from as well, and then found to be gone.
-            self.broken = True
-            return len(data)
-
     def turn(self, now: float) -> None:
         """Send what is left, and call `ready`: something has happened, or `later` was called."""
         self._later = False
@@ -143,9 +134,19 @@ class Connection:
             if self._finishing:
                 self._end_if_sent()
         if not self._reading and self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
-            self.broken = True
+            self._gone = True
         self._watch()
         self.ready(now)
+
+    def _write(self, data: bytes | bytearray) -> int:
+        try:
+            return self._socket.send(data)
+        except BlockingIOError:
+            return 0
+        except OSError:
+            self._gone = True
+            self.later()
+            return len(data)
 
     def _watch(self) -> None:
         events = self.events
@@ -155,10 +156,8 @@ class Connection:
 
     def _end_if_sent(self) -> None:
         if not self._unsent:
-            try:
+            with suppress(OSError):  # the other side may be gone
                 self._socket.shutdown(socket.SHUT_WR)
-            except OSError:
-                self.broken = True
 
     def _discard(self, now: float) -> None:
         if self.receive() == b"":

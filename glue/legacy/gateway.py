@@ -46,7 +46,7 @@ from glue.legacy.codec import (
     Vocabulary,
     encode,
 )
-from glue.legacy.connection import CHUNK, Connection
+from glue.legacy.connection import Connection
 from glue.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
 from glue.sessions import INSTANCE_SIZE, ONE_RUN
 from glue.types import Action, body_size
@@ -60,8 +60,14 @@ _CODEC: Final = "RL-Glue 3.x"
 _MAX_GUESTS: Final = 256
 """Connections without a role that are kept at once; one more costs the oldest its place."""
 
+_BACKLOG: Final = 1024
+"""Connections that the system takes in before we do; Java programs try hundreds of times a second."""
+
 _BATCH: Final = 64
 """What one source may bring, connections or requests, before the others get their turn."""
+
+_READ_AHEAD: Final = 2**20
+"""Bytes of requests that are taken in before it is their turn; more is left to hold back the sender."""
 
 _FAREWELL_SECONDS: Final = 1.0
 """How long the end of the hub is put off, at most, for programs to take their leave."""
@@ -82,9 +88,16 @@ _TERMINATE: Final = encode(Frame(Control.TERMINATE), TO_AGENT)
 
 @dataclass(slots=True)
 class _Guest:
-    """A connection that may stay for a while: what ends its stay, and when that began to run."""
+    """A connection that may stay for a while.
+
+    Attributes:
+        expire: ends its stay, given the time.
+        leaving: it is on its way out, and the hub does not end in the middle of that.
+        since: when its time began to run.
+    """
 
     expire: Callable[[float], None]
+    leaving: bool
     since: float | None = None
 
 
@@ -118,9 +131,9 @@ class Gateway:
         hub.on_tick(self._tick)
         hub.on_close(self._close)
 
-    def host(self, connection: Connection, expire: Callable[[float], None]) -> None:
+    def host(self, connection: Connection, expire: Callable[[float], None], leaving: bool = False) -> None:
         """Let `connection` stay without a role; once the hub's patience is over, call `expire`."""
-        self._guests[connection] = _Guest(expire)
+        self._guests[connection] = _Guest(expire, leaving)
 
     def seat(self, connection: Connection) -> None:
         """Let `connection`, which has a role now, stay for good."""
@@ -139,7 +152,7 @@ class Gateway:
         """Send message 35, and hear no more of what is said."""
         connection.send(_TERMINATE)
         connection.finish()
-        self.host(connection, lambda now: connection.close())
+        self.host(connection, lambda now: connection.close(), leaving=True)
 
     def _tick(self, now: float) -> None:
         for listener in self._listeners:
@@ -157,19 +170,20 @@ class Gateway:
         """Wait a moment for those who were sent off: their last words should meet an open connection."""
         self._stop_listening()
         deadline = time.monotonic() + _FAREWELL_SECONDS
-        while here := {known.fileno(): known for known in self._guests if not known.closed}:
+        while (now := time.monotonic()) < deadline and (leaving := self._leaving()):
             poller = zmq.Poller()
-            for fd, connection in here.items():
+            for fd, connection in leaving.items():
                 poller.register(fd, connection.events)
-            now = time.monotonic()
-            if now >= deadline:
-                break
             for fd, _ in poller.poll(int((deadline - now) * 1000)):
-                here[fd].turn(now)
+                leaving[fd].turn(now)
         for connection, guest in list(self._guests.items()):
             if not connection.closed:
-                guest.expire(deadline)
+                guest.expire(now)
                 connection.close()
+
+    def _leaving(self) -> dict[int, Connection]:
+        guests = self._guests.items()
+        return {known.fileno(): known for known, guest in guests if guest.leaving and not known.closed}
 
     def _stop_listening(self) -> None:
         for listener in self._listeners:
@@ -183,7 +197,7 @@ class _Listener:
         self._gateway = gateway
         family = socket.AF_INET6 if ":" in port.host else socket.AF_INET
         try:
-            self._socket = socket.create_server((port.host, port.port), family=family, backlog=_BATCH)
+            self._socket = socket.create_server((port.host, port.port), family=family, backlog=_BACKLOG)
         except OSError as error:
             raise ConfigError(_cannot_listen(port, error)) from None
         self._socket.setblocking(False)
@@ -348,7 +362,8 @@ class _Player(_Peer):
                 self._gateway.send_off(self._connection)
             else:
                 self._dismissed = True
-                self._gateway.host(self._connection, lambda now: self._gateway.send_off(self._connection))
+                send_off = self._gateway.send_off
+                self._gateway.host(self._connection, lambda now: send_off(self._connection), leaving=True)
         return not self._connection.closed
 
     def _ask(self, call: Message) -> None:
@@ -417,14 +432,8 @@ class _Experiment(_Peer):
     _stepped = False
     """Whether a step has been made after which the episode went on."""
 
-    _ended = False
-    """Whether it has closed its side. It may still read, and is given what it has asked for."""
-
     def deliver(self, message: Message) -> bool:
         kind = message.kind
-        if kind is Kind.HEARTBEAT:
-            # One that has closed its side makes room for the next.
-            return not (self._ended or self._connection.closed)
         asked = self._asked
         if kind is Kind.NOTICE:
             event, role, name = message.scalars
@@ -453,7 +462,7 @@ class _Experiment(_Peer):
             self._cut_off(str(error))
             return
         self._connection.send(frame)
-        if self._ended or self._decoder.buffered:
+        if self._decoder.buffered:
             self._connection.later()
 
     def _fail(self, asked: Message, why: str) -> None:
@@ -475,19 +484,17 @@ class _Experiment(_Peer):
             switchboard.lose(self, self._failure, now)
             return
         data = connection.receive()
+        if data == b"":
+            connection.close()
+            self._goodbye(now)
+            return
         if data:
             self._decoder.receive_data(data)
-        elif data is not None:
-            self._ended = True
-            self._gateway.host(connection, self._leave)
         try:
-            done = self._work(now)
+            self._work(now)
         except RemoteProtocolError as error:
             connection.reset()
             switchboard.malformed(self, error, now)
-            return
-        if connection.broken or (self._ended and done):
-            self._leave(now)
 
     @property
     def _idle(self) -> bool:
@@ -495,29 +502,28 @@ class _Experiment(_Peer):
         under_way = self._asked or self._again or self._failure
         return not (under_way or self._connection.sending)
 
-    def _work(self, now: float) -> bool:
-        """Take up what has come, one request after the other; return whether there is no more."""
+    def _work(self, now: float) -> None:
+        """Take up what has come, one request after the other."""
         connection, decoder = self._connection, self._decoder
-        done = False
         if self._again is not None:
             again, self._again = self._again, None
             self._ask(again, now)
+        wanted = False
         for _ in range(_BATCH):
             if not self._idle:
                 break
             request = self._next_frame()
             if request is None:
-                done = True
+                wanted = True
                 break
             if request.kind is Control.TERMINATE:
                 self._gateway.send_off(connection)
                 self._goodbye(now)
-                return False
+                return
             self._ask(request, now)
         else:
             connection.later()
-        connection.read(not self._ended and (done or decoder.buffered < CHUNK))
-        return done
+        connection.read(wanted or decoder.buffered < _READ_AHEAD)
 
     def _ask(self, request: Frame, now: float) -> None:
         assert isinstance(request.kind, Kind)
@@ -526,9 +532,6 @@ class _Experiment(_Peer):
         self._asked = Message(request.kind, self._session, self._seq, request.scalars, request.body)
         self._say(self._asked, now)
 
-    def _leave(self, now: float) -> None:
-        self._connection.close()
-        self._goodbye(now)
-
     def _goodbye(self, now: float) -> None:
-        self._say(Message(Kind.GOODBYE, self._session, 0, ("it has closed its connection",)), now)
+        why = "it has closed its connection" + (f" during {self._asked.kind.name}" if self._asked else "")
+        self._say(Message(Kind.GOODBYE, self._session, 0, (why,)), now)

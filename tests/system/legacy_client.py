@@ -8,6 +8,7 @@ Source: the wire protocol of RL-Glue core 3.04 and of the C, Java, Python and Li
 
 from __future__ import annotations
 
+import select
 import socket
 import struct
 import time
@@ -180,6 +181,14 @@ class Connection:
         """Send bytes that need not be a frame."""
         self._socket.sendall(data)
 
+    def flood(self, data: bytes) -> int:
+        """Send as much of `data` as can be sent without waiting; return how much that was."""
+        sent = 0
+        with memoryview(data) as view:
+            while sent < len(data) and select.select([], [self._socket], [], 0)[1]:
+                sent += self._socket.send(view[sent : sent + 65536])
+        return sent
+
     def farewell(self) -> None:
         """Answer the server's last message, if this codec does; the server may be gone already."""
         try:
@@ -210,6 +219,10 @@ class Connection:
             if not chunk:
                 raise Closed
             self._received += chunk
+
+    def nothing_came(self) -> bool:
+        """Whether there is nothing to receive, not even the end."""
+        return not self._received and not select.select([self._socket], [], [], 0)[0]
 
     def receive_until_closed(self) -> bytes:
         """Return everything that comes until the server closes the connection."""

@@ -23,6 +23,7 @@ from tests.system.legacy_client import STYLES, TIMEOUT, Connection, Numbers, Sty
 
 C = STYLES["c"]
 HUB = "inproc://hub"
+_ASIDE = "aside"
 
 
 class Log:
@@ -74,13 +75,23 @@ class Rig:
         """Connect as an original experiment."""
         return legacy_client.Experiment(self.connect(style, session))
 
+    def settle(self) -> None:
+        """Return when the hub has acted on all that it was sent so far."""
+        aside = self.experiment(session=_ASIDE)
+        for _ in range(2):
+            aside.num_steps()
+        aside.close()
+
     def native(self, session: str = "default") -> client.RemoteExperiment:
         """Connect as an experiment of ours."""
         return client.connect(HUB, session, context=self._context, log=self.log)
 
     def agent(self, agent: legacy_client.Agent, style: Style = C, session: str = "default") -> None:
         """Let an original agent play, in a thread."""
-        connection = self.connect(style, session)
+        self.serve_agent(agent, self.connect(style, session))
+
+    def serve_agent(self, agent: legacy_client.Agent, connection: Connection) -> None:
+        """Let an original agent play over a connection that the test has its hands on."""
         self._start(lambda: legacy_client.serve_agent(agent, connection))
 
     def environment(
@@ -127,7 +138,7 @@ def gateway(*sessions: str, heartbeat: float = 0.5, patience: float = 5.0) -> It
     log = Log()
     with zmq.Context() as context:
         hub = Hub(HubConfig(bind=(HUB,), heartbeat=heartbeat, patience=patience), context, log)
-        ports = [LegacyPort(0, session) for session in sessions or ("default",)]
+        ports = [LegacyPort(0, session) for session in (*(sessions or ("default",)), _ASIDE)]
         rig = Rig(hub, Gateway(hub, ports, log), context, log)
         try:
             with hub.in_background():

@@ -179,19 +179,6 @@ def test_pipelined_requests_are_answered_in_their_order(rig: Rig) -> None:
     glue.close()
 
 
-def test_an_experiment_that_has_said_all_it_has_to_say_is_still_answered(rig: Rig) -> None:
-    rig.agent(MirrorAgent())
-    rig.environment(FiveStepEnvironment())
-    glue = rig.connect()
-    glue.send_raw(ask(Id.EXPERIMENT_CONNECTION, Id.RL_INIT, Id.RL_START, Id.RL_STEP, Id.RL_CLEANUP))
-    glue.close_writing()
-    for message_id in (Id.RL_INIT, Id.RL_START, Id.RL_STEP, Id.RL_CLEANUP):
-        assert glue.receive()[0] == message_id
-    assert glue.receive_until_closed() == b""
-    glue.close()
-    rig.join()
-
-
 def test_half_steps_go_to_one_side_alone_and_leave_the_last_action_as_it_was(rig: Rig) -> None:
     calls: list[str] = []
     rig.native_agent(ScriptedAgent(calls))
