@@ -19,6 +19,7 @@ from tests.system.legacy_client import (
     TIMEOUT,
     Connection,
     Die,
+    Experiment,
     Id,
     Numbers,
     pack_numbers,
@@ -179,7 +180,11 @@ def test_any_call_that_can_be_made_anew_is(rig: Rig, request_id: Id) -> None:
     glue.close()
 
 
-def test_an_agent_that_still_thinks_about_a_void_step_is_sent_nothing_until_it_has_answered(rig: Rig) -> None:
+ONE = pack_numbers(Numbers((1,)))
+
+
+def void_the_start(rig: Rig) -> tuple[Connection, Connection, Experiment]:
+    """Return agent, environment, experiment: the agent is at work on a start that has been made anew."""
     agent, environment = join(rig, Id.AGENT_CONNECTION), join(rig, Id.ENVIRONMENT_CONNECTION)
     glue = rig.experiment()
     glue.connection.send(Id.RL_START)
@@ -190,17 +195,31 @@ def test_an_agent_that_still_thinks_about_a_void_step_is_sent_nothing_until_it_h
     rig.log.wait_for("to begin RL_START again")
     environment = join(rig, Id.ENVIRONMENT_CONNECTION)
     assert environment.receive()[0] == Id.ENV_START
-    one = pack_numbers(Numbers((1,)))
-    environment.send(Id.ENV_START, one)
+    environment.send(Id.ENV_START, ONE)
     rig.settle()
     assert agent.nothing_came()
+    return agent, environment, glue
+
+
+def test_an_agent_that_still_thinks_about_a_void_step_is_sent_nothing_until_it_has_answered(rig: Rig) -> None:
+    agent, environment, glue = void_the_start(rig)
     agent.send(Id.AGENT_START, pack_numbers(Numbers((100,))))
-    assert agent.receive() == (Id.AGENT_START, one)
+    assert agent.receive() == (Id.AGENT_START, ONE)
     agent.send(Id.AGENT_START, pack_numbers(Numbers((101,))))
-    assert glue.connection.receive() == (Id.RL_START, one + pack_numbers(Numbers((101,))))
+    assert glue.connection.receive() == (Id.RL_START, ONE + pack_numbers(Numbers((101,))))
     glue.close()
     for player in (agent, environment):
         assert ending(player) == TERMINATE
+
+
+def test_what_was_to_be_asked_next_is_forgotten_when_the_experiment_leaves(rig: Rig) -> None:
+    agent, environment, glue = void_the_start(rig)
+    glue.close()
+    assert ending(environment) == TERMINATE
+    rig.settle()
+    assert agent.nothing_came()
+    agent.send(Id.AGENT_START, EMPTY)
+    assert ending(agent) == TERMINATE
 
 
 def test_the_goodbye_waits_for_the_answer_to_what_nobody_needs_any_more(rig: Rig) -> None:
@@ -246,6 +265,7 @@ def test_an_experiment_that_is_killed_while_nobody_is_there_to_answer_is_missed(
 def test_an_experiment_that_leaves_while_nobody_is_there_to_answer_is_missed(rig: Rig) -> None:
     glue = rig.experiment()
     glue.connection.send(Id.RL_INIT)
+    rig.settle()
     glue.close()
     rig.log.wait_for("it has closed its connection during RL_INIT")
     run_test_1(rig)
