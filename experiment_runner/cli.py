@@ -226,11 +226,9 @@ def _meeting(
     legacy_port: tuple[str, ...],
     insecure: bool,
 ) -> Meeting:
-    if bind and hub is not None:
-        raise ConfigError("--bind is for a hub of the experiment's own; with --hub there is none")
-    if legacy_port and (hub is not None or in_process):
-        flag = "--in-process" if in_process else "--hub"
-        raise ConfigError(f"--legacy-port is for a hub of the experiment's own; with {flag} there is none")
+    if hub is not None and (bind or legacy_port):
+        flag = "--bind" if bind else "--legacy-port"
+        raise ConfigError(f"{flag} is for a hub of the experiment's own; with --hub there is none")
     for url in (*bind, *([hub] if hub else [])):
         check_url(url)
     check_session(session)

@@ -56,11 +56,9 @@ class RunConfig:
         if self.address is not None and self.engine is not Engine.RAY:
             raise ConfigError("--address is that of a Ray cluster: say --engine ray")
         parallel = self.engine is Engine.RAY or self.workers is not None
-        if parallel and self.meeting.hub != HubOptions():
-            raise ConfigError(
-                "every worker brings its own players, and a hub if they need one: "
-                "--hub, --bind, --session and --legacy-port are for trials one after the other"
-            )
+        if (parallel or self.meeting.in_process) and self.meeting.hub != HubOptions():
+            why = "every worker brings its own hub" if parallel else "with --in-process there is no hub"
+            raise ConfigError(f"{why}: leave out --hub, --bind, --session and --legacy-port")
         if parallel or self.meeting.in_process:
             for role, sweeps in (("agent", plan.agents), ("env", plan.environments)):
                 if not sweeps:

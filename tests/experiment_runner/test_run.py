@@ -155,8 +155,9 @@ def test_interrupted_learning_in_mario_goes_on_as_if_nothing_had_happened(tmp_pa
     ("config", "plan", "message"),
     [
         (RunConfig(address="head:6379"), PLAN, "--engine ray"),
-        (RunConfig(workers=2, meeting=Meeting(hub=HubOptions(session="a"))), PLAN, "one after the other"),
-        (RunConfig(engine=Engine.RAY, meeting=Meeting(hub=HubOptions(hub="tcp://h:1"))), PLAN, "a hub"),
+        (RunConfig(workers=2, meeting=Meeting(hub=HubOptions(session="a"))), PLAN, "its own hub"),
+        (RunConfig(engine=Engine.RAY, meeting=Meeting(hub=HubOptions(hub="tcp://h:1"))), PLAN, "its own hub"),
+        (RunConfig(Meeting(True, HubOptions(bind=("ipc://x",)))), PLAN, "with --in-process there is no hub"),
         (RunConfig(workers=2), Plan(episodes=1, agents=PLAN.agents), "--env NAME is missing"),
         (RunConfig(HERE), Plan(episodes=1, environments=PLAN.environments), "--agent NAME is missing"),
     ],
