@@ -1,0 +1,159 @@
+"""Steps per second of original programs through the gateway, beside the same over our own protocol."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+
+import zmq
+
+from benchmarks.measure import Table, count, interleaved, ratio
+from benchmarks.players import SIZES, serving
+from glue.client import connect
+from glue.config import HubConfig, LegacyPort
+from glue.hub import Hub
+from glue.legacy.gateway import Gateway
+from tests.system.legacy_client import Connection, Experiment, Numbers, serve_agent, serve_environment
+
+__all__ = ["run"]
+
+_STEPS = 5000
+_SESSION = "0"
+_INSIDE, _OUTSIDE = "inproc://here", "tcp://127.0.0.1:*"
+
+
+def run() -> list[Table]:
+    """Measure original agents, environments and experiments."""
+    rows = []
+    for size in SIZES:
+        with ExitStack() as stack:
+            measures = {
+                "all ours": stack.enter_context(_ours(size)),
+                "original agent and environment": stack.enter_context(_originals(size)),
+                "original experiment as well": stack.enter_context(_all_original(size)),
+            }
+            results = interleaved(list(measures.values()))
+        rows += [
+            (name, size, count(value), ratio(value / results[0]))
+            for name, value in zip(measures, results, strict=True)
+        ]
+    return [
+        Table(
+            "Original programs",
+            "Agent, environment and hub in three processes, all over tcp; one RL_episode after the other, agent "
+            "and environment doing nothing. The original programs are the client of the test suite, in Python.",
+            ("programs", "observation", "steps per second", "times all ours"),
+            rows,
+        )
+    ]
+
+
+@contextmanager
+def _ours(size: str) -> Iterator[Callable[[], float]]:
+    with zmq.Context() as context, ExitStack() as stack:
+        hub = stack.enter_context(Hub(HubConfig(bind=(_INSIDE, _OUTSIDE)), context).in_background())
+        for role in ("environment", "agent"):
+            stack.enter_context(serving(role, size, hub.endpoints[1]))
+        glue = stack.enter_context(connect(_INSIDE, _SESSION, context=context))
+        glue.rl_init()
+        yield lambda: _per_second(lambda: glue.rl_episode(_STEPS))
+
+
+@contextmanager
+def _originals(size: str) -> Iterator[Callable[[], float]]:
+    with (
+        zmq.Context() as context,
+        _gateway(size, context),
+        connect(_INSIDE, _SESSION, context=context) as glue,
+    ):
+        glue.rl_init()
+        yield lambda: _per_second(lambda: glue.rl_episode(_STEPS))
+
+
+@contextmanager
+def _all_original(size: str) -> Iterator[Callable[[], float]]:
+    with zmq.Context() as context, _gateway(size, context) as port:
+        glue = Experiment(Connection(port))
+        glue.init()
+        yield lambda: _per_second(lambda: glue.episode(_STEPS))
+        glue.close()
+
+
+@contextmanager
+def _gateway(size: str, context: zmq.Context[zmq.Socket[bytes]]) -> Iterator[int]:
+    """Give the port of a hub at which an original agent and environment are about to join."""
+    hub = Hub(HubConfig(bind=(_INSIDE,)), context)
+    (port,) = Gateway(hub, [LegacyPort(0, _SESSION)]).ports
+    with hub.in_background():
+        command = [sys.executable, "-m", "benchmarks.legacy", str(port.port), size]
+        programs = [subprocess.Popen([*command, role]) for role in ("environment", "agent")]
+        yield port.port
+    for program in programs:
+        program.wait()
+
+
+def _per_second(episode: Callable[[], object]) -> float:
+    began = time.perf_counter()
+    episode()
+    return _STEPS / (time.perf_counter() - began)
+
+
+class _Still:
+    """Does the same thing for ever."""
+
+    def init(self, task_spec: str) -> None:
+        pass
+
+    def start(self, observation: Numbers) -> Numbers:
+        return Numbers((1,))
+
+    def step(self, reward: float, observation: Numbers) -> Numbers:
+        return Numbers((1,))
+
+    def end(self, reward: float) -> None:
+        pass
+
+    def cleanup(self) -> None:
+        pass
+
+    def message(self, message: str) -> str:
+        return message
+
+
+class _Walk:
+    """Shows the same observation for ever."""
+
+    def __init__(self, observation: Numbers) -> None:
+        self._observation = observation
+
+    def init(self) -> str:
+        return "benchmark"
+
+    def start(self) -> Numbers:
+        return self._observation
+
+    def step(self, action: Numbers) -> tuple[float, Numbers, int]:
+        return 1.0, self._observation, 0
+
+    def cleanup(self) -> None:
+        pass
+
+    def message(self, message: str) -> str:
+        return message
+
+
+def _main(port: str, size: str, role: str) -> None:
+    connection = Connection(int(port))
+    if role == "agent":
+        serve_agent(_Still(), connection)
+    else:
+        seen = SIZES[size]
+        numbers = Numbers(tuple(seen.ints.tolist()), tuple(seen.doubles.tolist()), seen.chars)
+        serve_environment(_Walk(numbers), connection)
+
+
+if __name__ == "__main__":
+    _main(*sys.argv[1:])
