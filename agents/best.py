@@ -35,9 +35,10 @@ import struct
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated, Final
+from typing import Annotated, Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from agents.archive import MAX_STEPS, Archive, Cell, Place, Trajectory
 from agents.checkpoint import Checkpoint, CheckpointError, pack, unpack
@@ -53,14 +54,15 @@ __all__ = ["BestAgent"]
 _SETTLING: Final = 4
 _RUN_LEFT: Final = klo(LEFT, False, True)
 _MAX_WORLDS: Final = 8
-_TO_THE_END: Final = MAX_STEPS
+_TO_THE_END: Final = 1 << 62
+_NOWHERE: Final = -1
 _FADING: Final = 3
 
 # Where to explore. Distances are in tiles.
 _FRONTIER: Final = 0.8  # chance of the frontier while no episode has ended with a reward
 _DEPTH: Final = 8.0  # mean distance of the cells from the farthest one, at the frontier
-_STRAYED: Final = 1.0  # distance from the path that is resumed, at which the nearest place is sought anew
-_MAX_RESUMED: Final = 30  # how often in an episode that may be, or Mario might go in circles
+_STRAYED: Final = 1.0  # distance from a path, by the sum of both, from which on Mario has strayed
+_MAX_RESUMED: Final = 30  # times that an episode resumes, or Mario might go in circles
 
 # How to explore: the chances of the three buttons.
 _AHEAD: Final = 0.87  # right, at the frontier
@@ -153,19 +155,15 @@ class BestAgent:
         return self._act(observation)
 
     def agent_end(self, reward: float) -> None:
-        """Keep the episode if it is the best."""
+        """Keep the episode if it is the best; the best one, repeated, is worth what it gave this time."""
         self._return += reward
-        if not (self._learning and self._actions):
+        steps = len(self._actions)
+        if not (self._learning and 0 < steps <= MAX_STEPS):
             return
         archive = self._archive
-        best = archive.best
-        if self._plan is _REPEAT and best is not None and self._return != best.episode_return:
-            self._begin_anew()  # The best episode cannot be repeated.
-        archive = self._archive
         archive.finished |= reward > 0
-        if len(self._actions) <= MAX_STEPS and (
-            archive.best is None or self._return > archive.best.episode_return
-        ):
+        best = archive.best
+        if best is None or self._return > best.episode_return or self._plan is _REPEAT:
             archive.best = Trajectory(bytes(self._actions), np.array(self._places), self._return)
 
     def agent_cleanup(self) -> None:
@@ -184,12 +182,13 @@ class BestAgent:
 
     def agent_save(self) -> bytes:
         """Return the memory, the generator's state and the count of episodes."""
-        arrays = {"generator": np.frombuffer(save_generator(self._generator), np.int8)}
-        numbers = {"episodes": self._episodes}
-        for i, (digest, archive) in enumerate(self._worlds.items()):
-            numbers[f"world {i}"] = digest
+        arrays: dict[str, npt.NDArray[Any]] = {
+            "generator": np.frombuffer(save_generator(self._generator), np.int8),
+            "worlds": np.array(list(self._worlds), np.int64),
+        }
+        for i, archive in enumerate(self._worlds.values()):
             arrays |= {f"{i} {name}": array for name, array in archive.arrays().items()}
-        return pack(Checkpoint(self.name, {}, numbers, arrays))
+        return pack(Checkpoint(self.name, {}, {"episodes": self._episodes}, arrays))
 
     def agent_load(self, data: bytes) -> None:
         """Continue from what `agent_save` returned; the options stay this agent's own.
@@ -198,19 +197,17 @@ class BestAgent:
             CheckpointError: it is damaged, or of another agent.
         """
         saved = unpack(data, self.name, {})
-        generator = saved.arrays.get("generator", np.empty(0)).tobytes()
+        generator, worlds = saved.arrays.get("generator"), saved.arrays.get("worlds")
         episodes = saved.numbers.get("episodes", -1)
-        if len(generator) != GENERATOR_SIZE or episodes < 0 or len(saved.numbers) > 1 + _MAX_WORLDS:
+        if generator is None or generator.nbytes != GENERATOR_SIZE or episodes < 0:
             raise CheckpointError("this saved agent lacks its generator's state or its count of episodes")
-        worlds: dict[int, Archive] = {}
-        for i in range(len(saved.numbers) - 1):
-            arrays = {
-                name.removeprefix(f"{i} "): array
-                for name, array in saved.arrays.items()
-                if name.startswith(f"{i} ")
-            }
-            worlds[saved.numbers.get(f"world {i}", -1)] = Archive.of(arrays)
-        self._remember(load_generator(generator), episodes, worlds)
+        if worlds is None or worlds.dtype != np.int64 or len(worlds) > _MAX_WORLDS:
+            raise CheckpointError(f"this saved agent lacks its worlds, or has more than {_MAX_WORLDS}")
+        archives = {}
+        for i, digest in enumerate(worlds.tolist()):
+            own = {name: array for name, array in saved.arrays.items() if name.startswith(f"{i} ")}
+            archives[digest] = Archive.of({name.removeprefix(f"{i} "): array for name, array in own.items()})
+        self._remember(load_generator(generator.tobytes()), episodes, archives)
 
     def _forget(self) -> None:
         self._remember(np.random.default_rng(self._seed), 0, {})
@@ -231,11 +228,9 @@ class BestAgent:
         self._actions = bytearray()
         self._places: list[Place] = []
         self._held = self._hold_for = 0
-        self._next = -1
+        self._next = _NOWHERE
         self._resumed = 0
         self._plan = _WANDER
-        self._repeats = self._generator.random() >= self._chance_to_explore()
-        self._episodes += self._learning
 
     def _chance_to_explore(self) -> float:
         past = min(1.0, self._episodes / self._horizon)
@@ -257,29 +252,35 @@ class BestAgent:
 
     def _enter(self, digest: int) -> None:
         """Recall the world that begins like this, and plan the episode."""
-        if digest not in self._worlds and len(self._worlds) == _MAX_WORLDS:
-            del self._worlds[next(iter(self._worlds))]
+        archive = self._worlds.get(digest, Archive())
+        if self._learning:
+            if digest not in self._worlds and len(self._worlds) == _MAX_WORLDS:
+                del self._worlds[next(iter(self._worlds))]
+            self._worlds[digest] = archive
         self._digest = digest
-        self._archive = self._worlds.setdefault(digest, Archive())
+        self._archive = archive
         self._plan = self._make_plan()
+        self._next = 0 if self._plan is _REPEAT else _NOWHERE
+        self._episodes += self._learning
 
     def _begin_anew(self) -> None:
-        """Forget the world: it is not what it was."""
-        self._archive = self._worlds[self._digest] = Archive()
+        """Forget everything: the world is not what it was."""
+        self._archive = Archive()
+        self._remember(self._generator, 0, {self._digest: self._archive})
         self._plan = _WANDER
 
     def _make_plan(self) -> _Plan:
-        best, draw = self._archive.best, self._generator.random
-        if best is None:
+        best, cells = self._archive.best, self._archive.cells.values()
+        draw = self._generator.random
+        if best is None or not cells:
             return _WANDER
-        if self._repeats:
+        if draw() >= self._chance_to_explore():
             return _REPEAT
-        cells = self._archive.cells.values()
         if not self._archive.finished and draw() < _FRONTIER:
             depth = max(cell.place[0] for cell in cells) - 1.0 - self._generator.exponential(_DEPTH)
             cell = self._pick((cell for cell in cells if cell.place[0] >= depth), 1.0)
             return _Plan(cell.actions, cell.place, _TO_THE_END, _AHEAD)
-        burst = int(self._generator.exponential(self._burst))
+        burst = int(self._generator.geometric(1 / (1 + self._burst))) - 1
         if draw() < self._cells:
             cell = self._pick(cells, 0.5)
             return _Plan(cell.actions, cell.place, burst)
@@ -299,8 +300,8 @@ class BestAgent:
         plan, step = self._plan, len(self._actions)
         if step < len(plan.actions):
             return plan.actions[step]
-        if step == len(plan.actions) and plan.place not in (None, place) and self._learning:
-            self._begin_anew()
+        if step == len(plan.actions) and plan.place is not None and _apart(plan.place, place):
+            self._begin_anew()  # What was chosen to explore with does for a new world too.
         best = self._archive.best
         if best is None or step < len(plan.actions) + self._plan.burst:
             return self._explore()
@@ -313,15 +314,17 @@ class BestAgent:
             sideways = LEFT if draw() < 0.5 else STAY
             direction = RIGHT if draw() < self._plan.ahead else sideways
             self._held = klo(direction, draw() < _JUMP, draw() < _RUN)
-            self._hold_for = 1 + int(self._generator.exponential(self._hold - 1))
+            self._hold_for = int(self._generator.geometric(1 / self._hold))
         self._hold_for -= 1
         return self._held
 
     def _resume(self, best: Trajectory, place: Place) -> int:
         """Go on as in the best episode; at its end, at random."""
-        if self._plan is _REPEAT and self._next < 0:
-            self._next = 0
-        if self._next < 0 or (self._resumed < _MAX_RESUMED and _strayed(best, self._next, place)):
+        strayed = 0 <= self._next < len(best) and _apart(best.place(self._next), place)
+        if strayed and self._plan is _REPEAT and self._learning:
+            self._begin_anew()
+            return self._explore()
+        if self._next == _NOWHERE or (strayed and self._resumed < _MAX_RESUMED):
             self._next = best.nearest(place)
             self._resumed += 1
         if self._next >= len(best):
@@ -330,11 +333,8 @@ class BestAgent:
         return best.actions[self._next - 1]
 
 
-def _strayed(path: Trajectory, step: int, place: Place) -> bool:
-    if step >= len(path):
-        return False
-    x, y = path.place(step)
-    return abs(x - place[0]) + abs(y - place[1]) > _STRAYED
+def _apart(one: Place, other: Place) -> bool:
+    return abs(one[0] - other[0]) + abs(one[1] - other[1]) > _STRAYED
 
 
 def _see(observation: Observation) -> tuple[int, Place, int]:
