@@ -43,8 +43,9 @@ def run() -> list[Table]:
     return [
         Table(
             "Original programs",
-            "Agent, environment and hub in three processes, all over tcp; one RL_episode after the other, agent "
-            "and environment doing nothing. The original programs are the client of the test suite, in Python.",
+            "Agent, environment and hub in three processes, all over tcp; one RL_episode after the other, "
+            "agent and environment doing nothing. The original programs are the test suite's client, in "
+            "Python.",
             ("programs", "observation", "steps per second", "times all ours"),
             rows,
         )
