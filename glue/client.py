@@ -136,7 +136,7 @@ class _Link:
         self._heartbeat, self._patience = _HEARTBEAT, _PATIENCE
         self._welcomed: set[str] = set()
         self._transport = DealerTransport(
-            context or zmq.Context.instance(), hub, _HEARTBEAT, _PATIENCE, 2 * MAX_BODY + MAX_HEADER
+            context or zmq.Context.instance(), hub, _PATIENCE, 2 * MAX_BODY + MAX_HEADER
         )
         self._transport.wait_at_most(_HEARTBEAT)
         self._heard = time.monotonic()

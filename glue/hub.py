@@ -67,7 +67,6 @@ class Hub:
         self._transport = RouterTransport(
             context or zmq.Context.instance(),
             config.bind,
-            config.heartbeat,
             config.patience,
             # What is only a little too long is read, and answered with an error that says so.
             config.max_body + MAX_HEADER,

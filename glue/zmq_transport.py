@@ -1,7 +1,10 @@
 """Frames over ZeroMQ: a ROUTER for the hub, a DEALER for each peer.
 
-The only module that knows libzmq. Its I/O threads answer and expect the heartbeats of ZMTP, so a peer
-that computes for minutes stays connected while one that was killed, or whose cable was cut, does not.
+The only module that knows libzmq. A connection ends when the process at its other end does, or when what
+was sent over it stays unacknowledged for too long, because a cable was cut: both are the kernel's to know,
+so a peer that computes for hours stays connected. The heartbeats of ZMTP are not used: with a limit to what
+is read ahead, libzmq 4.3.5 aborts the process when a connection breaks that it held back (its issues 3937
+and 4364).
 """
 
 from __future__ import annotations
@@ -31,19 +34,18 @@ _HUB_READS_AHEAD: Final = 64
 """Messages that the hub reads ahead from one peer; behind it, the network holds the sender back."""
 
 _PEER_READS_AHEAD: Final = 0
-"""No limit: heartbeats pile up while a player computes, and a full queue would stop those of ZMTP."""
+"""No limit: the hub's signs of life pile up while a player computes."""
 
 _SEND_QUEUE: Final = 4096
 """Messages that wait for one peer: a call for each session that it serves, and heartbeats."""
 
 
-def _prepare(made: zmq.Socket[bytes], heartbeat: float, patience: float, max_frame: int, ahead: int) -> None:
+def _prepare(made: zmq.Socket[bytes], patience: float, max_frame: int, ahead: int) -> None:
     made.setsockopt(zmq.LINGER, _LINGER_MS)
     made.setsockopt(zmq.SNDHWM, _SEND_QUEUE)
     made.setsockopt(zmq.RCVHWM, ahead)
     made.setsockopt(zmq.MAXMSGSIZE, max_frame)
-    made.setsockopt(zmq.HEARTBEAT_IVL, max(1, int(heartbeat * 1000)))
-    made.setsockopt(zmq.HEARTBEAT_TIMEOUT, max(1, int(patience * 1000)))
+    made.setsockopt(zmq.TCP_MAXRT, max(1, int(patience * 1000)))
 
 
 class RouterTransport:
@@ -53,11 +55,9 @@ class RouterTransport:
         ConfigError: an address is taken or cannot be bound.
     """
 
-    def __init__(
-        self, context: Context, bind: Sequence[str], heartbeat: float, patience: float, max_frame: int
-    ) -> None:
+    def __init__(self, context: Context, bind: Sequence[str], patience: float, max_frame: int) -> None:
         self.socket = context.socket(zmq.ROUTER)
-        _prepare(self.socket, heartbeat, patience, max_frame, _HUB_READS_AHEAD)
+        _prepare(self.socket, patience, max_frame, _HUB_READS_AHEAD)
         # Without it a message for a route that is gone would vanish silently.
         self.socket.setsockopt(zmq.ROUTER_MANDATORY, 1)
         self.endpoints: list[str] = []
@@ -108,11 +108,12 @@ class RouterTransport:
 class DealerTransport:
     """A peer's end. It connects when the hub is there, and again whenever the connection breaks."""
 
-    def __init__(self, context: Context, url: str, heartbeat: float, patience: float, max_frame: int) -> None:
+    def __init__(self, context: Context, url: str, patience: float, max_frame: int) -> None:
         self.socket = context.socket(zmq.DEALER)
-        _prepare(self.socket, heartbeat, patience, max_frame, _PEER_READS_AHEAD)
+        _prepare(self.socket, patience, max_frame, _PEER_READS_AHEAD)
         self.socket.setsockopt(zmq.RECONNECT_IVL, 50)
         self.socket.setsockopt(zmq.RECONNECT_IVL_MAX, 1000)
+        self.socket.setsockopt(zmq.CONNECT_TIMEOUT, max(1, int(patience * 1000)))
         self.socket.setsockopt(zmq.SNDTIMEO, 0)
         self.socket.setsockopt(zmq.IPV6, "[" in url)
         try:

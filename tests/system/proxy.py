@@ -1,4 +1,4 @@
-"""A TCP proxy that breaks its connections, in the middle of whatever they carry."""
+"""A TCP proxy that breaks its connections: in the middle of whatever they carry, or for a while."""
 
 from __future__ import annotations
 
@@ -14,20 +14,24 @@ ABORT = struct.pack("ii", 1, 0)
 """SO_LINGER: drop what is unsent and reset the connection, as a cable that is pulled."""
 
 
-class CuttingProxy:
-    """Passes bytes on to `port`; after every few thousand of them all connections are reset.
+_QUIT, _SHUT, _OPEN = b"q", b"s", b"o"
+
+
+class Proxy:
+    """Passes bytes on to another port of this machine.
 
     Args:
-        port: where to, on this machine.
-        seed: of the lengths between cuts.
-        cuts: how many there shall be.
+        port: the other port.
+        cuts: how often, after a few thousand bytes each time, all connections are reset.
+        seed: of the numbers of bytes between these cuts.
     """
 
-    def __init__(self, port: int, seed: int, cuts: int) -> None:
+    def __init__(self, port: int, cuts: int = 0, seed: int = 0) -> None:
         self._target = port
         self._left = cuts
         self._lengths = random.Random(seed)
         self._until_cut = self._draw()
+        self._open = True
         self._listener = socket.create_server(("127.0.0.1", 0))
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._listener, selectors.EVENT_READ)
@@ -42,19 +46,27 @@ class CuttingProxy:
         return f"tcp://127.0.0.1:{self._listener.getsockname()[1]}"
 
     @contextmanager
-    def in_background(self) -> Iterator[CuttingProxy]:
+    def in_background(self) -> Iterator[Proxy]:
         """Pass bytes on while the body of the `with` runs."""
         thread = threading.Thread(target=self._run)
         thread.start()
         try:
             yield self
         finally:
-            self._waker.send(b"\0")
+            self._waker.send(_QUIT)
             thread.join()
             self._cut()
             for each in (self._listener, self._wake, self._waker):
                 each.close()
             self._selector.close()
+
+    def shut(self) -> None:
+        """Reset all connections, and let no other through; from any thread."""
+        self._waker.send(_SHUT)
+
+    def open(self) -> None:
+        """Let connections through again; from any thread."""
+        self._waker.send(_OPEN)
 
     def _run(self) -> None:
         while True:
@@ -62,14 +74,22 @@ class CuttingProxy:
                 source = key.fileobj
                 assert isinstance(source, socket.socket)
                 if source is self._wake:
-                    return
-                if source is self._listener:
+                    command = self._wake.recv(1)
+                    if command == _QUIT:
+                        return
+                    self._open = command == _OPEN
+                    if not self._open:
+                        self._cut()
+                elif source is self._listener:
                     self._accept()
                 elif source in self._partner:
                     self._pass_on(source)
 
     def _accept(self) -> None:
         near, _ = self._listener.accept()
+        if not self._open:
+            near.close()
+            return
         far = socket.create_connection(("127.0.0.1", self._target))
         for one, other in ((near, far), (far, near)):
             one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -25,7 +25,7 @@ from glue.types import Action, Observation
 from glue.zmq_transport import Context
 from tests.players import ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
 from tests.system.peer import TIMEOUT, peer, running
-from tests.system.proxy import CuttingProxy
+from tests.system.proxy import Proxy
 
 EPISODES = 4
 HEARTBEAT = 0.1
@@ -52,6 +52,11 @@ def serving(hub: str, player: Any, session: str = "default") -> Iterator[None]:
         thread.join(TIMEOUT)
         context.destroy(linger=0)
         assert not thread.is_alive()
+
+
+def port(hub: Hub) -> int:
+    """The TCP port of a hub."""
+    return int(hub.endpoints[0].rpartition(":")[2])
 
 
 class Processes:
@@ -122,15 +127,16 @@ class Run:
 
     @contextmanager
     def experiment(
-        self, role: str, player: str, partner: Any
+        self, role: str, player: str, partner: Any, through: str | None = None
     ) -> Iterator[tuple[RemoteExperiment, Processes]]:
+        """Connect all three; the player in a process may connect `through` another address."""
         with self.hub.in_background():
             (url,) = self.hub.endpoints
             with ExitStack() as ending:
                 # The hub must say goodbye before the partner's thread can be joined.
                 ending.enter_context(serving(url, partner))
                 ending.callback(self.hub.stop, "over")
-                processes = ending.enter_context(Processes(url, role, player))
+                processes = ending.enter_context(Processes(through or url, role, player))
                 yield ending.enter_context(client.connect(url, on_notice=self._notice, log=quiet)), processes
 
     def _notice(self, event: str, role: str, name: str) -> None:
@@ -184,12 +190,16 @@ def test_a_killed_player_is_noticed_replaced_and_the_episodes_are_completed(role
 
 
 @pytest.mark.parametrize("role", CASES)
-def test_a_player_that_stops_for_longer_than_patience_returns_as_it_was(role: str) -> None:
+def test_a_player_cut_off_for_longer_than_patience_returns_as_it_was(role: str) -> None:
     player, partner, moment, first_calls = CASES[role]
     run = Run(patience=1.0)
-    stop = At(moment, 5, lambda: processes.signal(signal.SIGSTOP))
-    with run.experiment(role, player, partner(before=stop)) as (glue, processes):
-        run.on_notice["lost"] = lambda: processes.signal(signal.SIGCONT)
+    proxy = Proxy(port(run.hub))
+    shut = At(moment, 5, proxy.shut)
+    with (
+        proxy.in_background(),
+        run.experiment(role, player, partner(before=shut), proxy.url) as (glue, _),
+    ):
+        run.on_notice["lost"] = proxy.open
         glue.rl_init(seed=5)
         assert len(play(glue)) == 1
         assert run.notices[-2:] == [("lost", role), ("returned", role)]
@@ -199,9 +209,9 @@ def test_a_player_that_stops_for_longer_than_patience_returns_as_it_was(role: st
 
 
 @pytest.mark.parametrize("role", CASES)
-def test_a_player_that_stops_for_less_than_patience_is_waited_for(role: str) -> None:
+def test_a_player_that_is_stopped_and_continued_is_waited_for(role: str) -> None:
     player, partner, moment, _ = CASES[role]
-    run = Run(patience=60.0)
+    run = Run(patience=1.0)
     stopped = threading.Event()
 
     def stop() -> None:
@@ -211,7 +221,7 @@ def test_a_player_that_stops_for_less_than_patience_is_waited_for(role: str) -> 
     ticks = iter(range(1000))
 
     def go_on(now: float) -> None:
-        if stopped.is_set() and next(ticks) == 5:
+        if stopped.is_set() and next(ticks) == 15:
             processes.signal(signal.SIGCONT)
 
     run.hub.on_tick(go_on)
@@ -237,7 +247,7 @@ def test_a_run_over_connections_that_break_a_hundred_times_has_the_same_returns(
     expected = chain(local.connect(ChainAgent(), ChainEnvironment()), episodes)
     hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, patience=60.0))
     with hub.in_background():
-        proxy = CuttingProxy(int(hub.endpoints[0].rpartition(":")[2]), seed=1, cuts=100)
+        proxy = Proxy(port(hub), cuts=100, seed=1)
         with (
             proxy.in_background(),
             Processes(proxy.url, "agent", "tests.players:ChainAgent"),

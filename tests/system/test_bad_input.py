@@ -1,0 +1,482 @@
+"""Whatever comes in, the hub answers or drops it, keeps its memory, and other sessions do not notice.
+
+A hub runs in a process of its own. Beside it a healthy session runs all the while; each test then sees
+that it has gone on, and in the end its returns are those of a run without any of this.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import socket
+import struct
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+import zmq
+
+from glue import client, local
+from glue.messages import ErrorCode, Kind, Message
+from glue.sessions import INSTANCE_SIZE
+from glue.types import Action, Observation
+from glue.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, decode, encode
+from tests.players import ChainAgent, ChainEnvironment
+from tests.system.peer import TIMEOUT, peer, running
+from tests.system.proxy import ABORT
+
+SESSIONS = 64
+ROOM = 150
+"""Megabytes that the hub may grow by in one test: some of the largest bodies, not hundreds."""
+
+
+def quiet(line: str) -> None:
+    """Log nothing."""
+
+
+class HealthySession:
+    """An agent and an environment in processes of their own, and an experiment in a thread: all play on."""
+
+    def __init__(self, hub: subprocess.Popen[str], url: str) -> None:
+        self._hub = hub
+        self._returns: list[float] = []
+        self._more = threading.Condition()
+        self._stop = False
+        self._failure: Exception | None = None
+        self._players = ExitStack()
+        for role, player in (("agent", "ChainAgent"), ("environment", "ChainEnvironment")):
+            self._players.enter_context(running(*peer(role, url, f"tests.players:{player}")))
+        self._glue = client.connect(url, log=quiet)
+        self._thread = threading.Thread(target=self._play)
+        self._thread.start()
+
+    def _play(self) -> None:
+        try:
+            with self._glue as glue:
+                glue.rl_init()
+                while not self._stop:
+                    assert glue.rl_episode()
+                    with self._more:
+                        self._returns.append(glue.rl_return())
+                        self._more.notify()
+        except Exception as error:
+            self._failure = error
+
+    def goes_on(self) -> None:
+        """Wait for a few more episodes."""
+        deadline = time.monotonic() + TIMEOUT
+        with self._more:
+            wanted = len(self._returns) + 3
+            while len(self._returns) < wanted:
+                assert self._hub.poll() is None, "the hub has died"
+                assert self._failure is None
+                assert time.monotonic() < deadline, "the session stands still"
+                self._more.wait(1.0)
+
+    def finish(self) -> list[float]:
+        """Stop playing, and return the returns of all episodes."""
+        self._stop = True
+        self._thread.join(TIMEOUT)
+        assert self._failure is None
+        return self._returns
+
+    def close(self) -> None:
+        """Let everybody end, whether there is still a hub or not."""
+        self._glue.give_up("the test is over")
+        self._thread.join(TIMEOUT)
+        self._players.close()
+
+
+class Target:
+    """The hub under attack."""
+
+    def __init__(self, url: str, process: subprocess.Popen[str], healthy: HealthySession) -> None:
+        self.url = url
+        self.port = int(url.rpartition(":")[2])
+        self._process = process
+        self.healthy = healthy
+
+    def megabytes(self) -> int:
+        """Memory that the hub's process holds."""
+        status = Path(f"/proc/{self._process.pid}/status").read_text()
+        return int(status.split("VmRSS:")[1].split()[0]) // 1024
+
+
+@contextmanager
+def target() -> Iterator[Target]:
+    """A hub in a process of its own, with a session that plays."""
+    program = "from glue.cli import main; main()"
+    settings = ["--heartbeat", "0.2", "--patience", "1", "--max-sessions", str(SESSIONS)]
+    with running("-c", program, "--bind", "tcp://127.0.0.1:*", *settings) as process:
+        assert process.stderr is not None
+        url = process.stderr.readline().split()[-1]
+        # Its log of refusals must not fill the pipe.
+        threading.Thread(target=process.stderr.read, daemon=True).start()
+        healthy = HealthySession(process, url)
+        try:
+            healthy.goes_on()
+            yield Target(url, process, healthy)
+        finally:
+            healthy.close()
+            process.terminate()
+            process.wait(TIMEOUT)
+
+
+@pytest.fixture(scope="module")
+def _hub() -> Iterator[Target]:
+    with target() as hub:
+        yield hub
+        returns = hub.healthy.finish()
+    glue = local.connect(ChainAgent(), ChainEnvironment())
+    glue.rl_init()
+    for number, total in enumerate(returns):
+        assert glue.rl_episode()
+        assert glue.rl_return() == total, f"episode {number}"
+
+
+@pytest.fixture
+def hub(_hub: Target) -> Iterator[Target]:
+    before = _hub.megabytes()
+    yield _hub
+    _hub.healthy.goes_on()
+    assert _hub.megabytes() < before + ROOM
+
+
+class Stranger:
+    """A DEALER that says whatever a test wants."""
+
+    def __init__(self, url: str, **options: Any) -> None:
+        self._instance = os.urandom(INSTANCE_SIZE)
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self.socket = self._context.socket(zmq.DEALER)
+        self.socket.setsockopt(zmq.LINGER, 0)
+        self.socket.setsockopt(zmq.RCVTIMEO, int(TIMEOUT * 1000))
+        self.socket.setsockopt(zmq.SNDTIMEO, int(TIMEOUT * 1000))
+        for name, value in options.items():
+            self.socket.setsockopt(getattr(zmq, name), value)
+        self.socket.connect(url)
+
+    def __enter__(self) -> Stranger:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._context.destroy(linger=0)
+
+    def send(self, *frames: bytes) -> None:
+        """Send frames."""
+        self.socket.send_multipart(frames)
+
+    def say(self, kind: Kind, seq: int, *scalars: Any, body: bytes = b"", session: str = "bad") -> None:
+        """Send a message."""
+        self.send(*encode(Message(kind, session, seq, scalars, body), TO_HUB))
+
+    def hear(self) -> Message:
+        """The next message that is no heartbeat."""
+        while (message := decode(self.socket.recv_multipart(), FROM_HUB)).kind is Kind.HEARTBEAT:
+            pass
+        return message
+
+    def error(self) -> tuple[str, str]:
+        """The next message, which must be an error or a refusal: its code and text."""
+        message = self.hear()
+        assert message.kind in (Kind.ERROR, Kind.REFUSE), message
+        code, text = map(str, message.scalars)
+        return code, text
+
+    def hello(self, role: str, session: str = "bad", version: int = 1) -> None:
+        """Say hello."""
+        self.say(Kind.HELLO, 0, (version,), role, self._instance, "stranger", "test", (), session=session)
+
+    def join(self, role: str, session: str = "bad") -> None:
+        """Say hello, and be welcomed."""
+        self.hello(role, session)
+        assert self.hear().kind is Kind.WELCOME
+
+
+@pytest.fixture
+def stranger(hub: Target) -> Iterator[Stranger]:
+    with Stranger(hub.url) as stranger:
+        yield stranger
+
+
+# Bytes
+
+
+GREETING = b"\xff" + bytes(8) + b"\x7f" + b"\x03\x00" + b"NULL" + bytes(16) + b"\x00" + bytes(31)
+READY = b"\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER\x08Identity\x00\x00\x00\x00"
+
+
+def raw(hub: Target) -> socket.socket:
+    """A TCP connection to the hub."""
+    connection = socket.create_connection(("127.0.0.1", hub.port), TIMEOUT)
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return connection
+
+
+@contextmanager
+def zmtp(hub: Target) -> Iterator[socket.socket]:
+    """A connection that has shaken hands as a DEALER does."""
+    with raw(hub) as connection:
+        connection.sendall(GREETING)
+        assert len(connection.recv(len(GREETING), socket.MSG_WAITALL)) == len(GREETING)
+        connection.sendall(b"\x04" + bytes([len(READY)]) + READY)
+        assert connection.recv(1000)
+        yield connection
+
+
+def test_random_bytes(hub: Target) -> None:
+    noise = random.Random(1)
+    for start in (b"", b"\xff", GREETING[:10], GREETING) * 20:
+        with raw(hub) as connection:
+            connection.sendall(start + noise.randbytes(noise.randint(1, 2000)))
+
+
+def test_random_bytes_after_a_handshake(hub: Target) -> None:
+    noise = random.Random(2)
+    for _ in range(40):
+        with zmtp(hub) as connection:
+            connection.sendall(noise.randbytes(noise.randint(1, 2000)))
+
+
+def test_connections_that_say_nothing(hub: Target) -> None:
+    with ExitStack() as silent:
+        for _ in range(100):
+            silent.enter_context(raw(hub))
+            silent.enter_context(zmtp(hub))
+        hub.healthy.goes_on()
+
+
+@pytest.mark.parametrize("size", [MAX_BODY + 2 * MAX_HEADER, 2**40, 2**63 - 1])
+def test_a_frame_that_claims_to_be_giant_costs_its_sender_the_connection(hub: Target, size: int) -> None:
+    with zmtp(hub) as connection:
+        connection.sendall(b"\x02" + struct.pack(">Q", size) + bytes(1000))
+        with suppress(ConnectionResetError):
+            while connection.recv(1000):
+                pass
+
+
+def test_frames_that_break_off_hold_no_memory(hub: Target) -> None:
+    for _ in range(20):
+        with zmtp(hub) as connection:
+            connection.sendall(b"\x02" + struct.pack(">Q", MAX_BODY) + bytes(100_000))
+
+
+def flood_and_reset(hub: Target, frames: bytes) -> None:
+    """Send more than the hub reads ahead, and break the connection while it is held back."""
+    for _ in range(20):
+        with zmtp(hub) as connection:
+            connection.sendall(frames)
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ABORT)
+
+
+NOISE = b"\x00\x01x"
+PING = b"\x04\x07\x04PING\x00\x00"
+
+
+def test_floods_that_break_off(hub: Target) -> None:
+    flood_and_reset(hub, NOISE * 5000)
+
+
+# Limits of libzmq. Each test has a hub of its own, since that does not survive it.
+
+
+@pytest.mark.xfail(strict=True, reason="libzmq 4.3.5 aborts (its issue 4364): !_io_error in out_event")
+def test_a_flood_with_heartbeats_in_it_that_breaks_off() -> None:
+    with target() as hub:
+        flood_and_reset(hub, (NOISE * 10 + PING) * 500)
+        hub.healthy.goes_on()
+
+
+@pytest.mark.xfail(strict=True, reason="libzmq 4.3.5 keeps all frames of a message until its last has come")
+def test_a_message_without_an_end() -> None:
+    with target() as hub, zmtp(hub) as connection:
+        before = hub.megabytes()
+        for _ in range(2 * ROOM):
+            connection.sendall(b"\x03" + struct.pack(">Q", 2**20) + bytes(2**20))
+        hub.healthy.goes_on()
+        assert hub.megabytes() < before + ROOM
+
+
+# Frames
+
+
+def test_random_frames_are_answered_with_an_error(stranger: Stranger) -> None:
+    noise = random.Random(3)
+    for _ in range(200):
+        stranger.send(*[noise.randbytes(noise.randint(0, 60)) for _ in range(noise.randint(1, 4))])
+        assert stranger.error()[0] in (ErrorCode.MALFORMED, ErrorCode.UNKNOWN_KIND)
+
+
+BOMBS = {
+    "an array of four billion": b"\xdd\xff\xff\xff\xff",
+    "a map of four billion": b"\xdf\xff\xff\xff\xff",
+    "a text of four billion": b"\xdb\xff\xff\xff\xff",
+    "binary of four billion": b"\xc6\xff\xff\xff\xff",
+    "an extension of four billion": b"\xc9\xff\xff\xff\xff\x05",
+    "arrays in arrays": b"\x91" * MAX_HEADER,
+    "a megabyte of arrays in arrays": b"\x91" * 2**20,
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_msgpack_bomb_is_answered_with_an_error(stranger: Stranger, name: str) -> None:
+    stranger.send(BOMBS[name])
+    assert stranger.error()[0] == ErrorCode.MALFORMED
+
+
+@pytest.mark.parametrize("count", [3, 1000, 100_000])
+def test_a_message_of_many_frames_is_answered_with_an_error(stranger: Stranger, count: int) -> None:
+    stranger.send(*[b"frame"] * count)
+    assert stranger.error() == (ErrorCode.MALFORMED, "a message has one or two frames; 3 came")
+
+
+def test_a_body_too_large_is_answered_with_an_error(stranger: Stranger) -> None:
+    stranger.send(msgpack.packb([19, "bad", 1]), bytes(MAX_BODY + 1))
+    code, text = stranger.error()
+    assert code == ErrorCode.MALFORMED
+    assert f"a body of {MAX_BODY + 1} bytes came with ENV_MESSAGE; {MAX_BODY} are allowed" in text
+
+
+def test_counts_that_do_not_add_up_are_answered_with_an_error(stranger: Stranger) -> None:
+    stranger.send(msgpack.packb([12, "bad", 1]), struct.pack("<4I", 2**32 - 1, 2**32 - 1, 2**32 - 1, 0))
+    code, text = stranger.error()
+    assert code == ErrorCode.MALFORMED
+    assert "the counts in the body of ENV_START say" in text
+
+
+def test_the_largest_bodies_leave_no_trace(hub: Target, stranger: Stranger) -> None:
+    for _ in range(20):
+        stranger.send(msgpack.packb([19, "bad", 1]), bytes(MAX_BODY))
+        assert stranger.error()[0] == ErrorCode.UNKNOWN_PEER
+
+
+# Messages out of place
+
+
+def test_an_unknown_kind(stranger: Stranger) -> None:
+    stranger.send(msgpack.packb([999, "bad", 5]))
+    message = stranger.hear()
+    assert (message.kind, message.seq, message.scalars[0]) == (Kind.ERROR, 5, ErrorCode.UNKNOWN_KIND)
+
+
+def test_an_unknown_version(stranger: Stranger) -> None:
+    stranger.hello("agent", version=2)
+    assert stranger.error() == (ErrorCode.VERSION, "this hub speaks protocol version 1, the peer [2]")
+
+
+def test_an_unknown_role(stranger: Stranger) -> None:
+    stranger.hello("king")
+    assert stranger.error()[0] == ErrorCode.MALFORMED
+
+
+def test_no_hello(stranger: Stranger) -> None:
+    stranger.say(Kind.RL_START, 1, session="default")
+    assert stranger.error()[0] == ErrorCode.UNKNOWN_PEER
+
+
+@pytest.mark.parametrize("role", ["agent", "environment", "experiment"])
+def test_a_second_of_each_role(stranger: Stranger, role: str) -> None:
+    stranger.hello(role, session="default")
+    code, text = stranger.error()
+    assert code == ErrorCode.ROLE_TAKEN
+    assert f"session 'default' has an {role} already" in text
+
+
+def test_replies_that_nobody_asked_for(stranger: Stranger) -> None:
+    stranger.join("environment")
+    for seq in (0, 1, 2**63 - 1):
+        stranger.say(Kind.ENV_STEP, seq, 1.0, True, body=Observation().body)
+        assert stranger.error()[0] == ErrorCode.NOT_ASKED
+
+
+def test_the_words_of_another_role(stranger: Stranger) -> None:
+    stranger.join("agent")
+    for kind, body in ((Kind.ENV_START, Observation().body), (Kind.RL_START, b"")):
+        stranger.say(kind, 1, body=body)
+        assert stranger.error()[0] == ErrorCode.NOT_ASKED
+
+
+def test_a_malformed_message_costs_its_sender_its_seat(stranger: Stranger) -> None:
+    stranger.join("agent")
+    stranger.send(b"nonsense")
+    assert stranger.error()[0] == ErrorCode.MALFORMED
+    stranger.say(Kind.HEARTBEAT, 0)
+    assert stranger.error()[0] == ErrorCode.UNKNOWN_PEER
+
+
+def test_a_routing_id_of_ones_own(hub: Target) -> None:
+    with Stranger(hub.url, ROUTING_ID=b"mine") as stranger:
+        stranger.hello("agent")
+        code, text = stranger.error()
+    assert code == ErrorCode.MALFORMED
+    assert "leave the routing id" in text
+
+
+# Floods
+
+
+def test_a_flood_of_hellos_fills_no_more_than_the_sessions_there_are(hub: Target) -> None:
+    with Stranger(hub.url) as flood:
+        outcomes = []
+        for number in range(2000):
+            flood.hello("agent", session=f"flood {number}")
+            outcomes.append(flood.hear())
+        assert sum(message.kind is Kind.WELCOME for message in outcomes) < SESSIONS
+        assert outcomes[-1].scalars == (
+            ErrorCode.FULL,
+            f"this hub serves {SESSIONS} sessions at once, and all are in use",
+        )
+        hub.healthy.goes_on()
+    # Once the flood has gone its seats are free again.
+    with Stranger(hub.url) as late:
+        for number in range(SESSIONS // 2):
+            late.hello("agent", session=f"late {number}")
+            while late.hear().kind is Kind.REFUSE:
+                late.hello("agent", session=f"late {number}")
+
+
+def test_a_flood_of_hellos_and_goodbyes(hub: Target, stranger: Stranger) -> None:
+    for number in range(2000):
+        stranger.join("agent", session=f"{number}")
+        stranger.say(Kind.GOODBYE, 0, "x" * 3000, session=f"{number}")
+
+
+def test_a_flood_of_noise_from_one_that_never_reads(hub: Target) -> None:
+    with Stranger(hub.url, RCVHWM=1) as stranger:
+        for _ in range(50_000):
+            stranger.send(b"noise")
+
+
+def test_an_experiment_that_never_reads_its_replies(hub: Target) -> None:
+    large = bytes(2**20)
+    with (
+        Stranger(hub.url) as agent,
+        Stranger(hub.url, RCVHWM=1, RCVBUF=4096) as experiment,
+    ):
+        agent.join("agent")
+        experiment.hello("experiment")
+        experiment.say(Kind.RL_AGENT_MESSAGE, 1)
+        call = agent.hear()
+        agent.say(Kind.AGENT_MESSAGE, call.seq, body=large)
+        for _ in range(5000):
+            experiment.say(Kind.RL_AGENT_MESSAGE, 1)
+            experiment.hello("experiment")
+
+
+def test_a_player_that_answers_everything_with_the_largest_body(hub: Target) -> None:
+    huge = Action(chars=bytes(MAX_BODY - 16)).body
+    with Stranger(hub.url) as agent, Stranger(hub.url) as experiment:
+        agent.join("agent")
+        experiment.join("experiment")
+        while experiment.hear().kind is not Kind.NOTICE:
+            pass
+        for seq in range(1, 6):
+            experiment.say(Kind.RL_AGENT_START, seq, body=Observation().body)
+            agent.say(Kind.AGENT_START, agent.hear().seq, body=huge)
+            assert experiment.hear().body == huge
