@@ -224,7 +224,11 @@ def zmtp(hub: Target) -> Iterator[socket.socket]:
     """A connection that has shaken hands as a DEALER does."""
     with raw(hub) as connection:
         connection.sendall(GREETING)
-        assert len(connection.recv(len(GREETING), socket.MSG_WAITALL)) == len(GREETING)
+        left = len(GREETING)
+        while left:
+            answer = connection.recv(left)
+            assert answer
+            left -= len(answer)
         connection.sendall(b"\x04" + bytes([len(READY)]) + READY)
         assert connection.recv(1000)
         yield connection
