@@ -26,6 +26,7 @@ def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
     """Return the figures that these outcomes allow, by name.
 
     figure-2, ...        the paper's: every episode of every trial as a dot, on the level of the paper
+    figure-13-nearest    of experiment 8, the other level on which our reward comes nearest the paper's
     curves-0, curves-1   the agents that learn, and the sample agent, on the paper's level and at
                          difficulty 1
     best                 every episode of the agent beyond the paper, on the paper's seed
@@ -40,6 +41,10 @@ def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
         if experiment.figure is not None and panels:
             reference = _sample(outcomes, level)
             drawn[f"figure-{experiment.figure}"] = scatter(panels, window=WINDOW, reference=reference)
+    near = _nearest([outcome for outcome in outcomes if outcome.level.seed != PAPER_LEVEL.seed])
+    if near is not None:
+        name = f"{near.agent}, level seed {near.level.seed}"
+        drawn[f"figure-{near.experiment.figure}-nearest"] = scatter({name: near.curves}, window=WINDOW)
     for difficulty in (0, 1):
         level = Level(PAPER_LEVEL.seed, difficulty)
         curves = {o.agent: o.curves for o in outcomes if o.experiment.name in _IN_CURVES and o.level == level}
@@ -54,6 +59,16 @@ def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
     if best:
         drawn[_BEST] = scatter(best, window=WINDOW)
     return drawn
+
+
+def _nearest(outcomes: Sequence[Outcome]) -> Outcome | None:
+    """Return the outcome whose reward is nearest to the published one."""
+    distances = {
+        abs(float(outcome.reward.value) - outcome.published.reward): outcome
+        for outcome in outcomes
+        if outcome.published is not None and outcome.published.reward is not None
+    }
+    return distances[min(distances)] if distances else None
 
 
 def _sample(outcomes: Sequence[Outcome], level: Level) -> tuple[str, FloatArray] | None:

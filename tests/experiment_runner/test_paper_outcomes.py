@@ -155,6 +155,9 @@ def test_figures_hold_the_levels_and_agents_they_are_for() -> None:
             outcome("1", constant(140), agent=1),
             outcome("7", constant(145)),
             outcome("7", constant(-5), level=Level(121, 1)),
+            outcome("8", constant(2), level=Level(121, 1)),
+            outcome("8", constant(-5), level=Level(4, 1)),
+            outcome("8", constant(69), level=Level(6, 1)),
             outcome("best", constant(150)),
             outcome("best", constant(90), level=Level(121, 3)),
             outcome("best", constant(80), level=Level(5, 3)),
@@ -166,7 +169,17 @@ def test_figures_hold_the_levels_and_agents_they_are_for() -> None:
         "tiles-textbook (2 trials)",
     ]
     assert len(titles["figure-11"]) == 1
+    (nearest,) = titles["figure-13-nearest"]
+    assert nearest.startswith("objects-coarse, level seed 6 (")
     assert [title.split(" (")[0] for title in titles["best"]] == ["difficulty 0", "difficulty 3"]
     curves = [text.get_text() for text in drawn["curves-0"].legends[0].get_texts()]
     assert curves == ["sample", "hierarchical-internal", "best"]
-    assert sorted(drawn) == ["best", "curves-0", "curves-1", "figure-11", "figure-2"]
+    assert sorted(drawn) == [
+        "best",
+        "curves-0",
+        "curves-1",
+        "figure-11",
+        "figure-13",
+        "figure-13-nearest",
+        "figure-2",
+    ]

@@ -15,6 +15,8 @@ from experiment_runner.resume import create_run
 from experiment_runner.store import EpisodeResult, Results
 from glue.errors import ExperimentError
 
+FIGURES = ("figure-2", "figure-8", "figure-13", "figure-13-nearest", "curves-0", "curves-1")
+
 
 def call(*arguments: object) -> Result:
     return CliRunner().invoke(paper, list(map(str, arguments)), catch_exceptions=False, standalone_mode=False)
@@ -85,8 +87,7 @@ def test_csv_has_a_row_for_each_agent_and_level(study: Path) -> None:
 
 def test_figures_are_those_whose_runs_are_there(study: Path) -> None:
     names = {path.name for path in (study / REPORT).iterdir()}
-    drawn = ("figure-2", "figure-8", "figure-13", "curves-0", "curves-1")
-    assert names == {"tables.md", "tables.csv"} | {f"{n}.{e}" for n in drawn for e in ("png", "svg")}
+    assert names == {"tables.md", "tables.csv"} | {f"{n}.{e}" for n in FIGURES for e in ("png", "svg")}
     # the sample agent stands beside, on the level of the figure
     assert "the sample agent" in (study / REPORT / "figure-13.svg").read_text(encoding="utf-8")
 
@@ -99,7 +100,7 @@ def test_docs_get_the_tables_between_their_marks_and_the_figures(study: Path, tm
     assert done.stdout == tables
     assert docs.read_text(encoding="utf-8") == f"before\n{BEGIN}\n\n{tables}\n{END}\nafter\n"
     images = {path.name for path in (docs.parent / "images" / "paper").iterdir()}
-    assert images == {f"{name}.png" for name in ("figure-2", "figure-8", "figure-13", "curves-0", "curves-1")}
+    assert images == {f"{name}.png" for name in FIGURES}
 
 
 @pytest.mark.parametrize("text", ["", f"{BEGIN}\n", f"{END}\n{BEGIN}\n"])
