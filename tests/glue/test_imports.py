@@ -55,7 +55,7 @@ HOMES = {
     "msgpack": ["glue/wire.py"],
     "numba": ["*/_jit.py"],
     "click": ["*cli.py", "glue/commands.py"],
-    "matplotlib": ["experiment_runner/plots.py"],
+    "matplotlib": ["experiment_runner/plots.py", "experiment_runner/paper_figures.py"],
     "PIL": ["env_server/drawing.py"],
     "sqlite3": ["experiment_runner/*"],
 }
