@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import platform
+import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, wait
 from typing import Any
 
 import pytest
@@ -35,22 +36,31 @@ OBSERVATION = Observation(ints=[3])
 
 
 class HandHub:
-    """A hub of one connection, that hears and says what a test wants."""
-
-    url = "inproc://hub"
+    """A hub that hears and says what a test wants; it answers whoever spoke last."""
 
     def __init__(self) -> None:
-        self.context: Context = zmq.Context()
-        self._socket = self.context.socket(zmq.ROUTER)
+        self._context: Context = zmq.Context()
+        self._socket = self._context.socket(zmq.ROUTER)
         self._socket.setsockopt(zmq.RCVTIMEO, int(TIMEOUT * 1000))
         self._socket.setsockopt(zmq.LINGER, 0)
-        self._socket.bind(self.url)
+        self._socket.bind("tcp://127.0.0.1:*")
+        self.url: str = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
         self._route = b""
-        self._pool = ThreadPoolExecutor()
+        self._programs: list[Future[Any]] = []
 
     def run(self, program: Callable[..., Any], *arguments: Any, **named: Any) -> Future[Any]:
         """Run a program that connects to this hub, in a thread."""
-        return self._pool.submit(program, *arguments, **named)
+        future: Future[Any] = Future()
+
+        def target() -> None:
+            try:
+                future.set_result(program(*arguments, **named))
+            except BaseException as error:
+                future.set_exception(error)
+
+        threading.Thread(target=target, daemon=True).start()
+        self._programs.append(future)
+        return future
 
     def next(self) -> Message:
         """The next message, whatever it is."""
@@ -84,10 +94,12 @@ class HandHub:
         return self.hear(kind)
 
     def close(self) -> None:
-        """End, and let whoever still waits for this hub fail."""
+        """Say goodbye to who is still there, and end."""
+        if self._route:
+            self.say(Kind.GOODBYE, 0, "the test is over")
+        wait(self._programs, TIMEOUT)
         self._socket.close()
-        self.context.destroy(linger=0)
-        self._pool.shutdown()
+        self._context.term()
 
 
 @pytest.fixture
@@ -105,7 +117,7 @@ def lines() -> list[str]:
 
 def serve(hub: HandHub, agent: Any, lines: list[str]) -> Future[Any]:
     """Serve an agent, and let it be welcomed."""
-    future = hub.run(serve_agent, agent, hub.url, context=hub.context, log=lines.append)
+    future = hub.run(serve_agent, agent, hub.url, log=lines.append)
     hub.welcome()
     return future
 
@@ -116,7 +128,7 @@ def experiment(
     """Run an experiment of these verbs, and let it be welcomed."""
 
     def program() -> Any:
-        with client.connect(hub.url, context=hub.context, log=lines.append, **how) as glue:
+        with client.connect(hub.url, log=lines.append, **how) as glue:
             return verbs(glue)
 
     future = hub.run(program)
@@ -128,7 +140,7 @@ def experiment(
 
 
 def test_hello_says_who_speaks_and_what_it_can_do(hub: HandHub, lines: list[str]) -> None:
-    hub.run(serve_agent, SeededAgent(), hub.url, context=hub.context, log=lines.append)
+    hub.run(serve_agent, SeededAgent(), hub.url, log=lines.append)
     versions, role, instance, name, codec, abilities = hub.welcome().scalars
     assert (versions, role, name, abilities) == ((1,), "agent", "SeededAgent", ("seed",))
     assert codec == f"Python {platform.python_version()}"
@@ -140,7 +152,7 @@ def test_hello_says_who_speaks_and_what_it_can_do(hub: HandHub, lines: list[str]
 def test_instances_differ(hub: HandHub, lines: list[str]) -> None:
     seen = set()
     for _ in range(2):
-        hub.run(serve_agent, ScriptedAgent(), hub.url, context=hub.context, log=lines.append)
+        hub.run(serve_agent, ScriptedAgent(), hub.url, log=lines.append)
         seen.add(hub.welcome().scalars[2])
         hub.say(Kind.GOODBYE, 0, "enough")
         hub.hear(Kind.GOODBYE)
@@ -155,26 +167,24 @@ def test_goodbye_ends_the_service_with_the_hubs_reason(hub: HandHub, lines: list
 
 
 def test_a_refusal_is_an_error_with_the_hubs_reason(hub: HandHub, lines: list[str]) -> None:
-    serving = hub.run(
-        serve_environment, ScriptedEnvironment(), hub.url, context=hub.context, log=lines.append
-    )
+    serving = hub.run(serve_environment, ScriptedEnvironment(), hub.url, log=lines.append)
     hub.hear(Kind.HELLO)
     hub.say(Kind.REFUSE, 0, "role-taken", "there is one already")
-    with pytest.raises(Refused, match="inproc://hub refused this environment: there is one already"):
+    with pytest.raises(Refused, match="refused this environment: there is one already"):
         serving.result(TIMEOUT)
 
 
 def test_a_hub_that_is_silent_is_greeted_again(hub: HandHub, lines: list[str]) -> None:
-    serving = hub.run(serve_agent, ScriptedAgent(), hub.url, context=hub.context, log=lines.append)
+    serving = hub.run(serve_agent, ScriptedAgent(), hub.url, log=lines.append)
     first = hub.hear(Kind.HELLO)
     assert hub.hear(Kind.HELLO) == first
     hub.say(Kind.GOODBYE, 0, "enough")
     serving.result(TIMEOUT)
-    assert lines[0].startswith("no hub at inproc://hub yet; waiting for one")
-    assert lines[1] == "the hub at inproc://hub is there"
+    assert lines[0].startswith(f"no hub at {hub.url} yet; waiting for one")
+    assert lines[1] == f"the hub at {hub.url} is there"
 
 
-@pytest.mark.parametrize(("url", "session"), [("localhost", "s"), ("inproc://hub", "a\nb")])
+@pytest.mark.parametrize(("url", "session"), [("localhost", "s"), ("tcp://127.0.0.1:9", "a\nb")])
 def test_a_malformed_address_or_session_is_refused_before_anything_is_sent(url: str, session: str) -> None:
     with pytest.raises(ConfigError):
         serve_agent(ScriptedAgent(), url, session)
@@ -196,7 +206,7 @@ def test_a_peer_that_the_hub_does_not_know_greets_it_as_the_same_again(
     hub: HandHub, lines: list[str]
 ) -> None:
     agent = ScriptedAgent()
-    hub.run(serve_agent, agent, hub.url, context=hub.context, log=lines.append)
+    hub.run(serve_agent, agent, hub.url, log=lines.append)
     hello = hub.welcome()
     hub.call(Kind.AGENT_INIT, 1, body=b"task")
     hub.say(Kind.ERROR, 0, ErrorCode.UNKNOWN_PEER, "say HELLO first")
@@ -209,7 +219,7 @@ def test_a_peer_that_the_hub_does_not_know_greets_it_as_the_same_again(
 def test_a_peer_unknown_in_one_session_greets_the_hub_in_all(hub: HandHub, lines: list[str]) -> None:
     # One session may be so busy that the connection is never idle; the others must not be forgotten.
     agents = {"a": ScriptedAgent(), "b": ScriptedAgent()}
-    hub.run(serve_agent, agents, hub.url, context=hub.context, log=lines.append)
+    hub.run(serve_agent, agents, hub.url, log=lines.append)
     hub.welcome(session="a")
     hub.welcome(session="b")
     hub.say(Kind.ERROR, 0, ErrorCode.UNKNOWN_PEER, "say HELLO first", session="b")
@@ -259,7 +269,7 @@ def test_a_hub_that_was_started_anew_counts_from_the_start(hub: HandHub, lines: 
 
 def test_each_session_has_its_own_player_and_its_own_count(hub: HandHub, lines: list[str]) -> None:
     agents = {"a": ScriptedAgent(), "b": ScriptedAgent()}
-    hub.run(serve_agent, agents, hub.url, context=hub.context, log=lines.append)
+    hub.run(serve_agent, agents, hub.url, log=lines.append)
     for session in agents:
         hub.welcome(session=session)
     for session, seq in (("a", 9), ("b", 1), ("a", 10)):
@@ -349,7 +359,7 @@ def test_a_call_of_a_capability_that_was_not_offered_is_a_failure(hub: HandHub, 
 
 def test_a_player_without_a_method_is_refused_before_anything_is_sent() -> None:
     with pytest.raises(PeerFailed, match="ScriptedEnvironment is no agent: it has no agent_init"):
-        serve_agent(ScriptedEnvironment(), HandHub.url)  # type: ignore[arg-type]
+        serve_agent(ScriptedEnvironment())  # type: ignore[arg-type]
 
 
 # The experiment
