@@ -16,7 +16,7 @@ def level(spec: TrialSpec) -> Level:
     return level_of(spec.environment)
 
 
-@pytest.mark.parametrize("name", [name for name in EXPERIMENTS if name != "best"])
+@pytest.mark.parametrize("name", list(EXPERIMENTS))
 def test_every_experiment_is_a_plan_that_its_players_accept(name: str) -> None:
     plan = plan_of(EXPERIMENTS[name])
     assert check_options(plan, lambda role, kind: find(Role(role), kind)) == plan
