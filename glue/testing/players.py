@@ -1,16 +1,9 @@
-"""Contract checks that anyone can run on an agent or environment of their own.
-
-    def test_my_environment_keeps_the_contract() -> None:
-        check_environment(MyEnvironment)
-
-    def test_my_agent_keeps_the_contract() -> None:
-        check_agent(MyAgent, task_spec)
+"""Contract checks for agents and environments.
 
 They play a few episodes with random partners, through every turn that an experiment may take: messages
 at any time, a start after an unfinished episode, an init without a cleanup, two cleanups. What is
 returned is checked against the types of `glue.roles` and the task spec. Capabilities are checked when
-they are offered. No test framework is needed: a broken rule raises `ContractBroken`, which a framework
-takes for a failed assertion.
+they are offered.
 """
 
 from __future__ import annotations
@@ -19,7 +12,6 @@ import contextlib
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from enum import StrEnum
 from typing import Any, Final
 
 import numpy as np
@@ -34,38 +26,10 @@ from glue.roles import (
     SeedableEnvironment,
 )
 from glue.taskspec import RL_GLUE_3, Range, Ranges, Space, parse_task_spec
+from glue.testing.rules import ContractBroken, Rule
 from glue.types import Action, Observation
 
-__all__ = ["ContractBroken", "Rule", "check_agent", "check_environment"]
-
-
-class Rule(StrEnum):
-    """What an agent or environment has to keep to."""
-
-    METHODS = "every method of the role is there"
-    CALLS = "no call raises that an experiment may make"
-    TASK_SPEC = "env_init returns a text, and one that begins with VERSION can be read"
-    OBSERVATION = "env_start and env_step return an Observation"
-    OBSERVATION_SPACE = "an observation is as the task spec says"
-    STEP = "env_step returns a tuple of reward, observation, terminal"
-    REWARD = "a reward is a finite number"
-    REWARD_RANGE = "a reward is as an RL-Glue-3.0 task spec says"
-    TERMINAL = "terminal is True or False"
-    ACTION = "agent_start and agent_step return an Action"
-    ACTION_SPACE = "an action is as the task spec says"
-    MESSAGE = "a message is answered with a text"
-    SEED = "equal seeds make equal episodes"
-    AFRESH = "seed and init begin afresh, whatever was before"
-    SAVE = "save returns bytes, and what loads them goes on as what saved them"
-    DAMAGE = "load refuses what is damaged with a GlueError"
-
-
-class ContractBroken(GlueError, AssertionError):
-    """An agent or environment breaks the rule `rule`."""
-
-    def __init__(self, rule: Rule, what: str) -> None:
-        super().__init__(f"{rule}: {what}")
-        self.rule = rule
+__all__ = ["check_agent", "check_environment"]
 
 
 def check_environment(

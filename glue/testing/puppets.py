@@ -1,0 +1,300 @@
+"""Peers that are led by hand, message by message, to see what a hub makes of it.
+
+A scene is one session with an agent, an environment and an experiment. All three are led by one thread:
+what a hub has to wait for has not happened yet, so each order of messages can be brought about, and none
+comes about by chance.
+"""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Sequence
+from typing import Final
+
+from glue.errors import LocalProtocolError, RemoteProtocolError
+from glue.messages import PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role, Value
+from glue.sessions import INSTANCE_SIZE
+from glue.testing.rules import ContractBroken, HubRule
+from glue.types import Action, Observation
+from glue.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, decode, encode
+from glue.zmq_transport import Context, DealerTransport
+
+__all__ = ["TASK_SPEC", "Puppet", "Scene", "did", "number", "reward", "saw"]
+
+TASK_SPEC: Final = "a task for a hub, with ümlauts"
+
+
+def saw(step: int) -> bytes:
+    """Return the observation that the environment shows after `step` steps, as a body."""
+    return Observation([step, -(2**31)], [step / 7], b"a\0\xff").body
+
+
+def did(step: int) -> bytes:
+    """Return the action with which the agent answers `saw(step)`, as a body."""
+    return Action([step + 100], [-0.1]).body
+
+
+def reward(step: int) -> float:
+    """Return the reward of step `step`, from 1; sums of them are exact, and all different."""
+    return (-0.5) ** step
+
+
+def number(scalar: Value) -> float:
+    """Return a scalar of a WELCOME as the number that it is."""
+    assert isinstance(scalar, (int, float))
+    return float(scalar)
+
+
+class Puppet:
+    """A peer of a hub: an instance, and one connection after the other."""
+
+    def __init__(self, scene: Scene, role: Role, capabilities: tuple[str, ...] = ()) -> None:
+        self.role = role
+        self.session = scene.session
+        self.notices: list[tuple[Value, ...]] = []
+        self.seq = 0
+        self._scene = scene
+        self._instance = secrets.token_bytes(INSTANCE_SIZE)
+        self._capabilities = capabilities
+        self._connection: DealerTransport | None = None
+        self.connect()
+
+    def connect(self) -> None:
+        """Connect anew; the connection there was ends without a word."""
+        self.vanish()
+        self._connection = DealerTransport(
+            self._scene.context, self._scene.url, self._scene.wait, 2 * MAX_BODY + MAX_HEADER
+        )
+
+    def vanish(self) -> None:
+        """End the connection without a word."""
+        if self._connection is not None:
+            self._connection.close(0)
+            self._connection = None
+
+    def hello(self, versions: tuple[int, ...] = (PROTOCOL_VERSION,), seq: int = 0) -> None:
+        """Greet the hub."""
+        name, codec = f"a test's {self.role}", "glue.testing"
+        self.send(
+            Kind.HELLO, versions, str(self.role), self._instance, name, codec, self._capabilities, seq=seq
+        )
+
+    def join(self, resumed: bool = False, seq: int = 0) -> Message:
+        """Greet the hub, and be welcomed; return the WELCOME."""
+        self.hello(seq=seq)
+        welcome = self.hears(Kind.WELCOME, seq)
+        known = "a known" if resumed else "an unknown"
+        self.check(welcome.scalars[1] is resumed, f"{welcome} came for {known} instance")
+        return welcome
+
+    def send(self, kind: Kind, *scalars: Value, seq: int = 0, body: bytes = b"") -> None:
+        """Send a message."""
+        self.send_frames(encode(Message(kind, self.session, seq, scalars, body), TO_HUB))
+
+    def send_frames(self, frames: Sequence[bytes]) -> None:
+        """Send whatever `frames` are."""
+        assert self._connection is not None
+        if not self._connection.send(frames):
+            raise LocalProtocolError(f"nothing can be sent to {self._scene.url}")
+
+    def ask(self, kind: Kind, *scalars: Value, body: bytes = b"") -> None:
+        """Send the experiment's next request."""
+        self.seq += 1
+        self.send(kind, *scalars, seq=self.seq, body=body)
+
+    def hears(
+        self, kind: Kind, seq: int | None = None, wait: float | None = None, session: str | None = None
+    ) -> Message:
+        """Return the next message, which must be of this kind and, if one is given, this `seq`.
+
+        HEARTBEATs are passed over, and NOTICEs kept, unless they are what is expected.
+        """
+        named = self.session if session is None else session
+        expected = f"{kind.name} {'' if seq is None else seq} of session {named!r}"
+        deadline = time.monotonic() + (self._scene.wait if wait is None else wait)
+        while (message := self._receive(deadline)) is not None:
+            if (message.kind, message.session) == (kind, named) and seq in (None, message.seq):
+                return message
+            if message.kind is Kind.NOTICE and message.session == self.session:
+                self.notices.append(message.scalars)
+            elif message.kind is not Kind.HEARTBEAT:
+                raise self.broken(f"{message} came instead of {expected}")
+        raise self.broken(f"{expected} did not come in time")
+
+    def hears_error(self, code: ErrorCode, seq: int | None = None) -> None:
+        """Expect an ERROR of this code."""
+        error = self.hears(Kind.ERROR, seq)
+        self.check(error.scalars[0] == code, f"{error} came instead of the error {code}")
+
+    def hears_malformed(self) -> None:
+        """Expect what is said to whoever sent what is no message."""
+        error = self.hears(Kind.ERROR, 0, session="")
+        self.check(error.scalars[0] == ErrorCode.MALFORMED, f"{error} came instead of the error malformed")
+
+    def hears_notice(self, event: Event, role: Role) -> None:
+        """Expect a NOTICE, which may have come already."""
+        while not any(notice[:2] == (event, role) for notice in self.notices):
+            self.notices.append(self.hears(Kind.NOTICE).scalars)
+        self.notices.clear()
+
+    def hears_nothing(self) -> None:
+        """Expect that nothing was sent but what was heard: messages of a connection keep their order."""
+        self.send(Kind.HEARTBEAT, seq=77)
+        self.hears(Kind.HEARTBEAT, 77)
+
+    def hears_call(self, kind: Kind, *scalars: Value, body: bytes = b"") -> int:
+        """Expect a call with just these scalars and body; return its number."""
+        call = self.hears(kind)
+        self.check((call.scalars, call.body) == (scalars, body), f"{call} came, not {scalars} and {body!r}")
+        self._scene.numbered(call)
+        return call.seq
+
+    def answers(
+        self,
+        kind: Kind,
+        *scalars: Value,
+        body: bytes = b"",
+        reply: tuple[Value, ...] = (),
+        gives: bytes = b"",
+    ) -> None:
+        """Expect a call as `hears_call` does, and answer it with `reply` and the body `gives`."""
+        self.send(kind, *reply, seq=self.hears_call(kind, *scalars, body=body), body=gives)
+
+    def hears_reply(self, kind: Kind, *scalars: Value, body: bytes = b"") -> None:
+        """Expect the reply to the request that was asked last, with just these scalars and body."""
+        reply = self.hears(kind, self.seq)
+        self.check(
+            (reply.scalars, reply.body) == (scalars, body), f"{reply} came, not {scalars} and {body!r}"
+        )
+
+    def gets(self, kind: Kind, *scalars: Value) -> None:
+        """Ask something that concerns no player, and expect a reply with these scalars."""
+        self.ask(kind)
+        self.hears_reply(kind, *scalars)
+
+    def leave(self) -> None:
+        """Say goodbye. Another HELLO may follow."""
+        self.send(Kind.GOODBYE, "the scene is over")
+
+    def part(self) -> None:
+        """Say goodbye if there is a connection, and end it."""
+        if self._connection is not None:
+            self.leave()
+            self._connection.close()
+            self._connection = None
+
+    def check(self, kept: bool, what: str) -> None:
+        """Break the rule of the scene unless it was `kept`."""
+        if not kept:
+            raise self.broken(what)
+
+    def broken(self, what: str) -> ContractBroken:
+        """Return the error for the scene's rule."""
+        return ContractBroken(self._scene.rule, f"at the {self.role}, {what}")
+
+    def _receive(self, deadline: float) -> Message | None:
+        assert self._connection is not None
+        self._connection.wait_at_most(max(0.0, deadline - time.monotonic()))
+        frames = self._connection.receive()
+        if frames is None:
+            return None
+        try:
+            return decode(frames, FROM_HUB)
+        except RemoteProtocolError as error:
+            raise self.broken(f"something came that is no message: {error}") from None
+
+
+class Scene:
+    """A session of its own, in which one rule is checked.
+
+    Args:
+        rule: what is broken if anything does not go as expected.
+        context: of the connections.
+        url: address of the hub.
+        wait: seconds after which what has not come will not come.
+    """
+
+    def __init__(self, rule: HubRule, context: Context, url: str, wait: float) -> None:
+        self.rule = rule
+        self.context = context
+        self.url = url
+        self.wait = wait
+        self.session = f"{rule.name.lower()}-{secrets.token_hex(8)}"
+        self._number = 0
+        self._puppets: list[Puppet] = []
+        self.experiment = self.puppet(Role.EXPERIMENT)
+        self.agent = self.puppet(Role.AGENT)
+        self.environment = self.puppet(Role.ENVIRONMENT)
+
+    def puppet(self, role: Role, *capabilities: str) -> Puppet:
+        """Return one more peer, which has not greeted the hub."""
+        self._puppets.append(Puppet(self, role, capabilities))
+        return self._puppets[-1]
+
+    def gather(self) -> None:
+        """Let all three join."""
+        for puppet in (self.experiment, self.agent, self.environment):
+            puppet.join()
+
+    def init(self) -> None:
+        """Let all three join, and the experiment begin."""
+        self.gather()
+        self.experiment.ask(Kind.RL_INIT, None)
+        self.environment.answers(Kind.ENV_INIT, gives=TASK_SPEC.encode())
+        self.agent.answers(Kind.AGENT_INIT, body=TASK_SPEC.encode())
+        self.experiment.hears_reply(Kind.RL_INIT, body=TASK_SPEC.encode())
+
+    def start(self) -> None:
+        """Carry out RL_START."""
+        self.experiment.ask(Kind.RL_START)
+        self.started()
+        self.experiment.hears_reply(Kind.RL_START, body=saw(0) + did(0))
+
+    def step(self, step: int, terminal: bool = False) -> None:
+        """Carry out RL_STEP number `step`, from 1."""
+        self.experiment.ask(Kind.RL_STEP)
+        self.stepped(step, terminal)
+        last = did(step - 1 if terminal else step)
+        self.experiment.hears_reply(Kind.RL_STEP, reward(step), terminal, body=saw(step) + last)
+
+    def episode(self, limit: int, length: int) -> None:
+        """Carry out RL_EPISODE; its end is at step `length`."""
+        self.experiment.ask(Kind.RL_EPISODE, limit)
+        self.started()
+        last = length if limit == 0 else min(length, limit - 1)
+        for step in range(1, last + 1):
+            self.stepped(step, step == length)
+        self.experiment.hears_reply(Kind.RL_EPISODE, last == length)
+
+    def started(self) -> None:
+        """Answer the players' calls of a start."""
+        self.environment.answers(Kind.ENV_START, gives=saw(0))
+        self.agent.answers(Kind.AGENT_START, body=saw(0), gives=did(0))
+
+    def stepped(self, step: int, terminal: bool = False) -> None:
+        """Answer the players' calls of a step."""
+        self.environment.answers(
+            Kind.ENV_STEP, body=did(step - 1), reply=(reward(step), terminal), gives=saw(step)
+        )
+        if terminal:
+            self.agent.answers(Kind.AGENT_END, reward(step))
+        else:
+            self.agent.answers(Kind.AGENT_STEP, reward(step), body=saw(step), gives=did(step))
+
+    def counted(self, total: float, steps: int, episodes: int) -> None:
+        """Ask for the return, the number of steps, the number of episodes, and expect these."""
+        self.experiment.gets(Kind.RL_RETURN, total)
+        self.experiment.gets(Kind.RL_NUM_STEPS, steps)
+        self.experiment.gets(Kind.RL_NUM_EPISODES, episodes)
+
+    def numbered(self, call: Message) -> None:
+        """Check that the calls of the session have growing numbers."""
+        if call.seq <= self._number:
+            raise ContractBroken(HubRule.NUMBERS, f"{call} came after call {self._number}")
+        self._number = call.seq
+
+    def close(self) -> None:
+        """Let everybody leave."""
+        for puppet in self._puppets:
+            puppet.part()

@@ -1,0 +1,195 @@
+"""Scenes of what goes wrong: peers that err, fail, repeat themselves, leave and come back.
+
+Each scene is a function; the rule that it is about is in `glue.testing.hub`.
+"""
+
+from __future__ import annotations
+
+from glue.messages import ErrorCode, Event, Kind, Role
+from glue.testing.puppets import TASK_SPEC, Scene, did, number, reward, saw
+
+
+def unknown_peer(scene: Scene) -> None:
+    """A word from a stranger, and from a known instance over a new connection."""
+    for seq, puppet in enumerate((scene.agent, scene.environment, scene.experiment), start=5):
+        puppet.send(Kind.HEARTBEAT, seq=seq)
+        puppet.hears_error(ErrorCode.UNKNOWN_PEER, seq)
+    scene.init()
+    scene.agent.connect()
+    scene.agent.send(Kind.HEARTBEAT, seq=1)
+    scene.agent.hears_error(ErrorCode.UNKNOWN_PEER, 1)
+
+
+def busy(scene: Scene) -> None:
+    """A request in the middle of another."""
+    scene.init()
+    scene.experiment.ask(Kind.RL_START)
+    under_way = scene.experiment.seq
+    scene.experiment.ask(Kind.RL_CLEANUP)
+    scene.experiment.hears_error(ErrorCode.BUSY, scene.experiment.seq)
+    scene.started()
+    scene.experiment.hears(Kind.RL_START, under_way)
+    scene.step(1)
+
+
+def repeated(scene: Scene) -> None:
+    """A request and an answer sent twice, and a request after its reply."""
+    scene.init()
+    scene.start()
+    scene.experiment.ask(Kind.RL_STEP)
+    scene.experiment.send(Kind.RL_STEP, seq=scene.experiment.seq)
+    number = scene.environment.hears_call(Kind.ENV_STEP, body=did(0))
+    for _ in range(2):
+        scene.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
+    scene.agent.answers(Kind.AGENT_STEP, reward(1), body=saw(1), gives=did(1))
+    scene.experiment.hears_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+    scene.experiment.send(Kind.RL_STEP, seq=scene.experiment.seq)
+    for puppet in (scene.experiment, scene.environment, scene.agent):
+        puppet.hears_nothing()
+    scene.counted(reward(1), 2, 0)
+    scene.step(2)
+
+
+def not_asked(scene: Scene) -> None:
+    """A player's call from the experiment, an answer to no call, an answer in another's turn."""
+    scene.init()
+    scene.start()
+    scene.experiment.seq += 1
+    scene.experiment.send(Kind.AGENT_STEP, seq=scene.experiment.seq, body=did(9))
+    scene.experiment.hears_error(ErrorCode.NOT_ASKED, scene.experiment.seq)
+    scene.agent.send(Kind.AGENT_STEP, seq=10**6, body=did(9))
+    scene.agent.hears_error(ErrorCode.NOT_ASKED, 10**6)
+    scene.experiment.ask(Kind.RL_STEP)
+    number = scene.environment.hears_call(Kind.ENV_STEP, body=did(0))
+    scene.agent.send(Kind.ENV_STEP, 100.0, True, seq=number, body=saw(9))  # It is not the agent's turn.
+    scene.agent.hears_error(ErrorCode.NOT_ASKED, number)
+    scene.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
+    scene.agent.answers(Kind.AGENT_STEP, reward(1), body=saw(1), gives=did(1))
+    scene.experiment.hears_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+    scene.counted(reward(1), 2, 0)
+
+
+def unknown_kind(scene: Scene) -> None:
+    """A kind that does not exist, from each role."""
+    scene.init()
+    scene.start()
+    for puppet in (scene.agent, scene.environment, scene.experiment):
+        puppet.send_frames([_unknown(puppet.session)])
+        puppet.hears_error(ErrorCode.UNKNOWN_KIND, 5)
+    scene.step(1)
+
+
+def _unknown(session: str) -> bytes:
+    """Return a header of kind 63, which is none, and number 5: the array [63, session, 5]."""
+    name = session.encode()
+    return bytes([0x93, 63, 0xD9, len(name), *name, 5])
+
+
+def exception(scene: Scene) -> None:
+    """A player fails in a call, and goes on."""
+    scene.init()
+    scene.start()
+    scene.experiment.ask(Kind.RL_STEP)
+    number = scene.environment.hears_call(Kind.ENV_STEP, body=did(0))
+    scene.environment.send(Kind.ERROR, "exception", "division by zero", seq=number)
+    scene.experiment.hears_error(ErrorCode.PEER_FAILED, scene.experiment.seq)
+    scene.episode(0, 2)
+
+
+def malformed(scene: Scene) -> None:
+    """No message from a stranger, a body cut short from a player."""
+    scene.init()
+    scene.start()
+    stranger = scene.puppet(Role.AGENT)
+    stranger.send_frames([b"\xc1"])
+    stranger.hears_malformed()
+    scene.step(1)
+    scene.experiment.ask(Kind.RL_STEP)
+    number = scene.environment.hears_call(Kind.ENV_STEP, body=did(1))
+    too_short = saw(2)[:-1]
+    scene.environment.send(Kind.ENV_STEP, 0.0, False, seq=number, body=too_short)
+    scene.environment.hears_malformed()
+    scene.experiment.hears_error(ErrorCode.PEER_FAILED, scene.experiment.seq)
+    scene.experiment.hears_notice(Event.LOST, Role.ENVIRONMENT)
+    scene.environment.send(Kind.HEARTBEAT, seq=4)
+    scene.environment.hears_error(ErrorCode.UNKNOWN_PEER, 4)
+    scene.environment.join(resumed=True)
+    scene.episode(0, 2)
+
+
+def resumed(scene: Scene) -> None:
+    """Environment and experiment come back over new connections in the middle of a step."""
+    scene.init()
+    scene.start()
+    scene.experiment.ask(Kind.RL_STEP)
+    number = scene.environment.hears_call(Kind.ENV_STEP, body=did(0))
+    scene.environment.connect()
+    scene.environment.join(resumed=True)
+    again = scene.environment.hears(Kind.ENV_STEP)
+    scene.environment.check((again.seq, again.body) == (number, did(0)), f"{again} came, not call {number}")
+    scene.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
+    scene.agent.answers(Kind.AGENT_STEP, reward(1), body=saw(1), gives=did(1))
+    scene.experiment.hears_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+    scene.experiment.connect()
+    scene.experiment.join(resumed=True)
+    scene.experiment.hears_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+    scene.step(2)
+    scene.counted(reward(1) + reward(2), 3, 0)
+
+
+def lost(scene: Scene) -> None:
+    """An agent leaves in the middle of a step, and comes back."""
+    scene.init()
+    scene.episode(0, 2)
+    scene.start()
+    scene.step(1)
+    scene.experiment.ask(Kind.RL_STEP)
+    scene.environment.answers(Kind.ENV_STEP, body=did(1), reply=(0.0, False), gives=saw(2))
+    scene.agent.hears_call(Kind.AGENT_STEP, 0.0, body=saw(2))
+    scene.agent.leave()
+    scene.experiment.hears_error(ErrorCode.PEER_LOST, scene.experiment.seq)
+    scene.experiment.hears_notice(Event.LOST, Role.AGENT)
+    for kind in (Kind.RL_STEP, Kind.RL_ENV_STEP, Kind.RL_AGENT_START):
+        scene.experiment.ask(kind, body=did(1))
+        scene.experiment.hears_error(ErrorCode.PEER_LOST, scene.experiment.seq)
+    scene.experiment.gets(Kind.RL_NUM_EPISODES, 1)
+    scene.agent.join(resumed=True)
+    scene.experiment.hears_notice(Event.RETURNED, Role.AGENT)
+    scene.episode(0, 2)
+    scene.experiment.gets(Kind.RL_NUM_EPISODES, 2)
+
+
+def silent(scene: Scene) -> None:
+    """An environment's connection ends without a word."""
+    scene.init()
+    scene.start()
+    heartbeat, patience = map(number, scene.agent.join(resumed=True).scalars[2:4])
+    scene.experiment.ask(Kind.RL_STEP)
+    scene.environment.hears_call(Kind.ENV_STEP, body=did(0))
+    scene.environment.vanish()
+    scene.wait += patience + 2 * heartbeat
+    scene.experiment.hears_error(ErrorCode.PEER_LOST, scene.experiment.seq)
+    scene.experiment.hears_notice(Event.LOST, Role.ENVIRONMENT)
+
+
+def replaced(scene: Scene) -> None:
+    """Others take the roles of environment and agent."""
+    scene.init()
+    scene.environment.leave()
+    scene.experiment.hears_notice(Event.LOST, Role.ENVIRONMENT)
+    scene.experiment.ask(Kind.RL_START)  # It waits for whoever comes.
+    scene.environment = scene.puppet(Role.ENVIRONMENT)
+    scene.environment.join()
+    scene.experiment.hears_notice(Event.JOINED, Role.ENVIRONMENT)
+    scene.environment.answers(Kind.ENV_INIT, gives=TASK_SPEC.encode())
+    scene.started()
+    scene.experiment.hears_reply(Kind.RL_START, body=saw(0) + did(0))
+    scene.agent.leave()
+    scene.agent = scene.puppet(Role.AGENT)
+    scene.agent.join()
+    scene.experiment.hears_notice(Event.JOINED, Role.AGENT)
+    scene.experiment.ask(Kind.RL_EPISODE, 1)
+    scene.environment.answers(Kind.ENV_START, gives=saw(0))
+    scene.agent.answers(Kind.AGENT_INIT, body=TASK_SPEC.encode())
+    scene.agent.answers(Kind.AGENT_START, body=saw(0), gives=did(0))
+    scene.experiment.hears_reply(Kind.RL_EPISODE, False)
