@@ -13,39 +13,46 @@ ROOT: Final = Path(__file__).parents[2]
 TEXT: Final = (ROOT / "docs/architecture.md").read_text(encoding="utf-8")
 
 
-def rows_of_modules() -> list[list[str]]:
-    section = TEXT.partition("## Inside `glue`")[2].partition("\n## ")[0]
+PACKAGES: Final = ("glue", "env_server", "agents", "experiment_runner")
+
+
+def rows_of_modules(package: str) -> list[list[str]]:
+    section = TEXT.partition(f"## Inside `{package}`")[2].partition("\n## ")[0]
     first_cells = re.findall(r"^\| (`.*?) \|", section, re.MULTILINE)
     return [re.findall(r"`([\w.]+)`", cell) for cell in first_cells]
 
 
-ROWS: Final = {module: number for number, row in enumerate(rows_of_modules()) for module in row}
-
-
-def modules_of_glue() -> dict[str, Path]:
-    files = (ROOT / "glue").rglob("*.py")
+def modules_of(package: str) -> dict[str, Path]:
+    files = (ROOT / package).rglob("*.py")
     return {
-        ".".join(file.relative_to(ROOT / "glue").with_suffix("").parts): file
+        ".".join(file.relative_to(ROOT / package).with_suffix("").parts): file
         for file in files
         if file.name != "__init__.py"
     }
 
 
-def test_every_module_of_glue_has_a_place_and_every_place_a_module() -> None:
-    assert sorted(ROWS) == sorted(modules_of_glue())
+ROWS: Final = {module: number for number, row in enumerate(rows_of_modules("glue")) for module in row}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_module_has_a_place_and_every_place_a_module(package: str) -> None:
+    placed = [module for row in rows_of_modules(package) for module in row]
+    assert sorted(placed) == sorted(modules_of(package))
 
 
 @pytest.mark.parametrize("module", sorted(ROWS))
 def test_module_imports_only_from_its_own_row_and_those_above(module: str) -> None:
-    tree = ast.parse(modules_of_glue()[module].read_text(encoding="utf-8"))
+    tree = ast.parse(modules_of("glue")[module].read_text(encoding="utf-8"))
 
-    imported = [
-        node.module.removeprefix("glue.")
+    imported = {
+        name.removeprefix("glue.")
         for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("glue.")
-    ]
+        if isinstance(node, ast.ImportFrom) and node.module
+        for name in (node.module, *(f"{node.module}.{alias.name}" for alias in node.names))
+        if name.startswith("glue.")
+    }
 
-    assert [name for name in imported if ROWS[name] > ROWS[module]] == []
+    assert [name for name in imported & ROWS.keys() if ROWS[name] > ROWS[module]] == []
 
 
 def test_names_in_the_path_of_a_step_exist() -> None:
@@ -54,7 +61,7 @@ def test_names_in_the_path_of_a_step_exist() -> None:
 
     assert len(named) >= 5
     for module, name, member in named:
-        source = modules_of_glue()[module].read_text(encoding="utf-8")
+        source = modules_of("glue")[module].read_text(encoding="utf-8")
         assert re.search(rf"^(class|def) {name}\b", source, re.MULTILINE)
         assert not member or f"    def {member}(" in source
 
