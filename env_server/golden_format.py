@@ -39,6 +39,7 @@ __all__ = [
 MAX_LINE: Final = 2**20  # bytes of one line
 _DIGEST_SIZE: Final = 8
 _LONGEST_NAME: Final = 100  # characters
+_KEYS: Final = 4
 _REWARD: Final = struct.Struct(">d")
 
 
@@ -82,9 +83,17 @@ class GoldenStep(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class GoldenEpisode:
-    """One episode; `start` is its first observation, or only its hash."""
+    """One episode.
+
+    Attributes:
+        run: the run it belongs to.
+        keys: whether left, right, jump and run are held when its first tick begins.
+        start: its first observation, or only its hash.
+        steps: its steps, in their order.
+    """
 
     run: GoldenRun
+    keys: tuple[bool, ...]
     start: Observation | Digest
     steps: tuple[GoldenStep, ...]
 
@@ -101,29 +110,30 @@ class GoldenReader:
 
     def __iter__(self) -> Iterator[GoldenEpisode]:
         run: GoldenRun | None = None
-        episode: tuple[GoldenRun, Observation | Digest, list[GoldenStep]] | None = None
+        start: tuple[GoldenRun, tuple[bool, ...], Observation | Digest] | None = None
+        steps: list[GoldenStep] = []
         size = 0
         for line in _lines(self.path):
             size += line.size
             kind = line.get("kind", str)
             if kind in ("tick", "level"):
                 continue
-            if kind == "run" and episode is None:
+            if kind == "run" and start is None:
                 run = _run(line)
-            elif kind == "start" and episode is None and run is not None:
-                episode = run, _seen(line, 0.0, False), []
+            elif kind == "start" and start is None and run is not None:
+                start, steps = (run, _keys(line), _seen(line, 0.0, False)), []
                 size = line.size
-            elif kind == "step" and episode is not None:
-                if len(episode[2]) == MAX_STEPS or size > MAX_EPISODE:
+            elif kind == "step" and start is not None:
+                if len(steps) == MAX_STEPS or size > MAX_EPISODE:
                     raise line.wrong(f"more than {MAX_STEPS} steps or {MAX_EPISODE} bytes in an episode")
-                episode[2].append(_step(line))
-            elif kind == "end" and episode is not None:
-                yield GoldenEpisode(episode[0], episode[1], tuple(episode[2]))
-                episode = None
+                steps.append(_step(line))
+            elif kind == "end" and start is not None:
+                yield GoldenEpisode(*start, tuple(steps))
+                start = None
             else:
                 raise line.wrong(f"a line {kind!r} cannot stand here")
-        if episode is not None:
-            raise TrajectoryError(f"{self.path} ends in the middle of an episode of {episode[0].name}")
+        if start is not None:
+            raise TrajectoryError(f"{self.path} ends in the middle of an episode of {start[0].name}")
 
 
 class _Line:
@@ -199,6 +209,13 @@ def _run(line: _Line) -> GoldenRun:
     if not name.isprintable() or len(name) > _LONGEST_NAME:
         raise line.wrong(f"field 'id' must be a name of at most {_LONGEST_NAME} letters")
     return GoldenRun(name, options)
+
+
+def _keys(line: _Line) -> tuple[bool, ...]:
+    keys = line.numbers("keys", int)
+    if len(keys) != _KEYS or not set(keys) <= {0, 1}:
+        raise line.wrong(f"field 'keys' must be {_KEYS} times 0 or 1; {keys!r:.60} came")
+    return tuple(key == 1 for key in keys)
 
 
 def _step(line: _Line) -> GoldenStep:

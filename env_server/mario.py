@@ -31,6 +31,7 @@ from glue.types import Action, Observation
 __all__ = ["InfiniteMario"]
 
 _LEVEL: Final = ("level_seed", "level_type", "level_difficulty")
+_BUTTONS: Final = ("button_left", "button_right", "button_jump", "button_run")
 _ACTIONS: Final = {Action(ints=buttons).body: buttons for buttons in product((-1, 0, 1), (0, 1), (0, 1))}
 """Every legal action, by its bytes: to look one up is to check it."""
 _DIMENSIONS: Final = (("direction", -1, 1), ("jump", 0, 1), ("run", 0, 1))
@@ -165,6 +166,23 @@ class InfiniteMario:
             raise SimulatorError("there is no game yet: call env_init first")
         return self._game
 
+    @property
+    def buttons(self) -> tuple[bool, ...]:
+        """Left, right, jump, run: those held when the next episode's first tick begins.
+
+        They are as the last episode left them, and all up in a fresh game.
+
+        Raises:
+            SimulatorError: env_init was not called yet.
+        """
+        world = self.game.world
+        return tuple(bool(getattr(world, name)) for name in _BUTTONS)
+
+    @buttons.setter
+    def buttons(self, held: tuple[bool, ...]) -> None:
+        for name, is_held in zip(_BUTTONS, held, strict=True):
+            setattr(self.game.world, name, is_held)
+
     def env_init(self) -> str:
         """Make a fresh game; return the task spec."""
         self._game = Game(self._parameters)
@@ -216,10 +234,8 @@ class InfiniteMario:
 
     def env_save(self) -> bytes:
         """Return what later episodes depend on: the level, and the buttons as the last episode left them."""
-        world = self.game.world
         level = (getattr(self._parameters, name) for name in _LEVEL)
-        buttons = (world.button_left, world.button_right, world.button_jump, world.button_run)
-        data = _SAVED.pack(_MAGIC, *level, *map(bool, buttons), bool(world.started))
+        data = _SAVED.pack(_MAGIC, *level, *self.buttons, bool(self.game.world.started))
         return data + _CHECKSUM.pack(zlib.crc32(data))
 
     def env_load(self, data: bytes) -> None:
@@ -231,14 +247,12 @@ class InfiniteMario:
         saved, checksum = data[: _SAVED.size], data[_SAVED.size :]
         if len(saved) != _SAVED.size or checksum != _CHECKSUM.pack(zlib.crc32(saved)):
             raise SimulatorError(f"{len(data)} bytes that are not a whole save of Mario came to env_load")
-        magic, seed, kind, difficulty, left, right, jump, run, started = _SAVED.unpack(saved)
+        magic, seed, kind, difficulty, *held, started = _SAVED.unpack(saved)
         if magic != _MAGIC:
             raise SimulatorError(f"env_load takes a save marked {_MAGIC!r}, not {magic!r}")
-        world = self.game.world
         self._change_level(_check(dict(zip(_LEVEL, (seed, kind, difficulty), strict=True))))
-        world.button_left, world.button_right = left, right
-        world.button_jump, world.button_run = jump, run
-        world.started = started
+        self.buttons = tuple(held)
+        self.game.world.started = started
 
     def _change_level(self, level: dict[str, Any]) -> None:
         self._parameters = replace(self._parameters, **level)

@@ -10,7 +10,7 @@ import os
 import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, Final, NamedTuple, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -42,6 +42,13 @@ RecordedRun: TypeAlias = Run | GoldenRun
 _Array: TypeAlias = npt.NDArray[Any]
 
 _REWARD: Final = struct.Struct("<d")
+
+
+@runtime_checkable
+class _Buttoned(Protocol):
+    """An environment whose buttons, as the next episode finds them, can be seen and set."""
+
+    buttons: tuple[bool, ...]
 
 
 class Difference(GlueError):
@@ -132,7 +139,7 @@ def replayed_moments(
                     environment.env_cleanup()
                 run, environment = episode.run, build(episode.run)
                 runs += 1
-                _initialise(environment, run)
+                _initialise(environment, episode)
             yield from _replay_episode(environment, episode, runs, number)
     finally:
         if environment is not None:
@@ -173,10 +180,14 @@ def _place(episode: Recorded, number: int, step: int) -> str:
     return f"{name}episode {number}, " + (f"step {step}" if step else "start")
 
 
-def _initialise(environment: Environment, run: RecordedRun) -> None:
-    if isinstance(run, GoldenRun):
+def _initialise(environment: Environment, first: Recorded) -> None:
+    """Bring the environment to where the first episode of its run begins."""
+    if isinstance(first, GoldenEpisode):
         environment.env_init()
+        if isinstance(environment, _Buttoned):
+            environment.buttons = first.keys
         return
+    run = first.run
     if run.seed is not None and isinstance(environment, SeedableEnvironment):
         environment.env_seed(run.seed)
     task_spec = environment.env_init()
@@ -192,6 +203,9 @@ def _replay_episode(environment: Environment, episode: Recorded, run: int, numbe
     if isinstance(episode, Episode):
         for message in episode.messages:
             environment.env_message(message)
+    elif isinstance(environment, _Buttoned) and environment.buttons != episode.keys:
+        held = [list(map(int, keys)) for keys in (episode.keys, environment.buttons)]
+        raise Difference(f"{_place(episode, number, 0)}: the keys held: expected {held[0]}, got {held[1]}")
     total = 0.0
     for step, (reward, seen, terminal) in enumerate(_outcomes(episode)):
         place = _place(episode, number, step)

@@ -120,6 +120,25 @@ def test_recording_of_hashes_replays(tmp_path: Path) -> None:
     assert replay(path) == replay(write_golden(tmp_path / "b.jsonl.gz", lines))
 
 
+def test_run_that_begins_with_keys_held_replays(tmp_path: Path) -> None:
+    lines = golden_lines("variants.jsonl.gz")
+    run = lines[0]
+    second = next(i for i, line in enumerate(lines) if line["kind"] == "start" and line["episode"] == 1)
+    assert lines[second]["keys"] == [0, 1, 0, 0]
+    path = write_golden(tmp_path / "a.jsonl.gz", [run, *lines[second:]])
+    assert replay(path)[0].observation.doubles[0] > 2  # he took a step to the right
+
+
+def test_keys_that_the_last_episode_did_not_leave_are_told(tmp_path: Path) -> None:
+    lines = golden_lines("variants.jsonl.gz")
+    second = next(line for line in lines if line["kind"] == "start" and line["episode"] == 1)
+    second["keys"] = [0, 1, 1, 0]  # one more: the observation is the same with it
+    with pytest.raises(
+        Difference, match=r"episode 1, start: the keys held: expected \[0, 1, 1, 0\], got \[0, 1, 0, 0\]"
+    ):
+        replay(write_golden(tmp_path / "a.jsonl.gz", lines))
+
+
 @pytest.mark.parametrize("hashed", [False, True])
 @pytest.mark.parametrize(
     ("change", "message"),
@@ -197,7 +216,7 @@ GOOD_RUN = {
     "start_ticks": 5,
     "velocity": "source",
 }
-START = {"kind": "start", "episode": 0, "h": "0" * 16}
+START = {"kind": "start", "episode": 0, "keys": [0, 0, 0, 0], "h": "0" * 16}
 STEP = {"kind": "step", "a": [1, 0, 0], "r": 0.5, "end": 0, "h": "0" * 16}
 END = {"kind": "end"}
 
@@ -218,6 +237,9 @@ END = {"kind": "end"}
         ([GOOD_RUN | {"params": {"a": "b"}}], "line 1: parameter 'a' must be a number"),
         ([GOOD_RUN | {"alpha": "1"}], "line 1: field 'alpha' must be float or int"),
         ([GOOD_RUN | {"level_seed": 1.5}], "line 1: field 'level_seed' must be int"),
+        ([GOOD_RUN, START | {"keys": [0, 1]}], r"line 2: field 'keys' must be 4 times 0 or 1; \[0, 1\] came"),
+        ([GOOD_RUN, START | {"keys": [0, 0, 0, 2]}], "line 2: field 'keys' must be 4 times 0 or 1"),
+        ([GOOD_RUN, START | {"keys": None}], "line 2: field 'keys' must be list"),
         ([GOOD_RUN, START | {"h": "xyz"}], "line 2: field 'h' must be 16 hexadecimal digits"),
         ([GOOD_RUN, START | {"h": "00"}], "line 2: field 'h' must be 16"),
         ([GOOD_RUN, START | {"i": [0], "d": [], "c": ""}], "line 2: its hash is not that of"),
