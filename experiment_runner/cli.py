@@ -14,6 +14,7 @@ from experiment_runner.plan import Plan, RoleSweep, check_options, describe
 from experiment_runner.plan_file import load_plan
 from experiment_runner.players import HubOptions, Meeting
 from experiment_runner.progress import JsonLines, Progress
+from experiment_runner.recording import recorded
 from experiment_runner.resume import open_run, recorded_plan
 from experiment_runner.run import Engine, RunConfig, run_trials
 from experiment_runner.summary import summarize, tabulate
@@ -118,6 +119,12 @@ _MAX_SEED: Final = 2**63 - 1
     show_default=True,
     help="Episodes between checkpoints of what agent and environment know; 0 for none.",
 )
+@click.option(
+    "--record",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Write every step to this new file, for glue-replay; of a single trial.",
+)
 @click.option("--dry-run", is_flag=True, help="Show what would run, and do nothing.")
 @click.option(
     "--json",
@@ -148,6 +155,7 @@ def experiment(
     out: Path | None,
     resume: Path | None,
     checkpoint_every: int,
+    record: Path | None,
     dry_run: bool,
     as_json: bool,
 ) -> int:
@@ -164,6 +172,7 @@ def experiment(
       glue-experiment --env mines --agent my_agent.py:MyAgent --episodes 100 --in-process
       glue-experiment --env mines --agent sarsa --agent-option step_size=0.2 --episodes 500 --json
       glue-experiment --env mines --episodes 100 --legacy-port 4096
+      glue-experiment --env mario --agent sample --episodes 10 --record sample.traj
       glue-experiment --plan sweep.toml --workers 4 --out runs/sweep
       glue-experiment --resume runs/sweep --workers 4
     """
@@ -185,11 +194,11 @@ def experiment(
         directory = out or _new_directory(plan_file.stem if plan_file else _labels(plan))
     meeting = _meeting(in_process, hub, bind, session, legacy_port, insecure)
     config = RunConfig(meeting, checkpoint_every, Engine(engine), workers, address)
-    config.check(plan)
+    config.check(plan, recording=record is not None)
     if dry_run:
         click.echo(describe(plan))
         return 0
-    return _run(directory, plan, config, as_json)
+    return _run(directory, plan, config, record, as_json)
 
 
 def _role(role: Role, name: str | None, assignments: tuple[str, ...]) -> tuple[RoleSweep, ...]:
@@ -246,17 +255,19 @@ def _new_directory(name: str) -> Path:
     return next(path for path in candidates if not path.exists())
 
 
-def _run(directory: Path, plan: Plan, config: RunConfig, as_json: bool) -> int:
+def _run(directory: Path, plan: Plan, config: RunConfig, record: Path | None, as_json: bool) -> int:
     progress = Progress()
     lines = JsonLines(progress) if as_json else None
     began = time.monotonic()
-    with open_run(directory, plan) as store:
-        failed = run_trials(store, config, lines or progress)
+    with recorded(record) as recording, open_run(directory, plan) as store:
+        failed = run_trials(store, config, lines or progress, recording)
         seconds = time.monotonic() - began
         if lines is not None:
             lines.write(summarize(store, seconds))
         else:
             click.echo(tabulate(store, seconds))
+    if record is not None and not record.exists():
+        click.echo(f"no episode was begun, so there is no {record}", err=True)
     return 1 if failed else 0
 
 

@@ -17,6 +17,7 @@ from experiment_runner.work import work
 from experiment_runner.workers import Workers
 from experiment_runner.writer import Writer
 from glue.errors import ConfigError
+from glue.trajectory import TrajectoryWriter
 
 __all__ = ["Engine", "RunConfig", "run_trials"]
 
@@ -47,8 +48,8 @@ class RunConfig:
     workers: int | None = None
     address: str | None = None
 
-    def check(self, plan: Plan) -> None:
-        """Check that `plan` can be carried out so.
+    def check(self, plan: Plan, recording: bool = False) -> None:
+        """Check that `plan` can be carried out so, and recorded if it is to be.
 
         Raises:
             ConfigError: it cannot; the message says why.
@@ -66,12 +67,24 @@ class RunConfig:
                         f"--{role} NAME is missing: a player can join from outside only where trials run "
                         "one after the other, over a hub"
                     )
+        if recording and parallel:
+            raise ConfigError("--record is for a trial of this process: leave out --workers and --engine ray")
+        if recording and (count := len(plan.expand())) > 1:
+            raise ConfigError(f"--record is for a single trial, and the plan has {count}: run one by itself")
 
 
-def run_trials(store: Store, config: RunConfig, reporter: Reporter) -> int:
+def run_trials(
+    store: Store, config: RunConfig, reporter: Reporter, recording: TrajectoryWriter | None = None
+) -> int:
     """Run what remains of a run; return how many of its trials have failed.
 
     A trial that fails is recorded, with the reason, and the others go on.
+
+    Args:
+        store: of the run.
+        config: how it is carried out.
+        reporter: is told what happens.
+        recording: is written every step, if `config` was checked for that; None for none.
 
     Raises:
         StorageError: the store cannot be written.
@@ -83,7 +96,7 @@ def run_trials(store: Store, config: RunConfig, reporter: Reporter) -> int:
         pool = _pool(config)
         if pool is None:
             for trial in remaining(store):
-                work(writer.job(trial), partial(writer.take, trial.trial_id))
+                work(writer.job(trial), partial(writer.take, trial.trial_id), recording)
         else:
             distribute(remaining(store), pool, writer)
     except KeyboardInterrupt:

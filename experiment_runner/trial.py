@@ -7,9 +7,11 @@ nor what becomes of the results.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from experiment_runner.plan import TrialSpec
+from experiment_runner.recording import Recorder
 from experiment_runner.store import Checkpoint, EpisodeResult
 from glue.errors import PeerLost, Unsupported
 from glue.experiment import Experiment
@@ -50,6 +52,7 @@ def run_trial(
     *,
     start: Start = BEGINNING,
     checkpoint_every: int = 0,
+    recorder: Recorder | None = None,
 ) -> None:
     """Run the episodes of `spec` that come after `start`.
 
@@ -63,11 +66,12 @@ def run_trial(
         sink: takes the results as they come.
         start: where to begin.
         checkpoint_every: episodes between checkpoints; 0 for none.
+        recorder: writes down every step of the episodes that count, and of those that are void.
 
     Raises:
         GlueError: the trial cannot go on. What the sink was given stays true.
     """
-    _Trial(glue, spec, sink, start, checkpoint_every).run()
+    _Trial(glue, spec, sink, start, checkpoint_every, recorder).run()
 
 
 class _Trial:
@@ -78,12 +82,15 @@ class _Trial:
         sink: Sink,
         start: Start,
         checkpoint_every: int,
+        recorder: Recorder | None,
     ) -> None:
         self._glue = glue
         self._spec = spec
         self._sink = sink
         self._start = start
         self._every = checkpoint_every
+        self._recorder = recorder
+        self._play = glue.rl_episode if recorder is None else recorder.rl_episode
         self._done = start.after
         self._since: list[EpisodeResult] = []  # what was run after `start`, oldest first
         self._can_save: bool | None = None
@@ -95,7 +102,7 @@ class _Trial:
                 if not ready:
                     self._make_ready()
                     ready = True
-                result = self._episode(self._done + 1)
+                result = self._episode(self._done + 1, self._play)
             except PeerLost as error:
                 self._sink.void(self._done + 1, str(error))
                 # Those who cannot be brought back go on as they are; the hub initialises newcomers.
@@ -108,7 +115,7 @@ class _Trial:
 
     def _make_ready(self) -> None:
         """Bring both players to where this trial stands."""
-        self._glue.rl_init(self._spec.seed)
+        task_spec = self._glue.rl_init(self._spec.seed)
         checkpoint = self._start.checkpoint
         if checkpoint is not None:
             self._glue.rl_env_load(checkpoint.environment)
@@ -116,13 +123,15 @@ class _Trial:
         if self._can_save is None:
             self._can_save = self._save() is not None
         for before in self._since:
-            again = self._episode(before.episode)
+            again = self._episode(before.episode, self._glue.rl_episode)
             if again[:4] != before[:4]:
                 self._sink.event("differs", f"episode {before.episode} came out otherwise when repeated")
+        if self._recorder is not None:
+            self._recorder.begin(task_spec, goes_on=checkpoint is not None or bool(self._since))
 
-    def _episode(self, number: int) -> EpisodeResult:
+    def _episode(self, number: int, play: Callable[[int], bool]) -> EpisodeResult:
         began = time.perf_counter()
-        terminal = self._glue.rl_episode(self._spec.max_steps)
+        terminal = play(self._spec.max_steps)
         episode_return, steps = self._glue.rl_return(), self._glue.rl_num_steps()
         return EpisodeResult(number, episode_return, steps, terminal, time.perf_counter() - began)
 

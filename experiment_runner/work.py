@@ -13,9 +13,11 @@ from typing import NamedTuple
 from experiment_runner.database import StorageError
 from experiment_runner.plan import TrialSpec
 from experiment_runner.players import Meeting, connect
+from experiment_runner.recording import Recorder
 from experiment_runner.store import Checkpoint, EpisodeResult
 from experiment_runner.trial import BEGINNING, Start, run_trial
 from glue.errors import GlueError, PeerFailed
+from glue.trajectory import TrajectoryWriter
 
 __all__ = ["Ended", "Happened", "Job", "Lost", "Recorded", "Report", "Said", "Voided", "work"]
 
@@ -77,12 +79,13 @@ class Lost(NamedTuple):
 Report = Recorded | Voided | Happened | Said | Ended | Lost
 
 
-def work(job: Job, send: Callable[[Report], None]) -> None:
+def work(job: Job, send: Callable[[Report], None], recording: TrajectoryWriter | None = None) -> None:
     """Run a trial and send what comes of it, last of all `Ended`.
 
     Args:
         job: what to run.
         send: takes reports, never two at once.
+        recording: is written every step of the trial; None for none.
 
     Raises:
         StorageError: what `send` raises when a report cannot be stored.
@@ -96,8 +99,14 @@ def work(job: Job, send: Callable[[Report], None]) -> None:
     failure = None
     try:
         with connect(job.spec, job.meeting, lambda line: send_alone(Said(line))) as glue:
-            sink = _Sender(send_alone)
-            run_trial(glue, job.spec, sink, start=job.start, checkpoint_every=job.checkpoint_every)
+            run_trial(
+                glue,
+                job.spec,
+                _Sender(send_alone),
+                start=job.start,
+                checkpoint_every=job.checkpoint_every,
+                recorder=None if recording is None else Recorder(recording, job.spec, glue),
+            )
     except StorageError:
         raise
     except GlueError as error:

@@ -1,0 +1,121 @@
+"""Recording a trial: its episodes, step by step, in a file that `glue-replay` reads (docs/trajectories.md).
+
+The episodes that count are in the file once each, in their order, and between them those that a loss
+made void. What players repeat to get back to where they were is not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from experiment_runner.plan import TrialSpec
+from glue.engine import role_seed
+from glue.errors import PeerLost, Unsupported
+from glue.experiment import Experiment
+from glue.messages import Role
+from glue.trajectory import Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
+
+__all__ = ["Recorder", "recorded"]
+
+
+@contextmanager
+def recorded(path: Path | None) -> Iterator[TrajectoryWriter | None]:
+    """Give the writer of a new recording, or None without a path. One that holds no episode vanishes.
+
+    Raises:
+        TrajectoryError: the file exists already, or cannot be written.
+    """
+    if path is None:
+        yield None
+        return
+    writer = TrajectoryWriter(path)
+    try:
+        with writer:
+            yield writer
+    finally:
+        with suppress(TrajectoryError):
+            if next(iter(TrajectoryReader(path)), None) is None:
+                path.unlink()
+
+
+class Recorder:
+    """Runs episodes of a trial as `Experiment.rl_episode` does, and writes every step of them.
+
+    Args:
+        writer: of the recording; an episode is in its file once it has ended.
+        spec: the trial.
+        glue: its verbs.
+    """
+
+    def __init__(self, writer: TrajectoryWriter, spec: TrialSpec, glue: Experiment) -> None:
+        self._writer = writer
+        self._spec = spec
+        self._glue = glue
+        self._task_spec = ""
+        self._goes_on = False
+        self._in_run = False
+
+    def begin(self, task_spec: str, goes_on: bool) -> None:
+        """Begin a new run of the recording with the next episode.
+
+        Args:
+            task_spec: what the environment was initialised to.
+            goes_on: whether the environment has a past since then: episodes, or what it has loaded.
+        """
+        self._task_spec = task_spec
+        self._goes_on = goes_on
+        self._in_run = False
+
+    def rl_episode(self, max_steps: int) -> bool:
+        """Run an episode; see `Experiment.rl_episode`.
+
+        Raises:
+            PeerLost: a player went away; the episode is void in the recording, too.
+            TrajectoryError: the recording cannot be written.
+            LocalProtocolError: the episode is beyond the limits of a recording.
+        """
+        if not self._in_run:
+            self._begin_run()
+        try:
+            return self._episode(max_steps)
+        except PeerLost:
+            self._writer.void()
+            # Its environment is another now, or has made a step that nobody heard of.
+            self.begin(self._task_spec, goes_on=True)
+            raise
+
+    def _begin_run(self) -> None:
+        environment = self._spec.environment
+        self._writer.run(
+            Run(
+                environment=environment.name if environment else "",
+                options=environment.options if environment else {},
+                task_spec=self._task_spec,
+                seed=role_seed(self._spec.seed, Role.ENVIRONMENT),
+                state=self._saved() if self._goes_on else b"",
+            )
+        )
+        self._in_run = True
+
+    def _saved(self) -> bytes:
+        try:
+            return self._glue.rl_env_save()
+        except Unsupported:
+            return b""
+
+    def _episode(self, max_steps: int) -> bool:
+        glue, writer = self._glue, self._writer
+        observation, action = glue.rl_start()
+        writer.start(observation)
+        num_steps = 1
+        while max_steps == 0 or num_steps < max_steps:
+            reward, observation, terminal, next_action = glue.rl_step()
+            writer.step(action, reward, observation, terminal)
+            if terminal:
+                return True
+            action = next_action
+            num_steps += 1
+        writer.cutoff()
+        return False
