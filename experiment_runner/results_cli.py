@@ -1,4 +1,4 @@
-"""`glue-results`: list runs, show one, export and merge them."""
+"""`glue-results`: list runs, show one, export and merge them, take an agent out."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from experiment_runner.export import write_csv, write_json, write_parquet
 from experiment_runner.lock import lock_holder
 from experiment_runner.merge import merge as merge_runs
 from experiment_runner.output import written
+from experiment_runner.plan import near_misses
 from experiment_runner.settings import Setting, collect
 from experiment_runner.stats import (
     convergence_episode,
@@ -60,6 +61,7 @@ def results() -> None:
       glue-results show runs/mine
       glue-results export runs/mine --out mine.csv
       glue-results merge runs/lab1 runs/lab2 --out runs/both
+      glue-results agent runs/mine --out mine.agent
     """
 
 
@@ -178,6 +180,61 @@ def merge(directories: tuple[Path, ...], out: Path) -> None:
     """
     with ExitStack() as stack:
         merge_runs([stack.enter_context(Results.open(directory)) for directory in directories], out)
+
+
+@results.command()
+@click.argument("directory", metavar="RUN", type=_directory)
+@click.option("--trial", "trial_id", metavar="ID", help="Of this trial. [default: the only one]")
+@click.option(
+    "--out",
+    "-o",
+    required=True,
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="File to write; an older one is replaced.",
+)
+def agent(directory: Path, trial_id: str | None, out: Path) -> None:
+    """Write what an agent had learned by the newest checkpoint of its trial in a RUN.
+
+    An agent of the same name and options begins with it: glue-agent NAME --load FILE, glue-watch --load.
+
+    \b
+    Examples:
+      glue-results agent runs/mine --out mine.agent
+      glue-results agent runs/sweep --trial sarsa/step_size=0.1/mines/0 --out mines.agent
+    """
+    with Results.open(directory) as found:
+        trial = _trial(found, trial_id)
+        checkpoint = found.checkpoint(trial.spec.id)
+        if checkpoint is None:
+            raise ExperimentError(_why_unsaved(found, trial))
+    episode, saved = checkpoint
+    with written(out) as partial:
+        partial.write_bytes(saved.agent)
+    click.echo(f"{out}: the agent of {trial.spec.id} after {episode} episodes", err=True)
+
+
+def _trial(found: Results, trial_id: str | None) -> TrialRecord:
+    trials = {trial.spec.id: trial for trial in found.trials()}
+    if trial_id is None:
+        if len(trials) > 1:
+            raise ConfigError(
+                f"{found.directory} has {len(trials)} trials: say which, as --trial {next(iter(trials))}"
+            )
+        return next(iter(trials.values()))
+    if trial_id not in trials:
+        raise ConfigError(f"{found.directory} has no trial {trial_id}{near_misses(trial_id, trials)}")
+    return trials[trial_id]
+
+
+def _why_unsaved(found: Results, trial: TrialRecord) -> str:
+    reasons = [e.text for e in found.events() if e.kind == "unsaved" and e.trial_id == trial.spec.id]
+    if reasons:
+        return f"nothing is saved of {trial.spec.id}: {reasons[-1]}"
+    return (
+        f"{trial.spec.id} has no checkpoint yet, after {trial.done} of {trial.spec.episodes} episodes: "
+        "there is one at its end, and before as often as --checkpoint-every says"
+    )
 
 
 def _runs_under(folder: Path) -> Iterator[Path]:

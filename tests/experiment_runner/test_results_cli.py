@@ -9,17 +9,23 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import CliRunner
 from pyarrow import parquet  # type: ignore[import-untyped]  # it has no types
 
+from agents.hierarchical import HierarchicalAgent
+from agents.trained import load_trained
+from env_server.mario import InfiniteMario
+from experiment_runner.cli import experiment
 from experiment_runner.plan import Plan, RoleSweep
 from experiment_runner.plot_cli import plot
 from experiment_runner.results_cli import results
 from experiment_runner.resume import create_run, resume_run
 from experiment_runner.store import ABOUT_FILE, PLAN_FILE, Checkpoint, EpisodeResult, Results
 from glue.errors import ConfigError, ExperimentError
+from glue.local import connect
 
 PLAN = Plan(
     episodes=4,
@@ -326,6 +332,78 @@ def test_two_runs_of_one_name_that_would_collide_are_refused(tmp_path: Path) -> 
     make(tmp_path / "y" / "run", [1], other)
     with pytest.raises(ExperimentError, match="two trials would be called run/random/mario/0"):
         call("merge", tmp_path / "x" / "run", tmp_path / "y" / "run", "--out", tmp_path / "xy")
+
+
+# agent
+
+
+def test_agent_is_what_the_newest_checkpoint_of_the_trial_has(run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "some.agent"
+    out.write_text("an older one, which is longer")
+    done = CliRunner().invoke(results, ["agent", str(run), "--trial", TRIALS[3], "-o", str(out)])
+    assert (done.exit_code, done.stdout) == (0, "")
+    assert done.stderr == f"{out}: the agent of {TRIALS[3]} after 2 episodes\n"
+    assert out.read_bytes() == b"2"
+
+
+def test_agent_of_the_only_trial_needs_no_name(tmp_path: Path) -> None:
+    make(tmp_path / "run", [3], Plan(episodes=4, agents=PLAN.agents[:1]))
+    call("agent", tmp_path / "run", "--out", tmp_path / "some.agent")
+    assert (tmp_path / "some.agent").read_bytes() == b"2"
+
+
+def test_agent_that_is_not_there_is_explained(run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "some.agent"
+    with pytest.raises(ConfigError, match=f"run has 4 trials: say which, as --trial {TRIALS[0]}"):
+        call("agent", run, "--out", out)
+    with pytest.raises(ConfigError, match=f"has no trial sarsa/mario; did you mean .*{TRIALS[2]}"):
+        call("agent", run, "--trial", "sarsa/mario", "--out", out)
+    with pytest.raises(ExperimentError, match=r"cannot write .*absent"):
+        call("agent", run, "--trial", TRIALS[0], "--out", tmp_path / "absent" / "some.agent")
+    make(tmp_path / "begun", [1, 0, 0, 0])
+    with pytest.raises(ExperimentError, match=f"{TRIALS[0]} has no checkpoint yet, after 1 of 4 episodes"):
+        call("agent", tmp_path / "begun", "--trial", TRIALS[0], "--out", out)
+    assert not out.exists()
+
+
+def test_agent_that_cannot_be_saved_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text(
+        "from agents.baselines import RandomAgent\nclass Mine(RandomAgent):\n    agent_save = None\n"
+    )
+    train("--env", "mines", "--agent", "mine.py:Mine", "--episodes", "1", "--out", "run")
+    with pytest.raises(ExperimentError, match="nothing is saved of Mine/mines/0: agent Mine cannot do that"):
+        call("agent", "run", "--out", "mine.agent")
+
+
+def train(*arguments: str) -> None:
+    done = CliRunner().invoke(experiment, ["--in-process", *arguments], standalone_mode=False)
+    assert done.return_value == 0, done.stderr
+
+
+def test_agent_that_was_taken_out_plays_on_with_what_it_learned(tmp_path: Path) -> None:
+    out = tmp_path / "mario.agent"
+    common = ("--env", "mario", "--agent", "hierarchical", "--episodes", "20", "--max-steps", "300")
+    train(*common, "--out", str(tmp_path / "run"))
+    call("agent", tmp_path / "run", "--out", out)
+
+    with Results.open(tmp_path / "run") as found:
+        [trial] = found.trials()
+        newest = found.checkpoint(trial.spec.id)
+    assert newest is not None
+    assert (newest[0], newest[1].agent) == (20, out.read_bytes())
+
+    def play(**options: Any) -> float:
+        with connect(load_trained(HierarchicalAgent(**options), out), InfiniteMario()) as glue:
+            glue.rl_init(3)
+            assert glue.rl_agent_save() == out.read_bytes()
+            known = glue.rl_agent_message("values")
+            glue.rl_episode(300)
+            assert (glue.rl_agent_message("values") == known) == (options != {})
+            return glue.rl_return()
+
+    assert play(learning=False, epsilon=0.0) == play(learning=False, epsilon=0.0)
+    play()
 
 
 # glue-plot
