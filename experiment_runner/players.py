@@ -116,7 +116,7 @@ def _over_hub(spec: TrialSpec, options: HubOptions, say: Say) -> Iterator[Experi
             for port in Gateway(hub, options.legacy, say).ports:
                 say(f"original RL-Glue programs join on {port}")
             stack.enter_context(hub.in_background())
-            public = hub.endpoints[2] if outside else inside
+            public = _from_outside(hub.endpoints[2]) if outside else inside
         else:
             inside = public = address = options.hub
         glue = connect_to_hub(address, options.session, context=context, log=say, on_notice=notice)
@@ -145,6 +145,14 @@ def player_arguments(
     if session != DEFAULT_SESSION:
         arguments += ["--session", session]
     return arguments
+
+
+def _from_outside(endpoint: str) -> str:
+    """Return the URL for others of an endpoint of our hub; on every address, it has HOST to fill in."""
+    for everywhere in ("tcp://0.0.0.0:", "tcp://[::]:"):
+        if endpoint.startswith(everywhere):
+            return "tcp://HOST:" + endpoint.removeprefix(everywhere)
+    return endpoint
 
 
 def _missing(missing: frozenset[Role], named: Mapping[Role, object], hub: str, session: str) -> str:

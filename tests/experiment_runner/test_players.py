@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+import pytest
+
+from experiment_runner.plan import RoleSpec, TrialSpec
+from experiment_runner.players import HubOptions, Meeting, connect
+
+
+class Heard(Exception):
+    """The hint was given."""
+
+
+@pytest.mark.parametrize(
+    ("bind", "shown"),
+    [
+        ("tcp://0.0.0.0:*", "tcp://HOST:"),
+        ("tcp://*:*", "tcp://HOST:"),
+        ("tcp://127.0.0.1:*", "tcp://127.0.0.1:"),
+    ],
+)
+def test_hint_has_an_address_at_which_others_can_join(bind: str, shown: str) -> None:
+    def say(line: str) -> None:
+        if line.startswith("waiting for an agent"):
+            raise Heard(line)
+
+    spec = TrialSpec("remote/mines/0", None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
+    meeting = Meeting(hub=HubOptions(bind=(bind,), insecure=True))
+    with pytest.raises(Heard, match=rf"glue-agent random --hub {shown}\d+$"), connect(spec, meeting, say):
+        raise AssertionError("nobody was missing")
