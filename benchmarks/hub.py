@@ -9,8 +9,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 
-import zmq
-
 from benchmarks.measure import Table, count, interleaved, ratio
 from benchmarks.players import SIZES, Still, Walk, serving
 from benchmarks.raw import tcp_round_trips, zmq_round_trips
@@ -99,42 +97,43 @@ def _in_process(size: str) -> Iterator[Callable[[], float]]:
 
 @contextmanager
 def _two_processes(size: str) -> Iterator[Callable[[], float]]:
-    with zmq.Context() as context, tempfile.TemporaryDirectory() as folder:
-        url = f"ipc://{folder}/hub"
-        config = HubConfig(bind=("inproc://here", url))
-        with Hub(config, context).in_background(), serving("agent", size, url):
-            environment = threading.Thread(
-                target=serve_environment,
-                args=(Walk(SIZES[size]), "inproc://here", "0"),
-                kwargs={"context": context, "log": lambda line: None},
-            )
-            environment.start()
-            with connect("inproc://here", "0", context=context) as glue:
-                yield _measure(glue)
-        environment.join()
+    with _hub("ipc") as url, serving("agent", size, url):
+        environment = threading.Thread(
+            target=serve_environment,
+            args=(Walk(SIZES[size]), url, "0"),
+            kwargs={"log": lambda line: None},
+        )
+        environment.start()
+        with connect(url, "0") as glue:
+            yield _measure(glue)
+    environment.join()
 
 
 @contextmanager
 def _three_processes(size: str, transport: str) -> Iterator[Callable[[], float]]:
-    with zmq.Context() as context, tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
-        outside = f"ipc://{folder}/hub" if transport == "ipc" else "tcp://127.0.0.1:*"
-        hub = stack.enter_context(Hub(HubConfig(bind=("inproc://here", outside)), context).in_background())
+    with ExitStack() as stack:
+        url = stack.enter_context(_hub(transport))
         for role in ("environment", "agent"):
-            stack.enter_context(serving(role, size, hub.endpoints[1]))
-        yield _measure(stack.enter_context(connect("inproc://here", "0", context=context)))
+            stack.enter_context(serving(role, size, url))
+        yield _measure(stack.enter_context(connect(url, "0")))
+
+
+@contextmanager
+def _hub(transport: str) -> Iterator[str]:
+    with tempfile.TemporaryDirectory() as folder:
+        address = f"ipc://{folder}/hub" if transport == "ipc" else "tcp://127.0.0.1:*"
+        with Hub(HubConfig(bind=(address,))).in_background() as hub:
+            yield hub.endpoints[0]
 
 
 @contextmanager
 def _many_sessions(number: int) -> Iterator[Callable[[], float]]:
     size = next(iter(SIZES))
-    with zmq.Context() as context, ExitStack() as stack:
-        config = HubConfig(bind=("inproc://here", "tcp://127.0.0.1:*"))
-        hub = stack.enter_context(Hub(config, context).in_background())
+    with ExitStack() as stack:
+        url = stack.enter_context(_hub("tcp"))
         for role in ("environment", "agent"):
-            stack.enter_context(serving(role, size, hub.endpoints[1], number))
-        glues = [
-            stack.enter_context(connect("inproc://here", str(i), context=context)) for i in range(number)
-        ]
+            stack.enter_context(serving(role, size, url, number))
+        glues = [stack.enter_context(connect(url, str(i))) for i in range(number)]
         pool = stack.enter_context(ThreadPoolExecutor(number))
         list(pool.map(lambda glue: glue.rl_init(), glues))
         steps = max(_STEPS // number, 200)

@@ -8,8 +8,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
-import zmq
-
 from benchmarks.measure import Table, count, interleaved, ratio
 from benchmarks.players import SIZES, serving
 from glue.client import connect
@@ -22,7 +20,7 @@ __all__ = ["run"]
 
 _STEPS = 5000
 _SESSION = "0"
-_INSIDE, _OUTSIDE = "inproc://here", "tcp://127.0.0.1:*"
+_ADDRESS = "tcp://127.0.0.1:*"
 
 
 def run() -> list[Table]:
@@ -54,29 +52,26 @@ def run() -> list[Table]:
 
 @contextmanager
 def _ours(size: str) -> Iterator[Callable[[], float]]:
-    with zmq.Context() as context, ExitStack() as stack:
-        hub = stack.enter_context(Hub(HubConfig(bind=(_INSIDE, _OUTSIDE)), context).in_background())
+    with ExitStack() as stack:
+        hub = stack.enter_context(Hub(HubConfig(bind=(_ADDRESS,))).in_background())
+        url = hub.endpoints[0]
         for role in ("environment", "agent"):
-            stack.enter_context(serving(role, size, hub.endpoints[1]))
-        glue = stack.enter_context(connect(_INSIDE, _SESSION, context=context))
+            stack.enter_context(serving(role, size, url))
+        glue = stack.enter_context(connect(url, _SESSION))
         glue.rl_init()
         yield lambda: _per_second(lambda: glue.rl_episode(_STEPS))
 
 
 @contextmanager
 def _originals(size: str) -> Iterator[Callable[[], float]]:
-    with (
-        zmq.Context() as context,
-        _gateway(size, context),
-        connect(_INSIDE, _SESSION, context=context) as glue,
-    ):
+    with _gateway(size) as (url, _), connect(url, _SESSION) as glue:
         glue.rl_init()
         yield lambda: _per_second(lambda: glue.rl_episode(_STEPS))
 
 
 @contextmanager
 def _all_original(size: str) -> Iterator[Callable[[], float]]:
-    with zmq.Context() as context, _gateway(size, context) as port:
+    with _gateway(size) as (_, port):
         glue = Experiment(Connection(port))
         glue.init()
         yield lambda: _per_second(lambda: glue.episode(_STEPS))
@@ -84,14 +79,14 @@ def _all_original(size: str) -> Iterator[Callable[[], float]]:
 
 
 @contextmanager
-def _gateway(size: str, context: zmq.Context[zmq.Socket[bytes]]) -> Iterator[int]:
-    """Give the port of a hub at which an original agent and environment are about to join."""
-    hub = Hub(HubConfig(bind=(_INSIDE,)), context)
+def _gateway(size: str) -> Iterator[tuple[str, int]]:
+    """Give the URL, and the port, of a hub at which an original agent and environment are about to join."""
+    hub = Hub(HubConfig(bind=(_ADDRESS,)))
     (port,) = Gateway(hub, [LegacyPort(0, _SESSION)]).ports
     with hub.in_background():
         command = [sys.executable, "-m", "benchmarks.legacy", str(port.port), size]
         programs = [subprocess.Popen([*command, role]) for role in ("environment", "agent")]
-        yield port.port
+        yield hub.endpoints[0], port.port
     for program in programs:
         program.wait()
 

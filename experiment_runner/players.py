@@ -33,8 +33,6 @@ _MODULES: Final = {Role.AGENT: "agents.cli", Role.ENVIRONMENT: "env_server.cli"}
 _COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
 _EXAMPLES: Final = {Role.AGENT: "random", Role.ENVIRONMENT: "mines"}
 
-_INPROC: Final = "inproc://experiment"
-
 
 @dataclass(frozen=True, slots=True)
 class HubOptions:
@@ -109,17 +107,17 @@ def _over_hub(spec: TrialSpec, options: HubOptions, say: Say) -> Iterator[Experi
         context = stack.enter_context(zmq.Context())
         if options.hub is None:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="glue-"))
-            inside, address = f"ipc://{folder}/hub", _INPROC
+            inside = f"ipc://{folder}/hub"
             outside = options.bind or ((DEFAULT_HUB,) if len(named) < len(players) else ())
-            config = HubConfig(bind=(_INPROC, inside, *outside), insecure=options.insecure)
-            hub = Hub(config, context)
+            config = HubConfig(bind=(inside, *outside), insecure=options.insecure)
+            hub = Hub(config)
             for port in Gateway(hub, options.legacy, say).ports:
                 say(f"original RL-Glue programs join on {port}")
             stack.enter_context(hub.in_background())
-            public = _from_outside(hub.endpoints[2]) if outside else inside
+            public = _from_outside(hub.endpoints[1]) if outside else inside
         else:
-            inside = public = address = options.hub
-        glue = connect_to_hub(address, options.session, context=context, log=say, on_notice=notice)
+            inside = public = options.hub
+        glue = connect_to_hub(inside, options.session, context=context, log=say, on_notice=notice)
         stack.enter_context(glue)
         for role, player in named.items():
             arguments = player_arguments(role, player.name, player.options, inside, options.session)

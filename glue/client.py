@@ -48,7 +48,7 @@ from glue.messages import CALLS, PROTOCOL_VERSION, Body, ErrorCode, Event, Kind,
 from glue.roles import Agent, Environment, capabilities
 from glue.sessions import INSTANCE_SIZE
 from glue.types import Action, Observation, body_size
-from glue.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, clip, decode, encode
+from glue.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, UnknownKind, clip, decode, encode
 from glue.zmq_transport import Context, DealerTransport
 
 __all__ = ["RemoteExperiment", "connect", "serve_agent", "serve_environment"]
@@ -173,7 +173,13 @@ class _Link:
             self._silent = False
             self._log(f"the hub at {self._hub} is there")
         self._heard = time.monotonic()
-        message = decode(frames, FROM_HUB, self._max_body)
+        try:
+            message = decode(frames, FROM_HUB, self._max_body)
+        except UnknownKind as error:
+            # A newer hub may know more; a call that is answered so has failed.
+            code = str(ErrorCode.UNKNOWN_KIND)
+            self.send(Message(Kind.ERROR, error.session, error.seq, (code, str(error))))
+            return None
         if message.kind in CALLS:
             return message
         return self._control(message)

@@ -114,13 +114,13 @@ def check_url(url: str) -> str:
     """Return `url` if it is an address of a hub.
 
     Raises:
-        ConfigError: it is not `tcp://host:port`, `ipc://path` or `inproc://name`.
+        ConfigError: it is neither `tcp://host:port` nor `ipc://path`.
     """
     scheme, separator, rest = url.partition("://")
     if not url.isprintable():
         raise ConfigError(f"{url!r:.120} is no address of a hub: it has unprintable characters")
-    if separator and scheme in ("ipc", "inproc") and rest:
-        if scheme == "ipc" and len(rest.encode()) > _IPC_PATH_LIMIT:
+    if separator and scheme == "ipc" and rest:
+        if len(rest.encode()) > _IPC_PATH_LIMIT:
             raise ConfigError(
                 f"the path of {url} has {len(rest.encode())} bytes; a socket's may have {_IPC_PATH_LIMIT}"
             )

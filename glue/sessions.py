@@ -15,7 +15,7 @@ network drops:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Set
 from typing import Any, Final
 
 from glue.calls import skippable, unsupported
@@ -29,7 +29,7 @@ from glue.wire import UnknownKind, clip
 __all__ = ["INSTANCE_SIZE", "ONE_RUN", "Route", "Switchboard"]
 
 Route = Hashable
-"""Where a message came from and an answer can go: an identity of the ROUTER, or a gateway's client."""
+"""Where a message came from and an answer can go: a connection."""
 
 Send = Callable[[Route, Message], bool]
 
@@ -82,6 +82,10 @@ class Switchboard:
         self._now = 0.0
         self._sessions: dict[str, _Session] = {}
         self._peers: dict[tuple[Route, str], _Peer] = {}
+
+    def routes(self) -> Set[Route]:
+        """Return the routes of all peers."""
+        return {route for route, _ in self._peers}
 
     def receive(self, route: Route, message: Message, now: float) -> None:
         """Act on a message from `route`."""
@@ -323,7 +327,10 @@ class _Session:
     def request(self, peer: _Peer, message: Message) -> None:
         """Begin on a verb of the experiment."""
         if message.seq <= self._request_seq:
-            # It was heard; if its reply was missed, the HELLO of the new connection brought it.
+            if message.seq != self._request_seq or message.seq == 0:
+                text = f"a request {message.seq} came after {self._request_seq}; sequence numbers grow from 1"
+                self._error(peer, message, ErrorCode.NOT_ASKED, text)
+            # Otherwise it was heard; if its reply was missed, the HELLO of the new connection brought it.
             return
         engine = self._engine
         if engine.verb is not None:

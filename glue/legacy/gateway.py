@@ -25,9 +25,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
-import zmq
-
 from glue.config import LegacyPort
+from glue.connection import Connection
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.hub import Hub
 from glue.legacy.codec import (
@@ -39,18 +38,12 @@ from glue.legacy.codec import (
     Decoder,
     Vocabulary,
 )
-from glue.legacy.connection import Connection
 from glue.legacy.lobby import Lobby, Log
 from glue.legacy.peers import Experiment, Player
+from glue.listener import Listener, listen_on_port
 from glue.messages import Kind, Role
 
 __all__ = ["Gateway"]
-
-_BACKLOG: Final = 1024
-"""Connections that the system takes in before we do; Java programs try hundreds of times a second."""
-
-_BATCH: Final = 64
-"""Connections of one port that are accepted before the others get their turn."""
 
 _ROLES: Final[Mapping[Kind | Control, Role]] = {
     Control.CONNECT_AGENT: Role.AGENT,
@@ -80,68 +73,34 @@ class Gateway:
     """
 
     def __init__(self, hub: Hub, ports: Sequence[LegacyPort], log: Log = lambda line: None) -> None:
-        self._listeners: list[_Listener] = []
-        lobby = Lobby(hub, log)
+        self.ports: list[LegacyPort] = []
+        self._listeners: list[Listener] = []
+        self._lobby = Lobby(hub, log)
         try:
             for port in ports:
-                self._listeners.append(_Listener(lobby, port))
+                self._listen(port)
         except ConfigError:
             self._stop_listening()
             raise
-        self.ports = [listener.port for listener in self._listeners]
-        hub.on_tick(self._listen)
         hub.on_close(self._stop_listening)
 
-    def _listen(self, now: float) -> None:
-        for listener in self._listeners:
-            listener.listen()
+    def _listen(self, port: LegacyPort) -> None:
+        lobby, loop, heartbeat = self._lobby, self._lobby.hub.loop, self._lobby.hub.config.heartbeat
+        try:
+            listening = listen_on_port(port.host, port.port)
+        except OSError as error:
+            raise ConfigError(_cannot_listen(port, error)) from None
+
+        def accept(connected: socket.socket, name: str, now: float) -> None:
+            lobby.make_room(now)
+            _Stranger(lobby, Connection(loop, connected, name, heartbeat), port.session)
+
+        self._listeners.append(Listener(loop, listening, accept, lobby.log))
+        self.ports.append(replace(port, port=listening.getsockname()[1]))
 
     def _stop_listening(self) -> None:
         for listener in self._listeners:
             listener.close()
-
-
-class _Listener:
-    """One port and its session."""
-
-    def __init__(self, lobby: Lobby, port: LegacyPort) -> None:
-        self._lobby = lobby
-        family = socket.AF_INET6 if ":" in port.host else socket.AF_INET
-        try:
-            self._socket = socket.create_server((port.host, port.port), family=family, backlog=_BACKLOG)
-        except OSError as error:
-            raise ConfigError(_cannot_listen(port, error)) from None
-        self._socket.setblocking(False)
-        self.port = replace(port, port=self._socket.getsockname()[1])
-        self.listen()
-
-    def listen(self) -> None:
-        """Accept connections; again, if that was given up for want of descriptors."""
-        self._lobby.hub.watch(self._socket.fileno(), zmq.POLLIN, self._accept)
-
-    def close(self) -> None:
-        """Stop listening."""
-        self._lobby.hub.unwatch(self._socket.fileno())
-        self._socket.close()
-
-    def _accept(self, now: float) -> None:
-        lobby = self._lobby
-        for _ in range(_BATCH):
-            try:
-                connected, address = self._socket.accept()
-            except BlockingIOError:
-                return
-            except OSError as error:
-                lobby.log(f"cannot accept a connection for now: {error.strerror}")
-                lobby.hub.watch(self._socket.fileno(), zmq.POLLERR, self._accept)
-                return
-            lobby.make_room(now)
-            name = f"{address[0]}:{address[1]}"
-            try:
-                _Stranger(lobby, Connection(lobby.hub, connected, name), self.port.session)
-            except OSError:
-                # Gone already.
-                connected.close()
 
 
 def _cannot_listen(port: LegacyPort, error: OSError) -> str:

@@ -7,11 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-import zmq
-
+from glue.connection import Connection, take_leave
 from glue.hub import Hub
 from glue.legacy.codec import TO_AGENT, Control, Frame, encode
-from glue.legacy.connection import Connection
 
 __all__ = ["Lobby", "Log"]
 
@@ -54,7 +52,7 @@ class Lobby:
         self.hub = hub
         self.log = log
         self._guests: dict[Connection, _Guest] = {}
-        hub.on_tick(self._tick)
+        hub.loop.on_tick(self._tick)
         hub.on_close(self._close)
 
     def host(self, connection: Connection, expire: Callable[[float], None], leaving: bool = False) -> None:
@@ -92,18 +90,11 @@ class Lobby:
 
     def _close(self) -> None:
         """Wait a moment for those on their way out: their last words should meet an open connection."""
-        deadline = time.monotonic() + _FAREWELL_SECONDS
-        while (now := time.monotonic()) < deadline and (leaving := self._leaving()):
-            poller = zmq.Poller()
-            for fd, connection in leaving.items():
-                poller.register(fd, connection.events)
-            for fd, _ in poller.poll(int((deadline - now) * 1000)):
-                leaving[fd].turn(now)
+        take_leave(
+            lambda: [known for known, guest in self._guests.items() if guest.leaving], _FAREWELL_SECONDS
+        )
+        now = time.monotonic()
         for connection, guest in list(self._guests.items()):
             if not connection.closed:
                 guest.expire(now)
                 connection.close()
-
-    def _leaving(self) -> dict[int, Connection]:
-        guests = self._guests.items()
-        return {known.fileno(): known for known, guest in guests if guest.leaving and not known.closed}

@@ -9,6 +9,7 @@ import os
 from collections.abc import Mapping
 from typing import Final
 
+from glue.connection import Connection
 from glue.engine import EPISODE_VERBS
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.legacy.codec import (
@@ -21,7 +22,6 @@ from glue.legacy.codec import (
     Vocabulary,
     encode,
 )
-from glue.legacy.connection import Connection
 from glue.legacy.lobby import Lobby
 from glue.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
 from glue.sessions import INSTANCE_SIZE, ONE_RUN
@@ -261,7 +261,7 @@ class Experiment(Peer):
     def _idle(self) -> bool:
         """Whether everything taken up so far is done with."""
         under_way = self._asked or self._again or self._failure
-        return not (under_way or self._connection.sending)
+        return not (under_way or self._connection.unsent)
 
     def _work(self, now: float) -> None:
         """Take up what has come, one request after the other."""

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-import zmq
 
 from agents.archive import Archive
 from agents.best import BestAgent
@@ -390,8 +389,7 @@ def test_over_sockets_the_agent_acts_as_in_one_process() -> None:
     with connect_locally(BestAgent(), short_level()) as glue:
         expected = returns(glue)
     with (
-        zmq.Context() as context,
-        Hub(HubConfig(bind=("tcp://127.0.0.1:*",)), context).in_background() as hub,
+        Hub(HubConfig(bind=("tcp://127.0.0.1:*",))).in_background() as hub,
     ):
         url = hub.endpoints[0]
         players = [

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
 from typing import Any
 
+import msgpack
 import pytest
 import zmq
 
@@ -88,6 +89,10 @@ class HandHub:
         self.say(Kind.WELCOME, 0, 1, resumed, HEARTBEAT, 10.0, max_body, session=session)
         return hello
 
+    def say_unknown(self, kind: int, seq: int) -> None:
+        """Say something that no peer of this version knows."""
+        self._socket.send_multipart([self._route, msgpack.packb([kind, "default", seq, "new"]), b"body"])
+
     def call(self, kind: Kind, seq: int, *scalars: Any, body: bytes = b"") -> Message:
         """Call a player, and return its answer."""
         self.say(kind, seq, *scalars, body=body)
@@ -164,6 +169,17 @@ def test_goodbye_ends_the_service_with_the_hubs_reason(hub: HandHub, lines: list
     hub.say(Kind.GOODBYE, 0, "the experiment is over")
     assert serving.result(TIMEOUT) == "the experiment is over"
     assert hub.hear(Kind.GOODBYE).scalars == ("goodbye",)
+
+
+def test_an_unknown_kind_is_answered_with_an_error_and_changes_nothing(
+    hub: HandHub, lines: list[str]
+) -> None:
+    serve(hub, ScriptedAgent(), lines)
+    hub.say_unknown(999, 7)
+    error = hub.hear(Kind.ERROR)
+    assert (error.session, error.seq) == ("default", 7)
+    assert error.scalars == (ErrorCode.UNKNOWN_KIND, "message kind 999 is not one of protocol version 1")
+    assert hub.call(Kind.AGENT_INIT, 1, body=b"").seq == 1
 
 
 def test_a_refusal_is_an_error_with_the_hubs_reason(hub: HandHub, lines: list[str]) -> None:

@@ -22,7 +22,6 @@ from glue.wire import MAX_BODY, MAX_NAME
         "tcp://*:4097",
         "ipc:///tmp/hub.sock",
         "ipc://@abstract",
-        "inproc://hub",
     ],
 )
 def test_an_address_of_a_hub_is_accepted(url: str) -> None:
@@ -69,7 +68,7 @@ def test_what_cannot_be_printed_is_no_session(name: str) -> None:
 
 @pytest.mark.parametrize(
     "url",
-    ["tcp://127.0.0.1:*", "tcp://127.3.2.1:9", "tcp://[::1]:9", "tcp://localhost:9", "ipc://x", "inproc://x"],
+    ["tcp://127.0.0.1:*", "tcp://127.3.2.1:9", "tcp://[::1]:9", "tcp://localhost:9", "ipc://x"],
 )
 def test_a_hub_may_listen_where_only_this_machine_reaches(url: str) -> None:
     assert HubConfig(bind=(url,)).bind == (url,)

@@ -11,7 +11,6 @@ from typing import Any, Final, NamedTuple
 
 import msgpack
 import pytest
-import zmq
 
 from glue.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
 from glue.errors import LocalProtocolError, RemoteProtocolError
@@ -441,8 +440,7 @@ def test_zmtp_of_the_appendix_is_understood_by_a_hub() -> None:
     greeting, ready, ping, pong = parts
     (greeted,) = next(e.frames for e in EXAMPLES if e.kind is Kind.HELLO)
     with (
-        zmq.Context() as context,
-        Hub(HubConfig(bind=("tcp://127.0.0.1:*",)), context).in_background() as hub,
+        Hub(HubConfig(bind=("tcp://127.0.0.1:*",))).in_background() as hub,
     ):
         port = int(hub.endpoints[0].rpartition(":")[2])
         with socket.create_connection(("127.0.0.1", port), timeout=20) as connection:

@@ -510,6 +510,17 @@ def test_an_experiment_that_answers_calls_gets_an_error(playing: Rig) -> None:
     assert (code, text) == (ErrorCode.NOT_ASKED, "ENV_STEP is not for an experiment to send")
 
 
+def test_a_request_below_the_one_before_gets_an_error_and_a_repeated_one_none(rig: Rig) -> None:
+    assert rig.say("x", Kind.RL_RETURN, 0)[0].scalars == (
+        ErrorCode.NOT_ASKED,
+        "a request 0 came after 0; sequence numbers grow from 1",
+    )
+    assert rig.say("x", Kind.RL_RETURN, 5)[0].kind is Kind.RL_RETURN
+    assert rig.say("x", Kind.RL_RETURN, 5) == []
+    code, text = error(rig.say("x", Kind.RL_RETURN, 4))
+    assert (code, text) == (ErrorCode.NOT_ASKED, "a request 4 came after 5; sequence numbers grow from 1")
+
+
 @pytest.mark.parametrize("seq", [0, 99])
 def test_an_answer_that_nobody_asked_for_gets_an_error(playing: Rig, seq: int) -> None:
     code, text = error(playing.say("a", Kind.AGENT_STEP, seq, body=ACTION))

@@ -22,7 +22,6 @@ from tests.system import legacy_client
 from tests.system.legacy_client import STYLES, TIMEOUT, Connection, Numbers, Style
 
 C = STYLES["c"]
-HUB = "inproc://hub"
 _ASIDE = "aside"
 
 
@@ -53,10 +52,11 @@ class Log:
 
 
 class Rig:
-    """A hub at `HUB`, with one port for each session, and whoever was let loose on them."""
+    """A hub with one port for each session, and whoever was let loose on them."""
 
     def __init__(self, hub: Hub, gateway: Gateway, context: Context, log: Log) -> None:
         self.hub = hub
+        self.url = hub.endpoints[0]
         self.log = log
         self._context = context
         self._ports = {port.session: port.port for port in gateway.ports}
@@ -84,7 +84,7 @@ class Rig:
 
     def native(self, session: str = "default") -> client.RemoteExperiment:
         """Connect as an experiment of ours."""
-        return client.connect(HUB, session, context=self._context, log=self.log)
+        return client.connect(self.url, session, context=self._context, log=self.log)
 
     def agent(self, agent: legacy_client.Agent, style: Style = C, session: str = "default") -> None:
         """Let an original agent play, in a thread."""
@@ -103,13 +103,13 @@ class Rig:
 
     def native_agent(self, agent: Agent, session: str = "default") -> None:
         """Let an agent of ours play, in a thread."""
-        context, log = self._context, self.log
-        self._start(lambda: client.serve_agent(agent, HUB, session, context=context, log=log))
+        url, how = self.url, {"context": self._context, "log": self.log}
+        self._start(lambda: client.serve_agent(agent, url, session, **how))
 
     def native_environment(self, environment: Environment, session: str = "default") -> None:
         """Let an environment of ours play, in a thread."""
-        context, log = self._context, self.log
-        self._start(lambda: client.serve_environment(environment, HUB, session, context=context, log=log))
+        url, how = self.url, {"context": self._context, "log": self.log}
+        self._start(lambda: client.serve_environment(environment, url, session, **how))
 
     def _start(self, program: Callable[[], object]) -> None:
         def run() -> None:
@@ -137,7 +137,7 @@ def gateway(*sessions: str, heartbeat: float = 0.5, patience: float = 5.0) -> It
     """Run a hub with a port for each session, or for `default`; with it all programs must end."""
     log = Log()
     with zmq.Context() as context:
-        hub = Hub(HubConfig(bind=(HUB,), heartbeat=heartbeat, patience=patience), context, log)
+        hub = Hub(HubConfig(("tcp://127.0.0.1:*",), heartbeat, patience), log)
         ports = [LegacyPort(0, session) for session in (*(sessions or ("default",)), _ASIDE)]
         rig = Rig(hub, Gateway(hub, ports, log), context, log)
         try:

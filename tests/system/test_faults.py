@@ -224,7 +224,7 @@ def test_a_player_that_is_stopped_and_continued_is_waited_for(role: str) -> None
         if stopped.is_set() and next(ticks) == 15:
             processes.signal(signal.SIGCONT)
 
-    run.hub.on_tick(go_on)
+    run.hub.loop.on_tick(go_on)
     with run.experiment(role, player, partner(before=At(moment, 5, stop))) as (glue, processes):
         glue.rl_init(seed=5)
         assert play(glue) == []
@@ -397,7 +397,7 @@ def test_a_player_may_compute_for_many_heartbeats() -> None:
         computes.set()
         assert done.wait(TIMEOUT)
 
-    hub.on_tick(count_ticks)
+    hub.loop.on_tick(count_ticks)
     with hub.in_background(), ExitStack() as ending:
         (url,) = hub.endpoints
         ending.enter_context(serving(url, ScriptedEnvironment()))

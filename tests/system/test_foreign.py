@@ -107,7 +107,7 @@ def table_for(agent: Agent, environment: object, through: Callable[[str], str] =
     `through` may put something between the agent and the hub: it is given the hub's URL and returns another.
     """
     with zmq.Context() as context:
-        hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)), context)
+        hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
         url = hub.endpoints[0]
         serve = threading.Thread(
             target=serve_environment,
@@ -169,13 +169,12 @@ def test_agent_survives_a_connection_that_is_cut_again_and_again(agent: Agent) -
 
 
 def test_environment_agent_and_experiment_that_know_only_the_document_play_together() -> None:
-    with zmq.Context() as context:
-        hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)), context)
-        url = hub.endpoints[0]
-        environment = [sys.executable, str(PYTHON / "environment.py"), url, "foreign"]
-        experiment = [sys.executable, str(PYTHON / "experiment.py"), url, "foreign"]
-        with running(environment), running([*python_agent(url), "foreign"]), hub.in_background():
-            done = subprocess.run(experiment, capture_output=True, text=True, timeout=60)
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
+    url = hub.endpoints[0]
+    environment = [sys.executable, str(PYTHON / "environment.py"), url, "foreign"]
+    experiment = [sys.executable, str(PYTHON / "experiment.py"), url, "foreign"]
+    with running(environment), running([*python_agent(url), "foreign"]), hub.in_background():
+        done = subprocess.run(experiment, capture_output=True, text=True, timeout=60)
 
     assert done.returncode == 0, done.stderr
     task_spec, *episodes, said = done.stdout.splitlines()

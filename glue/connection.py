@@ -1,18 +1,18 @@
-"""A TCP connection in the hub's loop: it never waits, and keeps only what it was given to send."""
+"""A connection in the hub's loop: it never waits, and keeps only what it was given to send."""
 
 from __future__ import annotations
 
+import select
 import socket
 import struct
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Final
 
-import zmq
+from glue.loop import FAILURE, READ, WRITE, Loop
 
-from glue.hub import Hub
-
-__all__ = ["Connection"]
+__all__ = ["Connection", "limit_patience", "take_leave"]
 
 _CHUNK: Final = 65_536
 """The most bytes that are read at once; beyond it, memory for a short message would cost a system call."""
@@ -28,31 +28,33 @@ class Connection:
     """A connected socket.
 
     Args:
-        hub: whose loop it joins.
-        connected: the socket; it is closed by `close` or `reset`.
+        loop: where it waits.
+        connected: the socket, TCP or Unix; it is closed by `close` or `reset`.
         name: the other side's address, for people.
+        silence: seconds after which a silent host is asked whether it is still there.
 
     Attributes:
         ready: called with the time when something has come, when all has been sent, and after `later`.
         closed: nothing can be sent or received any more.
     """
 
-    def __init__(self, hub: Hub, connected: socket.socket, name: str) -> None:
+    def __init__(self, loop: Loop, connected: socket.socket, name: str, silence: float) -> None:
         connected.setblocking(False)
-        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        _probe_when_silent(connected, max(1, round(hub.config.heartbeat)))
+        if connected.family != socket.AF_UNIX:
+            connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            _probe_when_silent(connected, max(1, round(silence)))
         self.name = name
-        self.ready: Callable[[float], None] = lambda now: None
+        self.ready: Callable[[float], None] = _nothing
         self.closed = False
-        self._hub = hub
+        self._loop = loop
         self._socket = connected
         self._unsent = bytearray()
         self._reading = True
         self._later = False
         self._finishing = False
         self._gone = False
-        self._watched = 0
-        self._watch()
+        self._watched = READ
+        loop.watch(connected.fileno(), READ, self.turn)
 
     def fileno(self) -> int:
         """Return the socket's descriptor."""
@@ -60,19 +62,13 @@ class Connection:
 
     @property
     def events(self) -> int:
-        """What there is to wait for: zmq.POLLIN, POLLOUT and POLLERR."""
-        # Errors always: a poller forgets what is watched for nothing.
-        events = int(zmq.POLLERR)
-        if self._reading:
-            events |= zmq.POLLIN
-        if self._unsent or self._later:
-            events |= zmq.POLLOUT
-        return events
+        """What there is to wait for."""
+        return (READ if self._reading else FAILURE) | (WRITE if self._unsent or self._later else FAILURE)
 
     @property
-    def sending(self) -> bool:
-        """Whether something sent is still here, since the other side does not read."""
-        return bool(self._unsent)
+    def unsent(self) -> int:
+        """Bytes that were sent and are still here, since the other side does not read."""
+        return len(self._unsent)
 
     def read(self, wanted: bool) -> None:
         """Say whether what comes is to be received, or left where it holds the other side back."""
@@ -101,10 +97,12 @@ class Connection:
     def send(self, data: bytes) -> None:
         """Send `data`, now or as soon as the other side reads."""
         if not self._unsent:
-            data = data[self._write(data) :]
-        if data:
-            self._unsent += data
-            self._watch()
+            sent = self._write(data)
+            if sent == len(data):
+                return
+            data = data[sent:]
+        self._unsent += data
+        self._watch()
 
     def finish(self) -> None:
         """Close as soon as everything is sent and the other side has closed; drop what it still says."""
@@ -117,7 +115,9 @@ class Connection:
         """Close in the orderly way, whatever is still unsent."""
         if not self.closed:
             self.closed = True
-            self._hub.unwatch(self._socket.fileno())
+            # Whoever was called keeps this connection, and would be kept by it.
+            self.ready = _nothing
+            self._loop.unwatch(self._socket.fileno())
             self._socket.close()
 
     def reset(self) -> None:
@@ -128,6 +128,11 @@ class Connection:
 
     def turn(self, now: float) -> None:
         """Send what is left, and call `ready`: something has happened, or `later` was called."""
+        if self._watched != READ:
+            self._catch_up()
+        self.ready(now)
+
+    def _catch_up(self) -> None:
         self._later = False
         if self._unsent:
             del self._unsent[: self._write(self._unsent)]
@@ -136,7 +141,6 @@ class Connection:
         if not self._reading and self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
             self._gone = True
         self._watch()
-        self.ready(now)
 
     def _write(self, data: bytes | bytearray) -> int:
         try:
@@ -152,7 +156,7 @@ class Connection:
         events = self.events
         if events != self._watched and not self.closed:
             self._watched = events
-            self._hub.watch(self._socket.fileno(), events, self.turn)
+            self._loop.watch(self._socket.fileno(), events, self.turn)
 
     def _end_if_sent(self) -> None:
         if not self._unsent:
@@ -162,6 +166,30 @@ class Connection:
     def _discard(self, now: float) -> None:
         if self.receive() == b"":
             self.close()
+
+
+def _nothing(now: float) -> None:
+    """Do nothing, when nobody waits for a connection."""
+
+
+def take_leave(leaving: Callable[[], Iterable[Connection]], seconds: float) -> None:
+    """Wait until none of `leaving` is left open, at most so many seconds: last words should be read."""
+    deadline = time.monotonic() + seconds
+    while (now := time.monotonic()) < deadline:
+        left = {connection.fileno(): connection for connection in leaving() if not connection.closed}
+        if not left:
+            return
+        poller = select.poll()
+        for fd, connection in left.items():
+            poller.register(fd, connection.events)
+        for fd, _ in poller.poll(int((deadline - now) * 1000) + 1):
+            left[fd].turn(now)
+
+
+def limit_patience(connected: socket.socket, seconds: float) -> None:
+    """Take the other side for gone when what was sent to it stays unacknowledged for so many seconds."""
+    if connected.family != socket.AF_UNIX and hasattr(socket, "TCP_USER_TIMEOUT"):  # not everywhere
+        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, max(1, int(seconds * 1000)))
 
 
 def _probe_when_silent(connected: socket.socket, seconds: int) -> None:
