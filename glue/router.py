@@ -30,7 +30,7 @@ __all__ = ["Router"]
 _BATCH: Final = 64
 """Messages of one peer that are acted on before the others get their turn."""
 
-_MAX_STRANGERS: Final = 512
+_MAX_STRANGERS: Final = 256
 """Connections without a seat that are kept at once; one more costs the oldest its place."""
 
 _MAX_UNFINISHED: Final = 64 * 2**20
@@ -146,7 +146,7 @@ class Router:
         if len(strangers) >= _MAX_STRANGERS:
             seated = self._seated()
             strangers = [dealer for dealer in strangers if dealer not in seated]
-        for oldest in strangers[: len(strangers) - _MAX_STRANGERS + 1]:
+        for oldest in strangers[: max(0, len(strangers) - _MAX_STRANGERS + 1)]:
             self.drop(oldest, f"{_MAX_STRANGERS} others without a seat are there already")
 
     def _tick(self, now: float) -> None:

@@ -23,6 +23,8 @@ import pytest
 import zmq
 
 from glue import client, local
+from glue.config import HubConfig
+from glue.hub import Hub
 from glue.messages import ErrorCode, Kind, Message
 from glue.sessions import INSTANCE_SIZE
 from glue.types import Action, Observation
@@ -208,7 +210,7 @@ def stranger(hub: Target) -> Iterator[Stranger]:
 # Bytes
 
 
-GREETING = b"\xff" + bytes(8) + b"\x7f" + b"\x03\x00" + b"NULL" + bytes(16) + b"\x00" + bytes(31)
+GREETING = b"\xff" + bytes(8) + b"\x7f" + b"\x03\x01" + b"NULL" + bytes(16) + b"\x00" + bytes(31)
 READY = b"\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER\x08Identity\x00\x00\x00\x00"
 
 
@@ -305,6 +307,23 @@ def test_messages_that_do_not_come_to_their_end_are_dropped_when_they_are_too_ma
             with suppress(ConnectionError):
                 connection.sendall(b"\x02" + struct.pack(">Q", MAX_BODY) + bytes(MAX_BODY - 1))
             assert hub.megabytes() < before + ROOM
+
+
+def test_of_connections_without_a_seat_the_oldest_make_room() -> None:
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), patience=600.0))
+    port = int(hub.endpoints[0].rpartition(":")[2])
+    with hub.in_background(), ExitStack() as stack:
+        connections = [
+            stack.enter_context(socket.create_connection(("127.0.0.1", port), TIMEOUT)) for _ in range(300)
+        ]
+        for connection in connections[300 - 256 :]:
+            assert connection.recv(64) == GREETING
+        for connection in connections[: 300 - 256]:
+            while connection.recv(64):
+                pass
+        connections[-256].settimeout(0.01)
+        with pytest.raises(TimeoutError):
+            connections[-256].recv(1)
 
 
 def test_a_connection_without_a_seat_does_not_stay(hub: Target) -> None:
