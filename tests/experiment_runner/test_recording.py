@@ -228,6 +228,7 @@ def contents_of(found: list[Episode]) -> list[tuple[Any, ...]]:
     ("losses", "runs", "states"),
     [
         ({Kind.RL_STEP: {2}}, 2, [False]),  # the very first episode
+        ({Kind.RL_STEP: {40}}, 2, [True]),  # before the first checkpoint
         ({Kind.RL_STEP: {150}}, 2, [True]),
         ({Kind.RL_STEP: {100, 200, 230}}, 4, [True] * 3),
         ({Kind.RL_START: {12}}, 2, [True]),  # right after a checkpoint
@@ -260,7 +261,9 @@ class Forgetful(RandomAgent):
 
 
 def test_environment_goes_on_in_the_recording_when_an_agent_is_replaced() -> None:
-    kept = run_recorded("run.traj", LosesAgents({Kind.RL_STEP: {100, 200}}, Forgetful, mines()))
+    kept = run_recorded(
+        "run.traj", LosesAgents({Kind.RL_STEP: {100}, Kind.RL_START: {20}}, Forgetful, mines())
+    )
     assert numbers(counting(Path("run.traj"))) == kept.numbers
     assert len(kept.voids) == 2
 
