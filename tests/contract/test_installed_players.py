@@ -1,0 +1,82 @@
+"""Every installed agent and environment keeps the contract; a new entry point is covered by being there."""
+
+from __future__ import annotations
+
+from functools import cache, partial
+from typing import Any
+
+import numpy as np
+import pytest
+
+from glue.errors import GlueError
+from glue.loading import find, names
+from glue.local import connect
+from glue.messages import Role
+from glue.taskspec import parse_task_spec
+from glue.testing import check_agent, check_environment
+from glue.types import Action, Observation
+
+AGENTS = names(Role.AGENT)
+ENVIRONMENTS = names(Role.ENVIRONMENT)
+
+
+@cache
+def observations(environment: str) -> list[Observation]:
+    """What is seen in the first 100 steps of an episode or two of random actions."""
+    player: Any = find(Role.ENVIRONMENT, environment)()
+    actions = parse_task_spec(player.env_init()).actions
+    generator = np.random.default_rng(5)
+    seen = [player.env_start()]
+    for _ in range(100):
+        _, observation, terminal = player.env_step(Action(*actions.sample(generator)))
+        seen.append(player.env_start() if terminal else observation)
+    return seen
+
+
+def observe(environment: str, generator: np.random.Generator) -> Observation:
+    seen = observations(environment)
+    return seen[int(generator.integers(len(seen)))]
+
+
+def can_play(agent: str, environment: str) -> bool:
+    """Whether an agent takes a task on, as it says itself in the first steps."""
+    players: tuple[Any, Any] = find(Role.AGENT, agent)(), find(Role.ENVIRONMENT, environment)()
+    try:
+        with connect(*players) as glue:
+            glue.rl_init(seed=1)
+            glue.rl_episode(5)
+    except GlueError:
+        return False
+    return True
+
+
+def test_those_known_by_name_are_installed() -> None:
+    assert {"mario", "mines", "skeleton"} <= set(ENVIRONMENTS)
+    assert {"best", "hierarchical", "random", "sample", "sarsa", "skeleton", "tiles"} <= set(AGENTS)
+
+
+@pytest.mark.parametrize("name", ENVIRONMENTS)
+def test_environment_keeps_the_contract(name: str) -> None:
+    check_environment(find(Role.ENVIRONMENT, name), episodes=2, steps=100)
+
+
+@pytest.mark.parametrize("name", AGENTS)
+def test_agent_keeps_the_contract_in_every_task_that_it_can_play(name: str) -> None:
+    tasks = [environment for environment in ENVIRONMENTS if can_play(name, environment)]
+    assert tasks, f"{name} plays none of {ENVIRONMENTS}"
+    for environment in tasks:
+        player: Any = find(Role.ENVIRONMENT, environment)()
+        check_agent(
+            find(Role.AGENT, name),
+            player.env_init(),
+            observation=partial(observe, environment),
+            episodes=2,
+            steps=30,
+        )
+
+
+@pytest.mark.parametrize(
+    ("agent", "tasks"), [("random", {"mario", "mines", "skeleton"}), ("sarsa", {"mines", "skeleton"})]
+)
+def test_agents_play_the_tasks_that_they_are_made_for(agent: str, tasks: set[str]) -> None:
+    assert tasks <= {environment for environment in ENVIRONMENTS if can_play(agent, environment)}

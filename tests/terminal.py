@@ -1,0 +1,123 @@
+"""Commands in a terminal of their own, and what a person sees there."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+BIN: Final = Path(sys.executable).parent
+_ESCAPE: Final = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+
+
+def run(*command: str, cwd: Path, timeout: float = 120) -> subprocess.CompletedProcess[str]:
+    """Run one of our commands as a script would, without a terminal."""
+    return subprocess.run(
+        [BIN / command[0], *command[1:]],
+        cwd=cwd,
+        timeout=timeout,
+        capture_output=True,
+        text=True,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+class Terminal:
+    """One of our commands while it runs: what it says, on either stream, can be waited for."""
+
+    def __init__(self, *command: str, cwd: Path) -> None:
+        self.process = subprocess.Popen(
+            [BIN / command[0], *command[1:]],
+            cwd=cwd,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        self.lines: list[str] = []
+        self._news = threading.Condition()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            with self._news:
+                self.lines.append(line.rstrip("\n"))
+                self._news.notify_all()
+
+    def wait_for(self, pattern: str) -> re.Match[str]:
+        with self._news:
+            assert self._news.wait_for(lambda: self._find(pattern) is not None, 60), self.lines
+            found = self._find(pattern)
+            assert found is not None
+            return found
+
+    def _find(self, pattern: str) -> re.Match[str] | None:
+        return next((match for line in self.lines if (match := re.search(pattern, line))), None)
+
+    def end(self) -> int:
+        """Wait for the command to end by itself; return its status."""
+        status = self.process.wait(120)
+        self._reader.join()
+        return status
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        self._reader.join()
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
+
+def run_in_terminal(*command: str, cwd: Path) -> tuple[int, str]:
+    """Run one of our commands in a terminal; return its status and all that was written there."""
+    with watched_terminal() as (writing, seen):
+        process = subprocess.Popen(
+            [BIN / command[0], *command[1:]],
+            cwd=cwd,
+            env={**os.environ, "TERM": "xterm"},
+            stdin=writing,
+            stdout=writing,
+            stderr=writing,
+        )
+        try:
+            status = process.wait(120)
+        finally:
+            process.kill()
+    return status, b"".join(seen).decode()
+
+
+@contextmanager
+def watched_terminal() -> Iterator[tuple[int, list[bytes]]]:
+    """A terminal: where to write, and what was written there, all of it when the context is left."""
+    looking, writing = pty.openpty()
+    seen: list[bytes] = []
+    reader = threading.Thread(target=lambda: seen.extend(iter(lambda: _read(looking), b"")))
+    reader.start()
+    try:
+        yield writing, seen
+    finally:
+        os.close(writing)
+        reader.join()
+        os.close(looking)
+
+
+def drawings(text: str) -> list[str]:
+    """Return the drawings in what was written to a terminal, each without its colors."""
+    return [_ESCAPE.sub("", part).replace("\r", "") for part in text.split("\x1b[H")[1:]]
+
+
+def _read(descriptor: int) -> bytes:
+    try:
+        return os.read(descriptor, 2**16)
+    except OSError:  # Linux says so when the last writer has closed a terminal.
+        return b""
