@@ -82,7 +82,6 @@ def add_enemy(world: World, column: int, row: int, facing: int) -> None:
     else:
         x = np.float32(16 * column + 8)
         height = 24 if kind <= GREEN_KOOPA else 12
-        facing = 1 if facing == 0 else facing
         actor = add_actor(world, kind, x, np.float32(16 * row + 15), facing, height)
         actor.winged = spawn & SPAWN_WINGED != 0
     actor.column = column

@@ -216,12 +216,9 @@ def _has_enemy(world: World, column: int, row: int) -> bool:
 
 @jit
 def _towards(world: World, column: int) -> int:
-    """Return where Mario is, seen from a column: -1 left, 1 right, 0 right here."""
+    """Return where an enemy of a column first looks: -1 left, if Mario is over a tile that way, else 1."""
     middle = np.float32(16 * column + 8)
-    mario = world.actors[0]
-    if middle > mario.x + np.float32(16):
-        return -1
-    return 1 if middle < mario.x - np.float32(16) else 0
+    return -1 if middle > world.actors[0].x + np.float32(16) else 1
 
 
 @jit

@@ -153,7 +153,7 @@ def test_block_beyond_the_border_gives_but_stays(world: World) -> None:
     world.tiles[last, 9] = QUESTION_WITH_COIN  # goes on to the right for ever
     hit_block(world, last + 1, 9, False)
     assert world.coins == 1
-    assert world.tiles[last, 9] == QUESTION_WITH_COIN
+    assert world.tiles[last : last + 2, 9].tolist() == [QUESTION_WITH_COIN, EMPTY]
 
 
 def test_item_for_which_there_is_no_place_is_left_out(world: World) -> None:
