@@ -1,0 +1,289 @@
+"""The commands, as people use them: three terminals, scripts, mistakes."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+import re
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.terminal import Terminal, run
+
+ROOT = Path(__file__).parents[2]
+COMMANDS = sorted(
+    point.name
+    for point in importlib.metadata.entry_points(group="console_scripts")
+    if point.name.startswith("glue-")
+)
+
+
+@pytest.fixture
+def terminals(tmp_path: Path) -> Iterator[list[Terminal]]:
+    opened: list[Terminal] = []
+    yield opened
+    for terminal in opened:
+        terminal.close()
+
+
+@pytest.fixture
+def hub(tmp_path: Path) -> str:
+    return f"ipc://{tmp_path}/hub"
+
+
+def test_commands_are_all_installed() -> None:
+    assert {"glue-hub", "glue-env", "glue-agent", "glue-experiment"} <= set(COMMANDS)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_command_has_help_with_examples_a_version_and_a_place_in_the_readme(
+    command: str, tmp_path: Path
+) -> None:
+    shown = run(command, "--help", cwd=tmp_path)
+    assert shown.returncode == 0
+    assert "Example" in shown.stdout
+    assert importlib.metadata.version("glue-rl") in run(command, "--version", cwd=tmp_path).stdout
+    assert f"`{command}`" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def test_three_terminals_run_an_experiment(tmp_path: Path, hub: str, terminals: list[Terminal]) -> None:
+    experiment = Terminal("glue-experiment", "--episodes", "20", "--bind", hub, "--out", "run", cwd=tmp_path)
+    terminals.append(experiment)
+    asked = {}
+    for role in ("env", "agent"):
+        asked[role] = experiment.wait_for(rf"in another terminal: (glue-{role} .*)").group(1).split()
+    environment, agent = (Terminal(*asked[role], cwd=tmp_path) for role in ("env", "agent"))
+    terminals += [environment, agent]
+    assert experiment.end() == 0
+    experiment.wait_for(r"remote/remote/0 +20/20 ")
+    assert (environment.end(), agent.end()) == (0, 0)
+    agent.wait_for("goodbye: the experiment is over")
+
+
+def test_agent_killed_mid_episode_and_started_again_voids_that_episode_alone(
+    tmp_path: Path, hub: str, terminals: list[Terminal]
+) -> None:
+    experiment = Terminal(
+        *("glue-experiment", "--episodes", "4", "--max-steps", "400", "--bind", hub, "--out", "run"),
+        cwd=tmp_path,
+    )
+    environment = Terminal("glue-env", "tests_endless.py:Endless", "--hub", hub, cwd=tmp_path)
+    (tmp_path / "tests_endless.py").write_text(_ENDLESS, encoding="utf-8")
+    terminals += [experiment, environment]
+    agent = Terminal("glue-agent", "tests_endless.py:Suicidal", "--hub", hub, cwd=tmp_path)
+    terminals.append(agent)
+    assert agent.end() == -signal.SIGKILL
+    terminals.append(Terminal("glue-agent", "random", "--hub", hub, cwd=tmp_path))
+    assert experiment.end() == 0
+    experiment.wait_for("agent Suicidal .* lost")
+    experiment.wait_for("episode 1 is void: the agent Suicidal")
+    experiment.wait_for(r"remote/remote/0 +4/4 .* 1$")
+
+
+_ENDLESS = """
+import os, signal
+from glue import Action, Observation
+
+
+class Endless:
+    def env_init(self):
+        return (
+            "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 "
+            "OBSERVATIONS INTS (0 1) ACTIONS INTS (0 1) REWARDS (0 1) EXTRA"
+        )
+
+    def env_start(self):
+        return Observation(ints=[0])
+
+    def env_step(self, action):
+        return 1.0, Observation(ints=[1]), False
+
+    def env_cleanup(self):
+        pass
+
+    def env_message(self, message):
+        return ""
+
+    def env_save(self):
+        return b""
+
+    def env_load(self, data):
+        pass
+
+
+class Suicidal:
+    def agent_init(self, task_spec):
+        self.steps = 0
+
+    def agent_start(self, observation):
+        return Action(ints=[0])
+
+    def agent_step(self, reward, observation):
+        self.steps += 1
+        if self.steps == 200:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return Action(ints=[0])
+
+    def agent_end(self, reward):
+        pass
+
+    def agent_cleanup(self):
+        pass
+
+    def agent_message(self, message):
+        return ""
+
+
+class Broken(Suicidal):
+    def agent_step(self, reward, observation):
+        raise ArithmeticError("cannot add up")
+"""
+
+
+def test_agent_that_raises_shows_its_traceback_and_ends_the_experiment(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(_ENDLESS, encoding="utf-8")
+    shown = run(
+        *("glue-experiment", "--env", "mine.py:Endless", "--agent", "mine.py:Broken"),
+        *("--episodes", "2", "--out", "run"),
+        cwd=tmp_path,
+    )
+    assert shown.returncode == 1
+    assert 'raise ArithmeticError("cannot add up")' in shown.stderr
+    assert re.search(
+        r"Error: agent Broken .* raised in agent_step: ArithmeticError: cannot add up", shown.stderr
+    )
+
+
+@pytest.mark.parametrize("topology", [[], ["--in-process"]], ids=["processes", "in-process"])
+def test_json_is_an_object_for_every_episode_then_a_summary(tmp_path: Path, topology: list[str]) -> None:
+    shown = run(
+        *("glue-experiment", "--env", "mines", "--agent", "sarsa", "--episodes", "30", "--seed", "7"),
+        *("--max-steps", "50", "--json", "--out", "run", *topology),
+        cwd=tmp_path,
+    )
+    assert shown.returncode == 0, shown.stderr
+    *episodes, summary = map(json.loads, shown.stdout.splitlines())
+    assert [line["episode"] for line in episodes] == list(range(1, 31))
+    assert all({"return", "steps", "terminal"} <= set(line) for line in episodes)
+    assert summary["episodes"] == 30
+    assert summary["steps"] == sum(line["steps"] for line in episodes)
+    assert any(not line["terminal"] for line in episodes)
+    assert all(line["steps"] <= 50 for line in episodes)
+
+
+def test_same_seed_gives_the_same_returns_in_one_process_and_in_three(tmp_path: Path) -> None:
+    results = [
+        run(
+            *("glue-experiment", "--env", "mines", "--agent", "sarsa", "--episodes", "25", "--seed", seed),
+            *("--env-option", "random_start=yes", "--json", "--out", f"run{number}", *how),
+            cwd=tmp_path,
+        ).stdout.splitlines()[:-1]
+        for number, (seed, how) in enumerate([("5", []), ("5", ["--in-process"]), ("6", ["--in-process"])])
+    ]
+    assert results[0] == results[1]
+    assert results[0] != results[2]
+
+
+MISTAKES = {
+    "a misspelt environment": (["glue-env", "minez"], "did you mean mines"),
+    "a misspelt agent": (
+        ["glue-experiment", "--env", "mines", "--agent", "sarsaa", "--episodes", "1"],
+        "did you mean sarsa",
+    ),
+    "a misspelt option": (
+        [
+            *("glue-experiment", "--env", "mines", "--agent", "sarsa", "--episodes", "1"),
+            *("--agent-option", "stepsize=1"),
+        ],
+        "did you mean step_size",
+    ),
+    "an option out of bounds": (
+        [
+            *("glue-experiment", "--env", "mines", "--agent", "sarsa", "--episodes", "1"),
+            *("--agent-option", "step_size=2"),
+        ],
+        "from 0 to 1",
+    ),
+    "a bad URL": (["glue-agent", "random", "--hub", "localhost:4097"], "tcp://host:port"),
+    "an address open to others": (["glue-hub", "--bind", "tcp://0.0.0.0:4999"], "--insecure"),
+    "a file that is not there": (["glue-agent", "nowhere.py:Agent"], "no file nowhere.py"),
+    "a module that is not there": (["glue-env", "nowhere:Env"], "no module 'nowhere'"),
+    "a class that is not there": (["glue-env", "env_server.toys:MineEnvironment"], "did you mean Mines"),
+    "no class": (["glue-env", "env_server.toys"], "module:Class"),
+    "no agent in one process": (
+        ["glue-experiment", "--env", "mines", "--in-process", "--episodes", "1"],
+        "--agent NAME",
+    ),
+    "no episodes": (["glue-experiment", "--env", "mines", "--agent", "random"], "--episodes"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_mistake_is_answered_in_a_line_that_says_what_to_do(mistake: str, tmp_path: Path) -> None:
+    command, advice = MISTAKES[mistake]
+    shown = run(*command, cwd=tmp_path)
+    assert shown.returncode in (1, 2)
+    assert advice in shown.stderr
+    assert "Traceback" not in shown.stderr
+    assert sum(line.startswith("Error:") for line in shown.stderr.splitlines()) == 1
+
+
+def test_port_in_use_is_one_line(tmp_path: Path, hub: str, terminals: list[Terminal]) -> None:
+    first = Terminal("glue-hub", "--bind", "tcp://127.0.0.1:*", cwd=tmp_path)
+    terminals.append(first)
+    taken = first.wait_for(r"listening on (\S+)").group(1)
+    shown = run("glue-hub", "--bind", taken, cwd=tmp_path)
+    assert shown.returncode == 2
+    assert "is in use" in shown.stderr
+    assert "Traceback" not in shown.stderr
+
+
+def test_task_spec_that_does_not_parse_is_one_line_at_the_agent(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(_ENDLESS.replace("ACTIONS INTS", "ACTS INTS"), encoding="utf-8")
+    shown = run(
+        *("glue-experiment", "--env", "mine.py:Endless", "--agent", "random"),
+        *("--episodes", "2", "--out", "run"),
+        cwd=tmp_path,
+    )
+    assert shown.returncode == 1
+    assert "ACTIONS" in shown.stderr
+    assert "Traceback" not in shown.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_hub_that_is_stopped_tells_its_peers(
+    number: signal.Signals, tmp_path: Path, hub: str, terminals: list[Terminal]
+) -> None:
+    stopped = Terminal("glue-hub", "--bind", hub, cwd=tmp_path)
+    agent = Terminal("glue-agent", "random", "--hub", hub, cwd=tmp_path)
+    environment = Terminal("glue-env", "mines", "--hub", hub, cwd=tmp_path)
+    terminals += [stopped, agent, environment]
+    stopped.wait_for("agent .* joined")
+    stopped.wait_for("environment .* joined")
+    os.kill(stopped.process.pid, number)
+    assert stopped.end() == 0
+    assert (agent.end(), environment.end()) == (0, 0)
+    agent.wait_for(f"goodbye: .*{number.name}")
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_experiment_that_is_stopped_keeps_what_it_reported(
+    number: signal.Signals, status: int, tmp_path: Path, terminals: list[Terminal]
+) -> None:
+    experiment = Terminal(
+        *("glue-experiment", "--env", "mines", "--agent", "random", "--episodes", "100000"),
+        *("--json", "--out", "run"),
+        cwd=tmp_path,
+    )
+    terminals.append(experiment)
+    experiment.wait_for('"episode": 20,')
+    os.kill(experiment.process.pid, number)
+    assert experiment.end() == status
+    reported = sum(line.startswith('{"trial"') for line in experiment.lines)
+    exported = run("glue-results", "export", "run", "--format", "csv", cwd=tmp_path)
+    assert exported.returncode == 0, exported.stderr
+    assert len(exported.stdout.splitlines()) - 1 >= reported

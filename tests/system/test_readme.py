@@ -1,0 +1,81 @@
+"""README.md: its code runs, and so does every command in it, with two episodes where it says hundreds."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from glue.testing import check_agent
+from tests.terminal import Terminal, run
+
+TEXT = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", TEXT, re.M | re.S)
+PROGRAMS = [body for language, body in BLOCKS if language == "python"]
+COMMANDS = [
+    shlex.split(re.sub(r"--episodes \d+", "--episodes 2", line), comments=True)
+    for language, body in BLOCKS
+    if language == "sh"
+    for line in body.splitlines()
+    if line.startswith("glue-")
+]
+EXPERIMENT = ["glue-experiment", "--episodes", "2", "--max-steps", "50"]
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with the programs of the text, each in a file called as its class."""
+    for program in PROGRAMS:
+        (name,) = re.findall(r"^class (\w+)", program, re.M)
+        (tmp_path / f"{name.lower()}.py").write_text(program, encoding="utf-8")
+    return tmp_path
+
+
+def partners(command: list[str], hub: str) -> list[list[str]]:
+    """What runs in the other terminals; nothing if the command brings all three roles with it."""
+    environment, agent = ["glue-env", "mines", "--hub", hub], ["glue-agent", "random", "--hub", hub]
+    match command[0]:
+        case "glue-agent":
+            return [[*EXPERIMENT, "--env", "mario", "--bind", hub]]
+        case "glue-env":
+            return [[*EXPERIMENT, "--agent", "random", "--bind", hub]]
+        case _:
+            missing = {"--env": environment, "--agent": agent}
+            return [partner for option, partner in missing.items() if option not in command]
+
+
+def test_text_has_commands_and_programs() -> None:
+    assert {command[0] for command in COMMANDS} == {"glue-experiment", "glue-env", "glue-agent"}
+    assert any(program.startswith("from glue import") for program in PROGRAMS)
+    assert {language for language, _ in BLOCKS} == {"sh", "python"}
+
+
+@pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
+def test_command_runs(command: list[str], folder: Path) -> None:
+    hub = f"ipc://{folder}/hub"
+    others = partners(command, hub)
+    address = {"glue-experiment": ["--bind", hub]}.get(command[0], ["--hub", hub]) if others else []
+    terminals = [Terminal(*other, cwd=folder) for other in others]
+    try:
+        shown = run(*command, *address, cwd=folder)
+        assert shown.returncode == 0, shown.stderr
+        assert [terminal.end() for terminal in terminals] == [0] * len(terminals)
+        table = shown.stdout.splitlines() + [line for terminal in terminals for line in terminal.lines]
+        assert any(re.search(r" 2/2 ", line) for line in table), table
+    finally:
+        for terminal in terminals:
+            terminal.close()
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_agent_of_the_text_keeps_the_contract(program: str) -> None:
+    names: dict[str, type] = {}
+    exec(program, names)
+    (agent,) = [value for name, value in names.items() if name in re.findall(r"^class (\w+)", program, re.M)]
+    check_agent(
+        agent,
+        "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (0 99) "
+        "ACTIONS INTS (-1 1) (2 0 1) REWARDS (-10 100) EXTRA",
+    )
