@@ -332,6 +332,7 @@ class RemoteExperiment(Experiment):
         self._on_notice = on_notice
         self._seq = 0
         self._players: set[Role] = set()
+        self._loss: str | None = None
         self._given_up: str | None = None
         self._link = _Link(Role.EXPERIMENT, hub, {session: (name, ())}, context, log)
         self._closed = False
@@ -380,6 +381,7 @@ class RemoteExperiment(Experiment):
         event, role, name = map(str, message.scalars)
         if event == Event.LOST:
             self._players.discard(Role(role))
+            self._loss = f"the {role} {name} was lost between two verbs, and another is in its place"
         else:
             self._players.add(Role(role))
         if self._on_notice is not None:
@@ -405,10 +407,25 @@ class RemoteExperiment(Experiment):
             elif message.seq == self._seq:
                 if message.kind is Kind.ERROR:
                     code, text = message.scalars
+                    if code in (ErrorCode.PEER_LOST, ErrorCode.PEER_FAILED):
+                        self._loss = None
                     raise _ERRORS.get(str(code), LocalProtocolError)(str(text))
                 if message.kind is kind:
+                    if self._loss is not None and kind in _DEPENDENT:
+                        self._lament(kind)
                     return message.scalars, _READ[CALLS[kind].reply.body](message.body)
 
+    def _lament(self, kind: Kind) -> None:
+        """Raise PeerLost for a loss that no verb has failed of, unless this one has made up for it."""
+        loss, self._loss = self._loss, None
+        if kind is not Kind.RL_INIT:
+            raise PeerLost(loss)
+
+
+_DEPENDENT: Final = frozenset(
+    {Kind.RL_INIT, Kind.RL_START, Kind.RL_EPISODE, Kind.RL_AGENT_SAVE, Kind.RL_ENV_SAVE}
+)
+"""Verbs that succeed with a player that has taken another's place, and mean something else then."""
 
 _ERRORS: Final[Mapping[str, type[GlueError]]] = {
     ErrorCode.PEER_LOST: PeerLost,

@@ -538,6 +538,54 @@ def test_notices_reach_the_program(hub: HandHub, lines: list[str]) -> None:
     assert seen == [("lost", "agent", "its name")]
 
 
+@pytest.mark.parametrize("kind", [Kind.RL_START, Kind.RL_EPISODE, Kind.RL_AGENT_SAVE])
+def test_a_player_lost_between_two_verbs_fails_the_next_that_depends_on_it(
+    hub: HandHub, lines: list[str], kind: Kind
+) -> None:
+    verbs: dict[Kind, Callable[[RemoteExperiment], Any]] = {
+        Kind.RL_START: lambda glue: glue.rl_start(),
+        Kind.RL_EPISODE: lambda glue: glue.rl_episode(),
+        Kind.RL_AGENT_SAVE: lambda glue: glue.rl_agent_save(),
+    }
+
+    def program(glue: RemoteExperiment) -> None:
+        assert glue.rl_num_steps() == 7
+        with pytest.raises(PeerLost, match="the agent a was lost between two verbs, and another is in its"):
+            verbs[kind](glue)
+        verbs[kind](glue)
+
+    running = experiment(hub, program, lines)
+    hub.say(Kind.NOTICE, 0, "lost", "agent", "a")
+    hub.say(Kind.NOTICE, 0, "joined", "agent", "b")
+    answer_all(hub, REPLIES)
+    running.result(TIMEOUT)
+
+
+def test_a_player_lost_before_the_beginning_is_nobodys_loss(hub: HandHub, lines: list[str]) -> None:
+    def program(glue: RemoteExperiment) -> None:
+        glue.rl_init()
+        glue.rl_episode()
+
+    running = experiment(hub, program, lines)
+    hub.say(Kind.NOTICE, 0, "lost", "agent", "a")
+    answer_all(hub, REPLIES)
+    running.result(TIMEOUT)
+
+
+def test_a_loss_that_a_verb_has_failed_of_is_told_once(hub: HandHub, lines: list[str]) -> None:
+    def program(glue: RemoteExperiment) -> None:
+        with pytest.raises(PeerLost, match="it was killed"):
+            glue.rl_episode()
+        glue.rl_episode()
+
+    running = experiment(hub, program, lines)
+    request = hub.hear(Kind.RL_EPISODE)
+    hub.say(Kind.NOTICE, 0, "lost", "agent", "a")
+    hub.say(Kind.ERROR, request.seq, ErrorCode.PEER_LOST, "it was killed")
+    answer_all(hub, REPLIES)
+    running.result(TIMEOUT)
+
+
 def test_waiting_for_players_tells_who_is_missing(hub: HandHub, lines: list[str]) -> None:
     told: list[frozenset[Role]] = []
 
