@@ -179,8 +179,15 @@ def set_size(descriptor: int, lines: int, columns: int) -> None:
 
 
 def seen(terminal: tuple[TextIO, int]) -> str:
-    """Return what was drawn since the last look; something must have been."""
-    return os.read(terminal[1], 2**16).decode()
+    """Return what was drawn since the last look."""
+    stream, looking = terminal
+    # What was written before the mark has come when the mark has.
+    stream.write("\0")
+    stream.flush()
+    drawn = b""
+    while not drawn.endswith(b"\0"):
+        drawn += os.read(looking, 2**16)
+    return drawn[:-1].decode()
 
 
 @pytest.mark.parametrize(
