@@ -36,7 +36,8 @@ class Experiment:
     """RL-Glue's verbs. Their meaning, corner by corner, is in docs/protocol.md.
 
     Every verb may raise:
-        PeerLost: a player went away; an episode under way is void. Start it again.
+        PeerLost: a player went away, in this verb or since the one before; the episode under way, or this
+            one, is void. Start it again.
         PeerFailed: a player raised an exception or broke the protocol.
         HubClosed: the hub ended the session.
     """
