@@ -6,7 +6,7 @@ Each scene is a function; the rule that it is about is in `glue.testing.hub`.
 from __future__ import annotations
 
 from glue.messages import PROTOCOL_VERSION, ErrorCode, Event, Kind, Role
-from glue.testing.puppets import Puppet, Scene, did, number, reward, saw
+from glue.testing.puppets import Puppet, Scene, did, number, reward, saw, shown
 from glue.types import Action
 
 
@@ -226,4 +226,4 @@ def goodbye(scene: Scene) -> None:
 
 def _refused(puppet: Puppet, code: ErrorCode, seq: int) -> None:
     refuse = puppet.hears(Kind.REFUSE, seq)
-    puppet.check(refuse.scalars[0] == code, f"{refuse} came instead of the code {code}")
+    puppet.check(refuse.scalars[0] == code, f"{shown(refuse)} came instead of the code {code}")

@@ -20,7 +20,7 @@ from glue.types import Action, Observation
 from glue.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, decode, encode
 from glue.zmq_transport import Context, DealerTransport
 
-__all__ = ["TASK_SPEC", "Puppet", "Scene", "did", "number", "reward", "saw"]
+__all__ = ["TASK_SPEC", "Puppet", "Scene", "did", "number", "reward", "saw", "shown"]
 
 TASK_SPEC: Final = "a task for a hub, with ümlauts"
 
@@ -44,6 +44,13 @@ def number(scalar: Value) -> float:
     """Return a scalar of a WELCOME as the number that it is."""
     assert isinstance(scalar, (int, float))
     return float(scalar)
+
+
+def shown(message: Message) -> str:
+    """Return a message as errors show it."""
+    scalars = "".join(f" {scalar!r}" for scalar in message.scalars)
+    body = f" with {message.body[:200].hex(' ')}" if message.body else ""
+    return f"{message.kind.name} {message.seq}{scalars}{body}"
 
 
 class Puppet:
@@ -85,7 +92,7 @@ class Puppet:
         self.hello(seq=seq)
         welcome = self.hears(Kind.WELCOME, seq)
         known = "a known" if resumed else "an unknown"
-        self.check(welcome.scalars[1] is resumed, f"{welcome} came for {known} instance")
+        self.check(welcome.scalars[1] is resumed, f"{shown(welcome)} came for {known} instance")
         return welcome
 
     def send(self, kind: Kind, *scalars: Value, seq: int = 0, body: bytes = b"") -> None:
@@ -111,7 +118,7 @@ class Puppet:
         HEARTBEATs are passed over, and NOTICEs kept, unless they are what is expected.
         """
         named = self.session if session is None else session
-        expected = f"{kind.name} {'' if seq is None else seq} of session {named!r}"
+        expected = kind.name if seq is None else f"{kind.name} {seq}"
         deadline = time.monotonic() + (self._scene.wait if wait is None else wait)
         while (message := self._receive(deadline)) is not None:
             if (message.kind, message.session) == (kind, named) and seq in (None, message.seq):
@@ -119,18 +126,21 @@ class Puppet:
             if message.kind is Kind.NOTICE and message.session == self.session:
                 self.notices.append(message.scalars)
             elif message.kind is not Kind.HEARTBEAT:
-                raise self.broken(f"{message} came instead of {expected}")
+                where = "" if message.session == named else f" of session {message.session!r}"
+                raise self.broken(f"{shown(message)}{where} came instead of {expected}")
         raise self.broken(f"{expected} did not come in time")
 
     def hears_error(self, code: ErrorCode, seq: int | None = None) -> None:
         """Expect an ERROR of this code."""
         error = self.hears(Kind.ERROR, seq)
-        self.check(error.scalars[0] == code, f"{error} came instead of the error {code}")
+        self.check(error.scalars[0] == code, f"{shown(error)} came instead of the error {code}")
 
     def hears_malformed(self) -> None:
         """Expect what is said to whoever sent what is no message."""
         error = self.hears(Kind.ERROR, 0, session="")
-        self.check(error.scalars[0] == ErrorCode.MALFORMED, f"{error} came instead of the error malformed")
+        self.check(
+            error.scalars[0] == ErrorCode.MALFORMED, f"{shown(error)} came instead of the error malformed"
+        )
 
     def hears_notice(self, event: Event, role: Role) -> None:
         """Expect a NOTICE, which may have come already."""
@@ -146,7 +156,8 @@ class Puppet:
     def hears_call(self, kind: Kind, *scalars: Value, body: bytes = b"") -> int:
         """Expect a call with just these scalars and body; return its number."""
         call = self.hears(kind)
-        self.check((call.scalars, call.body) == (scalars, body), f"{call} came, not {scalars} and {body!r}")
+        wanted = call._replace(scalars=scalars, body=body)
+        self.check(call == wanted, f"{shown(call)} came instead of {shown(wanted)}")
         self._scene.numbered(call)
         return call.seq
 
@@ -164,9 +175,8 @@ class Puppet:
     def hears_reply(self, kind: Kind, *scalars: Value, body: bytes = b"") -> None:
         """Expect the reply to the request that was asked last, with just these scalars and body."""
         reply = self.hears(kind, self.seq)
-        self.check(
-            (reply.scalars, reply.body) == (scalars, body), f"{reply} came, not {scalars} and {body!r}"
-        )
+        wanted = reply._replace(scalars=scalars, body=body)
+        self.check(reply == wanted, f"{shown(reply)} came instead of {shown(wanted)}")
 
     def gets(self, kind: Kind, *scalars: Value) -> None:
         """Ask something that concerns no player, and expect a reply with these scalars."""
@@ -291,7 +301,7 @@ class Scene:
     def numbered(self, call: Message) -> None:
         """Check that the calls of the session have growing numbers."""
         if call.seq <= self._number:
-            raise ContractBroken(HubRule.NUMBERS, f"{call} came after call {self._number}")
+            raise ContractBroken(HubRule.NUMBERS, f"{shown(call)} came after call {self._number}")
         self._number = call.seq
 
     def close(self) -> None:

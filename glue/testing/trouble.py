@@ -6,7 +6,7 @@ Each scene is a function; the rule that it is about is in `glue.testing.hub`.
 from __future__ import annotations
 
 from glue.messages import ErrorCode, Event, Kind, Role
-from glue.testing.puppets import TASK_SPEC, Scene, did, number, reward, saw
+from glue.testing.puppets import TASK_SPEC, Scene, did, number, reward, saw, shown
 
 
 def unknown_peer(scene: Scene) -> None:
@@ -126,7 +126,9 @@ def resumed(scene: Scene) -> None:
     scene.environment.connect()
     scene.environment.join(resumed=True)
     again = scene.environment.hears(Kind.ENV_STEP)
-    scene.environment.check((again.seq, again.body) == (number, did(0)), f"{again} came, not call {number}")
+    scene.environment.check(
+        (again.seq, again.body) == (number, did(0)), f"{shown(again)} came instead of call {number}"
+    )
     scene.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
     scene.agent.answers(Kind.AGENT_STEP, reward(1), body=saw(1), gives=did(1))
     scene.experiment.hears_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
