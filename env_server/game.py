@@ -7,11 +7,12 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
+from env_server.level import Level, Spawn
 from env_server.observation import BODY_SIZE, encode
 from env_server.parameters import Parameters
 from env_server.reward import ordinary_reward, terminal_reward
 from env_server.sim._jit import entry, jit, say_when_compiling
-from env_server.sim.state import WORLD, World, Worlds
+from env_server.sim.state import RED_KOOPA, ROWS, SPAWN_KIND, SPAWN_WINGED, WORLD, World, Worlds
 from env_server.sim.step import act, begin
 from glue.errors import SimulatorError
 from glue.types import Observation
@@ -42,6 +43,18 @@ class Game:
         """The memory of the game, to look at; see `env_server.sim.state`."""
         world: World = self._memory[0]
         return world
+
+    @property
+    def level(self) -> Level:
+        """The level as it is now; blocks and coins that are used up show in its tiles."""
+        world = self.world
+        tiles, spawns = world.tiles[: world.columns], world.spawns[: world.columns]
+        return Level(
+            int(world.columns),
+            (int(world.exit_x), int(world.exit_y)),
+            tuple(tiles[:, row].tobytes().hex() for row in range(ROWS)),
+            tuple(_spawn(x, y, int(spawns[x, y])) for x, y in np.argwhere(spawns).tolist()),
+        )
 
     def set_task(self, parameters: Parameters) -> None:
         """Play another task from the next episode on."""
@@ -86,6 +99,10 @@ class Game:
         """Go to the point at which `other` is."""
         self._memory.view(np.uint8)[:] = other._memory.view(np.uint8)
         self._observation = other._observation
+
+
+def _spawn(column: int, row: int, code: int) -> Spawn:
+    return Spawn(column, row, (code & SPAWN_KIND) - RED_KOOPA, code & SPAWN_WINGED != 0)
 
 
 @jit

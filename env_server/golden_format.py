@@ -2,44 +2,43 @@
 
 A file is gzip, one JSON object a line, of which `kind` says what it is. A run, one process of the
 original on one level, is a line `run`, then for every episode a `start`, its `step`s and an `end`; lines
-of the kinds `tick` and `level` are passed over. Lines of a run whose `obs` is `hash` have, in place of
-the observation, its hash; lines of the others have both, and must agree with themselves.
-docs/trajectories.md has the fields.
+of the kind `tick` are passed over. A line `level` is a level by itself. Lines of a run whose `obs` is
+`hash` have, in place of the observation, its hash; lines of the others have both, and must agree with
+themselves. docs/trajectories.md has the fields.
 """
 
 from __future__ import annotations
 
-import gzip
 import hashlib
-import json
 import math
 import os
 import struct
-import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
+from env_server.golden_lines import Line, lines_of
+from env_server.level import Level, Spawn
 from glue.errors import GlueError
 from glue.options import Value
 from glue.trajectory import MAX_EPISODE, MAX_STEPS, TrajectoryError
 from glue.types import Action, Observation
 
 __all__ = [
-    "MAX_LINE",
     "Digest",
     "GoldenEpisode",
+    "GoldenLevel",
     "GoldenReader",
     "GoldenRun",
     "GoldenStep",
     "digest",
 ]
 
-MAX_LINE: Final = 2**20  # bytes of one line
 _DIGEST_SIZE: Final = 8
 _LONGEST_NAME: Final = 100  # characters
 _KEYS: Final = 4
+_SPAWN: Final = 4  # numbers of a spawn point
 _REWARD: Final = struct.Struct(">d")
 
 
@@ -98,8 +97,20 @@ class GoldenEpisode:
     steps: tuple[GoldenStep, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class GoldenLevel:
+    """One level; `options` are those with which our environment makes it."""
+
+    options: Mapping[str, Value]
+    level: Level
+
+
 class GoldenReader:
-    """The episodes of a file, one after the other; iterate over it.
+    """The episodes and levels of a file, one after the other; iterate over it.
+
+    Attributes:
+        path: the file.
+        levels: how many levels were passed so far.
 
     Raises, while iterating:
         TrajectoryError: the file cannot be read or is malformed; the message has the line.
@@ -107,18 +118,23 @@ class GoldenReader:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
+        self.levels = 0
 
-    def __iter__(self) -> Iterator[GoldenEpisode]:
+    def __iter__(self) -> Iterator[GoldenEpisode | GoldenLevel]:
         run: GoldenRun | None = None
         start: tuple[GoldenRun, tuple[bool, ...], Observation | Digest] | None = None
         steps: list[GoldenStep] = []
         size = 0
-        for line in _lines(self.path):
+        self.levels = 0
+        for line in lines_of(self.path):
             size += line.size
             kind = line.get("kind", str)
-            if kind in ("tick", "level"):
+            if kind == "tick":
                 continue
-            if kind == "run" and start is None:
+            if kind == "level" and start is None:
+                yield _level(line)
+                self.levels += 1
+            elif kind == "run" and start is None:
                 run = _run(line)
             elif kind == "start" and start is None and run is not None:
                 start, steps = (run, _keys(line), _seen(line, 0.0, False)), []
@@ -136,64 +152,7 @@ class GoldenReader:
             raise TrajectoryError(f"{self.path} ends in the middle of an episode of {start[0].name}")
 
 
-class _Line:
-    """One JSON object, and where it stands."""
-
-    def __init__(self, fields: dict[str, Any], where: str, size: int) -> None:
-        self._fields = fields
-        self._where = where
-        self.size = size
-
-    def wrong(self, what: str) -> TrajectoryError:
-        return TrajectoryError(f"{self._where}: {what}")
-
-    def __contains__(self, name: str) -> bool:
-        return name in self._fields
-
-    def get(self, name: str, *kinds: type) -> Any:
-        """Return a field that has to be there and of one of `kinds`."""
-        value = self._fields.get(name)
-        if type(value) not in kinds:
-            wanted = " or ".join(kind.__name__ for kind in kinds)
-            raise self.wrong(f"field {name!r} must be {wanted}; {value!r:.60} came")
-        return value
-
-    def number(self, name: str) -> float:
-        return float(self.get(name, float, int))
-
-    def numbers(self, name: str, *kinds: type) -> list[Any]:
-        values: list[Any] = self.get(name, list)
-        if not all(type(value) in kinds for value in values):
-            wanted = " or ".join(kind.__name__ for kind in kinds)
-            raise self.wrong(f"field {name!r} must be a list of {wanted}")
-        return values
-
-
-def _lines(path: Path) -> Iterator[_Line]:
-    try:
-        with gzip.open(path, "rb") as file:
-            number = 0
-            while line := file.readline(MAX_LINE + 1):
-                number += 1
-                where = f"{path}, line {number}"
-                if len(line) > MAX_LINE:
-                    raise TrajectoryError(f"{where} has more than {MAX_LINE} bytes")
-                try:
-                    fields = json.loads(line)
-                except (ValueError, RecursionError) as error:
-                    raise TrajectoryError(f"{where} is not JSON: {error}") from None
-                if not isinstance(fields, dict):
-                    raise TrajectoryError(f"{where} is not a JSON object")
-                yield _Line(fields, where, len(line))
-    except gzip.BadGzipFile:
-        raise TrajectoryError(f"{path} is no recording: it is not a gzip file") from None
-    except (EOFError, zlib.error) as error:
-        raise TrajectoryError(f"{path} is damaged after line {number}: {error}") from None
-    except OSError as error:
-        raise TrajectoryError(f"cannot read {path}: {error.strerror}") from None
-
-
-def _run(line: _Line) -> GoldenRun:
+def _run(line: Line) -> GoldenRun:
     options: dict[str, Value] = {}
     for name, value in line.get("params", dict).items():
         if type(value) not in (int, float) or not math.isfinite(value):
@@ -211,27 +170,42 @@ def _run(line: _Line) -> GoldenRun:
     return GoldenRun(name, options)
 
 
-def _keys(line: _Line) -> tuple[bool, ...]:
-    keys = line.numbers("keys", int)
+def _level(line: Line) -> GoldenLevel:
+    names = ("level_seed", "level_type", "level_difficulty", "level_width")
+    rows = line.list_of("rows", str)
+    spawns = line.list_of("sprites", list)
+    if not all(len(spawn) == _SPAWN and set(map(type, spawn)) <= {int, bool} for spawn in spawns):
+        raise line.wrong("field 'sprites' must be a list of [column, row, kind, winged]")
+    level = Level(
+        line.get("width", int),
+        (line.get("xExit", int), line.get("yExit", int)),
+        tuple(rows),
+        tuple(Spawn(column, row, kind, winged == 1) for column, row, kind, winged in spawns),
+    )
+    return GoldenLevel({name: line.get(name, int) for name in names}, level)
+
+
+def _keys(line: Line) -> tuple[bool, ...]:
+    keys = line.list_of("keys", int)
     if len(keys) != _KEYS or not set(keys) <= {0, 1}:
         raise line.wrong(f"field 'keys' must be {_KEYS} times 0 or 1; {keys!r:.60} came")
     return tuple(key == 1 for key in keys)
 
 
-def _step(line: _Line) -> GoldenStep:
+def _step(line: Line) -> GoldenStep:
     reward = line.number("r")
     end = line.get("end", int)
     if end not in (0, 1):
         raise line.wrong(f"field 'end' must be 0 or 1; {end} came")
     terminal = end == 1
     try:
-        action = Action(line.numbers("a", int))
+        action = Action(line.list_of("a", int))
     except GlueError as error:
         raise line.wrong(str(error)) from None
     return GoldenStep(action, reward, _seen(line, reward, terminal), terminal)
 
 
-def _seen(line: _Line, reward: float, terminal: bool) -> Observation | Digest:
+def _seen(line: Line, reward: float, terminal: bool) -> Observation | Digest:
     """Return the observation of a start or a step, or its hash if there is no more."""
     try:
         recorded = Digest.fromhex(line.get("h", str))
@@ -243,8 +217,8 @@ def _seen(line: _Line, reward: float, terminal: bool) -> Observation | Digest:
         return recorded
     try:
         observation = Observation(
-            line.numbers("i", int),
-            line.numbers("d", float, int),
+            line.list_of("i", int),
+            line.list_of("d", float, int),
             line.get("c", str).encode("latin-1"),
         )
     except (GlueError, UnicodeEncodeError, OverflowError) as error:

@@ -15,7 +15,8 @@ from typing import Any, Final, NamedTuple, Protocol, TypeAlias, runtime_checkabl
 import numpy as np
 import numpy.typing as npt
 
-from env_server.golden_format import Digest, GoldenEpisode, GoldenReader, GoldenRun, digest
+from env_server.golden_format import Digest, GoldenEpisode, GoldenLevel, GoldenReader, GoldenRun, digest
+from env_server.level import Level, level_difference
 from env_server.scene import COLUMNS, is_scene
 from glue.errors import ConfigError, GlueError
 from glue.loading import find, names
@@ -36,7 +37,8 @@ __all__ = [
     "replayed_moments",
 ]
 
-Recorded: TypeAlias = Episode | GoldenEpisode
+Recorded: TypeAlias = Episode | GoldenEpisode | GoldenLevel
+RecordedEpisode: TypeAlias = Episode | GoldenEpisode
 RecordedRun: TypeAlias = Run | GoldenRun
 
 _Array: TypeAlias = npt.NDArray[Any]
@@ -121,9 +123,11 @@ def build_named(name: str, options: Mapping[str, Value]) -> Environment:
 
 
 def replayed_moments(
-    episodes: Iterable[Recorded], build: Callable[[RecordedRun], Environment]
+    recorded: Iterable[Recorded], build: Callable[[RecordedRun], Environment]
 ) -> Iterator[Moment]:
-    """Yield every moment of `episodes` as the environment of each run gives it, once compared.
+    """Yield every moment of all episodes as the environment of each run gives it, once compared.
+
+    Levels on the way are compared with the simulator's.
 
     Raises, while iterating:
         Difference: the first thing that is not as recorded.
@@ -133,7 +137,7 @@ def replayed_moments(
     environment: Environment | None = None
     runs = -1
     try:
-        for number, episode in enumerate(episodes):
+        for number, episode in enumerate(_compare_levels(recorded)):
             if environment is None or episode.run is not run:
                 if environment is not None:
                     environment.env_cleanup()
@@ -146,14 +150,15 @@ def replayed_moments(
             environment.env_cleanup()
 
 
-def recorded_moments(episodes: Iterable[Recorded]) -> Iterator[Moment]:
-    """Yield every moment of `episodes` as recorded, without an environment.
+def recorded_moments(recorded: Iterable[Recorded]) -> Iterator[Moment]:
+    """Yield every moment of all episodes as recorded, without an environment.
 
     Raises, while iterating:
         ConfigError: of an observation only the hash was recorded.
     """
     run: RecordedRun | None = None
     runs = -1
+    episodes = (part for part in recorded if not isinstance(part, GoldenLevel))
     for number, episode in enumerate(episodes):
         if episode.run is not run:
             run = episode.run
@@ -167,20 +172,41 @@ def recorded_moments(episodes: Iterable[Recorded]) -> Iterator[Moment]:
             yield Moment(runs, number, step, seen, reward, terminal, total, place)
 
 
-def _outcomes(episode: Recorded) -> Iterator[tuple[float, Observation | Digest, bool]]:
+def _compare_levels(recorded: Iterable[Recorded]) -> Iterator[RecordedEpisode]:
+    """Yield the episodes; between them, demand of every level that the simulator makes the same."""
+    for part in recorded:
+        if isinstance(part, GoldenLevel):
+            difference = level_difference(part.level, _level_of(part.options))
+            if difference:
+                task = " ".join(f"{name}={value}" for name, value in part.options.items())
+                raise Difference(f"{task}: {difference}")
+        else:
+            yield part
+
+
+def _level_of(options: Mapping[str, Value]) -> Level:
+    from env_server.mario import InfiniteMario  # not above: the simulator takes long to load
+
+    mario: InfiniteMario = build(InfiniteMario, options)
+    mario.env_init()
+    mario.env_start()
+    return mario.game.level
+
+
+def _outcomes(episode: RecordedEpisode) -> Iterator[tuple[float, Observation | Digest, bool]]:
     """Yield what the start and every step of an episode gave."""
     yield 0.0, episode.start, False
     for step in episode.steps:
         yield step.reward, step.observation, step.terminal
 
 
-def _place(episode: Recorded, number: int, step: int) -> str:
+def _place(episode: RecordedEpisode, number: int, step: int) -> str:
     run = episode.run
     name = f"run {run.name}, " if isinstance(run, GoldenRun) else ""
     return f"{name}episode {number}, " + (f"step {step}" if step else "start")
 
 
-def _initialise(environment: Environment, first: Recorded) -> None:
+def _initialise(environment: Environment, first: RecordedEpisode) -> None:
     """Bring the environment to where the first episode of its run begins."""
     if isinstance(first, GoldenEpisode):
         environment.env_init()
@@ -199,7 +225,9 @@ def _initialise(environment: Environment, first: Recorded) -> None:
         environment.env_load(run.state)
 
 
-def _replay_episode(environment: Environment, episode: Recorded, run: int, number: int) -> Iterator[Moment]:
+def _replay_episode(
+    environment: Environment, episode: RecordedEpisode, run: int, number: int
+) -> Iterator[Moment]:
     if isinstance(episode, Episode):
         for message in episode.messages:
             environment.env_message(message)

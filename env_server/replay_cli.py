@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 
 from env_server.drawing import save_gif, save_png
+from env_server.golden_format import GoldenReader
 from env_server.render import TerminalScreen
 from env_server.replay import (
     Difference,
@@ -86,8 +87,8 @@ def replay(
     """Show recorded episodes, and compare them with the environment they were made with.
 
     FILE is a recording of an experiment's, or of the original Infinite Mario (docs/trajectories.md).
-    Every observation, reward and end has to be the recorded one, bit for bit. The first that is not is
-    reported, and the exit code is 1.
+    Every observation, reward and end has to be the recorded one, bit for bit, and so has every level that
+    a recording of the original has by itself. The first that is not is reported, and the exit code is 1.
 
     \b
     Examples:
@@ -107,16 +108,15 @@ def replay(
     build = _builder(name, assignments)
     for file in files:
         reader = open_recording(file)
-        counted = _Counted(
-            recorded_moments(reader) if check is False else replayed_moments(reader, build), file
-        )
+        moments = recorded_moments(reader) if check is False else replayed_moments(reader, build)
+        counted = _Counted(moments, reader)
         if gif or png:
             _save([moment.observation for moment in counted if is_chosen(moment)], speed, gif, png)
         elif check or not sys.stdout.isatty():
             deque(counted, maxlen=0)
         else:
             _show(filter(is_chosen, counted), speed)
-        if not counted.episodes:
+        if not (counted.episodes or counted.levels):
             raise TrajectoryError(f"{file} holds no whole episode")
         if isinstance(reader, TrajectoryReader) and reader.torn:
             print(f"{file} was not closed: an episode that it ends in is left out", file=sys.stderr)
@@ -126,10 +126,14 @@ def replay(
 class _Counted:
     """Moments, counted as they go by; a difference is told with its file."""
 
-    def __init__(self, moments: Iterator[Moment], file: Path) -> None:
+    def __init__(self, moments: Iterator[Moment], reader: TrajectoryReader | GoldenReader) -> None:
         self._moments = moments
-        self._file = file
+        self._reader = reader
         self.runs = self.episodes = self.steps = 0
+
+    @property
+    def levels(self) -> int:
+        return self._reader.levels if isinstance(self._reader, GoldenReader) else 0
 
     def __iter__(self) -> Iterator[Moment]:
         try:
@@ -139,10 +143,12 @@ class _Counted:
                 self.steps += moment.step > 0
                 yield moment
         except Difference as error:
-            raise Difference(f"{self._file}: {error} (before it, {self} agree)") from None
+            raise Difference(f"{self._reader.path}: {error} (before it, {self} agree)") from None
 
     def __str__(self) -> str:
-        counts = {"run": self.runs, "episode": self.episodes, "step": self.steps}
+        counts = {"level": self.levels} if self.levels else {}
+        if self.runs or not self.levels:
+            counts |= {"run": self.runs, "episode": self.episodes, "step": self.steps}
         return ", ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in counts.items())
 
 

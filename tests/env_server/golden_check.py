@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from env_server.game import Game
+from env_server.level import Level, Spawn
 from env_server.observation import BODY_SIZE, encode
 from env_server.parameters import Parameters, resolve
 from env_server.reward import ordinary_reward, terminal_reward
@@ -54,16 +55,9 @@ def check_levels(name: str) -> Checked:
         names = ("level_seed", "level_type", "level_difficulty", "level_width")
         game = Game(resolve({name: line[name] for name in names}))
         game.start()
-        world = game.world
-        size = (world.columns, world.exit_x, world.exit_y)
-        rows = [world.tiles[: world.columns, row].tobytes().hex() for row in range(line["height"])]
-        spawns = [
-            [int(x), int(y), int(world.spawns[x, y]) % 8 - 1, int(world.spawns[x, y]) // 8]
-            for x, y in np.argwhere(world.spawns[: world.columns])
-        ]
-        recorded = [[x, y, kind, int(winged)] for x, y, kind, winged in line["sprites"]]
-        expected = ((line["width"], line["xExit"], line["yExit"]), line["rows"], recorded)
-        if (size, rows, spawns) != expected:
+        spawns = (Spawn(x, y, kind, winged == 1) for x, y, kind, winged in line["sprites"])
+        goal = line["xExit"], line["yExit"]
+        if game.level != Level(line["width"], goal, tuple(line["rows"]), tuple(spawns)):
             differences.append(f"level {[line[name] for name in names]}")
         compared += 1
     return Checked(compared, differences)

@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from env_server.golden_format import Digest, GoldenReader, digest
+from env_server.golden_format import Digest, GoldenEpisode, GoldenReader, digest
 from env_server.mario import InfiniteMario
 from env_server.replay import (
     Difference,
@@ -116,7 +116,9 @@ def test_original_recordings_replay(name: str) -> None:
 def test_recording_of_hashes_replays(tmp_path: Path) -> None:
     lines = golden_lines("variants.jsonl.gz")
     path = write_golden(tmp_path / "a.jsonl.gz", as_hashes(lines))
-    assert isinstance(next(iter(GoldenReader(path))).start, Digest)
+    first = next(iter(GoldenReader(path)))
+    assert isinstance(first, GoldenEpisode)
+    assert isinstance(first.start, Digest)
     assert replay(path) == replay(write_golden(tmp_path / "b.jsonl.gz", lines))
 
 
@@ -380,6 +382,74 @@ def test_hashes_alone_cannot_be_shown(tmp_path: Path) -> None:
         list(recorded_moments(open_recording(path)))
 
 
+LEVEL = {
+    "kind": "level",
+    "level_seed": 121,
+    "level_type": 0,
+    "level_difficulty": 0,
+    "level_width": 320,
+    "width": 370,
+    "height": 15,
+    "xExit": 317,
+    "yExit": 11,
+    "rows": ["00" * 370] * 15,
+    "sprites": [[15, 11, 2, 0]],
+}
+
+
+def test_levels_of_the_original_are_compared() -> None:
+    reader = GoldenReader(GOLDEN / "levels.jsonl.gz")
+    assert list(replayed_moments(reader, build)) == []
+    assert reader.levels == 120
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"level_seed": 122}, "goal: "),
+        ({"width": 371}, "width: expected 371, got 370"),
+        ({"yExit": 12}, r"goal: expected \(317, 12\), got \(317, 11\)"),
+        ({"rows": LEVEL["rows"]}, "tile in column 111, row 3: expected '00', got '10'"),
+        ({"rows": []}, "tile in column 0, row 0: expected None, got '00'"),
+        ({"sprites": LEVEL["sprites"]}, "spawn point 1: expected None, got Spawn"),
+        ({"sprites": []}, r"spawn point 0: expected None, got Spawn\(column=15, row=11, kind=2, winged=F"),
+    ],
+)
+def test_level_that_differs_is_told_by_what_differs(
+    tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
+    level = golden_lines("levels.jsonl.gz", 10**9)[0]
+    path = write_golden(tmp_path / "a", [level, level | change])
+    task = "level_seed=12. level_type=0 level_difficulty=0 level_width=320"
+    with pytest.raises(Difference, match=f"^{task}: the level's {message}"):
+        replay(path)
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ([GOOD_RUN, START, LEVEL], "line 3: a line 'level' cannot stand here"),
+        ([LEVEL | {"width": "370"}], "line 1: field 'width' must be int"),
+        ([LEVEL | {"rows": [0]}], "line 1: field 'rows' must be a list of str"),
+        (
+            [LEVEL | {"sprites": [[1, 2, 3]]}],
+            "line 1: field 'sprites' must be a list of .column, row",
+        ),
+        ([LEVEL | {"sprites": [[1, 2, "a", 0]]}], "line 1: field 'sprites' must be a list of"),
+        ([LEVEL | {"level_seed": None}], "line 1: field 'level_seed' must be int"),
+    ],
+)
+def test_malformed_level_is_told_by_its_line(tmp_path: Path, lines: list[Any], message: str) -> None:
+    with pytest.raises(TrajectoryError, match=message):
+        list(GoldenReader(write_golden(tmp_path / "a", lines)))
+
+
+def test_level_out_of_bounds_is_refused_with_the_bound(tmp_path: Path) -> None:
+    path = write_golden(tmp_path / "a", [LEVEL | {"level_width": 10**9}])
+    with pytest.raises(ConfigError, match="level_width must be from 0 to 2000 tiles"):
+        replay(path)
+
+
 PROGRAM = "from env_server.replay_cli import main; main()"
 
 
@@ -391,11 +461,13 @@ def command(*arguments: object, **more: Any) -> subprocess.CompletedProcess[str]
 
 def test_command_compares_and_counts(tmp_path: Path) -> None:
     hashed = write_golden(tmp_path / "h.jsonl.gz", as_hashes(golden_lines("episodes.jsonl.gz", 1)))
-    done = command("--check", GOLDEN / "variants.jsonl.gz", hashed)
+    levels = GOLDEN / "levels.jsonl.gz"
+    done = command("--check", GOLDEN / "variants.jsonl.gz", hashed, levels)
     assert done.returncode == 0, done.stderr
     assert done.stdout == (
         f"{GOLDEN / 'variants.jsonl.gz'}: 6 runs, 18 episodes, 697 steps: no difference\n"
         f"{hashed}: 1 run, 1 episode, 212 steps: no difference\n"
+        f"{levels}: 120 levels: no difference\n"
     )
 
 
@@ -422,7 +494,7 @@ def test_command_says_what_is_wrong_with_its_arguments(tmp_path: Path) -> None:
         ([tmp_path / "a", "--env", "skeleton"], 1, "the task spec: expected"),
         ([tmp_path / "a", "--png", tmp_path / "x.png"], 1, "an observation of Infinite Mario has"),
         ([tmp_path / "a", "--png", tmp_path / "x.png", "--episode", "9"], 2, "no such episode"),
-        ([GOLDEN / "levels.jsonl.gz"], 1, "holds no whole episode"),
+        ([write_golden(tmp_path / "run", [GOOD_RUN])], 1, "holds no whole episode"),
     ]
     for arguments, code, message in cases:
         done = command(*arguments)
