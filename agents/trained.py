@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from glue.errors import ConfigError
-from glue.roles import SaveableAgent
+from glue.roles import SaveableAgent, offers
 
 __all__ = ["Trained", "load_trained"]
 
@@ -23,15 +23,15 @@ class Trained:
     """
 
     def __init__(self, agent: Any, learned: bytes) -> None:
-        self._agent = agent
+        self.__wrapped__ = agent
         self._learned = learned
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._agent, name)
+        return getattr(self.__wrapped__, name)
 
     def agent_init(self, task_spec: str) -> None:
-        self._agent.agent_init(task_spec)
-        self._agent.agent_load(self._learned)
+        self.__wrapped__.agent_init(task_spec)
+        self.__wrapped__.agent_load(self._learned)
 
 
 def load_trained(agent: Any, path: Path) -> Trained:
@@ -40,7 +40,7 @@ def load_trained(agent: Any, path: Path) -> Trained:
     Raises:
         ConfigError: the agent cannot load, or the file cannot be read.
     """
-    if not isinstance(agent, SaveableAgent):
+    if not offers(agent, SaveableAgent):
         raise ConfigError(f"{type(agent).__name__} cannot load what was learned: it has no agent_load")
     try:
         if path.stat().st_size > _MAX_SIZE:

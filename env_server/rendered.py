@@ -15,27 +15,27 @@ class Rendered:
     """`environment`, with every observation drawn on `screen`; in all else it is the same."""
 
     def __init__(self, environment: Environment, screen: TerminalScreen) -> None:
-        self._environment = environment
+        self.__wrapped__ = environment
         self._screen = screen
         self._step = 0
         self._return = 0.0
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._environment, name)
+        return getattr(self.__wrapped__, name)
 
     def env_start(self) -> Observation:
-        observation = self._environment.env_start()
+        observation = self.__wrapped__.env_start()
         self._step, self._return = 0, 0.0
         self._screen.show(observation, 0.0, 0, 0.0)
         return observation
 
     def env_step(self, action: Action) -> tuple[float, Observation, bool]:
-        reward, observation, terminal = self._environment.env_step(action)
+        reward, observation, terminal = self.__wrapped__.env_step(action)
         self._step += 1
         self._return += reward
         self._screen.show(observation, reward, self._step, self._return)
         return reward, observation, terminal
 
     def env_cleanup(self) -> None:
-        self._environment.env_cleanup()
+        self.__wrapped__.env_cleanup()
         self._screen.close()

@@ -22,7 +22,7 @@ from glue.errors import ConfigError, GlueError
 from glue.loading import find, names
 from glue.messages import Role
 from glue.options import Value, build
-from glue.roles import Environment, SaveableEnvironment, SeedableEnvironment
+from glue.roles import Environment, SaveableEnvironment, SeedableEnvironment, offers
 from glue.trajectory import Episode, Run, TrajectoryReader
 from glue.types import Observation
 
@@ -214,13 +214,13 @@ def _initialise(environment: Environment, first: RecordedEpisode) -> None:
             environment.buttons = first.keys
         return
     run = first.run
-    if run.seed is not None and isinstance(environment, SeedableEnvironment):
+    if run.seed is not None and offers(environment, SeedableEnvironment):
         environment.env_seed(run.seed)
     task_spec = environment.env_init()
     if task_spec != run.task_spec:
         raise Difference(f"the task spec: expected {run.task_spec!r}, got {task_spec!r}")
     if run.state:
-        if not isinstance(environment, SaveableEnvironment):
+        if not offers(environment, SaveableEnvironment):
             raise ConfigError("the recording begins with a saved state, which this environment cannot load")
         environment.env_load(run.state)
 

@@ -41,7 +41,8 @@ __all__ = ["main", "play", "watch"]
 @click.option(
     "--load",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="File of what an agent of this kind has learned, from `glue-results agent`.",
+    help="File of what an agent of this kind has learned, from `glue-results agent`; its random choices go on "
+    "from there as well.",
 )
 @click.option("--episodes", type=click.IntRange(1), default=1, show_default=True, help="Episodes to show.")
 @click.option(
@@ -116,12 +117,13 @@ def play(
     pause = 1.0 / speed if stream.isatty() else 0.0
     with TerminalScreen(stream) as screen:
         screen.show(glue.rl_start().observation, 0.0, 0, 0.0, title)
-        terminal = False
+        made, terminal = 0, False
         while not terminal and (max_steps == 0 or glue.rl_num_steps() < max_steps):
             sleep(pause)
             step = glue.rl_step()
+            made += 1
             terminal = step.terminal
-            screen.show(step.observation, step.reward, glue.rl_num_steps(), glue.rl_return(), title)
+            screen.show(step.observation, step.reward, made, glue.rl_return(), title)
     return glue.rl_return(), glue.rl_num_steps()
 
 

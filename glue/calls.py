@@ -19,6 +19,7 @@ from glue.roles import (
     SaveableEnvironment,
     SeedableAgent,
     SeedableEnvironment,
+    offers,
 )
 from glue.types import Action, Observation
 
@@ -31,8 +32,8 @@ _DONE: Final[Answer] = ((), None)
 
 
 def name_of(player: object) -> str:
-    """Return the name that messages use for a user's agent or environment."""
-    return type(player).__name__
+    """Return the name that messages use for a user's agent or environment, or for the one in a wrapper."""
+    return type(getattr(player, "__wrapped__", player)).__name__
 
 
 def role_calls(role: Role, player: Any) -> dict[Kind, Handler]:
@@ -86,9 +87,9 @@ def agent_calls(agent: Agent) -> dict[Kind, Handler]:
         Kind.AGENT_CLEANUP: cleanup,
         Kind.AGENT_MESSAGE: message,
     }
-    if isinstance(agent, SeedableAgent):
+    if offers(agent, SeedableAgent):
         calls[Kind.AGENT_SEED] = _seeder(agent.agent_seed)
-    if isinstance(agent, SaveableAgent):
+    if offers(agent, SaveableAgent):
         calls[Kind.AGENT_SAVE] = _saver(agent, "agent_save", agent.agent_save)
         calls[Kind.AGENT_LOAD] = _loader(agent.agent_load)
     return calls
@@ -131,9 +132,9 @@ def environment_calls(environment: Environment) -> dict[Kind, Handler]:
         Kind.ENV_CLEANUP: cleanup,
         Kind.ENV_MESSAGE: message,
     }
-    if isinstance(environment, SeedableEnvironment):
+    if offers(environment, SeedableEnvironment):
         calls[Kind.ENV_SEED] = _seeder(environment.env_seed)
-    if isinstance(environment, SaveableEnvironment):
+    if offers(environment, SaveableEnvironment):
         calls[Kind.ENV_SAVE] = _saver(environment, "env_save", environment.env_save)
         calls[Kind.ENV_LOAD] = _loader(environment.env_load)
     return calls

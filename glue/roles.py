@@ -7,11 +7,14 @@ Source of names and meaning: RL-Glue 3.0.
 
 from __future__ import annotations
 
-from typing import Final, Protocol, runtime_checkable
+from collections.abc import Callable, Mapping
+from typing import Final, Protocol, TypeGuard, TypeVar
 
 from glue.types import Action, Observation
 
-__all__ = ["CAPABILITIES", "Agent", "Environment", "capabilities"]
+__all__ = ["CAPABILITIES", "Agent", "Environment", "capabilities", "offers"]
+
+T = TypeVar("T")
 
 
 class Environment(Protocol):
@@ -66,7 +69,6 @@ class Agent(Protocol):
         ...
 
 
-@runtime_checkable
 class SeedableEnvironment(Protocol):
     """Capability `seed`: the experiment's seed reaches the environment before every env_init."""
 
@@ -75,7 +77,6 @@ class SeedableEnvironment(Protocol):
         ...
 
 
-@runtime_checkable
 class SeedableAgent(Protocol):
     """Capability `seed`: the experiment's seed reaches the agent before every agent_init."""
 
@@ -84,7 +85,6 @@ class SeedableAgent(Protocol):
         ...
 
 
-@runtime_checkable
 class SaveableEnvironment(Protocol):
     """Capability `save`: what outlives an episode can be written down and brought back."""
 
@@ -101,7 +101,6 @@ class SaveableEnvironment(Protocol):
         ...
 
 
-@runtime_checkable
 class SaveableAgent(Protocol):
     """Capability `save`: what was learned can be written down and brought back."""
 
@@ -118,12 +117,23 @@ class SaveableAgent(Protocol):
         ...
 
 
-CAPABILITIES: Final[dict[str, tuple[type, type]]] = {
+CAPABILITIES: Final[Mapping[str, tuple[type, type]]] = {
     "seed": (SeedableEnvironment, SeedableAgent),
     "save": (SaveableEnvironment, SaveableAgent),
 }
 
 
-def capabilities(role: object) -> tuple[str, ...]:
+def offers(player: object, capability: Callable[..., T]) -> TypeGuard[T]:
+    """Return whether a player has all methods of a capability's protocol.
+
+    `isinstance` looks at the class, and would not see what a wrapper passes on.
+    """
+    methods = [name for name in vars(capability) if not name.startswith("_")]
+    return all(callable(getattr(player, name, None)) for name in methods)
+
+
+def capabilities(player: object) -> tuple[str, ...]:
     """Return the names of the capabilities that an agent or environment offers, sorted."""
-    return tuple(sorted(name for name, kinds in CAPABILITIES.items() if isinstance(role, kinds)))
+    return tuple(
+        sorted(name for name, kinds in CAPABILITIES.items() if any(offers(player, kind) for kind in kinds))
+    )

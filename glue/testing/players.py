@@ -17,14 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from glue.errors import GlueError, LocalProtocolError, TaskSpecError
-from glue.roles import (
-    Agent,
-    Environment,
-    SaveableAgent,
-    SaveableEnvironment,
-    SeedableAgent,
-    SeedableEnvironment,
-)
+from glue.roles import Agent, Environment, capabilities
 from glue.taskspec import RL_GLUE_3, Range, Ranges, Space, parse_task_spec
 from glue.testing.rules import ContractBroken, Rule
 from glue.types import Action, Observation
@@ -100,8 +93,8 @@ class _Player(ABC):
         self.player = player
         self.episodes = episodes
         self.steps = steps
-        self.seedable = isinstance(player, (SeedableEnvironment, SeedableAgent))
-        self.saveable = isinstance(player, (SaveableEnvironment, SaveableAgent))
+        self.seedable = "seed" in capabilities(player)
+        self.saveable = "save" in capabilities(player)
         needed = [name for name in vars(self.role) if name.startswith(self.prefix)]
         missing = [name for name in needed if not callable(getattr(player, name, None))]
         if missing:

@@ -11,6 +11,7 @@ from agents.sample import SampleAgent
 from agents.tabular import SarsaAgent
 from agents.trained import Trained, load_trained
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
+from glue.calls import name_of
 from glue.errors import ConfigError, GlueError
 from glue.local import connect
 from glue.roles import capabilities
@@ -42,7 +43,9 @@ def test_what_was_learned_is_there_after_every_init() -> None:
 
 def test_trained_agent_offers_what_the_agent_does() -> None:
     for agent in SarsaAgent(), SampleAgent():
-        assert capabilities(Trained(agent, b"")) == capabilities(agent)
+        trained = Trained(agent, b"")
+        assert capabilities(trained) == capabilities(agent)
+        assert name_of(trained) == name_of(agent), "messages name what a person started"
 
 
 def test_load_trained_reads_what_was_saved(tmp_path: Path) -> None:

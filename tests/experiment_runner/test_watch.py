@@ -45,7 +45,7 @@ def test_watch_draws_the_game_in_a_terminal(tmp_path: Path) -> None:
         assert legend.startswith("mm Mario")
         assert "sample in mario, episode 1" in drawing
     assert re.search(r"step 0  reward 0  return 0\.00  speed [+-]\d\.\d\d [+-]\d\.\d\d tiles/step", first)
-    shown = re.search(r"step 12  reward -?[\d.]+  return (-?[\d.]+)  speed ", last)
+    shown = re.search(r"step 11  reward -?[\d.]+  return (-?[\d.]+)  speed ", last)
     assert shown
     assert f"episode 1: return {shown[1]} in 12 steps" in last
     assert text.index("\x1b[?25l") < text.rindex("\x1b[?25h"), "the cursor comes back"
