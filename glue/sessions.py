@@ -221,7 +221,7 @@ class Switchboard:
                 self._lose(player, "was sent off: the experiment is over")
 
     def _reach(self, peer: _Peer) -> bool:
-        return self._send(peer.route, Message(Kind.HEARTBEAT, peer.session.name, 0))
+        return self._send(peer.route, Message(Kind.HEARTBEAT, "", 0))
 
     def _lose(self, peer: _Peer, why: str, code: ErrorCode = ErrorCode.PEER_LOST) -> None:
         session = peer.session

@@ -135,7 +135,9 @@ def _decode_header(frame: bytes) -> tuple[int, str, int, list[Value]]:
             max_bin_len=MAX_HEADER,
         )
     except (ValueError, msgpack.UnpackException, RecursionError) as error:
-        raise RemoteProtocolError(f"the header is not msgpack within the limits: {error}") from None
+        raise RemoteProtocolError(
+            f"the header is not msgpack within the limits: {error or type(error).__name__}"
+        ) from None
     if type(header) is not list or len(header) < 3:
         raise RemoteProtocolError("a header is an array of a kind, a session, a sequence number, ...")
     kind, session, seq = header[:3]
