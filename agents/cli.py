@@ -25,8 +25,8 @@ agent = player_command(
         click.Option(
             ["--load", "_load"],
             type=click.Path(path_type=Path, dir_okay=False),
-            help="File of what an agent of this kind has learned, from `glue-results agent`; its random choices "
-            "go on from there as well.",
+            help="File of what an agent of this kind has learned, from `glue-results agent`; its random "
+            "choices go on from there as well.",
         ),
         load_trained,
     ),

@@ -41,8 +41,8 @@ __all__ = ["main", "play", "watch"]
 @click.option(
     "--load",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="File of what an agent of this kind has learned, from `glue-results agent`; its random choices go on "
-    "from there as well.",
+    help="File of what an agent of this kind has learned, from `glue-results agent`; its random choices go "
+    "on from there as well.",
 )
 @click.option("--episodes", type=click.IntRange(1), default=1, show_default=True, help="Episodes to show.")
 @click.option(
