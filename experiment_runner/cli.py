@@ -21,7 +21,7 @@ from experiment_runner.summary import summarize, tabulate
 from glue import __version__
 from glue.commands import legacy_port_option, run
 from glue.config import DEFAULT_HUB, DEFAULT_SESSION, LegacyPort, check_session, check_url
-from glue.errors import ConfigError
+from glue.errors import ConfigError, ExperimentError
 from glue.loading import find, names
 from glue.messages import Role
 from glue.options import parse_assignments
@@ -190,7 +190,10 @@ def experiment(
             )
         plan, directory = recorded_plan(resume), resume
     else:
-        plan = _plan(plan_file, given, roles)
+        try:
+            plan = _plan(plan_file, given, roles)
+        except ExperimentError as error:  # a plan is what the command asks for
+            raise ConfigError(str(error)) from error
         directory = out or _new_directory(plan_file.stem if plan_file else _labels(plan))
     meeting = _meeting(in_process, hub, bind, session, legacy_port, insecure)
     config = RunConfig(meeting, checkpoint_every, Engine(engine), workers, address)
@@ -224,7 +227,9 @@ def _plan(plan_file: Path | None, counts: dict[str, Any], roles: dict[str, Any])
         )
     else:
         plan = replace(load_plan(plan_file), **counts)
-    return check_options(plan, lambda role, name: find(Role(role), name))
+    plan = check_options(plan, lambda role, name: find(Role(role), name))
+    plan.expand()  # is refused here, before anything is made, if it has a trial twice
+    return plan
 
 
 def _meeting(

@@ -259,7 +259,10 @@ def _check_sweep(sweep: RoleSweep, factory: type) -> RoleSweep:
         if name not in known:
             raise ConfigError(f"{sweep.label} has no option {name}{near_misses(name, known)}")
         check = known[name].check
-        options[name] = tuple(map(check, value)) if isinstance(value, tuple) else check(value)
+        try:
+            options[name] = tuple(map(check, value)) if isinstance(value, tuple) else check(value)
+        except ConfigError as error:
+            raise ConfigError(f"{sweep.label}: {error}") from None
     return replace(sweep, options=options)
 
 

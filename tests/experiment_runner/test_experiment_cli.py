@@ -138,3 +138,23 @@ def test_failed_trial_makes_the_exit_code_and_is_explained() -> None:
 )
 def test_command_that_makes_no_sense_is_refused(arguments: tuple[str, ...], message: str) -> None:
     assert message in refused(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("plan", "message"),
+    [
+        (
+            "episodes = 3\ntrials =\nseed = 1",
+            "plan.toml: this is not TOML: Invalid value (at line 2, column 9)",
+        ),
+        ("episodes = 0", "plan.toml: episodes must be a whole number from 1"),
+        ("episodes = 1\n[agents.sarsa]\nstep_size = [0.1, 7]", "sarsa: option step_size must be from 0 to 1"),
+        ("episodes = 1\n[agents.sarsa]\nstep_size = [0.5, 0.5]", "sarsa/step_size=0.5/remote/0 twice"),
+    ],
+)
+def test_mistake_in_a_plan_is_one_of_the_command(plan: str, message: str) -> None:
+    Path("plan.toml").write_text(plan)
+    result = invoke("--plan", "plan.toml")
+    assert isinstance(result.exception, ConfigError)  # which makes the exit code 2
+    assert message in str(result.exception)
+    assert not Path("runs").exists()
