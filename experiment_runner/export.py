@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final, TextIO
 
-from experiment_runner.output import written
+from experiment_runner.output import finite, written
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.store import Results
 from glue.errors import ExperimentError
@@ -61,7 +60,7 @@ def write_json(results: Results, file: TextIO) -> None:
     for rows in _rows(results, names):
         for row in rows:
             cells = {n: c for n, c in zip(names, row, strict=True) if c is not None}
-            file.write(separator + json.dumps({n: _finite(c) for n, c in cells.items()}, ensure_ascii=False))
+            file.write(separator + json.dumps({n: finite(c) for n, c in cells.items()}, ensure_ascii=False))
             separator = ",\n"
     file.write("\n]\n")
 
@@ -117,7 +116,3 @@ def _type_of(name: str, results: Results) -> type[Value]:
     if len(kinds) == 1:
         return kinds.pop()
     return float if kinds == {int, float} else str
-
-
-def _finite(cell: Cell) -> Cell:
-    return None if isinstance(cell, float) and not math.isfinite(cell) else cell

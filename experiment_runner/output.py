@@ -1,15 +1,21 @@
-"""Writing a file so that it is there whole or not at all."""
+"""What is written for others: a file that is there whole or not at all, numbers that JSON has."""
 
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 from collections.abc import Iterator
 from pathlib import Path
 
 from experiment_runner.database import reported
 
-__all__ = ["written"]
+__all__ = ["finite", "written"]
+
+
+def finite(value: object) -> object:
+    """Return `value`, or None if it is infinite or not a number, for which JSON has no word."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @contextlib.contextmanager

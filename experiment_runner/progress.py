@@ -6,7 +6,6 @@ Everything for people goes to standard error, so that standard output is free fo
 from __future__ import annotations
 
 import json
-import math
 import shutil
 import sys
 import time
@@ -14,6 +13,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol, TextIO
 
+from experiment_runner.output import finite
 from experiment_runner.plan import TrialSpec
 from experiment_runner.store import EpisodeResult, TrialRecord
 from experiment_runner.tables import format_table
@@ -225,7 +225,7 @@ class JsonLines:
             {
                 "trial": spec.id,
                 "episode": result.episode,
-                "return": None if math.isnan(result.episode_return) else result.episode_return,
+                "return": result.episode_return,
                 "steps": result.steps,
                 "terminal": result.terminal,
             }
@@ -242,8 +242,9 @@ class JsonLines:
         self._inner.close()
 
     def write(self, value: dict[str, Any]) -> None:
-        """Write one object."""
-        print(json.dumps(value), file=self._stream, flush=True)
+        """Write one object; a number that is infinite or not a number is null."""
+        numbers = {name: finite(number) for name, number in value.items()}
+        print(json.dumps(numbers), file=self._stream, flush=True)
 
 
 def _at_least_an_instant(seconds: float) -> float:
