@@ -410,8 +410,9 @@ class Store(Results):
         """
         key = self._key(as_id)
         failures = [record.failure for record in results.trials() if record.spec.id == trial_id]
-        episodes = results.episodes(trial_id)
+        # Before the episodes: in a run under way it must not know of one that is not copied.
         checkpoint = results.checkpoint(trial_id)
+        episodes = results.episodes(trial_id)
         voids = [void for void in results.voids() if void.trial_id == trial_id]
         events = [event for event in results.events() if event.trial_id == trial_id]
         write = self._connection.executemany

@@ -326,6 +326,29 @@ def test_merge_that_fails_half_way_leaves_nothing(
     assert not (tmp_path / "merged").exists()
 
 
+def test_merge_of_a_run_under_way_copies_no_checkpoint_without_its_episodes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def and_then_an_episode_is_recorded(read: Callable[[Results, str], Any]) -> Callable[[Results, str], Any]:
+        def reading(results: Results, trial_id: str) -> Any:
+            found = read(results, trial_id)
+            episode = store.done(trial_id) + 1
+            store.record(trial_id, result(0, episode), Checkpoint(b"%d" % episode))
+            return found
+
+        return reading
+
+    with create_run(tmp_path / "run", PLAN) as store, monkeypatch.context() as patched:
+        for name in ("episodes", "checkpoint"):
+            patched.setattr(Results, name, and_then_an_episode_is_recorded(getattr(Results, name)))
+        call("merge", tmp_path / "run", "--out", tmp_path / "merged")
+    with Results.open(tmp_path / "merged") as merged:
+        for trial_id in TRIALS:
+            checkpoint = merged.checkpoint(trial_id)
+            assert checkpoint is not None
+            assert checkpoint[0] <= len(merged.episodes(trial_id))
+
+
 def test_two_runs_of_one_name_that_would_collide_are_refused(tmp_path: Path) -> None:
     other = Plan(episodes=4, seed=1, environments=PLAN.environments, agents=PLAN.agents[:1])
     make(tmp_path / "x" / "run", [1, 1, 1, 1])
