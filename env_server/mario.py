@@ -140,12 +140,14 @@ class InfiniteMario:
         """Check the parameters.
 
         Raises:
-            SimulatorError: a parameter is out of its bounds.
+            SimulatorError: a parameter is out of its bounds, or an instance and an MDP are asked for.
         """
         # The first statement, so that the parameters are all the locals there are.
         given = {name: value for name, value in locals().items() if name != "self" and value is not None}
         given = _check(given)
         instance, mdp = given.pop("instance"), given.pop("mdp", None)
+        if instance and mdp:
+            raise SimulatorError(f"instance {instance} and mdp {mdp} are two tasks: leave out one")
         self._task = resolve(given, instance=instance, mdp=mdp)
         self._parameters = self._task
         self._game: Game | None = None

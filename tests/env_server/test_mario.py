@@ -173,6 +173,7 @@ def test_single_parameter_overrides_the_instance_and_the_mdp() -> None:
         ({"level_type": 3}, "from 0 to 2, not 3"),
         ({"instance": 10}, "from 0 to 9, not 10"),
         ({"instance": -1}, "from 0 to 9, not -1"),
+        ({"instance": 3, "mdp": "proving-1"}, "instance 3 and mdp proving-1 are two tasks: leave out one"),
         ({"level_width": 2001}, "from 0 to 2000 tiles, not 2001"),
         ({"level_seed": 2**31}, "from -2147483648 to 2147483647, not 2147483648"),
         ({"max_trial_steps": 0}, "from 1 to 1000000000 steps, not 0"),
