@@ -87,6 +87,10 @@ class Switchboard:
         """Return the routes of all peers."""
         return {route for route, _ in self._peers}
 
+    def num_steps(self, session: str) -> int:
+        """Return what RL_num_steps is at present in a session that has a peer."""
+        return self._sessions[session].num_steps
+
     def receive(self, route: Route, message: Message, now: float) -> None:
         """Act on a message from `route`."""
         self._now = now
@@ -269,6 +273,11 @@ class _Session:
         self._outstanding: Message | None = None
         self._request_seq = 0
         self._reply: Message | None = None
+
+    @property
+    def num_steps(self) -> int:
+        """What RL_num_steps is at present."""
+        return self._engine.num_steps
 
     def knows(self, role: Role, instance: bytes) -> bool:
         """Return whether `instance` is, or was last, in that role here."""

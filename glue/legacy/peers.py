@@ -215,7 +215,7 @@ class Experiment(Peer):
         if kind is Kind.RL_STEP and scalars[1] and not self._stepped:
             # The original takes the action of a terminal step from the step before: so far there is none.
             body = body[: body_size(body)] + Action().body
-        elif kind is Kind.RL_STEP or (kind is Kind.RL_EPISODE and asked.scalars != (1,)):
+        elif kind is Kind.RL_STEP or (kind is Kind.RL_EPISODE and self._num_steps() > 1):
             self._stepped = True
         try:
             frame = encode(Frame(kind, scalars, body), TO_EXPERIMENT)
@@ -225,6 +225,9 @@ class Experiment(Peer):
         self._connection.send(frame)
         if self._decoder.buffered:
             self._connection.later()
+
+    def _num_steps(self) -> int:
+        return self._lobby.hub.switchboard.num_steps(self._session)
 
     def _fail(self, asked: Message, why: str) -> None:
         if self._lost is None or asked.kind in EPISODE_VERBS:

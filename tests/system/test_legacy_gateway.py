@@ -293,6 +293,21 @@ def test_the_very_first_step_shows_no_action_if_it_is_terminal_and_later_ones_th
     glue.close()
 
 
+def test_an_episode_counts_as_steps_only_if_it_went_on_after_one(rig: Rig) -> None:
+    environment = ScriptedEnvironment(length=1)
+    rig.native_agent(ScriptedAgent())
+    rig.native_environment(environment)
+    glue = rig.experiment()
+    glue.init()
+    for length, max_steps, expected in ((1, 0, Numbers()), (2, 1, Numbers()), (2, 2, Numbers((100,)))):
+        environment.length = length
+        glue.episode(max_steps)
+        environment.length = 1
+        glue.start()
+        assert glue.step()[3] == expected
+    glue.close()
+
+
 def test_a_later_terminal_step_shows_the_last_action(rig: Rig) -> None:
     environment = ScriptedEnvironment(length=2)
     rig.native_agent(ScriptedAgent())
