@@ -36,13 +36,12 @@ def find(role: Role, name: str) -> type:
     """
     entry_point = _installed(role).get(name)
     if entry_point is not None:
-        return _class_of(_import(entry_point.module), entry_point.attr, name)
-    source, colon, attribute = name.rpartition(":")
-    if not colon:
+        return _class_of(_import(entry_point.module), entry_point.attr, entry_point.module)
+    source, _, attribute = name.rpartition(":")
+    if not source or not attribute:
         raise ConfigError(_unknown(role, name))
-    if source.endswith(".py"):
-        return _class_of(_import_file(Path(source)), attribute, name)
-    return _class_of(_import(source), attribute, name)
+    module = _import_file(Path(source)) if source.endswith(".py") else _import(source)
+    return _class_of(module, attribute, source)
 
 
 def _installed(role: Role) -> dict[str, EntryPoint]:
@@ -57,22 +56,21 @@ def _unknown(role: Role, name: str) -> str:
 
 
 def _import(module: str) -> ModuleType:
-    # A console script does not have the working directory on its path, `python -m` does.
-    if "" not in sys.path and str(Path.cwd()) not in sys.path:
-        sys.path.insert(0, str(Path.cwd()))
+    _look_in(Path.cwd())
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
         if error.name is not None and (module == error.name or module.startswith(error.name + ".")):
             raise ConfigError(f"there is no module {module!r} here") from None
         raise ConfigError(_broken(module, error)) from error
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ConfigError(_broken(module, error)) from error
 
 
 def _import_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise ConfigError(f"there is no file {path}")
+    _look_in(path.resolve().parent)
     name = f"_glue_user_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec is not None
@@ -81,25 +79,31 @@ def _import_file(path: Path) -> ModuleType:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         del sys.modules[name]
         raise ConfigError(_broken(str(path), error)) from error
     return module
 
 
-def _broken(source: str, error: Exception) -> str:
-    where = traceback.extract_tb(error.__traceback__)[-1]
-    return (
-        f"{source} cannot be imported: {type(error).__name__}: {error} "
-        f"({where.filename}, line {where.lineno})"
-    )
+def _look_in(folder: Path) -> None:
+    """Let modules of `folder` be imported, as those beside a program are that Python itself is given."""
+    if str(folder) not in sys.path:
+        sys.path.insert(0, str(folder))
 
 
-def _class_of(module: ModuleType, attribute: str, name: str) -> type:
+def _broken(source: str, error: BaseException) -> str:
+    where = ""
+    if not isinstance(error, SyntaxError):  # which says itself where it is
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        where = f" ({last.filename}, line {last.lineno})"
+    return f"{source} cannot be imported: {type(error).__name__}: {error}{where}"
+
+
+def _class_of(module: ModuleType, attribute: str, source: str) -> type:
     found = getattr(module, attribute, None)
     if not isinstance(found, type):
         classes = [key for key, value in vars(module).items() if isinstance(value, type)]
         near = difflib.get_close_matches(attribute, classes, n=3)
         hint = f"; did you mean {' or '.join(near)}?" if near else ""
-        raise ConfigError(f"{name}: {module.__name__} has no class {attribute!r}{hint}")
+        raise ConfigError(f"{source} has no class {attribute!r}{hint}")
     return found
