@@ -89,6 +89,7 @@ def work(job: Job, send: Callable[[Report], None], recording: TrajectoryWriter |
 
     Raises:
         StorageError: what `send` raises when a report cannot be stored.
+        BrokenPipeError: what it raises when nobody reads any more what it shows.
     """
     lock = threading.Lock()  # players are watched by threads, which report as well
 
@@ -97,20 +98,21 @@ def work(job: Job, send: Callable[[Report], None], recording: TrajectoryWriter |
             send(report)
 
     failure = None
+    sender = _Sender(send_alone, job.start.after)
     try:
-        with connect(job.spec, job.meeting, lambda line: send_alone(Said(line))) as glue:
+        with connect(job.spec, job.meeting, lambda line: send_alone(Said(line)), lambda: sender.done) as glue:
             run_trial(
                 glue,
                 job.spec,
-                _Sender(send_alone),
+                sender,
                 start=job.start,
                 checkpoint_every=job.checkpoint_every,
                 recorder=None if recording is None else Recorder(recording, job.spec, glue),
             )
-    except StorageError:
+    except (StorageError, BrokenPipeError):
         raise
     except GlueError as error:
-        if isinstance(error, PeerFailed) and error.__cause__ is not None:
+        if isinstance(error, PeerFailed) and not isinstance(error.__cause__, GlueError | None):
             traceback.print_exception(error.__cause__)  # the user's own mistake, where it happened
         failure = str(error)
     except (Exception, SystemExit) as error:
@@ -120,13 +122,19 @@ def work(job: Job, send: Callable[[Report], None], recording: TrajectoryWriter |
 
 
 class _Sender:
-    """Makes reports of what a trial hands over."""
+    """Makes reports of what a trial hands over.
 
-    def __init__(self, send: Callable[[Report], None]) -> None:
+    Attributes:
+        done: the episode that was handed over last; at first the one after which the trial begins.
+    """
+
+    def __init__(self, send: Callable[[Report], None], done: int) -> None:
         self._send = send
+        self.done = done
 
     def record(self, result: EpisodeResult, checkpoint: Checkpoint | None) -> None:
         self._send(Recorded(result, checkpoint))
+        self.done = result.episode
 
     def void(self, episode: int, why: str) -> None:
         self._send(Voided(episode, why))

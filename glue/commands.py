@@ -115,10 +115,11 @@ class _PlayerGroup(click.Group):
         return names(self._role)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command:
-        return _serving(self._role, cmd_name, find(self._role, cmd_name), self._serve, self._extra)
+        found = find(self._role, cmd_name)
+        return _serving(self._role, self.name or "", cmd_name, found, self._serve, self._extra)
 
 
-def _serving(role: Role, name: str, factory: type, serve: Serve, extra: Extra) -> click.Command:
+def _serving(role: Role, command: str, name: str, factory: type, serve: Serve, extra: Extra) -> click.Command:
     known = parameters(factory)
     extra_name = extra.option.name
     assert extra_name is not None
@@ -147,7 +148,16 @@ def _serving(role: Role, name: str, factory: type, serve: Serve, extra: Extra) -
         extra.option,
     ]
     own: Sequence[click.Parameter] = [_option(parameter) for parameter in known.values()]
-    return click.Command(name, callback=start, params=[*own, *common], help=summary)
+    examples = f"\b\nExamples:\n{_examples(command, name, known)}"
+    return click.Command(name, callback=start, params=[*own, *common], help=summary, epilog=examples)
+
+
+def _examples(command: str, name: str, known: Mapping[str, Parameter]) -> str:
+    """Return how to start a player by itself, and how glue-experiment starts it, with an option."""
+    flag = command.removeprefix("glue-")
+    option = next((f"{own.name}={own.shown}" for own in known.values() if own.default is not None), None)
+    given = "" if option is None else f" --{flag}-option {option}"
+    return f"  {command} {name} --hub {DEFAULT_HUB}\n  glue-experiment --{flag} {name}{given} --episodes 100"
 
 
 def _say(line: str) -> None:
@@ -174,9 +184,6 @@ def _option(parameter: Parameter) -> click.Option:
     if option.unit:
         notes.append(option.unit)
     if parameter.default is not None:
-        default: object = parameter.default
-        if isinstance(default, bool):
-            default = "on" if default else "off"
-        notes.append(f"default {default}")
+        notes.append(f"default {parameter.shown}")
     text = option.help + (f" [{'; '.join(notes)}]" if notes else "")
     return click.Option([flag, parameter.name], type=parameter.type, default=None, help=text)

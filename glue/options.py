@@ -56,6 +56,13 @@ class Parameter:
         """What the command line calls it, without the leading dashes."""
         return (self.option.flag or self.name).replace("_", "-")
 
+    @property
+    def shown(self) -> str:
+        """The default as it can be typed."""
+        if isinstance(self.default, bool):
+            return "on" if self.default else "off"
+        return str(self.default)
+
     def parse(self, text: str) -> Value:
         """Return `text` as a value of this parameter.
 

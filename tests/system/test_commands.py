@@ -7,12 +7,13 @@ import json
 import os
 import re
 import signal
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.terminal import Terminal, run
+from tests.terminal import BIN, Terminal, run
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = sorted(
@@ -48,6 +49,17 @@ def test_command_has_help_with_examples_a_version_and_a_place_in_the_readme(
     assert "Example" in shown.stdout
     assert importlib.metadata.version("glue-rl") in run(command, "--version", cwd=tmp_path).stdout
     assert f"`{command}`" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("player", ["glue-env mines", "glue-agent sarsa"])
+def test_help_of_a_player_has_an_example_for_the_experiment_too(player: str, tmp_path: Path) -> None:
+    command, name = player.split()
+    flag = command.removeprefix("glue-")
+    shown = run(command, name, "--help", cwd=tmp_path).stdout
+    example = re.search(rf"^ +glue-experiment (--{flag} {name} --{flag}-option .*)$", shown, re.MULTILINE)
+    assert example is not None, shown
+    other = ("--agent", "random") if flag == "env" else ("--env", "mines")
+    assert run("glue-experiment", *example[1].split(), *other, "--dry-run", cwd=tmp_path).returncode == 0
 
 
 def test_three_terminals_run_an_experiment(tmp_path: Path, hub: str, terminals: list[Terminal]) -> None:
@@ -175,6 +187,44 @@ def test_json_is_an_object_for_every_episode_then_a_summary(tmp_path: Path, topo
     assert all(line["steps"] <= 50 for line in episodes)
 
 
+@pytest.mark.parametrize("topology", [[], ["--in-process"], ["--workers", "1"]], ids=" ".join)
+def test_json_whose_reader_has_seen_enough_ends_without_complaint(
+    tmp_path: Path, topology: list[str]
+) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [BIN / "glue-experiment", "--env", "mines", "--agent", "random", "--episodes", "500", "--json"]
+    shown = subprocess.run(
+        [*command, *topology], cwd=tmp_path, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=120
+    )
+    os.close(writer)
+    assert shown.returncode == 1
+    assert "Traceback" not in shown.stderr
+    assert "Error" not in shown.stderr
+
+
+def test_answer_of_the_wrong_type_is_one_line_wherever_it_was_given(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(_WRONG, encoding="utf-8")
+    for number, topology in enumerate(([], ["--in-process"])):
+        shown = run(
+            *("glue-experiment", "--env", "mines", "--agent", "mine.py:Wrong", "--episodes", "2"),
+            *("--out", f"run{number}", *topology),
+            cwd=tmp_path,
+        )
+        assert shown.returncode == 1
+        assert "agent_start of Wrong must return an Action; it returned int 3" in shown.stderr
+        assert "Traceback" not in shown.stderr
+
+
+_WRONG = """
+from agents.baselines import RandomAgent
+
+class Wrong(RandomAgent):
+    def agent_start(self, observation):
+        return 3
+"""
+
+
 def test_same_seed_gives_the_same_returns_in_one_process_and_in_three(tmp_path: Path) -> None:
     results = [
         run(
@@ -214,6 +264,7 @@ MISTAKES = {
     "a module that is not there": (["glue-env", "nowhere:Env"], "no module 'nowhere'"),
     "a class that is not there": (["glue-env", "env_server.toys:MineEnvironment"], "did you mean Mines"),
     "no class": (["glue-env", "env_server.toys"], "module:Class"),
+    "a class without a name": (["glue-agent", "agents.baselines:"], "module:Class"),
     "no agent in one process": (
         ["glue-experiment", "--env", "mines", "--in-process", "--episodes", "1"],
         "--agent NAME",
