@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable, Sequence
 from typing import Final, Self
 
@@ -17,7 +16,6 @@ Say = Callable[[str], None]
 """Takes a line for people."""
 
 _HOPELESS_DEATHS: Final = 3
-_HOPELESS_SECONDS: Final = 2.0
 _FAREWELL_SECONDS: Final = 3.0
 
 
@@ -69,15 +67,18 @@ def _let_go(process: subprocess.Popen[bytes]) -> None:
 class KeptAlive:
     """Children that are started again when they are killed, and end with the context.
 
-    One that ends by itself has said why, and is not started again.
+    One that ends by itself has said why, and is not started again; nor is one that is killed three times
+    without any progress.
 
     Args:
         say: takes lines for people, from any thread.
+        progress: returns how many episodes are done; called from any thread.
         sent_off: whether somebody tells them to leave when the context ends; if not, they are made to.
     """
 
-    def __init__(self, say: Say, sent_off: bool) -> None:
+    def __init__(self, say: Say, progress: Callable[[], int], sent_off: bool) -> None:
         self._say = say
+        self._progress = progress
         self._sent_off = sent_off
         self._children: list[_Child] = []
 
@@ -89,7 +90,7 @@ class KeptAlive:
         Raises:
             ExperimentError: it cannot be started.
         """
-        self._children.append(_Child(label, module, arguments, self._say, give_up))
+        self._children.append(_Child(label, module, arguments, self._say, self._progress, give_up))
 
     def __enter__(self) -> Self:
         return self
@@ -110,12 +111,14 @@ class _Child:
         module: str,
         arguments: Sequence[str],
         say: Say,
+        progress: Callable[[], int],
         give_up: Callable[[str], None],
     ) -> None:
         self._label = label
         self._module = module
         self._arguments = arguments
         self._say = say
+        self._progress = progress
         self._give_up = give_up
         self._leaving = False
         self._lock = threading.Lock()  # no new process once it is leaving
@@ -136,17 +139,21 @@ class _Child:
         self._watcher.join()
 
     def _watch(self) -> None:
-        deaths = 0
+        deaths, furthest = 0, -1
         while True:
-            began = time.monotonic()
             status = self._process.wait()
-            deaths = deaths + 1 if time.monotonic() - began < _HOPELESS_SECONDS else 1
+            done = self._progress()
+            deaths = deaths + 1 if done == furthest else 1
+            furthest = done
             how = f"the {self._label} {how_it_ended(status)}"
             with self._lock:
                 if self._leaving:
                     return
-                if status >= 0 or deaths >= _HOPELESS_DEATHS:
+                if status >= 0:
                     self._give_up(how)
+                    return
+                if deaths == _HOPELESS_DEATHS:
+                    self._give_up(f"{how}, {deaths} times without getting past episode {done}")
                     return
                 _let_go(self._process)
                 self._process = start(self._module, self._arguments)

@@ -7,7 +7,7 @@ waited for, and whoever is looking is told which command starts them.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field
 from typing import Final
@@ -66,19 +66,23 @@ class Meeting:
     hub: HubOptions = field(default_factory=HubOptions)
 
 
-def connect(spec: TrialSpec, meeting: Meeting, say: Say) -> AbstractContextManager[Experiment]:
+def connect(
+    spec: TrialSpec, meeting: Meeting, say: Say, progress: Callable[[], int]
+) -> AbstractContextManager[Experiment]:
     """Bring the players of a trial together.
 
     Args:
         spec: the trial.
         meeting: how they meet.
         say: takes lines for people; may be called from any thread.
+        progress: returns how many episodes are done, for a player that is killed again and again to be
+            given up; may be called from any thread.
 
     Raises:
         ConfigError: a name, an option or an address is wrong, or an address is in use.
         ExperimentError: a child process cannot be started, or in one process a role is left out.
     """
-    return _in_process(spec) if meeting.in_process else _over_hub(spec, meeting.hub, say)
+    return _in_process(spec) if meeting.in_process else _over_hub(spec, meeting.hub, say, progress)
 
 
 @contextmanager
@@ -93,7 +97,9 @@ def _in_process(spec: TrialSpec) -> Iterator[Experiment]:
 
 
 @contextmanager
-def _over_hub(spec: TrialSpec, options: HubOptions, say: Say) -> Iterator[Experiment]:
+def _over_hub(
+    spec: TrialSpec, options: HubOptions, say: Say, progress: Callable[[], int]
+) -> Iterator[Experiment]:
     players = {Role.ENVIRONMENT: spec.environment, Role.AGENT: spec.agent}
     named = {role: player for role, player in players.items() if player is not None}
 
@@ -103,7 +109,7 @@ def _over_hub(spec: TrialSpec, options: HubOptions, say: Say) -> Iterator[Experi
 
     with ExitStack() as stack:
         # Entered first, so left last: the children go when our hub has said goodbye to them.
-        children = stack.enter_context(KeptAlive(say, sent_off=options.hub is None))
+        children = stack.enter_context(KeptAlive(say, progress, sent_off=options.hub is None))
         context = stack.enter_context(zmq.Context())
         if options.hub is None:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="glue-"))

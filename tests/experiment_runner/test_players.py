@@ -25,5 +25,6 @@ def test_hint_has_an_address_at_which_others_can_join(bind: str, shown: str) -> 
 
     spec = TrialSpec("remote/mines/0", None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
     meeting = Meeting(hub=HubOptions(bind=(bind,), insecure=True))
-    with pytest.raises(Heard, match=rf"glue-agent random --hub {shown}\d+$"), connect(spec, meeting, say):
+    hint = rf"glue-agent random --hub {shown}\d+$"
+    with pytest.raises(Heard, match=hint), connect(spec, meeting, say, lambda: 0):
         raise AssertionError("nobody was missing")

@@ -50,6 +50,17 @@ class Faulty(SarsaAgent):
             os.kill(os.getpid(), getattr(signal, self.how))
 
 
+class Mortal(Faulty):
+    """Does it once in each episode."""
+
+    def agent_start(self, observation):
+        self.episodes += 1
+        if self.once:
+            self.once = f"{self.once.split('.')[0]}.{self.episodes}"
+            self.misbehave()
+        return SarsaAgent.agent_start(self, observation)
+
+
 class Forgetful(Faulty):
     """Cannot be saved."""
 
@@ -150,6 +161,25 @@ def test_lost_worker_is_replaced_without_a_trace_in_the_results(folder: Path, ag
     assert {line["trial"] for line in lines[:-1]} == {trial}
     assert lines[-1]["summary"]
     assert (lines[-1]["episodes"], lines[-1]["failed_trials"]) == (12, 0)
+
+
+def test_player_that_is_killed_at_one_point_again_and_again_is_given_up(folder: Path) -> None:
+    plan = (*MINES, "--agent", "faulty.py:Faulty", "--episodes", 12)
+    done = run(*plan, "--agent-option", "how=SIGKILL", "--out", "run", cwd=folder)
+    why = "the agent faulty.py:Faulty was killed by signal 9, 3 times without getting past episode 6"
+    assert done.returncode == 1, done.stderr
+    assert failures(folder / "run") == {"Faulty/mines/0": why}
+
+
+def test_player_that_is_killed_at_one_point_after_another_goes_on(folder: Path) -> None:
+    plan = (*MINES, "--agent", "faulty.py:Mortal", "--episodes", 5)
+    assert run(*plan, "--in-process", "--out", "undisturbed", cwd=folder).returncode == 0
+    options = ("--agent-option", "how=SIGKILL", "--agent-option", "once=mark")
+    done = run(*plan, *options, "--out", "run", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert contents(folder / "run") == contents(folder / "undisturbed")
+    with Results.open(folder / "run") as results:
+        assert [void.episode for void in results.voids()] == [1, 2, 3, 4, 5]
 
 
 def first_line(process: subprocess.Popen[str]) -> None:
