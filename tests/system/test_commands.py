@@ -193,7 +193,16 @@ def test_json_whose_reader_has_seen_enough_ends_without_complaint(
 ) -> None:
     reader, writer = os.pipe()
     os.close(reader)
-    command = [BIN / "glue-experiment", "--env", "mines", "--agent", "random", "--episodes", "500", "--json"]
+    command = [
+        str(BIN / "glue-experiment"),
+        "--env",
+        "mines",
+        "--agent",
+        "random",
+        "--episodes",
+        "500",
+        "--json",
+    ]
     shown = subprocess.run(
         [*command, *topology], cwd=tmp_path, stdout=writer, stderr=subprocess.PIPE, text=True, timeout=120
     )
