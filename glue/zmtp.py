@@ -39,6 +39,12 @@ _MAX_COMMAND: Final = 4096
 _KEPT: Final = 3
 """Frames of a message that are kept: one more than any message of ours has is enough to tell."""
 
+_AT_ONCE: Final = 16
+"""Frames after which a caller may turn to somebody else, even if they came to nothing."""
+
+_PIECE: Final = 4096
+"""Bytes below which what comes is put together at once: a little piece takes more room than it holds."""
+
 _SIZE: Final = struct.Struct(">Q")
 _SHORT_HEADS: Final = [[bytes((flags, size)) for size in range(256)] for flags in (0, _MORE)]
 
@@ -96,22 +102,27 @@ class Decoder:
 
     def receive_data(self, data: bytes) -> None:
         """Take what came."""
-        if self._size:
-            self._later.append(data)
-        else:
+        if not self._size:
             self._buffer = data
             self._at = 0
+        elif self._later and len(self._later[-1]) < _PIECE:
+            self._later[-1] += data
+        else:
+            self._later.append(data)
         self._size += len(data)
 
     def next_event(self) -> list[bytes] | bytes | None:
         """Return the frames of a message, or bytes that are to be sent at once; None if more must come.
 
+        There may be no bytes to be sent: what has come so far asks for nothing, but there is more of it.
         Of a message of more than two frames, three are returned.
 
         Raises:
             RemoteProtocolError: this is not ZMTP 3, not what a DEALER says, or too large.
         """
-        while self._size >= self._needed:
+        for _ in range(_AT_ONCE):
+            if self._size < self._needed:
+                return None
             if self._later:
                 self._buffer = b"".join((self._buffer[self._at :], *self._later))
                 self._at = 0
@@ -148,16 +159,17 @@ class Decoder:
             if not flags & _MORE:
                 self._frames = []
                 return frames
-        return None
+        return b""
 
     def _take(self, size: int) -> bytes:
         start = self._at
         self._at = end = start + size
         self._size -= size
         taken = self._buffer[start:end]
-        if not self._size:
-            # What is large should not stay.
-            self._buffer = b""
+        if 2 * end >= len(self._buffer):
+            # What is done with may be large, and should not stay.
+            self._buffer = self._buffer[end:]
+            self._at = 0
         return taken
 
     def _check_greeting(self, greeting: bytes) -> None:
@@ -191,7 +203,7 @@ class Decoder:
             self._check_socket(data)
             self.ready = True
         elif name == b"ERROR":
-            raise RemoteProtocolError(f"it ended the handshake: {data[1:].decode(errors='replace'):.80}")
+            raise RemoteProtocolError(f"it ended the handshake: {data[1:]!r:.80}")
         return b""
 
     def _check_socket(self, properties: bytes) -> None:
@@ -204,9 +216,7 @@ class Decoder:
                 at = value_at + 4 + size
                 if name.lower() == b"socket-type":
                     if value != b"DEALER":
-                        raise RemoteProtocolError(
-                            f"it is a {value.decode(errors='replace'):.20} socket; peers use a DEALER"
-                        )
+                        raise RemoteProtocolError(f"it is a socket of type {value!r:.20}; peers use a DEALER")
                     return
         except struct.error:
             pass

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import tracemalloc
 
 import pytest
 from hypothesis import given
@@ -23,7 +24,8 @@ def events(decoder: Decoder, data: bytes) -> list[list[bytes] | bytes]:
     decoder.receive_data(data)
     found = []
     while (event := decoder.next_event()) is not None:
-        found.append(event)
+        if event:
+            found.append(event)
     return found
 
 
@@ -95,6 +97,56 @@ def test_a_frame_that_is_too_large_is_refused_before_it_comes() -> None:
     decoder = greeted()
     with pytest.raises(RemoteProtocolError, match=f"a frame of {MAX_FRAME + 1} bytes came; {MAX_FRAME} are"):
         events(decoder, b"\x02" + struct.pack(">Q", MAX_FRAME + 1))
+
+
+@pytest.mark.parametrize("frame", [b"\x04\x00", b"\x01\x00"], ids=["commands", "frames"])
+def test_of_what_comes_to_nothing_a_little_is_taken_at_once(frame: bytes) -> None:
+    decoder = greeted()
+    decoder.receive_data(frame * 10_000)
+    assert decoder.next_event() == b""
+    assert decoder.buffered > 19_000
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        GREETING + b"\x04\x0c\x05ERROR\x05\x1b[2J\n",
+        GREETING + READY.replace(b"DEALER", b"\x1b[2J\n!"),
+        GREETING.replace(b"NULL", b"\x1b[2J"),
+    ],
+    ids=["an error", "a socket", "a mechanism"],
+)
+def test_what_is_wrong_is_said_in_printable_characters(said: bytes) -> None:
+    with pytest.raises(RemoteProtocolError) as raised:
+        events(Decoder(MAX_FRAME), said)
+    assert str(raised.value).isprintable()
+
+
+def test_bytes_that_come_in_little_pieces_take_little_more_room_than_at_once() -> None:
+    decoder = greeted()
+    tracemalloc.start()
+    try:
+        data = b"\x02" + struct.pack(">Q", MAX_FRAME) + bytes(MAX_FRAME - 1)
+        before, _ = tracemalloc.get_traced_memory()
+        for at in range(0, len(data), 2):
+            assert events(decoder, data[at : at + 2]) == []
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert after - before < 2 * MAX_FRAME
+
+
+def test_the_beginning_of_another_message_does_not_keep_the_one_before() -> None:
+    decoder = greeted()
+    tracemalloc.start()
+    try:
+        before, _ = tracemalloc.get_traced_memory()
+        assert len(events(decoder, encode([bytes(MAX_FRAME)]) + b"\x00")) == 1
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert decoder.buffered == 1
+    assert after - before < MAX_FRAME // 2
 
 
 def test_what_was_said_is_not_kept() -> None:
