@@ -20,6 +20,9 @@ _CHUNK: Final = 65_536
 _PROBES: Final = 3
 """Unanswered probes, one a heartbeat, after which a host that fell silent is taken for gone."""
 
+_LONGEST_SILENCE: Final = 32_767
+"""Seconds; Linux, MAX_TCP_KEEPIDLE."""
+
 _AT_ONCE: Final = struct.pack("ii", 1, 0)
 """SO_LINGER: what is unsent is dropped, and the other side sees a reset."""
 
@@ -42,7 +45,7 @@ class Connection:
         connected.setblocking(False)
         if connected.family != socket.AF_UNIX:
             connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            _probe_when_silent(connected, max(1, round(silence)))
+            _probe_when_silent(connected, min(max(1, round(silence)), _LONGEST_SILENCE))
         self.name = name
         self.ready: Callable[[float], None] = _nothing
         self.closed = False
@@ -83,9 +86,8 @@ class Connection:
 
     def receive(self) -> bytes | None:
         """Return what has come: None if nothing did, or is wanted; no bytes if nothing will any more."""
-        if self._gone:
-            return b""
-        if not self._reading:
+        # Whoever is gone may have said something before, which is still here.
+        if not self._reading and not self._gone:
             return None
         try:
             return self._socket.recv(_CHUNK)
@@ -148,8 +150,10 @@ class Connection:
         except BlockingIOError:
             return 0
         except OSError:
+            # Nothing may follow what is missing now. The loop hears of the end.
             self._gone = True
-            self.later()
+            with suppress(OSError):  # it may have ended already
+                self._socket.shutdown(socket.SHUT_RDWR)
             return len(data)
 
     def _watch(self) -> None:

@@ -109,12 +109,14 @@ class Router:
     def hold(self, change: int) -> None:
         """Take note that more, or less, is kept of messages that have not come to their end.
 
-        Raises:
-            RemoteProtocolError: this is too much.
+        If it is too much, whoever sends most of it must go, those without a seat before the others.
         """
         self._unfinished += change
-        if change > 0 and self._unfinished > _MAX_UNFINISHED:
-            raise RemoteProtocolError("more large messages are under way than this hub has room for")
+        while self._unfinished > _MAX_UNFINISHED:
+            seated = self._seated()
+            holders = [dealer for dealer in self._dealers if dealer.held]
+            greatest = max(holders, key=lambda dealer: (dealer not in seated, dealer.held))
+            self.drop(greatest, "more large messages are under way than this hub has room for")
 
     def _listen(self, url: str) -> None:
         try:
@@ -185,39 +187,41 @@ class _Dealer:
 
     def _ready(self, now: float) -> None:
         data = self.connection.receive()
-        if data == b"":
-            self._router.drop(self, None)
-            return
         if data:
             self._decoder.receive_data(data)
         try:
-            self._work(now)
-            held = self._decoder.buffered
-            if held != self.held:
-                change = held - self.held
-                self.held = held
-                self._router.hold(change)
+            done = self._work(now)
         except RemoteProtocolError as error:
             self._router.drop(self, str(error))
+            return
+        if data == b"" and done:
+            self._router.drop(self, None)
+            return
+        held = self._decoder.buffered
+        if held != self.held:
+            change = held - self.held
+            self.held = held
+            self._router.hold(change)
 
-    def _work(self, now: float) -> None:
-        """Act on what has come, one message after the other."""
+    def _work(self, now: float) -> bool:
+        """Act on what has come, one message after the other; return whether more must come."""
         connection, decoder, receive = self.connection, self._decoder, self._router.receive
         for _ in range(_BATCH):
             if connection.unsent:
                 # The turn after everything was sent comes back to this.
                 connection.read(False)
-                return
+                return False
             event = decoder.next_event()
             if event is None:
                 connection.read(True)
-                return
+                return True
             if isinstance(event, bytes):
                 connection.send(event)
             else:
                 receive(self, event, now)
         connection.read(False)
         connection.later()
+        return False
 
 
 def _open(url: str) -> socket.socket:

@@ -29,6 +29,7 @@ from glue.messages import ErrorCode, Kind, Message
 from glue.sessions import INSTANCE_SIZE
 from glue.types import Action, Observation
 from glue.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, decode, encode
+from glue.zmtp import encode as encode_frames
 from tests.players import ChainAgent, ChainEnvironment
 from tests.system.peer import TIMEOUT, peer, running
 from tests.system.proxy import ABORT
@@ -307,6 +308,29 @@ def test_messages_that_do_not_come_to_their_end_are_dropped_when_they_are_too_ma
             with suppress(ConnectionError):
                 connection.sendall(b"\x02" + struct.pack(">Q", MAX_BODY) + bytes(MAX_BODY - 1))
             assert hub.megabytes() < before + ROOM
+
+
+def test_whoever_sends_a_little_may_finish_while_others_fill_the_room(hub: Target) -> None:
+    def say(connection: socket.socket, message: Message) -> None:
+        connection.sendall(encode_frames(encode(message, TO_HUB)))
+
+    def seated(session: str) -> socket.socket:
+        connection = stack.enter_context(zmtp(hub))
+        scalars = ((1,), "agent", os.urandom(INSTANCE_SIZE), "", "", ())
+        say(connection, Message(Kind.HELLO, session, 0, scalars))
+        return connection
+
+    with ExitStack() as stack:
+        modest = seated("modest")
+        for number in range(4):
+            frame = b"\x02" + struct.pack(">Q", MAX_BODY) + bytes(MAX_BODY - 100)
+            seated(f"greedy {number}").sendall(frame)
+        hub.healthy.goes_on()
+        say(modest, Message(Kind.AGENT_MESSAGE, "modest", 9, (), bytes(2**20)))
+        heard = b""
+        while ErrorCode.NOT_ASKED.encode() not in heard:
+            heard += (more := modest.recv(2**16))
+            assert more, "the modest one was dropped"
 
 
 def test_of_connections_without_a_seat_the_oldest_make_room() -> None:
