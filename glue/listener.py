@@ -51,7 +51,8 @@ class Listener:
         self._loop.unwatch(self._socket.fileno())
         path = self._socket.getsockname() if self._socket.family == socket.AF_UNIX else b""
         self._socket.close()
-        if isinstance(path, str):
+        # If it was removed meanwhile, another hub may listen there by now.
+        if isinstance(path, str) and _is_left_over(path):
             with suppress(OSError):
                 os.unlink(path)
 
@@ -83,11 +84,14 @@ class Listener:
 def listen_on_port(host: str, port: int) -> socket.socket:
     """Return a socket that listens on a TCP port; 0 takes any free one, and `*` stands for every address.
 
+    Of a name, and of `*`, the addresses are those of IPv4: peers and original programs look for no others.
+
     Raises:
         OSError: it cannot.
     """
-    family, _, _, _, address = socket.getaddrinfo(
-        None if host == "*" else host, port, socket.AF_UNSPEC, socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    _, _, _, _, address = socket.getaddrinfo(
+        None if host == "*" else host, port, family, socket.SOCK_STREAM, flags=socket.AI_PASSIVE
     )[0]
     return socket.create_server(address[:2], family=family, backlog=_BACKLOG)
 
@@ -120,4 +124,5 @@ def _is_left_over(path: str) -> bool:
     except OSError:
         return False
     with socket.socket(socket.AF_UNIX) as probe:
+        probe.setblocking(False)  # whoever listens there may be too busy to take us in
         return probe.connect_ex(path) == errno.ECONNREFUSED
