@@ -9,6 +9,7 @@ Messages that `env_message` answers:
     level                            level_seed=121 level_type=0 level_difficulty=0
     level level_seed=7 level_type=1  change what is named, from the next episode on; answers as `level`
 
+docs/mario.md is for those who write an agent.
 Source: RL-Competition 2009; Mohan (2010), appendix A.
 """
 

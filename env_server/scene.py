@@ -1,6 +1,6 @@
 """What an observation of Infinite Mario shows, for those who draw it.
 
-Source: RL-Competition 2009, Infinite Mario's observation; docs/observation.md describes it.
+Source: RL-Competition 2009, Infinite Mario's observation; docs/mario.md describes it.
 """
 
 from __future__ import annotations
