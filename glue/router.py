@@ -25,18 +25,18 @@ from glue.messages import Message
 from glue.sessions import Route
 from glue.wire import FROM_HUB, MAX_HEADER, encode
 
-__all__ = ["Router"]
+__all__ = ["MAX_STRANGERS", "MAX_UNFINISHED", "MAX_UNSENT", "Router"]
 
 _BATCH: Final = 64
 """Messages of one peer that are acted on before the others get their turn."""
 
-_MAX_STRANGERS: Final = 256
+MAX_STRANGERS: Final = 256
 """Connections without a seat that are kept at once; one more costs the oldest its place."""
 
-_MAX_UNFINISHED: Final = 64 * 2**20
+MAX_UNFINISHED: Final = 64 * 2**20
 """Bytes of messages that have not come to their end, of all peers together."""
 
-_MAX_UNSENT: Final = 64 * 2**20
+MAX_UNSENT: Final = 64 * 2**20
 """Bytes that wait for one peer, beyond which it is out of reach: it does not read."""
 
 _FAREWELL_SECONDS: Final = 1.0
@@ -112,7 +112,7 @@ class Router:
         If it is too much, whoever sends most of it must go, those without a seat before the others.
         """
         self._unfinished += change
-        while self._unfinished > _MAX_UNFINISHED:
+        while self._unfinished > MAX_UNFINISHED:
             seated = self._seated()
             holders = [dealer for dealer in self._dealers if dealer.held]
             greatest = max(holders, key=lambda dealer: (dealer not in seated, dealer.held))
@@ -145,11 +145,11 @@ class Router:
 
     def _make_room(self) -> None:
         strangers = [dealer for dealer, since in self._dealers.items() if since is not None]
-        if len(strangers) >= _MAX_STRANGERS:
+        if len(strangers) >= MAX_STRANGERS:
             seated = self._seated()
             strangers = [dealer for dealer in strangers if dealer not in seated]
-        for oldest in strangers[: max(0, len(strangers) - _MAX_STRANGERS + 1)]:
-            self.drop(oldest, f"{_MAX_STRANGERS} others without a seat are there already")
+        for oldest in strangers[: max(0, len(strangers) - MAX_STRANGERS + 1)]:
+            self.drop(oldest, f"{MAX_STRANGERS} others without a seat are there already")
 
     def _tick(self, now: float) -> None:
         seated = self._seated()
@@ -180,7 +180,7 @@ class _Dealer:
     def deliver(self, message: Message) -> bool:
         """Pass `message` on; return False, having sent nothing, if the peer is gone or does not read."""
         connection = self.connection
-        if connection.closed or connection.unsent > _MAX_UNSENT:
+        if connection.closed or connection.unsent > MAX_UNSENT:
             return False
         connection.send(zmtp.encode(encode(message, FROM_HUB)))
         return True

@@ -29,6 +29,7 @@ from glue.messages import (
     Scalar,
     Shape,
 )
+from glue.router import MAX_STRANGERS, MAX_UNFINISHED, MAX_UNSENT
 from glue.sessions import INSTANCE_SIZE, ONE_RUN, Switchboard
 from glue.types import AbstractType, Action, Observation, body_size
 from glue.wire import FROM_HUB, MAX_BODY, MAX_HEADER, MAX_NAME, TO_HUB, decode, encode
@@ -309,6 +310,8 @@ def test_limits_and_defaults_are_those_of_the_program() -> None:
         f"{INSTANCE_SIZE} bytes",
     ]
     assert config.max_body == MAX_BODY
+    room = [row[1] for row in table("room", "value", "beyond it")]
+    assert room == ["`patience`", f"{MAX_STRANGERS}", f"{MAX_UNFINISHED} bytes", f"{MAX_UNSENT} bytes"]
     defaults = [row[1] for row in table("default", "value")]
     assert defaults == [
         f"`{DEFAULT_HUB}`",

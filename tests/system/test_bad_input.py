@@ -26,6 +26,7 @@ from glue import client, local
 from glue.config import HubConfig
 from glue.hub import Hub
 from glue.messages import ErrorCode, Kind, Message
+from glue.router import MAX_STRANGERS
 from glue.sessions import INSTANCE_SIZE
 from glue.types import Action, Observation
 from glue.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, decode, encode
@@ -340,14 +341,14 @@ def test_of_connections_without_a_seat_the_oldest_make_room() -> None:
         connections = [
             stack.enter_context(socket.create_connection(("127.0.0.1", port), TIMEOUT)) for _ in range(300)
         ]
-        for connection in connections[300 - 256 :]:
+        for connection in connections[300 - MAX_STRANGERS :]:
             assert connection.recv(64) == GREETING
-        for connection in connections[: 300 - 256]:
+        for connection in connections[: 300 - MAX_STRANGERS]:
             while connection.recv(64):
                 pass
-        connections[-256].settimeout(0.01)
+        connections[-MAX_STRANGERS].settimeout(0.01)
         with pytest.raises(TimeoutError):
-            connections[-256].recv(1)
+            connections[-MAX_STRANGERS].recv(1)
 
 
 def test_a_connection_without_a_seat_does_not_stay(hub: Target) -> None:
