@@ -131,5 +131,5 @@ def _one_int(spec: TaskSpec, what: str) -> tuple[int, int]:
         if np.isfinite(low) and np.isfinite(high):
             return int(low), int(high) - int(low) + 1
     raise LocalProtocolError(
-        f"tabular SARSA needs a task whose {what} is one int with bounds; this one has {space}"
+        f"tabular SARSA needs a task whose {what} is one int with bounds; this one has {str(space) or 'none'}"
     )

@@ -10,6 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final
 
+import numpy as np
+
 from glue.errors import PeerFailed
 from glue.messages import CALLS, Kind, Role
 from glue.roles import (
@@ -29,6 +31,9 @@ Answer = tuple[tuple[Any, ...], Any]
 Handler = Callable[[tuple[Any, ...], Any], Answer]
 
 _DONE: Final[Answer] = ((), None)
+
+_TRUTH: Final = (int, np.bool_, np.integer)
+"""What a terminal may be: RL-Glue's own was an int, and a bool is one."""
 
 
 def name_of(player: object) -> str:
@@ -112,10 +117,12 @@ def environment_calls(environment: Environment) -> dict[Kind, Handler]:
         try:
             reward, observation, terminal = answer
             reward = float(reward)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise _wrong(environment, "env_step", "(reward, observation, terminal)", answer) from None
         if type(observation) is not Observation:
             raise _wrong(environment, "env_step", "an Observation as its second value", observation)
+        if not isinstance(terminal, _TRUTH):
+            raise _wrong(environment, "env_step", "True or False as its third value", terminal)
         return (reward, bool(terminal)), observation
 
     def cleanup(_: tuple[Any, ...], __: Any) -> Answer:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pytest
 
 from glue.errors import LocalProtocolError, PeerFailed, Unsupported
@@ -78,6 +79,12 @@ def test_after_a_failure_another_episode_can_be_started() -> None:
         ({"env_step": (1.0, Observation())}, r"must return \(reward, observation, terminal\)"),
         ({"env_step": ("high", Observation(), False)}, r"must return \(reward, observation, terminal\)"),
         ({"env_step": (1.0, [0], False)}, r"must return an Observation as its second value; .* list \[0\]"),
+        (
+            {"env_step": (1.0, Observation(), "no")},
+            r"must return True or False as its third value; .* str 'no'",
+        ),
+        ({"env_step": (1.0, Observation(), {})}, r"must return True or False as its third value; .* dict {}"),
+        ({"env_step": (10**400, Observation(), True)}, r"must return \(reward, observation, terminal\)"),
         ({"env_message": b"bytes"}, "env_message of Answering must return a str"),
     ],
 )
@@ -85,6 +92,17 @@ def test_a_wrong_answer_says_what_was_expected_and_what_came(answers: dict[str, 
     glue = connect(ScriptedAgent(), Answering(**answers))
     with pytest.raises(PeerFailed, match=complaint):
         (glue.rl_init(), glue.rl_env_message("?"), glue.rl_episode())
+
+
+@pytest.mark.parametrize(
+    ("terminal", "expected"),
+    [(1, True), (0, False), (2, True), (np.bool_(True), True), (np.int32(0), False), (np.False_, False)],
+)
+def test_terminal_may_be_a_number_or_of_numpy(terminal: Any, expected: bool) -> None:
+    glue = connect(ScriptedAgent(), Answering(env_step=(1.0, Observation(), terminal)))
+    glue.rl_init()
+    glue.rl_start()
+    assert glue.rl_step().terminal is expected
 
 
 def test_an_observation_returned_as_an_action_is_a_wrong_answer() -> None:

@@ -302,11 +302,12 @@ def test_port_in_use_is_one_line(tmp_path: Path, hub: str, terminals: list[Termi
     assert "Traceback" not in shown.stderr
 
 
-def test_task_spec_that_does_not_parse_is_one_line_at_the_agent(tmp_path: Path) -> None:
+@pytest.mark.parametrize("topology", [[], ["--in-process"]], ids=["processes", "in-process"])
+def test_task_spec_that_does_not_parse_is_one_line_at_the_agent(tmp_path: Path, topology: list[str]) -> None:
     (tmp_path / "mine.py").write_text(_ENDLESS.replace("ACTIONS INTS", "ACTS INTS"), encoding="utf-8")
     shown = run(
         *("glue-experiment", "--env", "mine.py:Endless", "--agent", "random"),
-        *("--episodes", "2", "--out", "run"),
+        *("--episodes", "2", "--out", "run", *topology),
         cwd=tmp_path,
     )
     assert shown.returncode == 1
