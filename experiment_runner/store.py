@@ -53,6 +53,7 @@ __all__ = [
     "Event",
     "Results",
     "Store",
+    "Totals",
     "TrialRecord",
     "Void",
 ]
@@ -104,6 +105,21 @@ class TrialRecord(NamedTuple):
     @property
     def finished(self) -> bool:
         return self.done == self.spec.episodes
+
+
+class Totals(NamedTuple):
+    """The last episodes of a trial, or all, taken together.
+
+    episodes         how many
+    steps            of all of them
+    cut_off          how many were cut off
+    sum_of_returns   0.0 when there are none, NaN when one is
+    """
+
+    episodes: int
+    steps: int
+    cut_off: int
+    sum_of_returns: float
 
 
 class Void(NamedTuple):
@@ -185,6 +201,22 @@ class Results:
             trial_id,
         )
         return np.array([np.nan if total is None else total for (total,) in rows], np.float64)
+
+    def totals(self, trial_id: str, last: int | None = None) -> Totals:
+        """Return what the episodes of a trial so far, or the last few, come to; however many they are."""
+        (episodes, steps, cut_off, total, numbers) = self._query(
+            """SELECT count(*), ifnull(sum(steps), 0), ifnull(sum(NOT terminal), 0),
+                sum(episode_return), count(episode_return) FROM
+                (SELECT * FROM episodes WHERE trial = (SELECT key FROM trials WHERE id = ?)
+                ORDER BY episode DESC LIMIT ?)""",
+            trial_id,
+            -1 if last is None else last,
+        )[0]
+        if not episodes:
+            total = 0.0
+        elif numbers < episodes or total is None:  # infinities of both signs have no sum
+            total = np.nan
+        return Totals(episodes, steps, cut_off, total)
 
     def checkpoint(self, trial_id: str) -> tuple[int, Checkpoint] | None:
         """Return the newest checkpoint of a trial and the episode it follows."""

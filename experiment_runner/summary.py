@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
-from experiment_runner.store import Results
+from experiment_runner.store import Results, Totals
 from experiment_runner.tables import format_table
 
 __all__ = ["summarize", "tabulate"]
@@ -17,16 +18,15 @@ def tabulate(results: Results, seconds: float) -> str:
     """Return a line for each trial, and why it failed if it did."""
     rows, failures = [], []
     for record in results.trials():
-        episodes = results.episodes(record.spec.id)
-        returns = results.returns(record.spec.id)
+        totals = results.totals(record.spec.id)
+        means = [_mean([part]) for part in (totals, results.totals(record.spec.id, _LAST))]
         rows.append(
             (
                 record.spec.id,
                 f"{record.done}/{record.spec.episodes}",
-                f"{sum(episode.steps for episode in episodes):,}",
-                f"{returns.mean():.2f}" if returns.size else "-",
-                f"{returns[-_LAST:].mean():.2f}" if returns.size else "-",
-                f"{sum(not episode.terminal for episode in episodes)}",
+                f"{totals.steps:,}",
+                *("-" if mean is None else f"{mean:.2f}" for mean in means),
+                f"{totals.cut_off}",
                 f"{record.voids}",
             )
         )
@@ -39,18 +39,22 @@ def tabulate(results: Results, seconds: float) -> str:
 def summarize(results: Results, seconds: float) -> dict[str, object]:
     """Return the last line of `--json`; means are None when there is no episode."""
     trials = results.trials()
-    episodes = [episode for trial in trials for episode in results.episodes(trial.spec.id)]
-    returns = [episode.episode_return for episode in episodes]
-    last = [value for trial in trials for value in results.returns(trial.spec.id)[-_LAST:].tolist()]
+    totals = [results.totals(trial.spec.id) for trial in trials]
     return {
         "summary": True,
-        "episodes": len(episodes),
-        "steps": sum(episode.steps for episode in episodes),
-        "mean_return": sum(returns) / len(returns) if returns else None,
-        f"mean_last_{_LAST}": sum(last) / len(last) if last else None,
-        "cut_off": sum(not episode.terminal for episode in episodes),
+        "episodes": sum(trial.episodes for trial in totals),
+        "steps": sum(trial.steps for trial in totals),
+        "mean_return": _mean(totals),
+        f"mean_last_{_LAST}": _mean([results.totals(trial.spec.id, _LAST) for trial in trials]),
+        "cut_off": sum(trial.cut_off for trial in totals),
         "voids": sum(trial.voids for trial in trials),
         "failed_trials": sum(trial.failure is not None for trial in trials),
         "seconds": seconds,
         "out": str(results.directory),
     }
+
+
+def _mean(totals: Sequence[Totals]) -> float | None:
+    """Return the mean return of all episodes in `totals`; None when there are none."""
+    episodes = sum(trial.episodes for trial in totals)
+    return sum(trial.sum_of_returns for trial in totals) / episodes if episodes else None
