@@ -6,14 +6,17 @@ runs in one process or in three.
 
 from __future__ import annotations
 
+import operator
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple, Self, TypeVar
 
 from glue.errors import LocalProtocolError
 from glue.messages import Kind, Value
 from glue.types import Action, Observation
 
 __all__ = ["Experiment", "Start", "StepResult"]
+
+_T = TypeVar("_T")
 
 
 class Start(NamedTuple):
@@ -36,6 +39,7 @@ class Experiment:
     """RL-Glue's verbs. Their meaning, corner by corner, is in docs/protocol.md.
 
     Every verb may raise:
+        LocalProtocolError: an argument is of another type, or out of range; nothing was asked of anybody.
         PeerLost: a player went away, in this verb or since the one before; the episode under way, or this
             one, is void. Start it again.
         PeerFailed: a player raised an exception or broke the protocol.
@@ -63,8 +67,8 @@ class Experiment:
         `seed`, 0 to 2**63 - 1, reaches every player that offers the capability `seed`, before its init;
         agent and environment are given different numbers derived from it.
         """
-        if seed is not None and not 0 <= seed < 2**63:
-            raise LocalProtocolError(f"a seed is from 0 to 2^63 - 1, not {seed}")
+        if seed is not None:
+            seed = _whole(seed, 63, "a seed")
         return _text(self._call(Kind.RL_INIT, (seed,))[1])
 
     def rl_start(self) -> Start:
@@ -83,9 +87,7 @@ class Experiment:
         `max_steps`, 0 to 2**32 - 1, limits RL_num_steps, which is 1 after the start: the environment
         makes at most `max_steps` - 1 steps. 0 is no limit.
         """
-        if not 0 <= max_steps < 2**32:
-            raise LocalProtocolError(f"a step limit is from 0 (none) to 2^32 - 1, not {max_steps}")
-        (terminal,), _ = self._call(Kind.RL_EPISODE, (max_steps,))
+        (terminal,), _ = self._call(Kind.RL_EPISODE, (_whole(max_steps, 32, "a step limit"),))
         return bool(terminal)
 
     def rl_return(self) -> float:
@@ -102,11 +104,11 @@ class Experiment:
 
     def rl_agent_message(self, message: str) -> str:
         """Send a text to the agent and return its answer."""
-        return _text(self._call(Kind.RL_AGENT_MESSAGE, (), message)[1])
+        return _text(self._call(Kind.RL_AGENT_MESSAGE, (), _given(message, str))[1])
 
     def rl_env_message(self, message: str) -> str:
         """Send a text to the environment and return its answer."""
-        return _text(self._call(Kind.RL_ENV_MESSAGE, (), message)[1])
+        return _text(self._call(Kind.RL_ENV_MESSAGE, (), _given(message, str))[1])
 
     def rl_cleanup(self) -> None:
         """Clean up the environment, then the agent; counters stay."""
@@ -118,16 +120,16 @@ class Experiment:
 
     def rl_env_step(self, action: Action) -> tuple[float, Observation, bool]:
         """Half of RL_step: execute `action` in the environment alone."""
-        (reward, terminal), observation = self._call(Kind.RL_ENV_STEP, (), action)
+        (reward, terminal), observation = self._call(Kind.RL_ENV_STEP, (), _given(action, Action))
         return reward, observation, terminal
 
     def rl_agent_start(self, observation: Observation) -> Action:
         """Half of RL_start: begin an episode with the agent alone."""
-        return _action(self._call(Kind.RL_AGENT_START, (), observation)[1])
+        return _action(self._call(Kind.RL_AGENT_START, (), _given(observation, Observation))[1])
 
     def rl_agent_step(self, reward: float, observation: Observation) -> Action:
         """Half of RL_step: show the agent what came of its action."""
-        return _action(self._call(Kind.RL_AGENT_STEP, (float(reward),), observation)[1])
+        return _action(self._call(Kind.RL_AGENT_STEP, (float(reward),), _given(observation, Observation))[1])
 
     def rl_agent_end(self, reward: float) -> None:
         """Half of RL_step: tell the agent that the episode ended."""
@@ -139,7 +141,7 @@ class Experiment:
 
     def rl_agent_load(self, data: bytes) -> None:
         """Let the agent continue from what `rl_agent_save` returned."""
-        self._call(Kind.RL_AGENT_LOAD, (), data)
+        self._call(Kind.RL_AGENT_LOAD, (), _given(data, bytes))
 
     def rl_env_save(self) -> bytes:
         """Return everything that the environment's later episodes depend on (capability `save`)."""
@@ -147,7 +149,25 @@ class Experiment:
 
     def rl_env_load(self, data: bytes) -> None:
         """Let the environment continue from what `rl_env_save` returned."""
-        self._call(Kind.RL_ENV_LOAD, (), data)
+        self._call(Kind.RL_ENV_LOAD, (), _given(data, bytes))
+
+
+def _whole(number: Any, bits: int, what: str) -> int:
+    """Return `number` as an int; it may be one of NumPy's."""
+    try:
+        whole = operator.index(number)
+    except TypeError:
+        raise LocalProtocolError(f"{what} is a whole number, not {number!r:.80}") from None
+    if not 0 <= whole < 2**bits:
+        raise LocalProtocolError(f"{what} is from 0 to 2^{bits} - 1, not {whole}")
+    return whole
+
+
+def _given(value: _T, kind: type[_T]) -> _T:
+    """Return `value` if it is of the type that is sent."""
+    if not isinstance(value, kind):
+        raise LocalProtocolError(f"a value of type {kind.__name__} is sent here, not {value!r:.80}")
+    return value
 
 
 def _text(body: Any) -> str:
