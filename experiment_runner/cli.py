@@ -12,7 +12,7 @@ import click
 
 from experiment_runner.plan import Plan, RoleSweep, check_options, describe
 from experiment_runner.plan_file import load_plan
-from experiment_runner.players import HubOptions, Meeting
+from experiment_runner.players import HubOptions, Meeting, check_addresses
 from experiment_runner.progress import JsonLines, Progress
 from experiment_runner.recording import recorded
 from experiment_runner.resume import open_run, recorded_plan
@@ -201,6 +201,7 @@ def experiment(
     if dry_run:
         click.echo(describe(plan))
         return 0
+    check_addresses(plan, meeting.hub)
     return _run(directory, plan, config, record, as_json)
 
 

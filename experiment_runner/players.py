@@ -15,7 +15,7 @@ from typing import Final
 import zmq
 
 from experiment_runner.children import KeptAlive, Say
-from experiment_runner.plan import TrialSpec
+from experiment_runner.plan import Plan, TrialSpec
 from glue.client import connect as connect_to_hub
 from glue.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig, LegacyPort
 from glue.errors import ExperimentError
@@ -27,7 +27,7 @@ from glue.local import connect as connect_locally
 from glue.messages import Event, Role
 from glue.options import Value, build, parameters
 
-__all__ = ["HubOptions", "Meeting", "connect", "player_arguments"]
+__all__ = ["HubOptions", "Meeting", "check_addresses", "connect", "player_arguments"]
 
 _MODULES: Final = {Role.AGENT: "agents.cli", Role.ENVIRONMENT: "env_server.cli"}
 _COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
@@ -85,6 +85,27 @@ def connect(
     return _in_process(spec) if meeting.in_process else _over_hub(spec, meeting.hub, say, progress)
 
 
+def check_addresses(plan: Plan, options: HubOptions) -> None:
+    """Check that our own hub, if there is to be one, can listen for players from outside.
+
+    Raises:
+        ConfigError: an address is taken, or is none of this machine.
+    """
+    if options.hub is None:
+        outside = _outside(options, expected=not (plan.agents and plan.environments))
+        hub = Hub(HubConfig(bind=outside, insecure=options.insecure))
+        try:
+            Gateway(hub, options.legacy)
+        finally:
+            with hub.in_background():
+                pass  # so it closes what it has opened
+
+
+def _outside(options: HubOptions, expected: bool) -> tuple[str, ...]:
+    """Return where our own hub listens for players from outside."""
+    return options.bind or ((DEFAULT_HUB,) if expected else ())
+
+
 @contextmanager
 def _in_process(spec: TrialSpec) -> Iterator[Experiment]:
     players = {}
@@ -114,7 +135,7 @@ def _over_hub(
         if options.hub is None:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="glue-"))
             inside = f"ipc://{folder}/hub"
-            outside = options.bind or ((DEFAULT_HUB,) if len(named) < len(players) else ())
+            outside = _outside(options, expected=len(named) < len(players))
             config = HubConfig(bind=(inside, *outside), insecure=options.insecure)
             hub = Hub(config)
             for port in Gateway(hub, options.legacy, say).ports:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import resource
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Final
 
 import click
@@ -85,6 +87,7 @@ def hub(
 
 def serve_until_interrupted(config: HubConfig, ports: Sequence[LegacyPort] = ()) -> None:
     """Serve until Ctrl-C or SIGTERM; every peer is told."""
+    _allow_many_connections()
     running = Hub(config, log=_log)
     gateway = Gateway(running, ports, _log)
     for endpoint in running.endpoints:
@@ -98,6 +101,13 @@ def serve_until_interrupted(config: HubConfig, ports: Sequence[LegacyPort] = ())
             name = "SIGTERM" if isinstance(interrupt, Terminated) else "SIGINT"
             running.stop(f"the hub was stopped by {name}")
             _log(f"stopped by {name}")
+
+
+def _allow_many_connections() -> None:
+    """Take all descriptors that the system allows: a tournament needs one for each of its peers."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with suppress(ValueError, OSError):  # macOS calls it infinite, and refuses that
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 def _log(line: str) -> None:

@@ -6,6 +6,8 @@ exit code here and nowhere else.
 
 from __future__ import annotations
 
+import errno
+import os
 import signal
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -48,6 +50,7 @@ def run(command: click.Command) -> NoReturn:
     signal.signal(signal.SIGTERM, _terminate)
     try:
         code = command.main(standalone_mode=False)
+        sys.stdout.flush()
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
@@ -61,6 +64,12 @@ def run(command: click.Command) -> NoReturn:
         # Whoever read our output has seen enough. Python would complain once more at exit.
         sys.stderr.close()
         sys.exit(1)
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        print(f"Error: cannot write what there is to show: {error.strerror}", file=sys.stderr)
+        # Python would try once more at exit, and complain.
+        os._exit(1)
     sys.exit(code if isinstance(code, int) else 0)
 
 

@@ -57,6 +57,12 @@ class Parameter:
         return (self.option.flag or self.name).replace("_", "-")
 
     @property
+    def _called(self) -> str:
+        """What messages call it."""
+        alias = f" (--{self.flag})" if self.option.flag else ""
+        return f"option {self.name}{alias}"
+
+    @property
     def shown(self) -> str:
         """The default as it can be typed."""
         if isinstance(self.default, bool):
@@ -72,7 +78,7 @@ class Parameter:
         try:
             value: Value = _parse_bool(text) if self.type is bool else self.type(text)
         except ValueError:
-            raise ConfigError(f"option {self.name} takes {_ARTICLE[self.type]}, not {text!r:.80}") from None
+            raise ConfigError(f"{self._called} takes {_ARTICLE[self.type]}, not {text!r:.80}") from None
         return self.check(value)
 
     def check(self, value: Value) -> Value:
@@ -85,15 +91,15 @@ class Parameter:
             with contextlib.suppress(OverflowError):
                 value = float(value)
         if type(value) is not self.type:
-            raise ConfigError(f"option {self.name} takes {_ARTICLE[self.type]}, not {value!r:.80}")
+            raise ConfigError(f"{self._called} takes {_ARTICLE[self.type]}, not {value!r:.80}")
         option = self.option
         if option.choices and value not in option.choices:
-            raise ConfigError(f"option {self.name} is one of {', '.join(option.choices)}, not {value!r}")
+            raise ConfigError(f"{self._called} is one of {', '.join(option.choices)}, not {value!r}")
         if isinstance(value, (int, float)):
             low = -math.inf if option.low is None else option.low
             high = math.inf if option.high is None else option.high
             if not low <= value <= high:
-                raise ConfigError(f"option {self.name} must be {_bounds(option)}, not {value}")
+                raise ConfigError(f"{self._called} must be {_bounds(option)}, not {value}")
         return value
 
 

@@ -296,9 +296,28 @@ def test_port_in_use_is_one_line(tmp_path: Path, hub: str, terminals: list[Termi
     first = Terminal("glue-hub", "--bind", "tcp://127.0.0.1:*", cwd=tmp_path)
     terminals.append(first)
     taken = first.wait_for(r"listening on (\S+)").group(1)
-    shown = run("glue-hub", "--bind", taken, cwd=tmp_path)
-    assert shown.returncode == 2
-    assert "is in use" in shown.stderr
+    port = taken.rpartition(":")[2]
+    for command in (
+        ["glue-hub", "--bind", taken],
+        ["glue-experiment", "--episodes", "1", "--bind", taken],
+        ["glue-experiment", "--episodes", "1", "--bind", "tcp://127.0.0.1:*", "--legacy-port", port],
+    ):
+        shown = run(*command, cwd=tmp_path)
+        assert shown.returncode == 2
+        assert "in use" in shown.stderr
+        assert len(shown.stderr.splitlines()) == 1
+    assert not (tmp_path / "runs").exists(), "nothing has begun"
+
+
+def test_full_disk_under_the_output_is_one_line(tmp_path: Path) -> None:
+    players = ["--env", "mines", "--agent", "random", "--in-process"]
+    command = [str(BIN / "glue-experiment"), "--episodes", "2", *players]
+    with Path("/dev/full").open("w") as full:
+        shown = subprocess.run(
+            command, cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False
+        )
+    assert shown.returncode == 1
+    assert "Error: cannot write what there is to show: No space left on device" in shown.stderr
     assert "Traceback" not in shown.stderr
 
 

@@ -11,7 +11,9 @@ import pytest
 from glue.testing import check_agent
 from tests.terminal import Terminal, run
 
-TEXT = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[2]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted(ROOT.glob("docs/**/*.md")), *sorted(ROOT.glob("docker/**/*.md"))]
+TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", TEXT, re.M | re.S)
 PROGRAMS = [body for language, body in BLOCKS if language == "python"]
 COMMANDS = [
@@ -79,3 +81,9 @@ def test_agent_of_the_text_keeps_the_contract(program: str) -> None:
         "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (0 99) "
         "ACTIONS INTS (-1 1) (2 0 1) REWARDS (-10 100) EXTRA",
     )
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_links_lead_somewhere(page: Path) -> None:
+    links = re.findall(r"\]\((?!https?://)([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8"))
+    assert [link for link in links if not (page.parent / link).exists()] == []
