@@ -1,8 +1,12 @@
-"""What all tests share: their own helper modules can be imported, as `tests.players` and the like."""
+"""What all tests share: their own modules can be imported, as `tests.players` and the like; Ctrl-C works."""
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+
+# Where a shell has put us in the background it may have interrupts ignored, and so would all that we start.
+signal.signal(signal.SIGINT, signal.default_int_handler)
