@@ -45,9 +45,10 @@ _PUBLIC: Final = {name.lower(): name for name in (RL_GLUE_3, MARIO)}
 _UNSTATED: Final = Space(stated=False)
 _SPECIALS: Final[Mapping[str, Bound]] = {"NEGINF": NEGINF, "POSINF": POSINF, "UNSPEC": UNSPEC}
 
-# A word ends where the next keyword begins, because published specs leave out spaces.
-_VERSION: Final = re.compile(r"(?:(?!PROBLEMTYPE)\S)++", re.IGNORECASE)
-_PROBLEM: Final = re.compile(r"(?:(?!DISCOUNTFACTOR)[^\s()])++", re.IGNORECASE)
+# A word ends where the next keyword begins, because published specs leave out spaces. These two are not
+# possessive, which a group cannot be before Python 3.11.5: there it forgets what must not follow.
+_VERSION: Final = re.compile(r"(?:(?!PROBLEMTYPE)\S)+", re.IGNORECASE)
+_PROBLEM: Final = re.compile(r"(?:(?!DISCOUNTFACTOR)[^\s()])+", re.IGNORECASE)
 _BOUND: Final = re.compile(r"(?:NEGINF|POSINF|UNSPEC)(?![^\s()])|[-+.0-9][^\s()]*+", re.IGNORECASE)
 _PARTS: Final = ("INTS", "DOUBLES", "CHARCOUNT")
 _KEYWORDS: Final = {

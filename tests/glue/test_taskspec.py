@@ -155,6 +155,13 @@ def test_printed_spec_reads_back_to_an_equal_value(spec: TaskSpec) -> None:
     assert str(back) == text
 
 
+@pytest.mark.parametrize("keyword", ["PROBLEMTYPE", "problemtype", "ProblemType"])
+def test_version_and_problem_type_end_where_a_keyword_begins(keyword: str) -> None:
+    text = f"VERSION RL-Glue-3.0{keyword} episodicdiscountfactor 1 OBSERVATIONS ACTIONS REWARDS (0 1)"
+    spec = parse_task_spec(text)
+    assert (spec.version, spec.problem_type) == (RL_GLUE_3, "episodic")
+
+
 @given(public_specs, st.randoms())
 def test_white_space_and_case_do_not_matter(spec: TaskSpec, random: Random) -> None:
     spec = dataclasses.replace(spec, problem_type="episodic", extra="")

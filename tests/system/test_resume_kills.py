@@ -18,7 +18,7 @@ from tests.system.runs import alive, children, contents, run, start, wait_until
 
 PLAN = [
     *("--env", "mines", "--env-option", "random_start=true", "--agent", "sarsa"),
-    *("--episodes", 600, "--max-steps", 30, "--trials", 4, "--seed", 11),
+    *("--episodes", 1500, "--max-steps", 30, "--trials", 4, "--seed", 11),
 ]
 KILLS = 24
 VICTIMS = ("experiment", "agents.cli", "env_server.cli", "experiment_runner.worker")
