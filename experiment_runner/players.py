@@ -91,8 +91,8 @@ def check_addresses(plan: Plan, options: HubOptions) -> None:
     Raises:
         ConfigError: an address is taken, or is none of this machine.
     """
-    if options.hub is None:
-        outside = _outside(options, expected=not (plan.agents and plan.environments))
+    outside = _outside(options, expected=not (plan.agents and plan.environments))
+    if options.hub is None and (outside or options.legacy):
         hub = Hub(HubConfig(bind=outside, insecure=options.insecure))
         try:
             Gateway(hub, options.legacy)

@@ -93,7 +93,7 @@ class Decoder:
         self._needed = len(GREETING)  # bytes without which there is nothing to do
         self._frames: list[bytes] = []  # of a message that is not complete
         self._greeted = False
-        self.ready = False
+        self._ready = False
 
     @property
     def buffered(self) -> int:
@@ -128,7 +128,7 @@ class Decoder:
                 self._at = 0
                 self._later.clear()
             if not self._greeted:
-                self._check_greeting(self._take(len(GREETING)))
+                self._check_greeting(self._take(0, len(GREETING)))
                 self._greeted = True
                 self._needed = 2
                 return _READY
@@ -146,8 +146,7 @@ class Decoder:
                 self._needed = head + size
                 return None
             self._needed = 2
-            self._take(head)
-            frame = self._take(size)
+            frame = self._take(head, size)
             if flags & _COMMAND:
                 answer = self._obey(frame)
                 if answer:
@@ -161,10 +160,11 @@ class Decoder:
                 return frames
         return b""
 
-    def _take(self, size: int) -> bytes:
-        start = self._at
+    def _take(self, skipped: int, size: int) -> bytes:
+        """Return the next bytes, after some that are skipped."""
+        start = self._at + skipped
         self._at = end = start + size
-        self._size -= size
+        self._size -= skipped + size
         taken = self._buffer[start:end]
         if 2 * end >= len(self._buffer):
             # What is done with may be large, and should not stay.
@@ -186,7 +186,7 @@ class Decoder:
     def _check_head(self, flags: int, size: int) -> None:
         if flags & ~_KNOWN_FLAGS or (flags & _COMMAND and flags & _MORE):
             raise RemoteProtocolError(f"a frame cannot have the flags {flags}")
-        if not self.ready and not flags & _COMMAND:
+        if not self._ready and not flags & _COMMAND:
             raise RemoteProtocolError("a message came before READY")
         limit = _MAX_COMMAND if flags & _COMMAND else self._max_frame
         if size > limit:
@@ -201,7 +201,7 @@ class Decoder:
             return _command(b"PONG", data[2:18])
         if name == b"READY":
             self._check_socket(data)
-            self.ready = True
+            self._ready = True
         elif name == b"ERROR":
             raise RemoteProtocolError(f"it ended the handshake: {data[1:]!r:.80}")
         return b""

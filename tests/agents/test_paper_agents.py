@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,16 +19,12 @@ from agents.hierarchical import (
 from agents.learner import MarioLearner
 from agents.sample import SampleAgent
 from env_server.mario import InfiniteMario
-from glue.client import connect, serve_agent, serve_environment
-from glue.config import HubConfig
 from glue.errors import ConfigError
-from glue.experiment import Experiment
-from glue.hub import Hub
-from glue.local import connect as connect_locally
 from glue.options import parameters
 from glue.roles import Agent, capabilities
 from glue.testing import check_agent
 from glue.types import Action, Observation
+from tests.agents.topologies import check_same_over_sockets
 
 if TYPE_CHECKING:
     from tests.agents.conftest import Learned
@@ -270,27 +265,4 @@ def test_agents_keep_the_contract(kind: type[Any], task_spec: str) -> None:
 
 
 def test_over_sockets_an_agent_acts_as_in_one_process() -> None:
-    def returns(glue: Experiment) -> list[tuple[float, int]]:
-        glue.rl_init(seed=11)
-        episodes = []
-        for _ in range(20):
-            glue.rl_episode(max_steps=0)
-            episodes.append((glue.rl_return(), glue.rl_num_steps()))
-        return episodes
-
-    with connect_locally(HierarchicalAgent(), short_level()) as glue:
-        expected = returns(glue)
-    with (
-        Hub(HubConfig(bind=("tcp://127.0.0.1:*",))).in_background() as hub,
-    ):
-        url = hub.endpoints[0]
-        players = [
-            threading.Thread(target=serve, args=(player, url), kwargs={"log": lambda line: None})
-            for serve, player in ((serve_agent, HierarchicalAgent()), (serve_environment, short_level()))
-        ]
-        for thread in players:
-            thread.start()
-        with connect(url, log=lambda line: None) as remote:
-            assert returns(remote) == expected
-    for thread in players:
-        thread.join()
+    check_same_over_sockets(HierarchicalAgent, short_level)
