@@ -6,9 +6,9 @@ from typing import Annotated
 
 import numpy as np
 
-from glue.chance import load_generator, save_generator
 from glue.errors import LocalProtocolError
 from glue.options import Option
+from glue.random_state import load_generator, save_generator
 from glue.taskspec import Space, parse_task_spec
 from glue.types import Action, Observation
 

@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from agents._jit import jit
 from agents.policy import mix
+from glue.compiled.jit import jit
 
 __all__ = ["extend", "feature"]
 

@@ -13,7 +13,7 @@ from typing import Final, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from agents._jit import jit
+from glue.compiled.jit import jit
 
 __all__ = ["Chooser", "below", "epsilon_greedy", "mix", "seeded", "uniform"]
 

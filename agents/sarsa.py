@@ -13,8 +13,9 @@ from typing import Annotated, Final
 import numpy as np
 import numpy.typing as npt
 
-from agents._jit import Array, Flag, Int, Real, Word, jit, layout
 from agents.keys import extend
+from glue.compiled.jit import jit
+from glue.compiled.records import Array, Flag, Int, Real, Word, layout
 
 __all__ = [
     "MAX_FEATURES", "Entry", "Keys", "Learner", "Taken", "Values", "action_values", "contents", "grown",

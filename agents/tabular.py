@@ -7,9 +7,9 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from glue.chance import GENERATOR_SIZE, load_generator, save_generator
 from glue.errors import LocalProtocolError
 from glue.options import Option
+from glue.random_state import GENERATOR_SIZE, load_generator, save_generator
 from glue.taskspec import TaskSpec, parse_task_spec
 from glue.types import Action, Observation
 

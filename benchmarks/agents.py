@@ -7,12 +7,12 @@ import resource
 import time
 from collections.abc import Callable
 
-from agents.flat import ObjectsFlatAgent, TilesAgent, TilesCoarseAgent
-from agents.hierarchical import HierarchicalAgent, HierarchicalInternalAgent, ObjectsCoarseAgent
+from agents.mohan2010.flat import ObjectsFlatAgent, TilesAgent, TilesCoarseAgent
+from agents.mohan2010.hierarchical import HierarchicalAgent, HierarchicalInternalAgent, ObjectsCoarseAgent
 from benchmarks.measure import Table, count, interleaved, ratio
-from env_server.mario import InfiniteMario
-from glue.experiment import Experiment
-from glue.local import connect
+from env_server.mario.environment import InfiniteMario
+from glue.core.experiment import Experiment
+from glue.core.local import local
 from glue.roles import Agent
 from glue.types import Observation
 
@@ -57,7 +57,7 @@ def _steps() -> Table:
 
 
 def _together(agent: Agent) -> Callable[[], float]:
-    glue = connect(agent, InfiniteMario())
+    glue = local(agent, InfiniteMario())
     glue.rl_init(seed=1)
     _play(glue, _WARM_UP)
 
@@ -127,7 +127,7 @@ def _trial() -> Table:
 
 def _run_trial() -> list[tuple[float, str, float]]:
     parts = []
-    with connect(HierarchicalAgent(), InfiniteMario()) as glue:
+    with local(HierarchicalAgent(), InfiniteMario()) as glue:
         glue.rl_init(seed=1)
         _play(glue, 1)  # What is compiled or read from disk is not part of the trial.
         glue.rl_init(seed=1)

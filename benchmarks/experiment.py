@@ -13,18 +13,18 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from benchmarks.measure import REPEATS, Table, count
-from experiment_runner.store import Results
+from experiment_runner.store.directory import Results
 
 __all__ = ["run"]
 
 _RUNS: Final = (("random", 300, REPEATS), ("random", 5000, 1), ("hierarchical", 5000, 1))
 """Agent, episodes, and how often; what takes minutes is run once."""
 
-_COMMAND: Final = ("-m", "experiment_runner.cli", "--env", "mario", "--json")
+_COMMAND: Final = ("-m", "experiment_runner.commands.experiment", "--env", "mario", "--json")
 _PROGRAMS: Final = {
-    "experiment and hub": "experiment_runner.cli",
-    "environment": "env_server.cli",
-    "agent": "agents.cli",
+    "experiment and hub": "experiment_runner.commands.experiment",
+    "environment": "env_server.command",
+    "agent": "agents.command",
 }
 _SAMPLE_SECONDS: Final = 0.05
 _PAGE: Final = os.sysconf("SC_PAGESIZE")

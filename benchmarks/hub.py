@@ -12,11 +12,12 @@ from contextlib import ExitStack, contextmanager
 from benchmarks.measure import Table, count, interleaved, ratio
 from benchmarks.players import SIZES, Still, Walk, serving
 from benchmarks.raw import tcp_round_trips, zmq_round_trips
-from glue.client import connect, serve_environment
+from glue.client.experiment import connect
+from glue.client.players import serve_environment
 from glue.config import HubConfig
-from glue.experiment import Experiment
-from glue.hub import Hub
-from glue.local import connect as connect_locally
+from glue.core.experiment import Experiment
+from glue.core.local import local
+from glue.hub.server import Hub
 
 __all__ = ["run"]
 
@@ -91,7 +92,7 @@ def _measure(glue: Experiment) -> Callable[[], float]:
 
 @contextmanager
 def _in_process(size: str) -> Iterator[Callable[[], float]]:
-    with connect_locally(Still(), Walk(SIZES[size])) as glue:
+    with local(Still(), Walk(SIZES[size])) as glue:
         yield _measure(glue)
 
 

@@ -10,11 +10,11 @@ from contextlib import ExitStack, contextmanager
 
 from benchmarks.measure import Table, count, interleaved, ratio
 from benchmarks.players import SIZES, serving
-from glue.client import connect
+from glue.client.experiment import connect
 from glue.config import HubConfig, LegacyPort
-from glue.hub import Hub
+from glue.hub.server import Hub
 from glue.legacy.gateway import Gateway
-from tests.system.legacy_client import Connection, Experiment, Numbers, serve_agent, serve_environment
+from tests.system.legacy.legacy_client import Connection, Experiment, Numbers, serve_agent, serve_environment
 
 __all__ = ["run"]
 

@@ -1,4 +1,4 @@
-"""Infinite Mario: steps per second alone, through glue.local and in batches; and how soon it is ready."""
+"""Infinite Mario: steps per second alone, through `glue.local` and in batches; start-up time."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from itertools import cycle
 import numpy as np
 
 from benchmarks.measure import Table, count, interleaved, ratio
-from env_server.batch import Batch
-from env_server.mario import InfiniteMario
-from glue.local import connect
+from env_server.mario.batch import Batch
+from env_server.mario.environment import InfiniteMario
+from glue.core.local import local
 from glue.types import Action, Observation
 
 __all__ = ["run"]
@@ -26,7 +26,7 @@ _BUTTONS = [(1, int(i % 7 < 4), 1) for i in range(7)]
 _ACTIONS = [Action(ints=buttons) for buttons in _BUTTONS]
 _STEPS = 50_000
 _FIRST_STEP = """
-from env_server.mario import InfiniteMario
+from env_server.mario.environment import InfiniteMario
 from glue.types import Action
 mario = InfiniteMario()
 mario.env_init()
@@ -97,7 +97,7 @@ def _alone() -> float:
 
 
 def _through_glue() -> float:
-    with connect(_Runner(), InfiniteMario(level_seed=_LEVEL_SEED)) as glue:
+    with local(_Runner(), InfiniteMario(level_seed=_LEVEL_SEED)) as glue:
         glue.rl_init()
         steps = 0
         began = time.perf_counter()

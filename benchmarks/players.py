@@ -9,7 +9,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from glue.client import serve_agent, serve_environment
+from glue.client.players import serve_agent, serve_environment
 from glue.types import Action, Observation
 
 __all__ = ["SIZES", "Still", "Walk", "serving"]

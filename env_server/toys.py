@@ -6,9 +6,9 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from glue.chance import load_generator, save_generator
 from glue.errors import SimulatorError
 from glue.options import Option
+from glue.random_state import load_generator, save_generator
 from glue.types import Action, Observation
 
 __all__ = ["MinesEnvironment", "SkeletonEnvironment"]

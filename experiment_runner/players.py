@@ -14,22 +14,22 @@ from typing import Final
 
 import zmq
 
-from experiment_runner.children import KeptAlive, Say
+from experiment_runner.executors.children import KeptAlive, Say
 from experiment_runner.plan import Plan, TrialSpec
-from glue.client import connect as connect_to_hub
+from glue.client.experiment import connect
 from glue.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig, LegacyPort
+from glue.core.experiment import Experiment
+from glue.core.local import local
 from glue.errors import ExperimentError
-from glue.experiment import Experiment
-from glue.hub import Hub
+from glue.hub.server import Hub
 from glue.legacy.gateway import Gateway
-from glue.loading import find
-from glue.local import connect as connect_locally
-from glue.messages import Event, Role
 from glue.options import Value, build, parameters
+from glue.players.loading import find
+from glue.protocol.messages import Event, Role
 
-__all__ = ["HubOptions", "Meeting", "check_addresses", "connect", "player_arguments"]
+__all__ = ["HubOptions", "Meeting", "check_addresses", "open_experiment", "player_arguments"]
 
-_MODULES: Final = {Role.AGENT: "agents.cli", Role.ENVIRONMENT: "env_server.cli"}
+_MODULES: Final = {Role.AGENT: "agents.command", Role.ENVIRONMENT: "env_server.command"}
 _COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
 _EXAMPLES: Final = {Role.AGENT: "random", Role.ENVIRONMENT: "mines"}
 
@@ -66,7 +66,7 @@ class Meeting:
     hub: HubOptions = field(default_factory=HubOptions)
 
 
-def connect(
+def open_experiment(
     spec: TrialSpec, meeting: Meeting, say: Say, progress: Callable[[], int]
 ) -> AbstractContextManager[Experiment]:
     """Bring the players of a trial together.
@@ -113,7 +113,7 @@ def _in_process(spec: TrialSpec) -> Iterator[Experiment]:
         if player is None:
             raise ExperimentError(f"in one process an {role} must be named: only a hub can wait for one")
         players[role] = build(find(role, player.name), player.options)
-    with connect_locally(players[Role.AGENT], players[Role.ENVIRONMENT]) as glue:
+    with local(players[Role.AGENT], players[Role.ENVIRONMENT]) as glue:
         yield glue
 
 
@@ -144,7 +144,7 @@ def _over_hub(
             public = _from_outside(hub.endpoints[1]) if outside else inside
         else:
             inside = public = options.hub
-        glue = connect_to_hub(inside, options.session, context=context, log=say, on_notice=notice)
+        glue = connect(inside, options.session, context=context, log=say, on_notice=notice)
         stack.enter_context(glue)
         for role, player in named.items():
             arguments = player_arguments(role, player.name, player.options, inside, options.session)

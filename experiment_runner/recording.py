@@ -11,10 +11,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from experiment_runner.plan import TrialSpec
-from glue.engine import role_seed
+from glue.core.engine import role_seed
+from glue.core.experiment import Experiment
 from glue.errors import PeerLost, Unsupported
-from glue.experiment import Experiment
-from glue.messages import Role
+from glue.protocol.messages import Role
 from glue.trajectory import Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
 
 __all__ = ["Recorder", "recorded"]

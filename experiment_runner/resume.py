@@ -13,11 +13,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from experiment_runner.database import holds_run, reported
 from experiment_runner.plan import Plan, differences
 from experiment_runner.plan_file import dump_plan, load_plan
 from experiment_runner.provenance import about, program
-from experiment_runner.store import ABOUT_FILE, PLAN_FILE, Results, Store
+from experiment_runner.store.database import holds_run, reported
+from experiment_runner.store.directory import ABOUT_FILE, PLAN_FILE, Results, Store
 from glue.errors import ExperimentError
 
 __all__ = ["Remaining", "create_run", "go_back", "open_run", "recorded_plan", "remaining", "resume_run"]

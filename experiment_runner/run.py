@@ -6,16 +6,16 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from functools import partial
 
-from experiment_runner.distribute import Pool, distribute
+from experiment_runner.executors.distribute import Pool, distribute
+from experiment_runner.executors.ray_cluster import RayCluster
+from experiment_runner.executors.work import work
+from experiment_runner.executors.workers import Workers
 from experiment_runner.plan import Plan
 from experiment_runner.players import HubOptions, Meeting
-from experiment_runner.progress import Reporter
-from experiment_runner.ray_cluster import RayCluster
+from experiment_runner.report.progress import Reporter
 from experiment_runner.resume import remaining
-from experiment_runner.store import Store
-from experiment_runner.work import work
-from experiment_runner.workers import Workers
-from experiment_runner.writer import Writer
+from experiment_runner.store.directory import Store
+from experiment_runner.store.writer import Writer
 from glue.errors import ConfigError
 from glue.trajectory import TrajectoryWriter
 

@@ -12,9 +12,9 @@ from typing import NamedTuple, Protocol
 
 from experiment_runner.plan import TrialSpec
 from experiment_runner.recording import Recorder
-from experiment_runner.store import Checkpoint, EpisodeResult
+from experiment_runner.store.directory import Checkpoint, EpisodeResult
+from glue.core.experiment import Experiment
 from glue.errors import PeerLost, Unsupported
-from glue.experiment import Experiment
 
 __all__ = ["BEGINNING", "Sink", "Start", "run_trial"]
 

@@ -1,7 +1,92 @@
-"""RL-Glue over ZeroMQ and msgpack: the interface, the protocol and the hub."""
+"""RL-Glue over ZeroMQ and msgpack: what agents, environments and experiments are written against.
 
-from glue.types import Action, Observation
+    from glue import Action, serve_agent
+
+The names below are imported when they are first used, so that `import glue` costs nothing.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from glue.client.experiment import connect
+    from glue.client.players import serve_agent, serve_environment
+    from glue.core.experiment import Experiment
+    from glue.core.local import local
+    from glue.errors import (
+        ConfigError,
+        GlueError,
+        HubClosed,
+        LocalProtocolError,
+        PeerFailed,
+        PeerLost,
+        Refused,
+        RemoteProtocolError,
+        TaskSpecError,
+        Unsupported,
+    )
+    from glue.options import Option
+    from glue.roles import Agent, Environment
+    from glue.types import Action, Observation
 
 __version__ = "0.1.0"
 
-__all__ = ["Action", "Observation", "__version__"]
+__all__ = [
+    "Action",
+    "Agent",
+    "ConfigError",
+    "Environment",
+    "Experiment",
+    "GlueError",
+    "HubClosed",
+    "LocalProtocolError",
+    "Observation",
+    "Option",
+    "PeerFailed",
+    "PeerLost",
+    "Refused",
+    "RemoteProtocolError",
+    "TaskSpecError",
+    "Unsupported",
+    "__version__",
+    "connect",
+    "local",
+    "serve_agent",
+    "serve_environment",
+]
+
+_HOMES: Final = {
+    "glue.client.experiment": ("connect",),
+    "glue.client.players": ("serve_agent", "serve_environment"),
+    "glue.core.experiment": ("Experiment",),
+    "glue.core.local": ("local",),
+    "glue.errors": (
+        "ConfigError",
+        "GlueError",
+        "HubClosed",
+        "LocalProtocolError",
+        "PeerFailed",
+        "PeerLost",
+        "Refused",
+        "RemoteProtocolError",
+        "TaskSpecError",
+        "Unsupported",
+    ),
+    "glue.options": ("Option",),
+    "glue.roles": ("Agent", "Environment"),
+    "glue.types": ("Action", "Observation"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _HOMES.items():
+        if name in names:
+            found = globals()[name] = getattr(import_module(module), name)
+            return found
+    raise AttributeError(f"module 'glue' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

@@ -20,9 +20,9 @@ import click
 from glue import __version__
 from glue.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.errors import ConfigError, GlueError
-from glue.loading import find, names
-from glue.messages import Role
 from glue.options import Parameter, Value, build, parameters
+from glue.players.loading import find, names
+from glue.protocol.messages import Role
 
 __all__ = ["EXIT_INTERRUPTED", "Extra", "Terminated", "player_command", "run"]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from glue.errors import ConfigError
-from glue.wire import MAX_BODY, MAX_NAME
+from glue.protocol.wire import MAX_BODY, MAX_NAME
 
 __all__ = ["DEFAULT_HUB", "DEFAULT_SESSION", "HubConfig", "LegacyPort", "check_session", "check_url"]
 

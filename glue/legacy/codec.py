@@ -1,7 +1,7 @@
 """The binary format of the original RL-Glue 3.x, without I/O: bytes in, messages out, and back.
 
     frame          int32 kind, uint32 payload size, payload
-    payload        the scalars, then the body, that `glue.messages.CALLS` gives its kind;
+    payload        the scalars, then the body, that `glue.protocol.messages.CALLS` gives its kind;
                    but the scalars in reverse: terminal before reward
     terminal       int32; anything but zero is taken for true
     reward, return float64
@@ -38,7 +38,7 @@ from enum import IntEnum
 from typing import Final, NamedTuple
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
-from glue.messages import CALLS, Body, Call, Kind, Role, Shape, Value
+from glue.protocol.messages import CALLS, Body, Call, Kind, Role, Shape, Value
 from glue.types import body_size
 
 __all__ = [
@@ -86,7 +86,7 @@ class Control(IntEnum):
 
 
 class Frame(NamedTuple):
-    """One message: its kind, scalars and body as `glue.messages.Message` has them, without a seed."""
+    """One message: its kind, scalars and body as in `protocol.messages.Message`, without a seed."""
 
     kind: Kind | Control
     scalars: tuple[Value, ...] = ()

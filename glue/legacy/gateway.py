@@ -26,9 +26,10 @@ from dataclasses import replace
 from typing import Final
 
 from glue.config import LegacyPort
-from glue.connection import Connection
 from glue.errors import ConfigError, RemoteProtocolError
-from glue.hub import Hub
+from glue.hub.connection import Connection
+from glue.hub.listener import Listener, listen_on_port
+from glue.hub.server import Hub
 from glue.legacy.codec import (
     FROM_AGENT,
     FROM_ENVIRONMENT,
@@ -40,8 +41,7 @@ from glue.legacy.codec import (
 )
 from glue.legacy.lobby import Lobby, Log
 from glue.legacy.peers import Experiment, Player
-from glue.listener import Listener, listen_on_port
-from glue.messages import Kind, Role
+from glue.protocol.messages import Kind, Role
 
 __all__ = ["Gateway"]
 

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from glue.connection import Connection, take_leave
-from glue.hub import Hub
+from glue.hub.connection import Connection, take_leave
+from glue.hub.server import Hub
 from glue.legacy.codec import TO_AGENT, Control, Frame, encode
 
 __all__ = ["Lobby", "Log"]

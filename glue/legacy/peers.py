@@ -9,9 +9,10 @@ import os
 from collections.abc import Mapping
 from typing import Final
 
-from glue.connection import Connection
-from glue.engine import EPISODE_VERBS
+from glue.core.engine import EPISODE_VERBS
+from glue.core.sessions import INSTANCE_SIZE, ONE_RUN
 from glue.errors import LocalProtocolError, RemoteProtocolError
+from glue.hub.connection import Connection
 from glue.legacy.codec import (
     TO_AGENT,
     TO_ENVIRONMENT,
@@ -23,8 +24,7 @@ from glue.legacy.codec import (
     encode,
 )
 from glue.legacy.lobby import Lobby
-from glue.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
-from glue.sessions import INSTANCE_SIZE, ONE_RUN
+from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
 from glue.types import Action, body_size
 
 __all__ = ["Experiment", "Player"]

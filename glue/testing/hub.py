@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final
 
+from glue.client.transport import Context
 from glue.config import check_url
 from glue.testing import play, trouble
 from glue.testing.puppets import Scene
 from glue.testing.rules import HubRule
-from glue.zmq_transport import Context
 
 __all__ = ["check_hub"]
 

@@ -5,7 +5,7 @@ Each scene is a function; the rule that it is about is in `glue.testing.hub`.
 
 from __future__ import annotations
 
-from glue.messages import PROTOCOL_VERSION, ErrorCode, Event, Kind, Role
+from glue.protocol.messages import PROTOCOL_VERSION, ErrorCode, Event, Kind, Role
 from glue.testing.puppets import Puppet, Scene, did, number, reward, saw, shown
 from glue.types import Action
 

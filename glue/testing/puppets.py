@@ -12,13 +12,13 @@ import time
 from collections.abc import Sequence
 from typing import Final
 
+from glue.client.transport import Context, DealerTransport
+from glue.core.sessions import INSTANCE_SIZE
 from glue.errors import LocalProtocolError, RemoteProtocolError
-from glue.messages import PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role, Value
-from glue.sessions import INSTANCE_SIZE
+from glue.protocol.messages import PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role, Value
+from glue.protocol.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, decode, encode
 from glue.testing.rules import ContractBroken, HubRule
 from glue.types import Action, Observation
-from glue.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, decode, encode
-from glue.zmq_transport import Context, DealerTransport
 
 __all__ = ["TASK_SPEC", "Puppet", "Scene", "did", "number", "reward", "saw", "shown"]
 

@@ -8,12 +8,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from agents._jit import new
 from agents.checkpoint import unpack
 from agents.keys import extend, feature
-from agents.learner import MarioLearner
-from agents.objects import THREATS_2010, Object, Scene, Senses, look, set_senses
-from agents.observation import Screen
+from agents.mario.learner import MarioLearner
+from agents.mario.objects import THREATS_2010, Object, Scene, Senses, look, set_senses
+from agents.mario.observation import Screen
+from glue.compiled.records import new
 from glue.types import Observation
 
 ROWS, COLUMNS = 16, 21

@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 
 import agents
-from agents.flat import ObjectsFlatAgent, TilesAgent, TilesCoarseAgent
-from agents.hierarchical import (
+from agents.mario.sample import SampleAgent
+from agents.mohan2010.flat import ObjectsFlatAgent, TilesAgent, TilesCoarseAgent
+from agents.mohan2010.hierarchical import (
     HierarchicalAgent,
     HierarchicalFactsAgent,
     HierarchicalInternalAgent,
     HierarchicalProgrammedAgent,
     ObjectsCoarseAgent,
 )
-from agents.sample import SampleAgent
 from glue.options import parameters
 
 DOCUMENT = (Path(__file__).parents[2] / "docs" / "agents.md").read_text(encoding="utf-8")

@@ -8,9 +8,9 @@ from typing import cast
 import numpy as np
 import pytest
 
-from agents._jit import Array, new
 from agents.policy import Chooser, below, epsilon_greedy, mix, seeded, uniform
 from agents.sarsa import Learner
+from glue.compiled.records import Array, new
 
 DRAWS = 4000
 

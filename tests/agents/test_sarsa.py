@@ -10,7 +10,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents._jit import Array, new
 from agents.keys import extend, feature
 from agents.sarsa import (
     Keys,
@@ -25,6 +24,7 @@ from agents.sarsa import (
     take,
     update,
 )
+from glue.compiled.records import Array, new
 
 
 def keys_of(*keys: int) -> Keys:

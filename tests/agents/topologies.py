@@ -5,17 +5,18 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from glue.client import connect, serve_agent, serve_environment
+from glue.client.experiment import connect
+from glue.client.players import serve_agent, serve_environment
 from glue.config import HubConfig
-from glue.experiment import Experiment
-from glue.hub import Hub
-from glue.local import connect as connect_locally
+from glue.core.experiment import Experiment
+from glue.core.local import local
+from glue.hub.server import Hub
 from glue.roles import Agent, Environment
 
 
 def check_same_over_sockets(agent: Callable[[], Agent], environment: Callable[[], Environment]) -> None:
     """Play twenty episodes in each topology, with players made anew; the outcomes must be equal."""
-    with connect_locally(agent(), environment()) as glue:
+    with local(agent(), environment()) as glue:
         expected = _outcomes(glue)
     with Hub(HubConfig(bind=("tcp://127.0.0.1:*",))).in_background() as hub:
         url = hub.endpoints[0]

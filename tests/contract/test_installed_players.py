@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from glue.core.local import local
 from glue.errors import GlueError
-from glue.loading import find, names
-from glue.local import connect
-from glue.messages import Role
+from glue.players.loading import find, names
+from glue.protocol.messages import Role
 from glue.taskspec import parse_task_spec
 from glue.testing import check_agent, check_environment
 from glue.types import Action, Observation
@@ -42,7 +42,7 @@ def can_play(agent: str, environment: str) -> bool:
     """Whether an agent takes a task on, as it says itself in the first steps."""
     players: tuple[Any, Any] = find(Role.AGENT, agent)(), find(Role.ENVIRONMENT, environment)()
     try:
-        with connect(*players) as glue:
+        with local(*players) as glue:
             glue.rl_init(seed=1)
             glue.rl_episode(5)
     except GlueError:

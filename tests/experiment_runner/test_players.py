@@ -3,7 +3,7 @@ from __future__ import annotations
 import pytest
 
 from experiment_runner.plan import RoleSpec, TrialSpec
-from experiment_runner.players import HubOptions, Meeting, connect
+from experiment_runner.players import HubOptions, Meeting, open_experiment
 
 
 class Heard(Exception):
@@ -26,5 +26,5 @@ def test_hint_has_an_address_at_which_others_can_join(bind: str, shown: str) -> 
     spec = TrialSpec("remote/mines/0", None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
     meeting = Meeting(hub=HubOptions(bind=(bind,), insecure=True))
     hint = rf"glue-agent random --hub {shown}\d+$"
-    with pytest.raises(Heard, match=hint), connect(spec, meeting, say, lambda: 0):
+    with pytest.raises(Heard, match=hint), open_experiment(spec, meeting, say, lambda: 0):
         raise AssertionError("nobody was missing")

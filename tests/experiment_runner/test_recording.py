@@ -15,19 +15,19 @@ from click.testing import CliRunner, Result
 
 from agents.baselines import RandomAgent
 from agents.tabular import SarsaAgent
-from env_server.replay import build_environment, open_recording, replayed_moments
+from env_server.replay.episodes import build_environment, open_recording, replayed_moments
 from env_server.toys import MinesEnvironment
-from experiment_runner.cli import experiment
+from experiment_runner.commands.experiment import experiment
+from experiment_runner.executors.work import Ended, Job, Report, work
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.players import Meeting
 from experiment_runner.recording import Recorder, recorded
-from experiment_runner.store import Checkpoint, EpisodeResult, Results
+from experiment_runner.store.directory import Checkpoint, EpisodeResult, Results
 from experiment_runner.trial import BEGINNING, Start, run_trial
-from experiment_runner.work import Ended, Job, Report, work
+from glue.core.experiment import Experiment
+from glue.core.local import LocalExperiment, local
 from glue.errors import ConfigError, PeerLost
-from glue.experiment import Experiment
-from glue.local import LocalExperiment, connect
-from glue.messages import Kind
+from glue.protocol.messages import Kind
 from glue.roles import Agent, Environment
 from glue.trajectory import Ending, Episode, TrajectoryError, TrajectoryReader, TrajectoryWriter
 from glue.types import Observation
@@ -41,7 +41,7 @@ PLAYERS: Final = {  # environment, agent, step limit that cuts off some episodes
     "mario": ("sample", 120),
 }
 COMMAND: Final = ("--env", "mines", "--agent", "random", "--max-steps", "9", "--in-process")
-REPLAY: Final = "from env_server.replay_cli import main; main()"
+REPLAY: Final = "from env_server.replay.command import main; main()"
 
 
 @pytest.fixture(autouse=True)
@@ -138,7 +138,7 @@ def test_replay_compares_all_of_it_and_finds_one_changed_byte() -> None:
 
 
 def test_environment_that_joins_from_outside_is_recorded_without_a_name() -> None:
-    words = [sys.executable, "-m", "env_server.cli", "mines", "--random-start", "--hub", "ipc://meeting"]
+    words = [sys.executable, "-m", "env_server.command", "mines", "--random-start", "--hub", "ipc://meeting"]
     with subprocess.Popen([*words, "--quiet"]) as environment:
         command = ("--agent", "sarsa", "--episodes", "5", "--bind", "ipc://meeting", "--record", "run.traj")
         try:
@@ -190,7 +190,7 @@ class LosesAgents(Experiment):
         self._environment = environment
         self._counts: dict[Kind, int] = {}
         self._task_spec = ""
-        self._players: LocalExperiment = connect(agent(), environment)
+        self._players: LocalExperiment = local(agent(), environment)
 
     def _call(self, kind: Kind, scalars: tuple[Any, ...] = (), body: Any = None) -> tuple[Any, Any]:
         self._counts[kind] = self._counts.get(kind, 0) + 1
@@ -200,7 +200,7 @@ class LosesAgents(Experiment):
         if self._counts[kind] in self._losses.get(kind, ()):
             newcomer = self._agent()
             newcomer.agent_init(self._task_spec)
-            self._players = connect(newcomer, self._environment)
+            self._players = local(newcomer, self._environment)
             raise PeerLost("the agent was lost")
         return reply
 
@@ -237,7 +237,7 @@ def contents_of(found: list[Episode]) -> list[tuple[Any, ...]]:
 def test_episodes_that_count_are_recorded_once_each_whatever_is_lost(
     losses: dict[Kind, set[int]], runs: int, states: list[bool]
 ) -> None:
-    whole = run_recorded("whole.traj", connect(SarsaAgent(), mines()))
+    whole = run_recorded("whole.traj", local(SarsaAgent(), mines()))
     kept = run_recorded("run.traj", LosesAgents(losses, SarsaAgent, mines()))
     assert kept.numbers == whole.numbers
     found = counting(Path("run.traj"))
@@ -283,9 +283,9 @@ def test_recording_of_an_environment_that_cannot_be_saved_has_no_state_after_a_l
 
 
 def test_trial_that_goes_on_is_recorded_from_its_checkpoint() -> None:
-    whole = run_recorded("whole.traj", connect(SarsaAgent(), mines()))
+    whole = run_recorded("whole.traj", local(SarsaAgent(), mines()))
     start = Start(10, whole.checkpoints[10])
-    kept = run_recorded("rest.traj", connect(SarsaAgent(), mines()), start)
+    kept = run_recorded("rest.traj", local(SarsaAgent(), mines()), start)
     rest = counting(Path("rest.traj"))
     assert contents_of(rest) == contents_of(episodes(Path("whole.traj"))[10:])
     assert numbers(rest) == kept.numbers

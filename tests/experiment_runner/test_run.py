@@ -6,14 +6,14 @@ from typing import Self
 
 import pytest
 
-from experiment_runner.distribute import distribute
+from experiment_runner.executors.distribute import distribute
+from experiment_runner.executors.work import Job, Lost, Recorded, Report, work
 from experiment_runner.plan import Plan, RoleSweep, TrialSpec
 from experiment_runner.players import HubOptions, Meeting
 from experiment_runner.resume import create_run, open_run, remaining
 from experiment_runner.run import Engine, RunConfig, run_trials
-from experiment_runner.store import EpisodeResult, Store, TrialRecord
-from experiment_runner.work import Job, Lost, Recorded, Report, work
-from experiment_runner.writer import Writer
+from experiment_runner.store.directory import EpisodeResult, Store, TrialRecord
+from experiment_runner.store.writer import Writer
 from glue.errors import ConfigError
 from tests.system.runs import contents
 

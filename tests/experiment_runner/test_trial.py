@@ -9,12 +9,12 @@ from agents.baselines import RandomAgent
 from agents.tabular import SarsaAgent
 from env_server.toys import MinesEnvironment
 from experiment_runner.plan import TrialSpec
-from experiment_runner.store import Checkpoint, EpisodeResult
+from experiment_runner.store.directory import Checkpoint, EpisodeResult
 from experiment_runner.trial import Start, run_trial
+from glue.core.experiment import Experiment
+from glue.core.local import LocalExperiment, local
 from glue.errors import PeerFailed, PeerLost
-from glue.experiment import Experiment
-from glue.local import LocalExperiment, connect
-from glue.messages import Kind
+from glue.protocol.messages import Kind
 from glue.roles import Agent, Environment
 
 SPEC = TrialSpec("sarsa/mines/0", None, None, episodes=25, max_steps=40, seed=5)
@@ -57,7 +57,7 @@ class Lossy(Experiment):
         self._seed: int | None = None
 
     def _fresh(self) -> LocalExperiment:
-        return connect(self._agent(), mines())
+        return local(self._agent(), mines())
 
     def _call(self, kind: Kind, scalars: tuple[Any, ...] = (), body: Any = None) -> tuple[Any, Any]:
         self._counts[kind] = self._counts.get(kind, 0) + 1
@@ -77,7 +77,7 @@ def mines() -> Environment:
 
 def undisturbed(every: int = 0) -> Kept:
     kept = Kept()
-    run_trial(connect(SarsaAgent(), mines()), SPEC, kept, checkpoint_every=every)
+    run_trial(local(SarsaAgent(), mines()), SPEC, kept, checkpoint_every=every)
     return kept
 
 
@@ -97,7 +97,7 @@ def test_trial_goes_on_from_a_checkpoint_as_if_never_interrupted(after: int) -> 
     kept = Kept()
     kept.results = whole.results[:after]
     start = Start(after, whole.checkpoints[after])
-    run_trial(connect(SarsaAgent(), mines()), SPEC, kept, start=start, checkpoint_every=10)
+    run_trial(local(SarsaAgent(), mines()), SPEC, kept, start=start, checkpoint_every=10)
     assert kept.numbers == whole.numbers
     assert kept.checkpoints[25] == whole.checkpoints[25]
 
@@ -161,7 +161,7 @@ def test_player_that_fails_ends_the_trial_and_what_came_before_stays() -> None:
 
     kept = Kept()
     with pytest.raises(PeerFailed, match="ValueError: a mistake"):
-        run_trial(connect(Failing(), mines()), SPEC, kept)
+        run_trial(local(Failing(), mines()), SPEC, kept)
     assert kept.numbers == undisturbed().numbers[:4]
 
 
@@ -173,5 +173,5 @@ def test_players_are_cleaned_up_at_the_end() -> None:
             cleaned.append(True)
             super().agent_cleanup()
 
-    run_trial(connect(Tidy(), mines()), SPEC, Kept())
+    run_trial(local(Tidy(), mines()), SPEC, Kept())
     assert cleaned == [True]

@@ -8,7 +8,7 @@ import pytest
 
 from glue.config import DEFAULT_HUB, HubConfig, check_session, check_url
 from glue.errors import ConfigError
-from glue.wire import MAX_BODY, MAX_NAME
+from glue.protocol.wire import MAX_BODY, MAX_NAME
 
 
 @pytest.mark.parametrize(

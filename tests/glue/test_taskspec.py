@@ -1,4 +1,4 @@
-"""The task spec language: glue/taskspec.py and docs/taskspec.md."""
+"""The task spec language: glue/taskspec/__init__.py and docs/taskspec.md."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from agents.baselines import SkeletonAgent
 from env_server.toys import SkeletonEnvironment
-from glue.experiment import Experiment
+from glue.core.experiment import Experiment
 from glue.types import Action, Observation
 
 Seen = list[Any]

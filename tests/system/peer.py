@@ -15,7 +15,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from glue.client import serve_agent, serve_environment
+from glue.client.players import serve_agent, serve_environment
 from glue.errors import GlueError
 
 ROOT = Path(__file__).parents[2]

@@ -8,11 +8,11 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from experiment_runner.store import Checkpoint, Results
+from experiment_runner.store.directory import Checkpoint, Results
 
 __all__ = ["COMMAND", "alive", "children", "contents", "run", "start", "wait_until"]
 
-COMMAND = [sys.executable, "-m", "experiment_runner.cli"]
+COMMAND = [sys.executable, "-m", "experiment_runner.commands.experiment"]
 _SECONDS = 60.0
 
 

@@ -22,15 +22,16 @@ import msgpack
 import pytest
 import zmq
 
-from glue import client, local
+from glue.client.experiment import connect
 from glue.config import HubConfig
-from glue.hub import Hub
-from glue.messages import ErrorCode, Kind, Message
-from glue.router import MAX_STRANGERS
-from glue.sessions import INSTANCE_SIZE
+from glue.core.local import local
+from glue.core.sessions import INSTANCE_SIZE
+from glue.hub.router import MAX_STRANGERS
+from glue.hub.server import Hub
+from glue.protocol.messages import ErrorCode, Kind, Message
+from glue.protocol.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, decode, encode
+from glue.protocol.zmtp import encode as encode_frames
 from glue.types import Action, Observation
-from glue.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, decode, encode
-from glue.zmtp import encode as encode_frames
 from tests.players import ChainAgent, ChainEnvironment
 from tests.system.peer import TIMEOUT, peer, running
 from tests.system.proxy import ABORT
@@ -56,7 +57,7 @@ class HealthySession:
         self._players = ExitStack()
         for role, player in (("agent", "ChainAgent"), ("environment", "ChainEnvironment")):
             self._players.enter_context(running(*peer(role, url, f"tests.players:{player}")))
-        self._glue = client.connect(url, log=quiet)
+        self._glue = connect(url, log=quiet)
         self._thread = threading.Thread(target=self._play)
         self._thread.start()
 
@@ -115,7 +116,7 @@ class Target:
 @contextmanager
 def target() -> Iterator[Target]:
     """A hub in a process of its own, with a session that plays."""
-    program = "from glue.cli import main; main()"
+    program = "from glue.hub.command import main; main()"
     settings = ["--heartbeat", "0.2", "--patience", "1", "--max-sessions", str(SESSIONS)]
     with running("-c", program, "--bind", "tcp://127.0.0.1:*", *settings) as process:
         assert process.stderr is not None
@@ -137,7 +138,7 @@ def _hub() -> Iterator[Target]:
     with target() as hub:
         yield hub
         returns = hub.healthy.finish()
-    glue = local.connect(ChainAgent(), ChainEnvironment())
+    glue = local(ChainAgent(), ChainEnvironment())
     glue.rl_init()
     for number, total in enumerate(returns):
         assert glue.rl_episode()

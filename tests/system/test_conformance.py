@@ -7,18 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from glue import client, local
+from glue.client.experiment import connect
 from glue.config import HubConfig
-from glue.hub import Hub
+from glue.core.local import local
+from glue.hub.server import Hub
 from tests.system.conformance import SCENARIOS, Seen
 from tests.system.peer import peer, running
 
 
 @pytest.fixture(scope="module")
 def seen_in_one_process() -> dict[str, Seen]:
-    return {
-        name: case.run(local.connect(case.agent(), case.environment())) for name, case in SCENARIOS.items()
-    }
+    return {name: case.run(local(case.agent(), case.environment())) for name, case in SCENARIOS.items()}
 
 
 @pytest.fixture(scope="module", params=["tcp", "ipc"])
@@ -45,5 +44,5 @@ def test_scenario_passes_in_one_process(seen_in_one_process: dict[str, Seen], na
 def test_scenario_gives_the_same_numbers_in_three_processes(
     seen_in_one_process: dict[str, Seen], hub: str, name: str
 ) -> None:
-    with client.connect(hub, session=name) as glue:
+    with connect(hub, session=name) as glue:
         assert SCENARIOS[name].run(glue) == seen_in_one_process[name]

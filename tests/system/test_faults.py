@@ -15,14 +15,15 @@ import pytest
 import zmq
 
 from env_server.toys import SkeletonEnvironment
-from glue import client, local
-from glue.client import RemoteExperiment, serve_agent, serve_environment
+from glue.client.experiment import RemoteExperiment, connect
+from glue.client.players import serve_agent, serve_environment
+from glue.client.transport import Context
 from glue.config import HubConfig
+from glue.core.experiment import Experiment
+from glue.core.local import local
 from glue.errors import HubClosed, PeerFailed, PeerLost
-from glue.experiment import Experiment
-from glue.hub import Hub
+from glue.hub.server import Hub
 from glue.types import Action, Observation
-from glue.zmq_transport import Context
 from tests.players import ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
 from tests.system.peer import TIMEOUT, peer, running
 from tests.system.proxy import Proxy
@@ -137,7 +138,7 @@ class Run:
                 ending.enter_context(serving(url, partner))
                 ending.callback(self.hub.stop, "over")
                 processes = ending.enter_context(Processes(through or url, role, player))
-                yield ending.enter_context(client.connect(url, on_notice=self._notice, log=quiet)), processes
+                yield ending.enter_context(connect(url, on_notice=self._notice, log=quiet)), processes
 
     def _notice(self, event: str, role: str, name: str) -> None:
         self.notices.append((event, role))
@@ -244,7 +245,7 @@ def chain(glue: Experiment, episodes: int) -> list[float]:
 
 def test_a_run_over_connections_that_break_a_hundred_times_has_the_same_returns() -> None:
     episodes = 60
-    expected = chain(local.connect(ChainAgent(), ChainEnvironment()), episodes)
+    expected = chain(local(ChainAgent(), ChainEnvironment()), episodes)
     hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, patience=60.0))
     with hub.in_background():
         proxy = Proxy(port(hub), cuts=100, seed=1)
@@ -252,13 +253,13 @@ def test_a_run_over_connections_that_break_a_hundred_times_has_the_same_returns(
             proxy.in_background(),
             Processes(proxy.url, "agent", "tests.players:ChainAgent"),
             Processes(proxy.url, "environment", "tests.players:ChainEnvironment"),
-            client.connect(proxy.url, log=quiet) as glue,
+            connect(proxy.url, log=quiet) as glue,
         ):
             assert chain(glue, episodes) == expected
             assert proxy.finished.is_set(), "a hundred cuts were made"
 
 
-HUB = "from glue.cli import main; main()"
+HUB = "from glue.hub.command import main; main()"
 
 
 @contextmanager
@@ -274,7 +275,7 @@ def test_players_come_back_to_a_hub_that_was_killed_and_started_again() -> None:
         with hub_process("tcp://127.0.0.1:*") as (hub, url):
             stack.enter_context(Processes(url, "agent", "tests.players:TellingAgent"))
             stack.enter_context(Processes(url, "environment", "tests.players:TellingEnvironment"))
-            before = stack.enter_context(client.connect(url, log=quiet))
+            before = stack.enter_context(connect(url, log=quiet))
             before.rl_init()
             assert before.rl_episode()
             hub.kill()
@@ -283,7 +284,7 @@ def test_players_come_back_to_a_hub_that_was_killed_and_started_again() -> None:
             with pytest.raises(HubClosed, match="knows nothing of this experiment"):
                 before.rl_episode()
             before.close()
-            with client.connect(url, log=quiet) as after:
+            with connect(url, log=quiet) as after:
                 after.rl_init()
                 assert after.rl_episode()
                 assert count(after, "agent", "agent_init") == 2, "the same process as before"
@@ -297,7 +298,7 @@ def test_a_hub_that_is_told_to_stop_tells_every_peer(number: signal.Signals, tmp
         with (
             running(*peer("agent", url, "tests.players:ScriptedAgent")) as agent,
             running(*peer("environment", url, "tests.players:ScriptedEnvironment")) as environment,
-            client.connect(url, log=quiet) as glue,
+            connect(url, log=quiet) as glue,
         ):
             glue.rl_init()
             hub.send_signal(number)
@@ -316,14 +317,14 @@ def test_a_player_that_is_told_to_stop_tells_the_hub(number: signal.Signals, cod
             process.send_signal(number)
             return super().env_step(action)
 
-    agent = "from agents.cli import main; main()"
+    agent = "from agents.command import main; main()"
     hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, patience=60.0))
     with hub.in_background(), ExitStack() as ending:
         (url,) = hub.endpoints
         ending.enter_context(serving(url, Walk()))
         ending.callback(hub.stop, "over")
         process = ending.enter_context(running("-c", agent, "skeleton", "--hub", url))
-        glue = ending.enter_context(client.connect(url, log=quiet))
+        glue = ending.enter_context(connect(url, log=quiet))
         glue.rl_init()
         with pytest.raises(PeerLost, match=r"the agent SkeletonAgent .* left: interrupted"):
             play_on(glue)
@@ -337,7 +338,7 @@ def test_an_exception_shows_its_traceback_where_it_happened_and_its_name_at_the_
         ending.enter_context(serving(url, ScriptedEnvironment()))
         ending.callback(hub.stop, "over")
         agent = ending.enter_context(running(*peer("agent", url, "tests.players:FailingAgent")))
-        glue = ending.enter_context(client.connect(url, log=quiet))
+        glue = ending.enter_context(connect(url, log=quiet))
         glue.rl_init()
         text = "agent FailingAgent .* raised in agent_step: ValueError: the second step is too much"
         with pytest.raises(PeerFailed, match=text):
@@ -367,8 +368,8 @@ def test_a_slow_session_delays_no_other() -> None:
             ending.enter_context(serving(url, environment, session))
             ending.enter_context(serving(url, ScriptedAgent(), session))
         ending.callback(hub.stop, "over")
-        slow = ending.enter_context(client.connect(url, "slow", log=quiet))
-        fast = ending.enter_context(client.connect(url, "fast", log=quiet))
+        slow = ending.enter_context(connect(url, "slow", log=quiet))
+        fast = ending.enter_context(connect(url, "fast", log=quiet))
         results: list[bool] = []
         thread = threading.Thread(target=lambda: results.append(slow.rl_episode()))
         thread.start()
@@ -403,6 +404,6 @@ def test_a_player_may_compute_for_many_heartbeats() -> None:
         ending.enter_context(serving(url, ScriptedEnvironment()))
         ending.enter_context(serving(url, ScriptedAgent(before=At("agent_step", 1, compute))))
         ending.callback(hub.stop, "over")
-        glue = ending.enter_context(client.connect(url, log=quiet))
+        glue = ending.enter_context(connect(url, log=quiet))
         assert glue.rl_episode()
         assert done.is_set()

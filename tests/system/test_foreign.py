@@ -16,10 +16,11 @@ import pytest
 import zmq
 
 from env_server.toys import SkeletonEnvironment
-from glue.client import connect, serve_environment
+from glue.client.experiment import connect
+from glue.client.players import serve_environment
 from glue.config import HubConfig
-from glue.experiment import Experiment
-from glue.hub import Hub
+from glue.core.experiment import Experiment
+from glue.hub.server import Hub
 from glue.types import Action, Observation
 
 EXAMPLES: Final = Path(__file__).parents[2] / "docs/examples"

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.store import Results
+from experiment_runner.store.directory import Results
 from glue.errors import ExperimentError
 from tests.system.runs import alive, children, contents, run, start, wait_until
 
@@ -21,7 +21,7 @@ PLAN = [
     *("--episodes", 1500, "--max-steps", 30, "--trials", 4, "--seed", 11),
 ]
 KILLS = 24
-VICTIMS = ("experiment", "agents.cli", "env_server.cli", "experiment_runner.worker")
+VICTIMS = ("experiment", "agents.command", "env_server.command", "experiment_runner.executors.worker")
 LONGEST_LIFE = 1.0
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.store import Results
+from experiment_runner.store.directory import Results
 from tests.system.runs import COMMAND, alive, children, contents, run, start, wait_until
 
 FAULTY = '''
@@ -243,7 +243,7 @@ def test_read_only_directory_is_refused(tmp_path: Path) -> None:
 
 
 def test_full_disk_is_named_and_what_was_stored_is_readable(tmp_path: Path) -> None:
-    script = '"$@" >/dev/null; code=$?; glue() { "$1" -m experiment_runner.results_cli export run; }; '
+    script = '"$@" >/dev/null; code=$?; glue() { "$1" -m experiment_runner.commands.results export run; }; '
     script += 'glue "$1" | tail -n 1 | cut -d , -f 1,2; exit $code'
     plan = (*SARSA, "--episodes", 100_000, "--in-process", "--out", "run")
     done = on_a_disk("size=400k", tmp_path, script, *COMMAND, *plan)

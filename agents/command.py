@@ -1,0 +1,42 @@
+"""`glue-agent`: connect an agent to a hub."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from glue.client.players import serve_agent
+from glue.commands import Extra, player_command, run
+from glue.players.trained import load_trained
+from glue.protocol.messages import Role
+
+__all__ = ["agent", "main"]
+
+agent = player_command(
+    Role.AGENT,
+    "glue-agent",
+    lambda players, hub, log: serve_agent(players, hub, log=log),
+    "Connect an agent to a hub, and serve until the hub says goodbye.",
+    "  glue-agent random\n"
+    "  glue-agent sarsa --step-size 0.1 --hub tcp://127.0.0.1:5000\n"
+    "  glue-agent hierarchical --load mario.agent --no-learning --epsilon 0",
+    Extra(
+        click.Option(
+            ["--load", "_load"],
+            type=click.Path(path_type=Path, dir_okay=False),
+            help="File of what an agent of this kind has learned, from `glue-results agent`; its random "
+            "choices go on from there as well.",
+        ),
+        load_trained,
+    ),
+)
+
+
+def main() -> None:
+    """Run `glue-agent`."""
+    run(agent)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Agents of Infinite Mario, and what all of them see of it."""

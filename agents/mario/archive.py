@@ -1,0 +1,159 @@
+"""What the agent `best` remembers of one world: how it got to places, and its best episode.
+
+A place is a cell: a column of tiles, a pair of rows, and Mario's kind (small, big, fiery). Of every
+cell the archive keeps the actions that led to it with the greatest return, which in a deterministic
+task is at once the way back and, exactly, the best value known of getting there.
+Source: Ecoffet, Huizinga, Lehman, Stanley and Clune (2021), First return, then explore.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from agents.checkpoint import CheckpointError
+from agents.mario.klo import KLOS
+
+__all__ = ["MAX_STEPS", "Archive", "Cell", "Place", "Trajectory"]
+
+MAX_STEPS: Final = 4096
+"""Steps of an episode that are remembered, at most."""
+_MAX_CELLS: Final = 16384
+_ROWS: Final = 2
+
+Arrays = Mapping[str, npt.NDArray[Any]]
+Place = tuple[float, float]
+"""Mario's x and y, in tiles."""
+
+
+@dataclass(slots=True)
+class Cell:
+    """How to get to a cell: the KLOs, the rewards on the way, where that ends, and how often it was used."""
+
+    actions: bytes
+    value: float
+    place: Place
+    tries: int = 0
+
+
+class Trajectory:
+    """A whole episode.
+
+    Args:
+        actions: its KLOs, N of them.
+        places: where Mario was when he chose each, shape (N, 2), in tiles.
+        episode_return: the sum of its rewards.
+    """
+
+    def __init__(self, actions: bytes, places: npt.NDArray[np.float64], episode_return: float) -> None:
+        self.actions = actions
+        self.places = places
+        self.episode_return = episode_return
+
+    def __len__(self) -> int:
+        return len(self.actions)
+
+    def place(self, step: int) -> Place:
+        """Return where Mario was before the action of a step."""
+        x, y = self.places[step].tolist()
+        return x, y
+
+    def nearest(self, place: Place) -> int:
+        """Return the step whose place is nearest, by the sum of both distances."""
+        return int(np.abs(self.places - place).sum(axis=1).argmin())
+
+
+class Archive:
+    """The cells of a world, the best episode in it, and whether an episode ever ended with a reward."""
+
+    def __init__(self) -> None:
+        self.cells: dict[tuple[int, int, int], Cell] = {}
+        self.best: Trajectory | None = None
+        self.finished = False
+
+    def note(self, kind: int, place: Place, value: float, actions: bytearray) -> None:
+        """Remember how Mario, of this kind, got to a place, unless a better way is known."""
+        x, y = place
+        key = (math.floor(x), math.floor(y / _ROWS), kind)
+        cell = self.cells.get(key)
+        if cell is None:
+            if len(self.cells) == _MAX_CELLS:
+                return
+        elif value <= cell.value:
+            return
+        self.cells[key] = Cell(bytes(actions), value, place)
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Return everything as arrays, for a checkpoint."""
+        cells = list(self.cells.values())
+        best = self.best or Trajectory(b"", np.empty((0, 2)), 0.0)
+        return {
+            "keys": np.array(list(self.cells), np.int64).reshape(-1),
+            "values": np.array([cell.value for cell in cells]),
+            "places": np.array([cell.place for cell in cells]).reshape(-1),
+            "tries": np.array([cell.tries for cell in cells], np.int64),
+            "lengths": np.array([len(cell.actions) for cell in cells], np.int64),
+            "actions": np.frombuffer(b"".join(cell.actions for cell in cells), np.int8),
+            "best_actions": np.frombuffer(best.actions, np.int8),
+            "best_places": best.places.reshape(-1),
+            "best_return": np.array([best.episode_return]),
+            "finished": np.array([self.finished], np.int8),
+        }
+
+    @classmethod
+    def of(cls, arrays: Arrays) -> Self:
+        """Return the archive of which `arrays` were made.
+
+        Raises:
+            CheckpointError: it could not have been.
+        """
+        try:
+            return cls._of(arrays)
+        except (KeyError, ValueError, IndexError) as error:
+            raise CheckpointError(f"the archive of this saved agent is not well formed: {error}") from None
+
+    @classmethod
+    def _of(cls, arrays: Arrays) -> Self:
+        archive = cls()
+        keys = _checked(arrays, "keys", np.int64).reshape(-1, 3).tolist()
+        values = _checked(arrays, "values", np.float64).tolist()
+        places = _checked(arrays, "places", np.float64).reshape(-1, 2).tolist()
+        tries = _checked(arrays, "tries", np.int64, low=0).tolist()
+        lengths = _checked(arrays, "lengths", np.int64, low=0, high=MAX_STEPS)
+        actions = _checked(arrays, "actions", np.int8, low=0, high=KLOS - 1).tobytes()
+        if len(keys) > _MAX_CELLS or lengths.sum() != len(actions):
+            raise ValueError(f"{len(keys)} cells, {lengths.sum()} steps to them and {len(actions)} actions")
+        ways = _split(actions, lengths.tolist())
+        for key, way, value, place, used in zip(keys, ways, values, places, tries, strict=True):
+            archive.cells[tuple(key)] = Cell(way, value, tuple(place), used)
+        best = _checked(arrays, "best_actions", np.int8, low=0, high=KLOS - 1)
+        best_places = _checked(arrays, "best_places", np.float64).reshape(-1, 2)
+        if len(best) != len(best_places) or len(best) > MAX_STEPS:
+            raise ValueError(f"a best episode of {len(best)} actions at {len(best_places)} places")
+        if len(best):
+            best_return = _checked(arrays, "best_return", np.float64)[0]
+            archive.best = Trajectory(best.tobytes(), best_places, float(best_return))
+        archive.finished = bool(_checked(arrays, "finished", np.int8)[0])
+        return archive
+
+
+def _checked(
+    arrays: Arrays, name: str, dtype: type[np.generic], low: float = -(2.0**62), high: float = 2.0**62
+) -> npt.NDArray[Any]:
+    """Return an array by name if its type is right and its numbers are from `low` to `high`."""
+    array = arrays[name]
+    if array.dtype != dtype or not np.all((array >= low) & (array <= high)):
+        raise ValueError(f"{name} must be {np.dtype(dtype)} from {low:g} to {high:g}")
+    return array
+
+
+def _split(actions: bytes, lengths: list[int]) -> Iterator[bytes]:
+    start = 0
+    for length in lengths:
+        yield actions[start : start + length]
+        start += length

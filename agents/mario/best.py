@@ -1,0 +1,355 @@
+"""The agent `best`: it returns to promising places before it explores, and goes on as its best episode did.
+
+Infinite Mario is deterministic, and an episode always replays the same level, so that what was done
+once can be done again. An episode of this agent has four parts:
+
+    settle   run left for four steps, to the edge of the world: whatever buttons the episode before
+             left pressed, this one now begins in the same state
+    return   repeat the actions that once led to a remembered place
+    explore  hold random primitive actions (KLO), each for a few steps
+    resume   go on as the best episode did from the place nearest to Mario's; once more whenever
+             Mario strays from its path
+
+Until some episode has ended with a reward, it returns to cells near the farthest one and explores to
+the bitter end. From then on it returns to any step of the best episode, or to any cell, and explores
+for a short while only: what that gained is kept if the resumed rest is as good as it was.
+
+In terms of Sutton and Barto this is Monte Carlo control with exploring starts in a deterministic
+task, where one return is no sample but the value itself, so that a maximum takes the place of an
+average: the value of a cell is the greatest return with which it was reached, that of the policy
+the greatest of an episode. To resume is to act by that policy from states never seen, generalising
+from the nearest seen. An episode explores with probability epsilon * (1 - (n / N)**3), n being the
+number of episodes before it; otherwise it repeats the best one.
+
+The agent sees observations and rewards alone. Should a remembered place not be where it was, the
+world is another, and the agent begins anew.
+
+Sources: Mohan (2010), for the primitive actions; J. Asmuth (2009), the sample agent of the
+RL-Competition, which repeats the last episode but for its end; Ecoffet et al. (2021), First return,
+then explore, for the archive of cells.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from agents.checkpoint import Checkpoint, CheckpointError, pack, unpack
+from agents.mario.archive import MAX_STEPS, Archive, Cell, Place, Trajectory
+from agents.mario.klo import ACTIONS, LEFT, RIGHT, STAY, klo
+from agents.mario.learner import Seed, require_mario
+from agents.mario.observation import CHARS, FARTHEST, malformed
+from glue.options import Option
+from glue.random_state import GENERATOR_SIZE, load_generator, save_generator
+from glue.types import PREFIX_SIZE, Action, Observation
+
+__all__ = ["BestAgent"]
+
+_SETTLING: Final = 4
+_RUN_LEFT: Final = klo(LEFT, False, True)
+_MAX_WORLDS: Final = 8
+_TO_THE_END: Final = 1 << 62
+_NOWHERE: Final = -1
+_FADING: Final = 3
+
+# Where to explore. Distances are in tiles.
+_FRONTIER: Final = 0.8  # chance of the frontier while no episode has ended with a reward
+_DEPTH: Final = 8.0  # mean distance of the cells from the farthest one, at the frontier
+_STRAYED: Final = 1.0  # distance from a path, by the sum of both, from which on Mario has strayed
+_MAX_RESUMED: Final = 30  # times that an episode resumes, or Mario might go in circles
+
+# How to explore: the chances of the three buttons.
+_AHEAD: Final = 0.87  # right, at the frontier
+_ANYWHERE: Final = 0.67  # right, around the best episode
+_JUMP: Final = 0.5
+_RUN: Final = 0.7
+
+_COUNTS: Final = struct.Struct("<4I")
+_MARIO: Final = struct.Struct("<4d")
+_KIND: Final = struct.Struct("<i")
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """What to do in an episode.
+
+    actions  the way back to a place, and
+    place    where it ends; None when there is no way to go
+    burst    steps to explore there, before the best episode is resumed
+    ahead    chance of the right button meanwhile
+    """
+
+    actions: bytes = b""
+    place: Place | None = None
+    burst: int = 0
+    ahead: float = _ANYWHERE
+
+
+_WANDER: Final = _Plan(burst=_TO_THE_END, ahead=_AHEAD)
+_REPEAT: Final = _Plan()
+
+
+class BestAgent:
+    """Returns, explores, resumes; keeps what was best."""
+
+    name: Final = "best"
+
+    def __init__(
+        self,
+        *,
+        epsilon: Annotated[float, Option("chance that an episode explores, at first", low=0, high=1)] = 1.0,
+        horizon: Annotated[
+            int,
+            Option("after so many episodes it only repeats the best one", low=1, high=10**9, unit="episodes"),
+        ] = 4800,
+        hold: Annotated[
+            float, Option("mean time an action is held while exploring", low=1, high=100, unit="steps")
+        ] = 4.5,
+        burst: Annotated[
+            float, Option("mean time it explores before resuming", low=0, high=1000, unit="steps")
+        ] = 10.0,
+        cells: Annotated[
+            float, Option("chance to return to a cell, not to a step of the best episode", low=0, high=1)
+        ] = 0.35,
+        learning: Annotated[bool, Option("whether to learn; off: it repeats the best episode")] = True,
+        seed: Seed = None,
+    ) -> None:
+        self._epsilon = epsilon if learning else 0.0
+        self._horizon = horizon
+        self._hold = hold
+        self._burst = burst
+        self._cells = cells
+        self._learning = learning
+        self._own_seed = seed
+        self._seed = seed or 0
+        self._forget()
+
+    def agent_seed(self, seed: int) -> None:
+        """Seed every random choice after the next init, unless the option `seed` was given."""
+        if self._own_seed is None:
+            self._seed = seed
+
+    def agent_init(self, task_spec: str) -> None:
+        """Forget everything.
+
+        Raises:
+            ConfigError: the task is not Infinite Mario.
+        """
+        require_mario(task_spec, self.name)
+        self._forget()
+
+    def agent_start(self, observation: Observation) -> Action:
+        """Begin an episode; of one that was cut off, the places are remembered."""
+        self._begin()
+        return self._act(observation)
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        """Remember the place, and choose the next action."""
+        self._return += reward
+        return self._act(observation)
+
+    def agent_end(self, reward: float) -> None:
+        """Keep the episode if it is the best; the best one, repeated, is worth what it gave this time."""
+        self._return += reward
+        steps = len(self._actions)
+        if not (self._learning and 0 < steps <= MAX_STEPS):
+            return
+        archive = self._archive
+        archive.finished |= reward > 0
+        best = archive.best
+        if best is None or self._return > best.episode_return or self._plan is _REPEAT:
+            archive.best = Trajectory(bytes(self._actions), np.array(self._places), self._return)
+
+    def agent_cleanup(self) -> None:
+        """Do nothing: the memory stays until the next init."""
+
+    def agent_message(self, message: str) -> str:
+        """Answer `best`, the greatest return of an episode, `cells`, how many are known, and `epsilon`."""
+        if message == "best":
+            found = [archive.best.episode_return for archive in self._worlds.values() if archive.best]
+            return repr(max(found)) if found else "none"
+        if message == "cells":
+            return str(sum(len(archive.cells) for archive in self._worlds.values()))
+        if message == "epsilon":
+            return repr(self._chance_to_explore())
+        return f"agent {self.name} answers the messages best, cells and epsilon only"
+
+    def agent_save(self) -> bytes:
+        """Return the memory, the generator's state and the count of episodes."""
+        arrays: dict[str, npt.NDArray[Any]] = {
+            "generator": np.frombuffer(save_generator(self._generator), np.int8),
+            "worlds": np.array(list(self._worlds), np.int64),
+        }
+        for i, archive in enumerate(self._worlds.values()):
+            arrays |= {f"{i} {name}": array for name, array in archive.arrays().items()}
+        return pack(Checkpoint(self.name, {}, {"episodes": self._episodes}, arrays))
+
+    def agent_load(self, data: bytes) -> None:
+        """Continue from what `agent_save` returned; the options stay this agent's own.
+
+        Raises:
+            CheckpointError: it is damaged, or of another agent.
+        """
+        saved = unpack(data, self.name, {})
+        generator, worlds = saved.arrays.get("generator"), saved.arrays.get("worlds")
+        episodes = saved.numbers.get("episodes", -1)
+        if generator is None or generator.nbytes != GENERATOR_SIZE or episodes < 0:
+            raise CheckpointError("this saved agent lacks its generator's state or its count of episodes")
+        if worlds is None or worlds.dtype != np.int64 or len(worlds) > _MAX_WORLDS:
+            raise CheckpointError(f"this saved agent lacks its worlds, or has more than {_MAX_WORLDS}")
+        archives = {}
+        for i, digest in enumerate(worlds.tolist()):
+            own = {name: array for name, array in saved.arrays.items() if name.startswith(f"{i} ")}
+            archives[digest] = Archive.of({name.removeprefix(f"{i} "): array for name, array in own.items()})
+        self._remember(load_generator(generator.tobytes()), episodes, archives)
+
+    def _forget(self) -> None:
+        self._remember(np.random.default_rng(self._seed), 0, {})
+
+    def _remember(self, generator: np.random.Generator, episodes: int, worlds: dict[int, Archive]) -> None:
+        """Take up what outlives an episode.
+
+        An archive is known by what is seen when Mario has settled; there is one alone, unless he is
+        too slow to reach the edge of the world in time.
+        """
+        self._generator = generator
+        self._episodes = episodes
+        self._worlds = worlds
+
+    def _begin(self) -> None:
+        self._settled = 0
+        self._return = 0.0
+        self._actions = bytearray()
+        self._places: list[Place] = []
+        self._held = self._hold_for = 0
+        self._next = _NOWHERE
+        self._resumed = 0
+        self._plan = _WANDER
+
+    def _chance_to_explore(self) -> float:
+        past = min(1.0, self._episodes / self._horizon)
+        return self._epsilon * (1.0 - past**_FADING)
+
+    def _act(self, observation: Observation) -> Action:
+        kind, place, digest = _see(observation)
+        if self._settled < _SETTLING:
+            self._settled += 1
+            return ACTIONS[_RUN_LEFT]
+        if not self._actions:
+            self._enter(digest)
+        elif self._learning and len(self._plan.actions) <= len(self._actions) < MAX_STEPS:
+            self._archive.note(kind, place, self._return, self._actions)
+        action = self._choose(place)
+        self._actions.append(action)
+        self._places.append(place)
+        return ACTIONS[action]
+
+    def _enter(self, digest: int) -> None:
+        """Recall the world that begins like this, and plan the episode."""
+        archive = self._worlds.get(digest, Archive())
+        if self._learning:
+            if digest not in self._worlds and len(self._worlds) == _MAX_WORLDS:
+                del self._worlds[next(iter(self._worlds))]
+            self._worlds[digest] = archive
+        self._digest = digest
+        self._archive = archive
+        self._plan = self._make_plan()
+        self._next = 0 if self._plan is _REPEAT else _NOWHERE
+        self._episodes += self._learning
+
+    def _begin_anew(self) -> None:
+        """Forget everything: the world is not what it was."""
+        self._archive = Archive()
+        self._remember(self._generator, 0, {self._digest: self._archive})
+        self._plan = _WANDER
+
+    def _make_plan(self) -> _Plan:
+        best, cells = self._archive.best, self._archive.cells.values()
+        draw = self._generator.random
+        if best is None or not cells:
+            return _WANDER
+        if draw() >= self._chance_to_explore():
+            return _REPEAT
+        if not self._archive.finished and draw() < _FRONTIER:
+            depth = max(cell.place[0] for cell in cells) - 1.0 - self._generator.exponential(_DEPTH)
+            cell = self._pick((cell for cell in cells if cell.place[0] >= depth), 1.0)
+            return _Plan(cell.actions, cell.place, _TO_THE_END, _AHEAD)
+        burst = int(self._generator.geometric(1 / (1 + self._burst))) - 1
+        if draw() < self._cells:
+            cell = self._pick(cells, 0.5)
+            return _Plan(cell.actions, cell.place, burst)
+        step = int(draw() * len(best))
+        return _Plan(best.actions[:step], best.place(step), burst)
+
+    def _pick(self, cells: Iterable[Cell], power: float) -> Cell:
+        """Draw a cell, those that were used less being the likelier."""
+        candidates = list(cells)
+        weights = np.cumsum([(1 + cell.tries) ** -power for cell in candidates])
+        cell = candidates[int(np.searchsorted(weights, self._generator.random() * weights[-1], "right"))]
+        cell.tries += self._learning
+        return cell
+
+    def _choose(self, place: Place) -> int:
+        """Return, explore or resume; return a KLO."""
+        plan, step = self._plan, len(self._actions)
+        if step < len(plan.actions):
+            return plan.actions[step]
+        if step == len(plan.actions) and plan.place is not None and _apart(plan.place, place):
+            self._begin_anew()  # What was chosen to explore with does for a new world too.
+        best = self._archive.best
+        if best is None or step < len(plan.actions) + self._plan.burst:
+            return self._explore()
+        return self._resume(best, place)
+
+    def _explore(self) -> int:
+        """Hold a random KLO for a random time."""
+        if self._hold_for == 0:
+            draw = self._generator.random
+            sideways = LEFT if draw() < 0.5 else STAY
+            direction = RIGHT if draw() < self._plan.ahead else sideways
+            self._held = klo(direction, draw() < _JUMP, draw() < _RUN)
+            self._hold_for = int(self._generator.geometric(1 / self._hold))
+        self._hold_for -= 1
+        return self._held
+
+    def _resume(self, best: Trajectory, place: Place) -> int:
+        """Go on as in the best episode; at its end, at random."""
+        strayed = 0 <= self._next < len(best) and _apart(best.place(self._next), place)
+        if strayed and self._plan is _REPEAT and self._learning:
+            self._begin_anew()
+            return self._explore()
+        if self._next == _NOWHERE or (strayed and self._resumed < _MAX_RESUMED):
+            self._next = best.nearest(place)
+            self._resumed += 1
+        if self._next >= len(best):
+            return self._explore()
+        self._next += 1
+        return best.actions[self._next - 1]
+
+
+def _apart(one: Place, other: Place) -> bool:
+    return abs(one[0] - other[0]) + abs(one[1] - other[1]) > _STRAYED
+
+
+def _see(observation: Observation) -> tuple[int, Place, int]:
+    """Return Mario's kind, his place, and a digest of the places and speeds of all sprites.
+
+    Raises:
+        RemoteProtocolError: the observation is not of Infinite Mario.
+    """
+    body = observation.body
+    ints, doubles, chars, _ = _COUNTS.unpack_from(body)
+    if doubles < 4 or 2 * ints != doubles + 2 or chars != CHARS:
+        raise malformed(observation)
+    x, y, _, _ = _MARIO.unpack_from(body, PREFIX_SIZE)
+    if not (abs(x) < FARTHEST and abs(y) < FARTHEST):
+        raise malformed(observation)
+    ints_start = PREFIX_SIZE + 8 * doubles
+    (kind,) = _KIND.unpack_from(body, ints_start + 4)
+    return kind, (x, y), zlib.crc32(body[PREFIX_SIZE:ints_start])

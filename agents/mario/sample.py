@@ -1,0 +1,204 @@
+"""The sample agent of the RL-Competition 2009: chance, and a memory of the last episode's actions.
+
+It uses no reward. An episode repeats all actions of the one before but the last seven, then goes on
+at random; so it backs up from every death, and keeps a found solution but for its end.
+Source: J. Asmuth (2009), the sample agent of the Infinite Mario package.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Final
+
+import numpy as np
+
+from agents.checkpoint import Checkpoint, CheckpointError, pack, unpack
+from agents.mario.klo import ACTIONS, RIGHT, STAY, klo
+from agents.mario.learner import require_mario
+from agents.mario.observation import BLANK, CHARS, COIN, COLUMNS, FARTHEST, MARIO, ROWS, SOLID, malformed
+from glue.options import Option
+from glue.types import Action, Observation
+
+__all__ = ["JavaRandom", "SampleAgent"]
+
+_FORGOTTEN: Final = 7
+_MARIOS: Final = (0, 10, 11)
+_UNKNOWN: Final = 0
+_FREE: Final = (BLANK, MARIO, _UNKNOWN)
+
+
+class JavaRandom:
+    """The generator java.util.Random: 48 bits of linear congruence, described in its public interface.
+
+    Args:
+        seed: any whole number; its lowest 48 bits count.
+    """
+
+    _MASK: Final = (1 << 48) - 1
+
+    def __init__(self, seed: int) -> None:
+        self.state = (seed ^ 0x5DEECE66D) & self._MASK
+
+    def next_double(self) -> float:
+        """Draw from [0, 1), a multiple of 2**-53."""
+        return ((self._next(26) << 27) + self._next(27)) * 2.0**-53
+
+    def _next(self, bits: int) -> int:
+        self.state = (self.state * 0x5DEECE66D + 0xB) & self._MASK
+        return self.state >> (48 - bits)
+
+
+class SampleAgent:
+    """The competition's sample agent, with the draws of the original."""
+
+    name: Final = "sample"
+
+    def __init__(
+        self,
+        *,
+        seed: Annotated[
+            int | None, Option("seed of its java.util.Random; the experiment's if not given")
+        ] = None,
+    ) -> None:
+        self._own_seed = seed
+        self._seed = seed or 0
+
+    def agent_seed(self, seed: int) -> None:
+        """Seed every random choice after the next init, unless the option `seed` was given."""
+        if self._own_seed is None:
+            self._seed = seed
+
+    def agent_init(self, task_spec: str) -> None:
+        """Forget everything.
+
+        Raises:
+            ConfigError: the task is not Infinite Mario.
+        """
+        require_mario(task_spec, self.name)
+        self._random = JavaRandom(self._seed)
+        self._last: list[int] = []
+        self._this: list[int] = []
+        self._hesitating = False
+
+    def agent_start(self, observation: Observation) -> Action:
+        """Begin to repeat the episode before."""
+        self._this = []
+        return self._act(observation)
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        """Repeat, or act at random; the reward is of no interest."""
+        return self._act(observation)
+
+    def agent_end(self, reward: float) -> None:
+        """Remember what was done, but for its end."""
+        self._last = self._this[:-_FORGOTTEN]
+
+    def agent_cleanup(self) -> None:
+        """Do nothing: the memory stays until the next init."""
+
+    def agent_message(self, message: str) -> str:
+        """Answer nothing in particular."""
+        return "agent sample answers no messages"
+
+    def agent_save(self) -> bytes:
+        """Return the memory and the generator's state."""
+        numbers = {"random": self._random.state, "hesitating": int(self._hesitating)}
+        return pack(Checkpoint(self.name, {}, numbers, {"last": np.array(self._last, np.int8)}))
+
+    def agent_load(self, data: bytes) -> None:
+        """Continue from what `agent_save` returned.
+
+        Raises:
+            CheckpointError: it is damaged, or of another agent.
+        """
+        saved = unpack(data, self.name, {})
+        last = saved.arrays.get("last")
+        random, hesitating = saved.numbers.get("random", -1), saved.numbers.get("hesitating", -1)
+        if last is None or not np.all((last >= 0) & (last < len(ACTIONS))):
+            raise CheckpointError("this saved agent lacks its actions, or has impossible ones")
+        if not (0 <= random < 1 << 48 and hesitating in (0, 1)):
+            raise CheckpointError("this saved agent lacks its generator's state or its hesitation")
+        self._last = [int(action) for action in last]
+        self._random.state = random
+        self._hesitating = bool(hesitating)
+
+    def _act(self, observation: Observation) -> Action:
+        k = len(self._this)
+        action = self._last[k] if k < len(self._last) else self._choose(observation)
+        self._this.append(action)
+        return ACTIONS[action]
+
+    def _choose(self, observation: Observation) -> int:
+        """Draw an action: to the right, or nowhere while hesitating, jumping the more the more is near."""
+        neighbourhood = _Neighbourhood(observation)
+        pit = neighbourhood.has_pit()
+        stay_down, near = neighbourhood.monsters(0.0 if pit else neighbourhood.obstacles(0.95))
+        if neighbourhood.speed_y > 0.1:
+            stay_down *= 0.5
+        self._hesitating = self._hesitates(near)
+        jump = self._random.next_double() > stay_down
+        return klo(STAY if self._hesitating else RIGHT, jump, pit or not near)
+
+    def _hesitates(self, near: bool) -> bool:
+        draw = self._random.next_double
+        if self._hesitating:
+            return near and not (draw() > 0.8 or draw() > 0.9)
+        return (near and draw() > 0.8) or draw() > 0.9
+
+
+class _Neighbourhood:
+    """What the sample agent reads of an observation."""
+
+    def __init__(self, observation: Observation) -> None:
+        ints: list[int] = observation.ints.tolist()
+        doubles: list[float] = observation.doubles.tolist()
+        chars = observation.chars
+        if len(ints) < 3 or 2 * len(ints) != len(doubles) + 2 or len(chars) != CHARS:
+            raise malformed(observation)
+        if not all(abs(number) < FARTHEST for number in doubles):
+            raise malformed(observation)
+        self._camera = ints[0]
+        self._kinds = ints[1::2]
+        self._doubles = doubles
+        self._chars: bytes = chars
+        self._x, self._y, _, self.speed_y = doubles[:4]
+
+    def obstacles(self, stay_down: float) -> float:
+        """Return the chance not to jump, lessened by every coin and block up to six columns ahead."""
+        for up in range(5):
+            for right in range(7):
+                seen = self._tile(self._x + right, int(self._y + up))
+                if seen == COIN:
+                    stay_down *= 0.7
+                elif seen not in _FREE:
+                    stay_down = stay_down * right / 7
+        return stay_down
+
+    def has_pit(self) -> bool:
+        """Return whether one of three columns from Mario's own on has nothing from his height down."""
+        return any(
+            all(self._tile(self._x + right, height) in _FREE for height in range(min(int(self._y), ROWS) + 1))
+            for right in range(3)
+        )
+
+    def monsters(self, stay_down: float) -> tuple[float, bool]:
+        """Return the chance not to jump, lessened by every monster near, and whether there is one."""
+        near = False
+        for kind, x, y in zip(self._kinds, self._doubles[::4], self._doubles[1::4], strict=True):
+            dx, dy = x - self._x, y - self._y
+            if kind not in _MARIOS and -1 < dx < 10 and -4 < dy < 4:
+                stay_down = stay_down * (dx + 2) / 12
+                near = True
+        return stay_down, near
+
+    def _tile(self, x: float, height: int) -> int:
+        """Return a tile as the original asked for it, one row too low.
+
+        It takes the column right of the view for part of it, and finds there the end of the line.
+        """
+        column, row = int(x), ROWS - height
+        if column < 0:
+            return SOLID
+        column -= self._camera
+        if not (0 <= column <= COLUMNS and 0 <= row < ROWS):
+            return _UNKNOWN
+        return self._chars[row * (COLUMNS + 1) + column]

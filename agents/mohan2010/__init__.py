@@ -1,0 +1,1 @@
+"""The agents of Mohan, Reinforcement Learning in Infinite Mario (2010)."""

@@ -1,0 +1,368 @@
+"""The two-level object-oriented agents: experiments 4 to 8.
+
+At the top a functional-level operator (FLO) is chosen, a task tied to one object; inside it, step by
+step, keystroke-level operators (KLO). Both levels learn by SARSA. A visit to an FLO is a small
+episode of its own: its last KLO is updated with the reward alone. The FLO level learns from the sum
+of the rewards between two choices of a learned FLO, undiscounted, but for the unlearned FLOs
+(move-to-goal, avoid-pit) chosen in between: each discounts all that follows it.
+Source: Mohan (2010), sections 6 and 7; what the paper leaves open is told in docs/agents.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, ClassVar
+
+import numpy as np
+
+from agents import sarsa
+from agents.keys import extend, feature
+from agents.mario import klo, objects
+from agents.mario.learner import (
+    FULL,
+    MALFORMED,
+    Discount,
+    Epsilon,
+    Grid,
+    Learning,
+    MarioLearner,
+    Reduction,
+    Seed,
+    StepSize,
+)
+from agents.mohan2010 import flo
+from agents.policy import epsilon_greedy
+from agents.sarsa import Keys, Learner, Taken, Values
+from glue.compiled.jit import entry, jit
+from glue.compiled.records import Array, Flag, Int, Real, new
+from glue.options import Option
+
+__all__ = [
+    "HierarchicalAgent",
+    "HierarchicalFactsAgent",
+    "HierarchicalInternalAgent",
+    "HierarchicalProgrammedAgent",
+    "ObjectsCoarseAgent",
+]
+
+TileAbove = Annotated[bool, Option("whether KLO values tell the tile above (author's agents: yes)")]
+
+
+class Design:
+    """What the experiments change; see the classes at the end of this module."""
+
+    senses: Annotated[objects.Senses, objects.Senses]
+    ranks: Annotated[flo.Numbers, np.int64, 4]
+    context: Flag
+    sum_objects: Flag
+    tile_above: Flag
+    internal: Flag
+    internal_step: Real
+    internal_goal: Real
+    internal_death: Real
+
+
+class Mind:
+    """What a hierarchical agent keeps from step to step.
+
+    current, current_id  the running FLO and the id of its object; NONE at the start of an episode
+    last_klo             the last KLO, without features in an FLO that does not learn
+    last_flo             the last learned FLO, which waits for its update
+    flo_return           the rewards since it was chosen, each times the weight of its time
+    weight               the discount to the power of the unlearned FLOs chosen since
+    """
+
+    design: Annotated[Design, Design]
+    scene: Annotated[objects.Scene, objects.Scene]
+    current: Int
+    current_id: Int
+    last_klo: Annotated[Taken, Taken]
+    last_flo: Annotated[Taken, Taken]
+    flo_return: Real
+    weight: Real
+    # room to work in
+    kept: Annotated[flo.Numbers, np.int64, objects.MAX_OBJECTS]
+    flo_values: Annotated[Values, np.float64, objects.MAX_OBJECTS]
+    flo_keys: Annotated[Keys, np.uint64, 2]
+    klo_values: Annotated[Values, np.float64, klo.KLOS]
+    states: Annotated[Keys, np.uint64, sarsa.MAX_FEATURES]
+    state_count: Int
+
+
+@entry
+def step(learners: Array, table: Array, minds: Array, body: bytes, reward: float, begins: bool) -> int:
+    """Learn from the reward, and return the KLO to send; FULL or MALFORMED when that cannot be."""
+    learner = learners[0]
+    mind = minds[0]
+    scene = mind.scene
+    if not sarsa.has_room(learner, table, sarsa.MAX_FEATURES + 2):
+        return FULL
+    if begins:
+        _forget(mind)
+    if not objects.look(scene, mind.design.senses, body):
+        return MALFORMED
+
+    count = flo.keep_preferred(scene, mind.design.ranks, mind.kept)
+    which = flo.find(scene, mind.kept, count, mind.current, mind.current_id)
+    goes_on = which != flo.NONE or (count == 0 and mind.current == flo.MOVE_TO_GOAL)
+    mind.flo_return += mind.weight * reward
+    if goes_on:
+        action = _choose_klo(learner, table, mind, which)
+        target = _klo_reward(mind, reward) + learner.discount * mind.klo_values[action]
+        sarsa.update(learner, table, mind.last_klo, target)
+    else:
+        sarsa.update(learner, table, mind.last_klo, _last_klo_reward(mind, reward))
+        which = _choose_flo(learner, table, mind, count)
+        action = _choose_klo(learner, table, mind, which)
+    sarsa.take(mind.last_klo, mind.states, mind.state_count, action)
+    if learner.learning:
+        learner.cycles += 1 if goes_on else 3
+    return action
+
+
+@entry
+def end(learners: Array, table: Array, minds: Array, reward: float) -> None:
+    """Learn from the last reward of an episode, at both levels."""
+    learner = learners[0]
+    mind = minds[0]
+    mind.flo_return += mind.weight * reward
+    sarsa.update(learner, table, mind.last_klo, _terminal_klo_reward(mind, reward))
+    sarsa.update(learner, table, mind.last_flo, mind.flo_return)
+    _forget(mind)
+
+
+@jit
+def _forget(mind: Mind) -> None:
+    objects.forget_monsters(mind.scene)
+    mind.current = flo.NONE
+    mind.last_klo.count = 0
+    mind.last_flo.count = 0
+
+
+# The functional level
+
+
+@jit
+def _choose_flo(learner: Learner, table: Array, mind: Mind, count: int) -> int:
+    """Open an FLO; return which object it is for, or NONE for move-to-goal.
+
+    If it is a learned one, the learned FLO before it is updated.
+    """
+    scene = mind.scene
+    if count == 0:
+        mind.current = flo.MOVE_TO_GOAL
+        mind.weight *= learner.discount
+        return flo.NONE
+    bits = flo.context(scene)
+    for i in range(count):
+        keys = _flo_features(mind, scene.objects[mind.kept[i]], bits)
+        mind.flo_values[i] = sarsa.sum_of_values(table, mind.flo_keys, keys)
+    chosen = epsilon_greedy(learner, mind.flo_values, count)
+    which = mind.kept[chosen]
+    thing = scene.objects[which]
+    mind.current = thing.kind
+    mind.current_id = thing.id
+    if flo.is_learned(thing.kind):
+        target = mind.flo_return + mind.weight * learner.discount * mind.flo_values[chosen]
+        sarsa.update(learner, table, mind.last_flo, target)
+        mind.last_flo.count = _flo_features(mind, thing, bits)
+        for i in range(mind.last_flo.count):
+            mind.last_flo.keys[i] = mind.flo_keys[i]
+        mind.flo_return = 0.0
+        mind.weight = 1.0
+    else:
+        mind.weight *= learner.discount
+    return int(which)
+
+
+@jit
+def _flo_features(mind: Mind, thing: objects.Object, bits: int) -> int:
+    """Fill in the keys of an FLO's values, its object's and its context's; return how many."""
+    if not flo.is_learned(thing.kind):
+        return 0
+    mind.flo_keys[0] = flo.describe(flo.FLO_LEVEL, thing)
+    mind.flo_keys[1] = extend(extend(feature(flo.CONTEXT), thing.kind), bits)
+    return 2 if mind.design.context else 1
+
+
+# The keystroke level
+
+
+@jit
+def _choose_klo(learner: Learner, table: Array, mind: Mind, which: int) -> int:
+    """Choose a KLO in the FLO for an object (NONE: move-to-goal), and note the features it had."""
+    mind.state_count = 0
+    if mind.current == flo.MOVE_TO_GOAL:
+        return klo.move_right(mind.scene.screen)
+    if mind.current == flo.AVOID_PIT:
+        return klo.jump_the_pit()
+    if mind.design.sum_objects:
+        for i in range(mind.scene.count):
+            if mind.scene.objects[i].kind == mind.current and mind.state_count < len(mind.states):
+                _add_state(mind, mind.scene.objects[i])
+    else:
+        _add_state(mind, mind.scene.objects[which])
+    sarsa.action_values(table, mind.states, mind.state_count, mind.klo_values)
+    return epsilon_greedy(learner, mind.klo_values, klo.KLOS)
+
+
+@jit
+def _add_state(mind: Mind, thing: objects.Object) -> None:
+    """Add the key of what the keystroke level knows of one object."""
+    screen = mind.scene.screen
+    state = extend(flo.describe(flo.KLO_LEVEL, thing), screen.mario.kind)
+    if mind.design.tile_above:
+        state = extend(state, objects.tile_above(screen))
+    mind.states[mind.state_count] = state
+    mind.state_count += 1
+
+
+@jit
+def _klo_reward(mind: Mind, reward: float) -> float:
+    """Return what a KLO is paid whose FLO goes on."""
+    return mind.design.internal_step if mind.design.internal else reward
+
+
+@jit
+def _last_klo_reward(mind: Mind, reward: float) -> float:
+    """Return what the last KLO of an FLO is paid, before the next FLO is chosen."""
+    design = mind.design
+    if not design.internal:
+        return reward
+    if flo.is_learned(mind.current) and flo.goal_reached(
+        mind.scene, mind.current, mind.current_id, design.senses.grid
+    ):
+        return design.internal_step + design.internal_goal
+    return design.internal_step
+
+
+@jit
+def _terminal_klo_reward(mind: Mind, reward: float) -> float:
+    """Return what the last KLO of an episode is paid: an end that is paid for is the finish line."""
+    if not mind.design.internal:
+        return reward
+    return mind.design.internal_death if reward < 0.0 else 0.0
+
+
+# The experiments
+
+
+class HierarchicalAgent(MarioLearner):
+    """Experiment 5: the FLO is chosen by learned values; avoid-pit still comes first, move-to-goal last."""
+
+    name = "hierarchical"
+    _step = step
+    _end = end
+
+    _ranks: ClassVar[Sequence[int]] = flo.LEARNED
+    _context: ClassVar[bool] = True
+    _via_platforms: ClassVar[bool] = False
+    _threats: ClassVar[tuple[int, int, int, int]] = objects.THREATS_2010
+    _absolute_motion: ClassVar[bool] = False
+    _sum_objects: ClassVar[bool] = False
+
+    def __init__(
+        self,
+        *,
+        step_size: StepSize = 0.3,
+        discount: Discount = 0.9,
+        epsilon: Epsilon = 0.1,
+        reduction: Reduction = 0.9999,
+        grid: Grid = 2,
+        tile_above: TileAbove = False,
+        learning: Learning = True,
+        seed: Seed = None,
+    ) -> None:
+        super().__init__(
+            step_size=step_size,
+            discount=discount,
+            epsilon=epsilon,
+            reduction=reduction,
+            learning=learning,
+            seed=seed,
+        )
+        self._grid = grid
+        self._tile_above = tile_above
+
+    def _settings(self) -> Mapping[str, int | float | str | bool]:
+        return {"grid": self._grid, "tile_above": self._tile_above}
+
+    def _new_mind(self) -> Array:
+        minds = new(Mind)
+        design = minds["design"]
+        design["ranks"] = self._ranks
+        design["context"] = self._context
+        design["sum_objects"] = self._sum_objects
+        design["tile_above"] = self._tile_above
+        objects.set_senses(
+            design["senses"], self._grid, self._threats, self._absolute_motion, self._via_platforms
+        )
+        return minds
+
+
+class HierarchicalProgrammedAgent(HierarchicalAgent):
+    """Experiment 4: the FLOs have a programmed order; values choose among those of one kind."""
+
+    name = "hierarchical-programmed"
+    _ranks = flo.PROGRAMMED
+    _context = False
+
+
+class HierarchicalFactsAgent(HierarchicalAgent):
+    """Experiment 6: as 5, and it knows that what lies above a reachable platform can be reached."""
+
+    name = "hierarchical-facts"
+    _via_platforms = True
+
+
+class HierarchicalInternalAgent(HierarchicalFactsAgent):
+    """Experiment 7: as 6, but KLOs are paid for their FLO's goal, not by the environment."""
+
+    name = "hierarchical-internal"
+
+    def __init__(
+        self,
+        *,
+        step_size: StepSize = 0.3,
+        discount: Discount = 0.9,
+        epsilon: Epsilon = 0.1,
+        reduction: Reduction = 0.9999,
+        internal_step: Annotated[float, Option("KLO's reward for a step (author's agent: -0.01)")] = -0.01,
+        internal_goal: Annotated[float, Option("KLO's reward for the FLO's goal (author's agent: 1)")] = 1.0,
+        internal_death: Annotated[float, Option("KLO's reward for dying (author's agent: -10)")] = -10.0,
+        grid: Grid = 2,
+        tile_above: TileAbove = False,
+        learning: Learning = True,
+        seed: Seed = None,
+    ) -> None:
+        super().__init__(
+            step_size=step_size,
+            discount=discount,
+            epsilon=epsilon,
+            reduction=reduction,
+            grid=grid,
+            tile_above=tile_above,
+            learning=learning,
+            seed=seed,
+        )
+        self._internal = {
+            "internal": True,
+            "internal_step": internal_step,
+            "internal_goal": internal_goal,
+            "internal_death": internal_death,
+        }
+
+    def _new_mind(self) -> Array:
+        minds = super()._new_mind()
+        for name, value in self._internal.items():
+            minds["design"][name] = value
+        return minds
+
+
+class ObjectsCoarseAgent(HierarchicalFactsAgent):
+    """Experiment 8: as 6, but a KLO's value is a sum over all objects of its FLO's kind."""
+
+    name = "objects-coarse"
+    _threats = objects.THREATS_2012
+    _absolute_motion = True
+    _sum_objects = True

@@ -1,0 +1,1 @@
+"""Infinite Mario of the RL-Competition 2009."""

@@ -1,0 +1,306 @@
+"""Infinite Mario of the RL-Competition 2009 as an RL-Glue environment.
+
+An action is three ints: direction (-1 left, 0 neither, 1 right), jump and run (0 or 1). It holds for
+five ticks of the game. The observation is described in `env_server.mario.observation`.
+
+Messages that `env_message` answers:
+
+    parameters                       every parameter in force, as JSON
+    level                            level_seed=121 level_type=0 level_difficulty=0
+    level level_seed=7 level_type=1  change what is named, from the next episode on; answers as `level`
+
+docs/mario.md is for those who write an agent.
+Source: RL-Competition 2009; Mohan (2010), appendix A.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from dataclasses import asdict, replace
+from decimal import Decimal
+from itertools import product
+from typing import Annotated, Any, Final
+
+from env_server.mario.game import Game
+from env_server.mario.parameters import INSTANCES, MDPS, Parameters, resolve
+from glue.errors import ConfigError, SimulatorError
+from glue.options import Option, parameters, parse_assignments
+from glue.types import Action, Observation
+
+__all__ = ["InfiniteMario"]
+
+_LEVEL: Final = ("level_seed", "level_type", "level_difficulty")
+_BUTTONS: Final = ("button_left", "button_right", "button_jump", "button_run")
+_ACTIONS: Final = {Action(ints=buttons).body: buttons for buttons in product((-1, 0, 1), (0, 1), (0, 1))}
+"""Every legal action, by its bytes: to look one up is to check it."""
+_DIMENSIONS: Final = (("direction", -1, 1), ("jump", 0, 1), ("run", 0, 1))
+
+# What outlives an episode: the level, the four buttons, and whether there was an episode; then a
+# checksum of all that.
+_SAVED: Final = struct.Struct("<8sqii5?")
+_CHECKSUM: Final = struct.Struct("<I")
+_MAGIC: Final = b"mario\0\0\1"
+
+
+class InfiniteMario:
+    """Infinite Mario of the RL-Competition 2009.
+
+    The task is that of an instance or of an MDP; a parameter given by itself overrides theirs.
+    """
+
+    def __init__(
+        self,
+        *,
+        instance: Annotated[
+            int, Option("published set of all parameters but the level's", low=0, high=INSTANCES - 1)
+        ] = 0,
+        mdp: Annotated[
+            str | None, Option("published task, level included, instead of an instance", choices=MDPS)
+        ] = None,
+        level_seed: Annotated[
+            int | None, Option("seed of the level, 121 by default", low=-(2**31), high=2**31 - 1)
+        ] = None,
+        level_type: Annotated[
+            int | None, Option("0 overground, 1 underground, 2 castle; 0 by default", low=0, high=2)
+        ] = None,
+        level_difficulty: Annotated[
+            int | None, Option("the higher, the more gaps, pipes and enemies; 0 by default", low=0, high=100)
+        ] = None,
+        level_width: Annotated[
+            int | None,
+            Option("width of the level, which has 50 more; 320 by default", low=0, high=2000, unit="tiles"),
+        ] = None,
+        max_trial_steps: Annotated[
+            int | None, Option("steps until Mario dies, 1000 by default", low=1, high=10**9, unit="steps")
+        ] = None,
+        reward_goal: Annotated[
+            float | None, Option("reward for passing the goal, 100 by default", low=-1e9, high=1e9)
+        ] = None,
+        reward_death: Annotated[
+            float | None, Option("reward for dying, -10 by default", low=-1e9, high=1e9)
+        ] = None,
+        reward_step: Annotated[
+            float | None, Option("reward for each step, -0.01 by default", low=-1e9, high=1e9)
+        ] = None,
+        reward_coin: Annotated[
+            float | None, Option("reward for each coin, 1 by default", low=-1e9, high=1e9)
+        ] = None,
+        reward_kill: Annotated[
+            float | None, Option("reward for each enemy killed, 1 by default", low=-1e9, high=1e9)
+        ] = None,
+        speed_walk: Annotated[
+            float | None,
+            Option("acceleration walking, 0.6 by default", low=0, high=16, unit="pixels/tick²"),
+        ] = None,
+        speed_run: Annotated[
+            float | None,
+            Option("acceleration running, 1.2 by default", low=0, high=16, unit="pixels/tick²"),
+        ] = None,
+        speed_jump: Annotated[
+            float | None,
+            Option("speed of a jump per jump count, -1.9 by default", low=-16, high=16, unit="pixels/tick"),
+        ] = None,
+        speed_slidejump: Annotated[
+            float | None,
+            Option("the same for jumps off a wall, -2 by default", low=-16, high=16, unit="pixels/tick"),
+        ] = None,
+        accel_fall: Annotated[
+            float | None,
+            Option("part of the vertical speed kept, 0.82 by default", low=0, high=1, unit="per tick"),
+        ] = None,
+        jump_time: Annotated[
+            int | None, Option("how long a jump goes up, 7 by default", low=-100, high=100, unit="ticks")
+        ] = None,
+        slidejump_time: Annotated[
+            int | None,
+            Option(
+                "the same for jumps off a wall, negative; -6 by default", low=-100, high=100, unit="ticks"
+            ),
+        ] = None,
+        render: Annotated[
+            str,
+            Option(
+                "when the original draws a frame, which moves the camera and notices the episode's end",
+                choices=("tick", "checkin"),
+                flag="drawing",
+            ),
+        ] = "tick",
+        alpha: Annotated[
+            float, Option("how far into the next tick it draws", low=0, high=1, unit="ticks")
+        ] = 1.0,
+        start_ticks: Annotated[
+            int, Option("5 or 10, before the first observation of all", low=5, high=10, unit="ticks")
+        ] = 5,
+        velocity: Annotated[
+            str,
+            Option("in tiles per step, or as the first binary release told it", choices=("source", "jar")),
+        ] = "source",
+    ) -> None:
+        """Check the parameters.
+
+        Raises:
+            SimulatorError: a parameter is out of its bounds, or an instance and an MDP are asked for.
+        """
+        # The first statement, so that the parameters are all the locals there are.
+        given = {name: value for name, value in locals().items() if name != "self" and value is not None}
+        given = _check(given)
+        instance, mdp = given.pop("instance"), given.pop("mdp", None)
+        if instance and mdp:
+            raise SimulatorError(f"instance {instance} and mdp {mdp} are two tasks: leave out one")
+        self._task = resolve(given, instance=instance, mdp=mdp)
+        self._parameters = self._task
+        self._game: Game | None = None
+
+    @property
+    def parameters(self) -> Parameters:
+        """Every parameter in force; the level's are those of the next episode."""
+        return self._parameters
+
+    @property
+    def game(self) -> Game:
+        """The game being played, to look at or to clone.
+
+        Raises:
+            SimulatorError: env_init was not called yet.
+        """
+        if self._game is None:
+            raise SimulatorError("there is no game yet: call env_init first")
+        return self._game
+
+    @property
+    def buttons(self) -> tuple[bool, ...]:
+        """Left, right, jump, run: those held when the next episode's first tick begins.
+
+        They are as the last episode left them, and all up in a fresh game.
+
+        Raises:
+            SimulatorError: env_init was not called yet.
+        """
+        world = self.game.world
+        return tuple(bool(getattr(world, name)) for name in _BUTTONS)
+
+    @buttons.setter
+    def buttons(self, held: tuple[bool, ...]) -> None:
+        for name, is_held in zip(_BUTTONS, held, strict=True):
+            setattr(self.game.world, name, is_held)
+
+    def env_init(self) -> str:
+        """Make a fresh game; return the task spec."""
+        self._game = Game(self._parameters)
+        low, high = map(_java_double, self._parameters.rewards)
+        return (
+            "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 "
+            f"ACTIONS INTS (-1 1) (2 0 1)  REWARDS ({low} {high})"
+        )
+
+    def env_start(self) -> Observation:
+        """Build the level anew and return the first observation.
+
+        Raises:
+            SimulatorError: env_init was not called yet.
+        """
+        return self.game.start()
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        """Hold the buttons of `action` for five ticks.
+
+        Raises:
+            SimulatorError: the action is out of bounds or misshapen, or no episode is being played.
+        """
+        buttons = _ACTIONS.get(action.body)
+        if buttons is None:
+            raise SimulatorError(_what_is_wrong_with(action))
+        return self.game.step(*buttons)
+
+    def env_cleanup(self) -> None:
+        """Let go of the game, and of any level that a message asked for."""
+        self._game = None
+        self._parameters = self._task
+
+    def env_message(self, message: str) -> str:
+        """Answer one of the messages at the top of this module, or say that it is none of them."""
+        question, *assignments = message.split() or [""]
+        if question == "parameters" and not assignments:
+            return json.dumps(asdict(self._parameters))
+        if question == "level":
+            try:
+                self._change_level(_parse_level(assignments))
+            except ConfigError as error:
+                return f"refused: {error}"
+            return " ".join(f"{name}={getattr(self._parameters, name)}" for name in _LEVEL)
+        return (
+            f"refused: {message!r} is not a message of Mario's; these are: parameters, level, "
+            "level level_seed=N level_type=N level_difficulty=N"
+        )
+
+    def env_save(self) -> bytes:
+        """Return what later episodes depend on: the level, and the buttons as the last episode left them."""
+        level = (getattr(self._parameters, name) for name in _LEVEL)
+        data = _SAVED.pack(_MAGIC, *level, *self.buttons, bool(self.game.world.started))
+        return data + _CHECKSUM.pack(zlib.crc32(data))
+
+    def env_load(self, data: bytes) -> None:
+        """Go on from what `env_save` returned.
+
+        Raises:
+            SimulatorError: `data` is damaged, of another environment or of another version.
+        """
+        saved, checksum = data[: _SAVED.size], data[_SAVED.size :]
+        if len(saved) != _SAVED.size or checksum != _CHECKSUM.pack(zlib.crc32(saved)):
+            raise SimulatorError(f"{len(data)} bytes that are not a whole save of Mario came to env_load")
+        magic, seed, kind, difficulty, *held, started = _SAVED.unpack(saved)
+        if magic != _MAGIC:
+            raise SimulatorError(f"env_load takes a save marked {_MAGIC!r}, not {magic!r}")
+        self._change_level(_check(dict(zip(_LEVEL, (seed, kind, difficulty), strict=True))))
+        self.buttons = tuple(held)
+        self.game.world.started = started
+
+    def _change_level(self, level: dict[str, Any]) -> None:
+        self._parameters = replace(self._parameters, **level)
+        if self._game is not None:
+            self._game.set_task(self._parameters)
+
+
+def _check(values: dict[str, Any]) -> dict[str, Any]:
+    """Return parameters by name, each within its bounds."""
+    known = parameters(InfiniteMario)
+    try:
+        checked = {name: known[name].check(value) for name, value in values.items()}
+    except ConfigError as error:
+        raise SimulatorError(str(error)) from None
+    if checked.get("start_ticks", 5) not in (5, 10):
+        raise SimulatorError(f"option start_ticks must be 5 or 10 ticks, not {checked['start_ticks']}")
+    return checked
+
+
+def _parse_level(assignments: list[str]) -> dict[str, Any]:
+    level = parse_assignments(InfiniteMario, assignments)
+    for name in level:
+        if name not in _LEVEL:
+            raise ConfigError(f"a message changes {', '.join(_LEVEL)}; {name} is fixed when Mario is made")
+    return level
+
+
+def _what_is_wrong_with(action: Action) -> str:
+    ints, doubles, chars = action.counts
+    if (ints, doubles, chars) != (3, 0, 0):
+        return (
+            "an action of Mario's is 3 ints (direction, jump, run), no doubles and no chars; "
+            f"{ints} ints, {doubles} doubles and {chars} chars came"
+        )
+    return "; ".join(
+        f"{name} must be from {low} to {high}, not {value}"
+        for (name, low, high), value in zip(_DIMENSIONS, action.ints.tolist(), strict=True)
+        if not low <= value <= high
+    )
+
+
+def _java_double(value: float) -> str:
+    """Return `value` as Java prints a double: with an exponent below 0.001 and from ten million on."""
+    if value == 0 or 1e-3 <= abs(value) < 1e7:
+        return repr(value)
+    sign, digits, exponent = Decimal(repr(value)).normalize().as_tuple()
+    first, *others = map(str, digits)
+    return f"{'-' * sign}{first}.{''.join(others) or '0'}E{int(exponent) + len(others)}"

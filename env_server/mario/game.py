@@ -1,0 +1,145 @@
+"""One game, as Python plays it: the compiled rules around a record of memory, and observations out of it."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+
+from env_server.mario.level import Level, Spawn
+from env_server.mario.observation import BODY_SIZE, encode
+from env_server.mario.parameters import Parameters
+from env_server.mario.reward import ordinary_reward, terminal_reward
+from env_server.mario.sim.state import RED_KOOPA, ROWS, SPAWN_KIND, SPAWN_WINGED, WORLD, World, Worlds
+from env_server.mario.sim.step import act, begin
+from glue.compiled.jit import announce_compilation, entry, jit
+from glue.errors import SimulatorError
+from glue.types import Observation
+
+__all__ = ["Body", "Game", "start_first", "step_world"]
+
+Body = npt.NDArray[np.uint8]
+"""Room for an observation as the body of an abstract type, shape (BODY_SIZE,)."""
+
+
+class Game:
+    """A game of a task. Two games share nothing, and a game's future depends on its memory alone.
+
+    Args:
+        parameters: the task.
+    """
+
+    def __init__(self, parameters: Parameters) -> None:
+        self._memory: Worlds = np.zeros(1, WORLD)
+        self._body = np.zeros(BODY_SIZE, np.uint8)
+        self._bytes = self._body.data
+        self._observation = Observation()
+        self.set_task(parameters)
+        _prepare()
+
+    @property
+    def world(self) -> World:
+        """The memory of the game, to look at; see `env_server.mario.sim.state`."""
+        world: World = self._memory[0]
+        return world
+
+    @property
+    def level(self) -> Level:
+        """The level as it is now; blocks and coins that are used up show in its tiles."""
+        world = self.world
+        tiles, spawns = world.tiles[: world.columns], world.spawns[: world.columns]
+        return Level(
+            int(world.columns),
+            (int(world.exit_x), int(world.exit_y)),
+            tuple(tiles[:, row].tobytes().hex() for row in range(ROWS)),
+            tuple(_spawn(x, y, int(spawns[x, y])) for x, y in np.argwhere(spawns).tolist()),
+        )
+
+    def set_task(self, parameters: Parameters) -> None:
+        """Play another task from the next episode on."""
+        parameters.write_to(self.world)
+
+    def start(self) -> Observation:
+        """Begin an episode; return its first observation."""
+        size = start_first(self._memory, self._body)
+        self._observation = Observation._wrap(bytes(self._bytes[:size]))
+        return self._observation
+
+    def step(self, direction: int, jump: int, run: int) -> tuple[float, Observation, bool]:
+        """Carry out an action for five ticks; return the reward, the observation and whether it ended.
+
+        With the last reward of an episode comes the observation before it, once more.
+
+        Args:
+            direction: -1 left, 1 right, 0 neither.
+            jump, run: 1 to hold the button, else 0.
+
+        Raises:
+            SimulatorError: no episode is being played.
+        """
+        reward, size = _step_first(self._memory, direction, jump, run, self._body)
+        if size > 0:
+            self._observation = Observation._wrap(bytes(self._bytes[:size]))
+            return reward, self._observation, False
+        if size < 0:
+            raise SimulatorError("a step needs an episode: call start first, and again after each end")
+        return reward, self._observation, True
+
+    def clone(self) -> Game:
+        """Return another game at the same point."""
+        game = Game.__new__(Game)
+        game._memory = self._memory.view(np.uint8).copy().view(WORLD)
+        game._body = np.zeros(BODY_SIZE, np.uint8)
+        game._bytes = game._body.data
+        game._observation = self._observation
+        return game
+
+    def restore(self, other: Game) -> None:
+        """Go to the point at which `other` is."""
+        self._memory.view(np.uint8)[:] = other._memory.view(np.uint8)
+        self._observation = other._observation
+
+
+def _spawn(column: int, row: int, code: int) -> Spawn:
+    return Spawn(column, row, (code & SPAWN_KIND) - RED_KOOPA, code & SPAWN_WINGED != 0)
+
+
+@jit
+def step_world(world: World, direction: int, jump: int, run: int, body: Body) -> tuple[float, int]:
+    """Carry out an action.
+
+    Returns:
+        The reward, and the length of the observation now in `body`: 0 if the episode ended.
+    """
+    if act(world, direction, jump, run):
+        return ordinary_reward(world), encode(world, body)
+    return terminal_reward(world), 0
+
+
+@entry
+def start_first(worlds: Worlds, body: Body) -> int:
+    """Begin an episode in the first of `worlds`; return the length of the observation now in `body`."""
+    world: World = worlds[0]
+    begin(world)
+    ordinary_reward(world)  # of the first check-in: noted as paid, though nobody receives it
+    return encode(world, body)
+
+
+@entry
+def _step_first(worlds: Worlds, direction: int, jump: int, run: int, body: Body) -> tuple[float, int]:
+    """Carry out an action in the first of `worlds`, as `step_world`; -1 long if no episode is on."""
+    world: World = worlds[0]
+    if not world.playing:
+        return 0.0, -1
+    return step_world(world, direction, jump, run, body)
+
+
+@cache
+def _prepare() -> None:
+    """Load the compiled rules or, the first time ever, compile them and say so."""
+    world = np.zeros(1, WORLD)
+    body = np.zeros(BODY_SIZE, np.uint8)
+    with announce_compilation("Infinite Mario"):
+        start_first(world, body)
+        _step_first(world, 0, 0, 0, body)

@@ -1,0 +1,132 @@
+"""World to observation: Mario, the other actors and the tiles around him, as the agent sees them.
+
+ints    (1 + 2*M,)  left-most column shown, then kind and winged (0 or 1) per actor
+doubles (4*M,)      x, y in tiles (y upwards, from one tile below the level), then the velocity
+                    of the last tick in tiles per step, per actor
+chars   (352,)      16 rows of 21 tile codes and a newline
+
+M counts Mario, who comes first; the others follow in the order of the game's list, newest first.
+
+kind: 0, 10, 11 Mario small, large, with fire; 1 red koopa, 2 green koopa, 3 goomba, 4 spiky,
+5 piranha plant, 6 mushroom, 7 fire flower, 8 fireball, 9 shell.
+
+Tile codes: M Mario, ! the goal column, $ coin, b brick, ? question block, | pipe, 7 solid, 1 stops
+only falling, 2 stops only rising, 3 both, space nothing.
+
+Source: RL-Competition 2009, Infinite Mario's level check-in; Mohan (2010), appendix A.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from env_server.mario.sim import tiles as tile
+from env_server.mario.sim.state import ACTORS, PLANT, TICKS_PER_ACTION, Actor, World
+from env_server.mario.sim.tiles import tile_at
+from glue.compiled.jit import jit
+from glue.types import PREFIX_SIZE
+
+__all__ = ["BODY_SIZE", "COLUMNS_SHOWN", "ROWS_SHOWN", "encode"]
+
+ROWS_SHOWN: Final = 16
+COLUMNS_SHOWN: Final = 21
+_CHARS: Final = ROWS_SHOWN * (COLUMNS_SHOWN + 1)
+BODY_SIZE: Final = PREFIX_SIZE + 8 * 4 * ACTORS + 4 * (1 + 2 * ACTORS) + _CHARS + 4
+"""More bytes than any observation takes; a multiple of 8."""
+
+_NEWLINE: Final = ord("\n")
+_MARIO: Final = ord("M")
+_GOAL: Final = ord("!")
+
+
+def _char_of(code: int) -> int:
+    if code == tile.COIN:
+        return ord("$")
+    if code in (tile.BRICK, tile.BRICK_WITH_COIN):
+        return ord("b")
+    if code in (tile.QUESTION_WITH_COIN, tile.QUESTION_WITH_POWER_UP):
+        return ord("?")
+    if code - code % 2 in (tile.PIPE_MOUTH, tile.PIPE_SHAFT):
+        return ord("|")
+    behavior = int(tile.BEHAVIOR[code])
+    digit = 7 if behavior & tile.STOPS_ALL else behavior & tile.STOPS_FALL
+    if behavior & tile.STOPS_RISE and digit != 7:
+        digit += 2
+    return ord(str(digit)) if digit else ord(" ")
+
+
+_CHAR_OF: Final = np.array([_char_of(code) for code in range(256)], np.uint8)
+
+
+@jit
+def encode(world: World, body: npt.NDArray[np.uint8]) -> int:
+    """Write the observation as the body of an abstract type (see glue.types); return its length.
+
+    Args:
+        body: shape (BODY_SIZE,), contiguous.
+    """
+    actors = 1 + world.listed
+    ints = 1 + 2 * actors
+    doubles = 4 * actors
+    end_of_doubles = PREFIX_SIZE + 8 * doubles
+    end_of_ints = end_of_doubles + 4 * ints
+    words = body.view(np.int32)
+    words[0] = ints
+    words[1] = doubles
+    words[2] = _CHARS
+    words[3] = 0
+    numbers = words[end_of_doubles // 4 :]
+    reals = body.view(np.float64)[PREFIX_SIZE // 8 :]
+    numbers[0] = world.drawn_camera // 16
+    mario = world.actors[0]
+    numbers[1] = _kind_of_mario(world)
+    numbers[2] = 0
+    _encode_place(world, mario, reals)
+    for i in range(world.listed):
+        actor = world.actors[world.order[i]]
+        numbers[3 + 2 * i] = actor.kind
+        numbers[4 + 2 * i] = actor.kind <= PLANT and actor.winged
+        _encode_place(world, actor, reals[4 + 4 * i :])
+    _encode_tiles(world, int(numbers[0]), int(reals[0]), 15 - int(reals[1]), body[end_of_ints:])
+    return end_of_ints + _CHARS
+
+
+@jit
+def _kind_of_mario(world: World) -> int:
+    if world.fire:
+        return 11
+    return 10 if world.large else 0
+
+
+@jit
+def _encode_place(world: World, actor: Actor, reals: npt.NDArray[np.float64]) -> None:
+    dx = actor.x - actor.old_x
+    dy = actor.y - actor.old_y
+    ticks = np.float32(TICKS_PER_ACTION)
+    reals[0] = np.float64(actor.x) / 16.0
+    reals[1] = 16.0 - np.float64(actor.y) / 16.0
+    if world.velocity_of_jar:
+        reals[2] = dx / ticks
+        reals[3] = -dy / ticks
+    else:
+        reals[2] = ticks * dx / np.float32(16)
+        reals[3] = -ticks * dy / np.float32(16)
+
+
+@jit
+def _encode_tiles(
+    world: World, first_column: int, column_of_mario: int, row_of_mario: int, chars: npt.NDArray[np.uint8]
+) -> None:
+    for j in range(COLUMNS_SHOWN):
+        column = first_column + j
+        for row in range(ROWS_SHOWN):
+            code = _CHAR_OF[tile_at(world, column, row)]
+            chars[row * (COLUMNS_SHOWN + 1) + j] = _GOAL if column == world.exit_x else code
+    for row in range(ROWS_SHOWN):
+        chars[row * (COLUMNS_SHOWN + 1) + COLUMNS_SHOWN] = _NEWLINE
+    j = column_of_mario - first_column
+    if 0 <= j < COLUMNS_SHOWN and 0 <= row_of_mario < ROWS_SHOWN:
+        chars[row_of_mario * (COLUMNS_SHOWN + 1) + j] = _MARIO

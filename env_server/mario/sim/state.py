@@ -1,0 +1,251 @@
+"""Every field of a game, with its unit. A game is one record of `WORLD`: to copy the memory is to copy it.
+
+`World` and `Actor` name the fields and their types, once, for the type checker and for the record's
+layout. The rules take a record; compiled or not, `world.coins` reads and writes its memory.
+
+Units: pixels (16 to a tile; x to the right, y downwards), pixels per tick, ticks (5 to a step).
+"""
+
+from __future__ import annotations
+
+import typing
+from typing import Annotated, Any, Final, Protocol, SupportsIndex
+
+import numpy as np
+import numpy.typing as npt
+
+from glue.compiled.jit import jit
+
+__all__ = [
+    "ACTORS",
+    "COLUMNS",
+    "FIREBALL",
+    "FLOWER",
+    "FREE",
+    "GOOMBA",
+    "GREEN_KOOPA",
+    "MARIO",
+    "MUSHROOM",
+    "PLANT",
+    "RED_KOOPA",
+    "ROWS",
+    "SHELL",
+    "SPAWN_DEAD",
+    "SPAWN_KIND",
+    "SPAWN_WINGED",
+    "SPIKY",
+    "TICKS_PER_ACTION",
+    "WORLD",
+    "Actor",
+    "Actors",
+    "World",
+    "Worlds",
+    "add_actor",
+]
+
+COLUMNS: Final = 2050
+"""The widest level, in tiles."""
+ROWS: Final = 15
+"""The height of every level, in tiles."""
+ACTORS: Final = 256
+"""How many actors there can be, Mario included. The original has no such bound; see `add_actor`."""
+TICKS_PER_ACTION: Final = 5
+
+# What an actor is: as the observation reports it, but for Mario, whose number there tells his size.
+FREE: Final = 0
+RED_KOOPA: Final = 1
+GREEN_KOOPA: Final = 2
+GOOMBA: Final = 3
+SPIKY: Final = 4
+PLANT: Final = 5
+MUSHROOM: Final = 6
+FLOWER: Final = 7
+FIREBALL: Final = 8
+SHELL: Final = 9
+MARIO: Final = 10
+
+# A spawn point: the kind of its enemy, and these bits.
+SPAWN_KIND: Final = 7
+SPAWN_WINGED: Final = 8
+SPAWN_DEAD: Final = 16
+
+Flag = Annotated[bool, np.int32]
+Int = Annotated[int, np.int32]
+Long = Annotated[int, np.int64]
+Single = Annotated[np.float32, np.float32]
+Double = Annotated[float, np.float64]
+
+
+class Actor:
+    """Mario, an enemy, an item, a shell or a fireball."""
+
+    kind: Int
+    x: Single  # of the middle of its feet line
+    y: Single  # of its feet
+    vx: Single
+    vy: Single
+    old_x: Single  # where it was before its last update
+    old_y: Single
+    facing: Int  # -1 left, 1 right, 0 a shell at rest
+    height: Int  # pixels
+    half_width: Int  # pixels
+    grounded: Flag
+    winged: Flag
+    flung: Flag  # dead, and flying off
+    dead: Flag  # of a shell or fireball
+    carried: Flag  # of a shell
+    dead_timer: Int  # ticks until it goes
+    age: Int  # of an item: pixels risen; of a plant: ticks in its pipe
+    column: Int  # its spawn point
+    row: Int
+    queued: Flag  # a shell or fireball to be tested against the others in this tick
+    leaving: Flag  # to be removed at the end of this tick
+
+
+class Actors(Protocol):
+    """An array of actors."""
+
+    def __getitem__(self, slot: SupportsIndex) -> Actor: ...
+
+    def __len__(self) -> int: ...
+
+
+class World:
+    """A game: the task, what outlives an episode, and the episode."""
+
+    # The task. Units and ranges stand with the options of env_server.mario.environment.
+    level_seed: Long
+    level_type: Int
+    level_difficulty: Int
+    level_width: Int
+    max_trial_steps: Int
+    reward_goal: Double
+    reward_death: Double
+    reward_step: Double
+    reward_coin: Double
+    reward_kill: Double
+    speed_walk: Double
+    speed_run: Double
+    speed_jump: Double
+    speed_slidejump: Double
+    accel_fall: Double
+    jump_time: Int
+    slidejump_time: Int
+    start_ticks: Int
+    alpha: Single
+    draws_at_checkins: Flag  # and not after every tick
+    velocity_of_jar: Flag
+
+    # What outlives an episode.
+    button_left: Flag
+    button_right: Flag
+    button_jump: Flag
+    button_run: Flag
+    started: Flag  # an episode has begun before
+
+    # The level.
+    columns: Int  # tiles
+    exit_x: Int  # the column to pass
+    exit_y: Int
+    tiles: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]
+    spawns: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]
+
+    # The episode.
+    playing: Flag
+    steps: Int
+    coins: Int
+    kills: Int
+    paid: Double  # the total of all rewards up to the last check-in
+    direction: Int  # the action in force
+    jump: Int
+    run: Int
+    drawn_camera: Int  # pixels; of the last draw
+    camera: Single
+    tick_count: Int  # ticks that were not frozen
+    frozen: Flag
+    scanned_from: Int  # the columns whose spawn points were in sight in the last unfrozen tick,
+    scanned_to: Int  # ends included
+    fireballs_seen: Int
+
+    # Mario, beyond what he shares with every actor.
+    large: Flag
+    fire: Flag
+    new_large: Flag  # after the size change under way
+    new_fire: Flag
+    last_large: Flag  # before it
+    last_fire: Flag
+    was_grounded: Flag
+    wall_slide: Flag
+    may_jump: Flag
+    may_fire: Flag
+    jump_count: Int
+    jump_vx: Single
+    jump_vy: Single
+    change_timer: Int  # ticks; negative while shrinking
+    safe_timer: Int
+    death_timer: Int
+    win_timer: Int
+    carrying: Int  # the slot of a shell, or 0
+
+    # The actors: Mario in slot 0, the others anywhere; their order is that of the list.
+    actors: Annotated[Actors, "Actor", (ACTORS + 1,)]
+    listed: Int  # how many are in the list, which leaves Mario out: he is always its last
+    order: Annotated[npt.NDArray[np.int32], np.int32, (ACTORS,)]  # slots
+    added: Int  # how many wait for the end of the tick to be listed
+    waiting: Annotated[npt.NDArray[np.int32], np.int32, (ACTORS,)]  # slots
+
+
+Worlds = npt.NDArray[np.void]
+"""Games, shape (N,), of dtype `WORLD`."""
+
+
+def _record(fields: type) -> np.dtype[np.void]:
+    """Return the layout that a class of annotations describes, wide numbers first so that all are aligned."""
+    layout: list[tuple[Any, ...]] = []
+    for name, hint in typing.get_type_hints(fields, include_extras=True).items():
+        kind, *shape = hint.__metadata__
+        layout.append((name, _ACTOR if kind == "Actor" else np.dtype(kind), *shape))
+    layout.sort(key=lambda field: -field[1].alignment)
+    return np.dtype((np.record, layout))
+
+
+_ACTOR: Final = _record(Actor)
+WORLD: Final = _record(World)
+
+
+@jit
+def add_actor(world: World, kind: int, x: np.float32, y: np.float32, facing: int, height: int) -> Actor:
+    """Return a new actor, which waits for the end of the tick to be put in front of the list.
+
+    Should all places be taken, it gets a spare one and is never listed. No level was seen to need a
+    quarter of them.
+    """
+    slot = 1
+    while slot < ACTORS and world.actors[slot].kind != FREE:
+        slot += 1
+    if slot < ACTORS:
+        world.waiting[world.added] = slot
+        world.added += 1
+    actor = world.actors[slot]
+    actor.kind = kind
+    actor.x = x
+    actor.y = y
+    actor.vx = np.float32(0)
+    actor.vy = np.float32(0)
+    actor.old_x = x
+    actor.old_y = y
+    actor.facing = facing
+    actor.height = height
+    actor.half_width = 4
+    actor.grounded = False
+    actor.winged = False
+    actor.flung = False
+    actor.dead = False
+    actor.carried = False
+    actor.dead_timer = 0
+    actor.age = 0
+    actor.column = -1
+    actor.row = -1
+    actor.queued = False
+    actor.leaving = False
+    return actor

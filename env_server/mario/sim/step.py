@@ -1,0 +1,246 @@
+"""The clock: one tick, and from one check-in to the next. The order of things, and only that."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from env_server.mario.sim.contacts import touch_all
+from env_server.mario.sim.levels import generate
+from env_server.mario.sim.physics import die, update_mario
+from env_server.mario.sim.sprites import add_enemy, update_sprite
+from env_server.mario.sim.state import (
+    FIREBALL,
+    FREE,
+    MARIO,
+    ROWS,
+    SPAWN_DEAD,
+    TICKS_PER_ACTION,
+    World,
+)
+from glue.compiled.jit import jit
+
+__all__ = ["act", "begin", "draw", "is_over", "press_buttons", "reset", "tick"]
+
+_ZERO: Final = np.float32(0)
+_VIEW: Final = 320  # pixels
+_HALF_VIEW: Final = 160
+_MARGIN: Final = 64
+_BELOW: Final = 304
+
+
+@jit
+def begin(world: World) -> None:
+    """Start an episode and run it up to its first check-in. The buttons stay as they were left."""
+    reset(world)
+    _run_to_check_in(world)
+    if not world.started and world.start_ticks > TICKS_PER_ACTION:
+        draw(world)  # of the check-in that nobody waited for
+        _run_to_check_in(world)
+    world.started = True
+
+
+@jit
+def act(world: World, direction: int, jump: int, run: int) -> bool:
+    """Carry out an action; return True at the next check-in, False if the episode ended before."""
+    world.steps += 1
+    world.direction = direction
+    world.jump = jump
+    world.run = run
+    draw(world)
+    world.playing = not is_over(world) and _run_to_check_in(world)
+    return world.playing
+
+
+@jit
+def tick(world: World) -> None:
+    """Advance the world by one tick."""
+    if world.steps >= world.max_trial_steps:
+        die(world)
+    world.camera = _clamp_camera(world, world.actors[0].x - np.float32(_HALF_VIEW))
+    _mark_leaving(world)
+    if world.frozen:
+        for i in range(world.listed):
+            actor = world.actors[world.order[i]]
+            actor.old_x = actor.x
+            actor.old_y = actor.y
+        update_mario(world)
+    else:
+        world.tick_count += 1
+        _spawn(world)
+        for i in range(world.listed):
+            update_sprite(world, world.actors[world.order[i]])
+        update_mario(world)
+        touch_all(world)
+    _tidy_list(world)
+
+
+@jit
+def draw(world: World) -> None:
+    """Draw a frame, which fixes the camera that the next observation will tell."""
+    mario = world.actors[0]
+    x = mario.old_x + (mario.x - mario.old_x) * world.alpha
+    world.drawn_camera = min(max(int(x) - _HALF_VIEW, 0), 16 * world.columns - _VIEW)
+
+
+@jit
+def is_over(world: World) -> bool:
+    """Return whether a draw would find the episode at its end."""
+    return world.win_timer > 0 or world.death_timer > 0
+
+
+@jit
+def _run_to_check_in(world: World) -> bool:
+    """Run ticks up to the next check-in; return False if the episode ended before."""
+    for count in range(1, TICKS_PER_ACTION):
+        tick(world)
+        press_buttons(world, count > 1)
+        if not world.draws_at_checkins:
+            draw(world)
+            if is_over(world):
+                return False
+    tick(world)
+    press_buttons(world, True)
+    return True
+
+
+@jit
+def press_buttons(world: World, all_buttons: bool) -> None:
+    """Set the buttons that the next tick sees; the first tick of a step lets go of jump and run."""
+    world.button_left = world.direction == -1
+    world.button_right = world.direction == 1
+    world.button_jump = all_buttons and world.jump == 1
+    world.button_run = all_buttons and world.run == 1
+
+
+@jit
+def reset(world: World) -> None:
+    """Build the level anew and bring everything to where an episode starts, but for the buttons."""
+    generate(world)
+    world.playing = True
+    world.steps = 0
+    world.coins = 0
+    world.kills = 0
+    world.paid = 0.0
+    world.direction = 0
+    world.jump = 0
+    world.run = 0
+    world.drawn_camera = 0
+    world.camera = _ZERO
+    world.tick_count = 0
+    world.frozen = False
+    world.scanned_from = 0
+    world.scanned_to = -1
+    world.fireballs_seen = 0
+    world.large = False
+    world.fire = False
+    world.new_large = False
+    world.new_fire = False
+    world.last_large = False
+    world.last_fire = False
+    world.was_grounded = False
+    world.wall_slide = False
+    world.may_jump = False
+    world.may_fire = False
+    world.jump_count = 0
+    world.jump_vx = _ZERO
+    world.jump_vy = _ZERO
+    world.change_timer = 0
+    world.safe_timer = 0
+    world.death_timer = 0
+    world.win_timer = 0
+    world.carrying = 0
+    world.listed = 0
+    world.added = 0
+    for slot in range(len(world.actors)):
+        world.actors[slot].kind = FREE
+    mario = world.actors[0]
+    mario.kind = MARIO
+    mario.x = np.float32(32)
+    mario.y = _ZERO
+    mario.vx = _ZERO
+    mario.vy = _ZERO
+    mario.old_x = mario.x
+    mario.old_y = mario.y
+    mario.facing = 1
+    mario.height = 12
+    mario.half_width = 4
+    mario.grounded = False
+
+
+@jit
+def _clamp_camera(world: World, x: np.float32) -> np.float32:
+    x = max(x, _ZERO)
+    return min(x, np.float32(16 * world.columns - _VIEW))
+
+
+@jit
+def _mark_leaving(world: World) -> None:
+    """Mark who is off the screen, and count the fireballs that are not."""
+    world.fireballs_seen = 0
+    for i in range(world.listed):
+        actor = world.actors[world.order[i]]
+        dx = actor.x - world.camera
+        if dx < -_MARGIN or dx > _VIEW + _MARGIN or actor.y < -_MARGIN or actor.y > _BELOW:
+            actor.leaving = True
+        elif actor.kind == FIREBALL:
+            world.fireballs_seen += 1
+
+
+@jit
+def _spawn(world: World) -> None:
+    """Let the spawn points that came into sight make their enemies."""
+    first = int(world.camera) // 16 - 1
+    last = int(world.camera + np.float32(_VIEW)) // 16 + 1
+    for column in range(max(first, 0), min(last, world.columns - 1) + 1):
+        if world.scanned_from <= column <= world.scanned_to:
+            continue
+        for row in range(ROWS):
+            spawn = world.spawns[column, row]
+            if spawn != 0 and not spawn & SPAWN_DEAD and not _has_enemy(world, column, row):
+                add_enemy(world, column, row, _towards(world, column))
+    world.scanned_from = first
+    world.scanned_to = last
+
+
+@jit
+def _has_enemy(world: World, column: int, row: int) -> bool:
+    """Return whether the last enemy of a spawn point is still about."""
+    for i in range(world.listed):
+        actor = world.actors[world.order[i]]
+        if actor.column == column and actor.row == row:
+            return True
+    return False
+
+
+@jit
+def _towards(world: World, column: int) -> int:
+    """Return where an enemy of a column first looks: -1 left, if Mario is over a tile that way, else 1."""
+    middle = np.float32(16 * column + 8)
+    return -1 if middle > world.actors[0].x + np.float32(16) else 1
+
+
+@jit
+def _tidy_list(world: World) -> None:
+    """Put the new actors in front of the list, as a block in the order they came; then remove the leaving."""
+    added = world.added
+    if added:
+        for i in range(world.listed - 1, -1, -1):
+            world.order[i + added] = world.order[i]
+        for i in range(added):
+            world.order[i] = world.waiting[i]
+        world.listed += added
+        world.added = 0
+    kept = 0
+    for i in range(world.listed):
+        slot = world.order[i]
+        actor = world.actors[slot]
+        if actor.leaving:
+            actor.kind = FREE
+            if world.carrying == slot:
+                world.carrying = 0  # what he holds is gone, and nobody can tell
+        else:
+            world.order[kept] = slot
+            kept += 1
+    world.listed = kept

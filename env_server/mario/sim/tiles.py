@@ -1,0 +1,127 @@
+"""Tile codes, what they do, and the questions the rules ask of the grid.
+
+A code is 0 to 255. Source of the table: RL-Competition 2009, Infinite Mario's tile behaviours.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from env_server.mario.sim.state import ROWS, World
+from glue.compiled.jit import jit
+
+__all__ = [
+    "BEHAVIOR",
+    "BREAKABLE",
+    "BRICK",
+    "BRICK_WITH_COIN",
+    "BRICK_WITH_POWER_UP",
+    "BUMPABLE",
+    "COIN",
+    "EMPTY",
+    "GROUND",
+    "HILL_TOP_LEFT",
+    "HILL_TOP_RIGHT",
+    "OVERLAPPED_LEFT",
+    "OVERLAPPED_RIGHT",
+    "PICKUP",
+    "PIPE_MOUTH",
+    "PIPE_SHAFT",
+    "QUESTION_WITH_COIN",
+    "QUESTION_WITH_POWER_UP",
+    "SPECIAL",
+    "STAIR",
+    "STOPS_ALL",
+    "STOPS_FALL",
+    "STOPS_RISE",
+    "USED_BLOCK",
+    "behavior_at",
+    "set_tile",
+    "solid",
+    "tile_at",
+    "tile_of",
+]
+
+EMPTY: Final = 0
+USED_BLOCK: Final = 4
+STAIR: Final = 9
+PIPE_MOUTH: Final = 10
+PIPE_SHAFT: Final = 26
+BRICK: Final = 16
+BRICK_WITH_COIN: Final = 17
+BRICK_WITH_POWER_UP: Final = 18
+QUESTION_WITH_COIN: Final = 21
+QUESTION_WITH_POWER_UP: Final = 22
+COIN: Final = 34
+GROUND: Final = 145
+HILL_TOP_LEFT: Final = 132
+HILL_TOP_RIGHT: Final = 134
+OVERLAPPED_LEFT: Final = 180
+OVERLAPPED_RIGHT: Final = 182
+
+STOPS_FALL: Final = 1
+STOPS_ALL: Final = 2
+STOPS_RISE: Final = 4
+SPECIAL: Final = 8
+BUMPABLE: Final = 16
+BREAKABLE: Final = 32
+PICKUP: Final = 64
+
+BEHAVIOR: Final = np.array(
+    [
+        *(0, 20, 28, 0, 130, 130, 130, 130, 2, 2, 2, 2, 2, 0, 138, 0),
+        *(162, 146, 154, 162, 146, 146, 154, 146, 2, 0, 2, 2, 2, 0, 2, 0),
+        *(192, 192, 192, 192, 0, 0, 0, 0, 2, 2, 0, 0, 0, 0, 2, 0),
+        *(0, 0, 0, 0, 0, 0, 0, 0, 2, 2, 0, 0, 0, 0, 0, 0),
+        *(0,) * 64,
+        *(2, 2, 2, 0, 1, 1, 1, 0, 2, 2, 2, 0, 2, 2, 2, 0),
+        *(2, 0, 2, 0, 0, 0, 0, 0, 2, 2, 2, 0, 2, 2, 2, 0),
+        *(2, 2, 2, 0, 0, 0, 0, 0, 2, 2, 2, 0, 2, 2, 2, 0),
+        *(2, 2, 2, 0, 1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0),
+        *(0,) * 32,
+        *(1, 1, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0),
+        *(0,) * 16,
+    ],
+    np.uint8,
+)
+"""Shape (256,): the bits STOPS_FALL to PICKUP of each tile code (128 is cosmetic)."""
+
+
+@jit
+def tile_of(position: np.float32) -> int:
+    """Return the column or row of a position in pixels. Towards zero: -15.9 is still in tile 0."""
+    return int(position / np.float32(16))
+
+
+@jit
+def tile_at(world: World, column: int, row: int) -> int:
+    """Return the code of a cell. The border columns and the bottom row go on for ever, above is nothing."""
+    if row < 0:
+        return EMPTY
+    return int(world.tiles[min(max(column, 0), world.columns - 1), min(row, ROWS - 1)])
+
+
+@jit
+def behavior_at(world: World, column: int, row: int) -> int:
+    """Return what the tile of a cell does."""
+    return int(BEHAVIOR[tile_at(world, column, row)])
+
+
+@jit
+def solid(world: World, column: int, row: int, vy: np.float32) -> bool:
+    """Return whether a cell stops a body that moves vertically by `vy`, of which the sign counts."""
+    behavior = behavior_at(world, column, row)
+    return bool(
+        behavior & STOPS_ALL != 0
+        or (vy > 0 and behavior & STOPS_FALL != 0)
+        or (vy < 0 and behavior & STOPS_RISE != 0)
+    )
+
+
+@jit
+def set_tile(world: World, column: int, row: int, code: int) -> None:
+    """Write a cell; outside the level nothing is written."""
+    if 0 <= column < world.columns and 0 <= row < ROWS:
+        world.tiles[column, row] = code

@@ -1,0 +1,220 @@
+"""Draw Infinite Mario as pictures: an observation as PNG, an episode as an animated GIF.
+
+A picture is what the original shows, 20 by 15 tiles of 16 by 16 pixels, in the colors of
+`artwork.PALETTE`. Files need Pillow, the extra `render`.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Sequence
+from functools import cache
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from env_server.render.animation import between, outlined
+from env_server.render.artwork import CLOUD, PALETTE, SPRITES, TILES, WING
+from env_server.render.scene import Scene, Sprite, read_scene
+from glue.errors import ConfigError
+from glue.types import Observation
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+__all__ = ["HEIGHT", "WIDTH", "Picture", "draw", "save_gif", "save_png"]
+
+Picture = npt.NDArray[np.uint8]
+"""Places in the palette, shape (height, width); 255 is transparent."""
+
+WIDTH: Final = 320
+HEIGHT: Final = 240
+_TILE: Final = 16
+_CLEAR: Final = 255
+_LETTERS: Final = {letter: place for place, letter in enumerate(PALETTE)} | {".": _CLEAR}
+_BESIDE: Final = WIDTH / 2 / _TILE  # tiles from the picture's border to Mario
+_FRAME: Final = 4  # hundredths of a second: 25 pictures per second
+_PLANT: Final = 5
+_SKY: Final = "123456"
+_SOLID: Final = "7#"
+_NAMES: Final = {"1": "ledge", "3": "ledge", "b": "brick", "?": "question", "$": "coin"}
+
+
+def draw(observation: Observation) -> Picture:
+    """Return a picture of an observation, shape (240, 320).
+
+    Raises:
+        SimulatorError: it is no observation of Infinite Mario.
+    """
+    return _draw(outlined(read_scene(observation)))
+
+
+def save_png(path: str | os.PathLike[str], observation: Observation, scale: int = 2) -> None:
+    """Write a picture of `observation`, each pixel `scale` pixels wide and high.
+
+    Raises:
+        ConfigError: the file cannot be written, or Pillow is missing.
+        SimulatorError: it is no observation of Infinite Mario.
+    """
+    _save(path, _image(draw(observation).repeat(scale, 0).repeat(scale, 1)), "PNG")
+
+
+def save_gif(
+    path: str | os.PathLike[str], observations: Sequence[Observation], steps_per_second: float = 10.0
+) -> None:
+    """Write an animation of `observations`, a step after the other, at 25 pictures per second.
+
+    Raises:
+        ConfigError: there are no observations, the file cannot be written, or Pillow is missing.
+        SimulatorError: one is no observation of Infinite Mario.
+    """
+    if not observations:
+        raise ConfigError("an animation needs at least one observation")
+    scenes = [outlined(read_scene(observation)) for observation in observations]
+    frames = [_image(_draw(scene)) for scene in _film(scenes, steps_per_second * _FRAME / 100)]
+    _save(path, frames[0], "GIF", save_all=True, append_images=frames[1:], duration=10 * _FRAME, loop=0)
+
+
+def _film(scenes: Sequence[Scene], pace: float) -> Iterator[Scene]:
+    """Yield the scenes of an animation that goes on by `pace` steps per picture."""
+    last = len(scenes) - 1
+    for number in range(math.floor(last / pace) + 1):
+        step = min(int(number * pace), last)
+        yield between(scenes[step], scenes[min(step + 1, last)], number * pace - step)
+
+
+def _draw(scene: Scene) -> Picture:
+    """Return a picture of a scene that has been outlined."""
+    right = scene.column + len(scene.rows[0]) - WIDTH / _TILE
+    camera = round(min(max(scene.sprites[0].x - _BESIDE, scene.column), right) * _TILE)
+    picture = _background(camera)
+    # Plants rise out of pipes, so these are drawn over them.
+    for sprite in scene.sprites:
+        if sprite.kind == _PLANT:
+            _draw_sprite(picture, sprite, camera)
+    for row in range(HEIGHT // _TILE):
+        for column in range(len(scene.rows[row])):
+            for name in _tiles(scene.rows, row, column):
+                _paste(picture, _tile(name), (scene.column + column) * _TILE - camera, row * _TILE)
+    for sprite in reversed(scene.sprites):
+        if sprite.kind != _PLANT:
+            _draw_sprite(picture, sprite, camera)
+    return picture
+
+
+def _background(camera: int) -> Picture:
+    """Return sky, clouds and mountains; what is far away moves less than the camera."""
+    rows = np.arange(HEIGHT)[:, np.newaxis]
+    columns = np.arange(WIDTH)
+    sky = np.array([_LETTERS[letter] for letter in _SKY], np.uint8)
+    picture = np.repeat(sky[np.minimum(rows // 28, len(sky) - 1)], WIDTH, axis=1)
+    for letter, top, nearness in (("7", 110, 0.2), ("8", 150, 0.35)):
+        far = columns + camera * nearness
+        crest = top - 22 * np.sin(far / 53) - 11 * np.sin(far / 23 + 1)
+        picture[rows >= crest] = _LETTERS[letter]
+    cloud = _picture(CLOUD)
+    for number, height in enumerate((26, 58, 14, 44)):
+        _paste(picture, cloud, int(130 * number - camera * 0.12) % 520 - 100, height)
+    return picture
+
+
+def _tiles(rows: tuple[str, ...], row: int, column: int) -> Iterator[str]:
+    """Yield the names of the tiles that a cell is drawn with, the one behind first."""
+    cell = rows[row][column]
+    if cell not in _SOLID and _on_hill(rows, row, column):
+        yield "hill"
+    if cell == "#":
+        yield "earth"
+    elif cell == "7":
+        yield _solid_tile(rows, row, column)
+    elif cell == "|":
+        yield _pipe_tile(rows, row, column)
+    elif cell == "!" and row > 2:
+        yield {3: "pole top", 4: "flag"}.get(row, "pole")
+    elif cell in _NAMES:
+        yield _NAMES[cell]
+
+
+def _on_hill(rows: tuple[str, ...], row: int, column: int) -> bool:
+    """Return whether a ledge above makes this cell part of a hill."""
+    above = "".join(line[column] for line in rows[:row])
+    return above.rfind("1") > max(map(above.rfind, _SOLID))
+
+
+def _solid_tile(rows: tuple[str, ...], row: int, column: int) -> str:
+    """Return how a solid cell looks: ground and what lies on it, ceiling, or a block in the air."""
+    line = "".join(line[column] for line in rows)
+    if not line[row:].strip(_SOLID):
+        return "earth" if row and line[row - 1] in _SOLID else "grass"
+    return "stone" if line[:row].strip(_SOLID) else "earth"
+
+
+def _pipe_tile(rows: tuple[str, ...], row: int, column: int) -> str:
+    line = rows[row]
+    start = len(line[:column].rstrip("|"))
+    end = len(line) - len(line[column:].lstrip("|"))
+    # Pipes are two wide; the window's left border may have cut one.
+    cut = start == 0 and (end - start) % 2
+    side = ("left", "right")[(column - start + cut) % 2]
+    mouth = row == 0 or rows[row - 1][column] != "|"
+    return f"{'mouth' if mouth else 'shaft'} {side}"
+
+
+def _draw_sprite(picture: Picture, sprite: Sprite, camera: int) -> None:
+    if sprite.kind not in SPRITES:
+        return
+    image = _sprite(sprite.kind, sprite.speed_x < 0, sprite.winged)
+    height, width = image.shape
+    feet = round(HEIGHT + _TILE - sprite.height * _TILE) + 1
+    _paste(picture, image, round(sprite.x * _TILE) - camera - width // 2, feet - height)
+
+
+@cache
+def _sprite(kind: int, to_the_left: bool, winged: bool) -> Picture:
+    image = _picture(SPRITES[kind])
+    if winged:
+        wing = _picture(WING)
+        space = np.full((image.shape[0] + 4, image.shape[1] + 8), _CLEAR, np.uint8)
+        _paste(space, image, 4, 4)
+        _paste(space, wing, 0, max(0, image.shape[0] - 18))
+        image = space
+    return image[:, ::-1] if to_the_left else image
+
+
+@cache
+def _tile(name: str) -> Picture:
+    return _picture(TILES[name])
+
+
+def _picture(lines: tuple[str, ...]) -> Picture:
+    return np.array([[_LETTERS[letter] for letter in line] for line in lines], np.uint8)
+
+
+def _paste(picture: Picture, image: Picture, left: int, top: int) -> None:
+    """Draw `image` onto `picture`; what does not fit is left out."""
+    height, width = image.shape
+    if not (-height < top < picture.shape[0] and -width < left < picture.shape[1]):
+        return
+    place = picture[max(0, top) : top + height, max(0, left) : left + width]
+    part = image[max(0, -top) :, max(0, -left) :][: place.shape[0], : place.shape[1]]
+    np.copyto(place, part, where=part != _CLEAR)
+
+
+def _image(picture: Picture) -> Image:
+    try:
+        from PIL import Image
+    except ImportError:
+        raise ConfigError("pictures need Pillow: pip install 'glue-rl[render]'") from None
+    height, width = picture.shape
+    image = Image.frombytes("P", (width, height), picture.tobytes())
+    image.putpalette([part for color in PALETTE.values() for part in color])
+    return image
+
+
+def _save(path: str | os.PathLike[str], image: Image, kind: str, **options: Any) -> None:
+    try:
+        image.save(path, kind, **options)
+    except OSError as error:
+        raise ConfigError(f"cannot write {path}: {error.strerror or error}") from None

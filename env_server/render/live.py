@@ -1,0 +1,41 @@
+"""An environment that is drawn in the terminal as it is played."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from env_server.render.text import TerminalScreen
+from glue.roles import Environment
+from glue.types import Action, Observation
+
+__all__ = ["Rendered"]
+
+
+class Rendered:
+    """`environment`, with every observation drawn on `screen`; in all else it is the same."""
+
+    def __init__(self, environment: Environment, screen: TerminalScreen) -> None:
+        self.__wrapped__ = environment
+        self._screen = screen
+        self._step = 0
+        self._return = 0.0
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.__wrapped__, name)
+
+    def env_start(self) -> Observation:
+        observation = self.__wrapped__.env_start()
+        self._step, self._return = 0, 0.0
+        self._screen.show(observation, 0.0, 0, 0.0)
+        return observation
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        reward, observation, terminal = self.__wrapped__.env_step(action)
+        self._step += 1
+        self._return += reward
+        self._screen.show(observation, reward, self._step, self._return)
+        return reward, observation, terminal
+
+    def env_cleanup(self) -> None:
+        self.__wrapped__.env_cleanup()
+        self._screen.close()

@@ -1,0 +1,183 @@
+"""`glue-replay`: show recorded episodes, and compare them with the environment they were made with."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+
+import click
+
+from env_server.render.drawing import save_gif, save_png
+from env_server.render.text import TerminalScreen
+from env_server.replay.episodes import (
+    Difference,
+    Moment,
+    RecordedRun,
+    build_environment,
+    build_named,
+    open_recording,
+    recorded_moments,
+    replayed_moments,
+)
+from env_server.replay.golden import GoldenReader
+from glue import __version__
+from glue.commands import run
+from glue.errors import ConfigError
+from glue.options import parse_assignments
+from glue.players.loading import find
+from glue.protocol.messages import Role
+from glue.roles import Environment
+from glue.trajectory import TrajectoryError, TrajectoryReader
+from glue.types import Observation
+
+__all__ = ["main", "replay"]
+
+
+@click.command(name="glue-replay")
+@click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path))
+@click.option(
+    "--check/--no-check",
+    default=None,
+    help="Only compare, or only show. Both is the default; where there is no terminal, --check is.",
+)
+@click.option("--episode", type=click.IntRange(0), help="Show only this one, counted from 0 in its file.")
+@click.option(
+    "--steps",
+    type=click.IntRange(0),
+    nargs=2,
+    metavar="FIRST LAST",
+    help="Show only these steps of an episode.",
+)
+@click.option(
+    "--speed",
+    type=click.FloatRange(0.1, 1000),
+    default=10.0,
+    show_default=True,
+    help="Steps shown per second; the original game made about 5.",
+)
+@click.option(
+    "--gif", type=click.Path(path_type=Path), help="Show in an animated GIF; see --episode, --steps."
+)
+@click.option("--png", type=click.Path(path_type=Path), help="Show the first of the steps in a PNG.")
+@click.option(
+    "--env", "name", metavar="NAME", help="Compare with this environment, in place of the recorded one."
+)
+@click.option(
+    "--env-option",
+    "assignments",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Its option, in place of the recorded one; may be repeated.",
+)
+@click.version_option(__version__, prog_name="glue-replay")
+def replay(
+    files: tuple[Path, ...],
+    check: bool | None,
+    episode: int | None,
+    steps: tuple[int, int] | None,
+    speed: float,
+    gif: Path | None,
+    png: Path | None,
+    name: str | None,
+    assignments: tuple[str, ...],
+) -> None:
+    """Show recorded episodes, and compare them with the environment they were made with.
+
+    FILE is a recording of an experiment's, or of the original Infinite Mario (docs/trajectories.md).
+    Every observation, reward and end has to be the recorded one, bit for bit, and so has every level that
+    a recording of the original has by itself. The first that is not is reported, and the exit code is 1.
+
+    \b
+    Examples:
+      glue-replay run.traj
+      glue-replay --check run.traj other.traj
+      glue-replay run.traj --episode 4 --steps 14 110 --gif mario.gif
+    """
+    if (gif or png) and (len(files) > 1 or check):
+        raise ConfigError("--gif and --png show a part of one FILE: give one, and no --check")
+    if (gif or png) and episode is None:
+        episode = 0
+    first, last = steps or (0, sys.maxsize)
+
+    def is_chosen(moment: Moment) -> bool:
+        return episode in (None, moment.episode) and first <= moment.step <= last
+
+    build = _builder(name, assignments)
+    for file in files:
+        reader = open_recording(file)
+        moments = recorded_moments(reader) if check is False else replayed_moments(reader, build)
+        counted = _Counted(moments, reader)
+        if gif or png:
+            _save([moment.observation for moment in counted if is_chosen(moment)], speed, gif, png)
+        elif check or not sys.stdout.isatty():
+            deque(counted, maxlen=0)
+        else:
+            _show(filter(is_chosen, counted), speed)
+        if not (counted.episodes or counted.levels):
+            raise TrajectoryError(f"{file} holds no whole episode")
+        if isinstance(reader, TrajectoryReader) and reader.torn:
+            print(f"{file} was not closed: an episode that it ends in is left out", file=sys.stderr)
+        print(f"{file}: {counted}: {'not compared' if check is False else 'no difference'}")
+
+
+class _Counted:
+    """Moments, counted as they go by; a difference is told with its file."""
+
+    def __init__(self, moments: Iterator[Moment], reader: TrajectoryReader | GoldenReader) -> None:
+        self._moments = moments
+        self._reader = reader
+        self.runs = self.episodes = self.steps = 0
+
+    @property
+    def levels(self) -> int:
+        return self._reader.levels if isinstance(self._reader, GoldenReader) else 0
+
+    def __iter__(self) -> Iterator[Moment]:
+        try:
+            for moment in self._moments:
+                self.runs = moment.run + 1
+                self.episodes = moment.episode + 1
+                self.steps += moment.step > 0
+                yield moment
+        except Difference as error:
+            raise Difference(f"{self._reader.path}: {error} (before it, {self} agree)") from None
+
+    def __str__(self) -> str:
+        counts = {"level": self.levels} if self.levels else {}
+        if self.runs or not self.levels:
+            counts |= {"run": self.runs, "episode": self.episodes, "step": self.steps}
+        return ", ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in counts.items())
+
+
+def _builder(name: str | None, assignments: tuple[str, ...]) -> Callable[[RecordedRun], Environment]:
+    """Return how to make the environment of a run: the recorded one, or the one that was asked for."""
+    if name is None:
+        if assignments:
+            raise ConfigError("--env-option is an option of --env: name that too")
+        return build_environment
+    options = parse_assignments(find(Role.ENVIRONMENT, name), assignments)
+    return lambda run: build_named(name, {**run.options, **options})
+
+
+def _show(moments: Iterable[Moment], speed: float) -> None:
+    with TerminalScreen(sys.stdout) as screen:
+        for moment in moments:
+            screen.show(moment.observation, moment.reward, moment.step, moment.episode_return, moment.place)
+            time.sleep(1 / speed)
+
+
+def _save(shown: Sequence[Observation], speed: float, gif: Path | None, png: Path | None) -> None:
+    if not shown:
+        raise ConfigError("the recording has no such episode, or the episode no such steps")
+    if gif:
+        save_gif(gif, shown, speed)
+    if png:
+        save_png(png, shown[0])
+
+
+def main() -> None:
+    """Run `glue-replay`."""
+    run(replay)

@@ -1,0 +1,304 @@
+"""Play recordings again: on the environment they were made with, or as they stand.
+
+An environment is deterministic, so a recording of its episodes, replayed from the first one of a run
+with the recorded actions, has to give the recorded observations, rewards and ends, bit for bit.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, Final, NamedTuple, Protocol, TypeAlias, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from env_server.mario.level import Level, level_difference
+from env_server.render.scene import COLUMNS, is_scene
+from env_server.replay.golden import Digest, GoldenEpisode, GoldenLevel, GoldenReader, GoldenRun, digest
+from glue.errors import ConfigError, GlueError
+from glue.options import Value, build
+from glue.players.loading import find, names
+from glue.protocol.messages import Role
+from glue.roles import Environment, SaveableEnvironment, SeedableEnvironment, offers
+from glue.trajectory import Episode, Run, TrajectoryReader
+from glue.types import Observation
+
+__all__ = [
+    "Difference",
+    "Moment",
+    "Recorded",
+    "build_environment",
+    "build_named",
+    "open_recording",
+    "recorded_moments",
+    "replayed_moments",
+]
+
+Recorded: TypeAlias = Episode | GoldenEpisode | GoldenLevel
+RecordedEpisode: TypeAlias = Episode | GoldenEpisode
+RecordedRun: TypeAlias = Run | GoldenRun
+
+_Array: TypeAlias = npt.NDArray[Any]
+
+_REWARD: Final = struct.Struct("<d")
+
+
+@runtime_checkable
+class _Buttoned(Protocol):
+    """An environment whose buttons, as the next episode finds them, can be seen and set."""
+
+    buttons: tuple[bool, ...]
+
+
+class Difference(GlueError):
+    """The environment did not do what the recording says; the message says where, and what."""
+
+
+class Moment(NamedTuple):
+    """An observation of an episode, and how the episode stands.
+
+    Attributes:
+        run: number of the run in the recording, from 0.
+        episode: number of the episode in the recording, from 0.
+        step: number of actions taken; 0 is the start.
+        observation: what is seen.
+        reward: for the last action; 0.0 at the start.
+        terminal: whether the episode has reached its end.
+        episode_return: sum of the rewards so far.
+        place: run, episode and step in words.
+    """
+
+    run: int
+    episode: int
+    step: int
+    observation: Observation
+    reward: float
+    terminal: bool
+    episode_return: float
+    place: str
+
+
+def open_recording(path: str | os.PathLike[str]) -> TrajectoryReader | GoldenReader:
+    """Return the reader for the file: of glue.trajectory's format, or of the original's recordings."""
+    try:
+        with open(path, "rb") as file:
+            first = zlib.decompressobj(31).decompress(file.read(4096), 1)
+    except (OSError, zlib.error):
+        first = b""  # the reader will say what is wrong
+    return GoldenReader(path) if first == b"{" else TrajectoryReader(path)
+
+
+def build_environment(run: RecordedRun) -> Environment:
+    """Return the environment a run was recorded with.
+
+    A recording may come from anybody, so it can only name installed environments, never a module or
+    file of its own to import.
+
+    Raises:
+        ConfigError: it names none, or none that is installed, or the options do not fit.
+    """
+    if isinstance(run, GoldenRun):
+        return build_named("env_server.mario.environment:InfiniteMario", run.options)
+    name = run.environment
+    if not name:
+        raise ConfigError("the recording does not say which environment it is of: name it with --env")
+    if name not in names(Role.ENVIRONMENT):
+        raise ConfigError(
+            f"the recording is of {name!r}, which is not installed: if you trust it, say --env {name}"
+        )
+    return build_named(name, run.options)
+
+
+def build_named(name: str, options: Mapping[str, Value]) -> Environment:
+    """Return the environment called `name`, made with `options`.
+
+    Raises:
+        ConfigError: there is none, or the options do not fit.
+    """
+    environment: Environment = build(find(Role.ENVIRONMENT, name), options)
+    return environment
+
+
+def replayed_moments(
+    recorded: Iterable[Recorded], build: Callable[[RecordedRun], Environment]
+) -> Iterator[Moment]:
+    """Yield every moment of all episodes as the environment of each run gives it, once compared.
+
+    Levels on the way are compared with the simulator's.
+
+    Raises, while iterating:
+        Difference: the first thing that is not as recorded.
+        GlueError: the environment refuses an action or option of the recording.
+    """
+    run: RecordedRun | None = None
+    environment: Environment | None = None
+    runs = -1
+    try:
+        for number, episode in enumerate(_compare_levels(recorded)):
+            if environment is None or episode.run is not run:
+                if environment is not None:
+                    environment.env_cleanup()
+                run, environment = episode.run, build(episode.run)
+                runs += 1
+                _initialise(environment, episode)
+            yield from _replay_episode(environment, episode, runs, number)
+    finally:
+        if environment is not None:
+            environment.env_cleanup()
+
+
+def recorded_moments(recorded: Iterable[Recorded]) -> Iterator[Moment]:
+    """Yield every moment of all episodes as recorded, without an environment.
+
+    Raises, while iterating:
+        ConfigError: of an observation only the hash was recorded.
+    """
+    run: RecordedRun | None = None
+    runs = -1
+    episodes = (part for part in recorded if not isinstance(part, GoldenLevel))
+    for number, episode in enumerate(episodes):
+        if episode.run is not run:
+            run = episode.run
+            runs += 1
+        total = 0.0
+        for step, (reward, seen, terminal) in enumerate(_outcomes(episode)):
+            place = _place(episode, number, step)
+            if isinstance(seen, Digest):
+                raise ConfigError(f"{place}: only a hash was recorded; replay it with its environment")
+            total += reward
+            yield Moment(runs, number, step, seen, reward, terminal, total, place)
+
+
+def _compare_levels(recorded: Iterable[Recorded]) -> Iterator[RecordedEpisode]:
+    """Yield the episodes; between them, demand of every level that the simulator makes the same."""
+    for part in recorded:
+        if isinstance(part, GoldenLevel):
+            difference = level_difference(part.level, _level_of(part.options))
+            if difference:
+                task = " ".join(f"{name}={value}" for name, value in part.options.items())
+                raise Difference(f"{task}: {difference}")
+        else:
+            yield part
+
+
+def _level_of(options: Mapping[str, Value]) -> Level:
+    from env_server.mario.environment import InfiniteMario  # not above: the simulator takes long to load
+
+    mario: InfiniteMario = build(InfiniteMario, options)
+    mario.env_init()
+    mario.env_start()
+    return mario.game.level
+
+
+def _outcomes(episode: RecordedEpisode) -> Iterator[tuple[float, Observation | Digest, bool]]:
+    """Yield what the start and every step of an episode gave."""
+    yield 0.0, episode.start, False
+    for step in episode.steps:
+        yield step.reward, step.observation, step.terminal
+
+
+def _place(episode: RecordedEpisode, number: int, step: int) -> str:
+    run = episode.run
+    name = f"run {run.name}, " if isinstance(run, GoldenRun) else ""
+    return f"{name}episode {number}, " + (f"step {step}" if step else "start")
+
+
+def _initialise(environment: Environment, first: RecordedEpisode) -> None:
+    """Bring the environment to where the first episode of its run begins."""
+    if isinstance(first, GoldenEpisode):
+        environment.env_init()
+        if isinstance(environment, _Buttoned):
+            environment.buttons = first.keys
+        return
+    run = first.run
+    if run.seed is not None and offers(environment, SeedableEnvironment):
+        environment.env_seed(run.seed)
+    task_spec = environment.env_init()
+    if task_spec != run.task_spec:
+        raise Difference(f"the task spec: expected {run.task_spec!r}, got {task_spec!r}")
+    if run.state:
+        if not offers(environment, SaveableEnvironment):
+            raise ConfigError("the recording begins with a saved state, which this environment cannot load")
+        environment.env_load(run.state)
+
+
+def _replay_episode(
+    environment: Environment, episode: RecordedEpisode, run: int, number: int
+) -> Iterator[Moment]:
+    if isinstance(episode, Episode):
+        for message in episode.messages:
+            environment.env_message(message)
+    elif isinstance(environment, _Buttoned) and environment.buttons != episode.keys:
+        held = [list(map(int, keys)) for keys in (episode.keys, environment.buttons)]
+        raise Difference(f"{_place(episode, number, 0)}: the keys held: expected {held[0]}, got {held[1]}")
+    total = 0.0
+    for step, (reward, seen, terminal) in enumerate(_outcomes(episode)):
+        place = _place(episode, number, step)
+        try:
+            if step == 0:
+                got = 0.0, environment.env_start(), False
+            else:
+                got = environment.env_step(episode.steps[step - 1].action)
+        except GlueError as error:
+            raise Difference(f"{place}: the environment refused: {error}") from error
+        difference = _difference((reward, seen, terminal), got)
+        if difference:
+            raise Difference(f"{place}: {difference}")
+        total += reward
+        yield Moment(run, number, step, got[1], reward, terminal, total, place)
+
+
+def _difference(
+    expected: tuple[float, Observation | Digest, bool], got: tuple[float, Observation, bool]
+) -> str:
+    """Return in words how two outcomes differ; "" if they do not."""
+    reward, seen, terminal = expected
+    got_reward, observation, got_terminal = got
+    if _REWARD.pack(reward) != _REWARD.pack(got_reward):
+        return f"the reward: expected {reward!r}, got {got_reward!r}"
+    if terminal != got_terminal:
+        return f"terminal: expected {terminal}, got {got_terminal}"
+    if isinstance(seen, Digest):
+        found = digest(observation, got_reward, got_terminal)
+        return "" if found == seen else f"the observation: expected {seen!r}, got {found!r}"
+    return "" if seen == observation else _observation_difference(seen, observation)
+
+
+def _observation_difference(expected: Observation, got: Observation) -> str:
+    if expected.counts != got.counts:
+        counts = ["{} ints, {} doubles, {} chars".format(*seen.counts) for seen in (expected, got)]
+        return f"the observation: expected {counts[0]}, got {counts[1]}"
+    pairs: tuple[tuple[str, _Array, _Array], ...] = (
+        ("int", expected.ints, got.ints),
+        ("double", expected.doubles, got.doubles),
+        ("char", np.frombuffer(expected.chars, "S1"), np.frombuffer(got.chars, "S1")),
+    )
+    name, old, new, where = next(
+        (name, old, new, where) for name, old, new in pairs if (where := _unequal(old, new)).size
+    )
+    index = int(where[0])
+    what = _meaning(name, index) if is_scene(expected) else ""
+    return f"{name} {index}{what}: expected {old[index].item()!r}, got {new[index].item()!r}"
+
+
+def _unequal(old: _Array, new: _Array) -> npt.NDArray[np.intp]:
+    """Return the indices at which the bits of two arrays differ."""
+    bits = f"V{old.itemsize}"
+    return np.flatnonzero(old.view(bits) != new.view(bits))
+
+
+def _meaning(name: str, index: int) -> str:
+    """Return what an element of an observation of Infinite Mario stands for."""
+    if name == "char":
+        row, column = divmod(index, COLUMNS + 1)
+        return f" (row {row}, column {column})"
+    if name == "double":
+        sprite, part = divmod(index, 4)
+        return f" ({('x', 'height', 'horizontal speed', 'vertical speed')[part]} of sprite {sprite})"
+    if index == 0:
+        return " (the camera's column)"
+    sprite, part = divmod(index - 1, 2)
+    return f" ({('kind', 'winged')[part]} of sprite {sprite})"

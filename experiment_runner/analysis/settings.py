@@ -1,0 +1,102 @@
+"""The settings of one or more runs: trials that differ in nothing but their seed, together."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from experiment_runner.plan import RoleSpec, TrialSpec
+from experiment_runner.store.directory import Results, TrialRecord
+from glue.errors import ExperimentError
+
+__all__ = ["Setting", "collect"]
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """Trials of one agent in one environment.
+
+    agent        what to call the agent among these runs: its label, and the options that tell it apart
+    environment  the same of the environment; empty when all settings share it
+    trials       the record of each trial
+    returns      each trial's episode returns, (episodes so far,)
+    """
+
+    agent: str
+    environment: str
+    trials: tuple[TrialRecord, ...]
+    returns: tuple[FloatArray, ...]
+
+    @property
+    def label(self) -> str:
+        """What to call the setting among these runs."""
+        return f"{self.agent}, {self.environment}" if self.environment else self.agent
+
+    def curves(self) -> FloatArray:
+        """Return the returns of the trials that are finished, shape (trials, episodes).
+
+        While none is, those of all that have begun, as far as the shortest of them went.
+        """
+        finished = [r for r, trial in zip(self.returns, self.trials, strict=True) if trial.finished]
+        used = finished or [r for r in self.returns if r.size]
+        length = min((len(r) for r in used), default=0)
+        return np.array([r[:length] for r in used]).reshape(len(used), length)
+
+
+def collect(runs: Iterable[Results]) -> list[Setting]:
+    """Return the settings of all runs taken together, in order of appearance.
+
+    Raises:
+        ExperimentError: a trial is in two of the runs, or one of them cannot be read.
+    """
+    groups: dict[str, list[tuple[TrialRecord, FloatArray]]] = defaultdict(list)
+    seen: dict[tuple[str, str, int], Results] = {}
+    for run in runs:
+        for trial in run.trials():
+            key = json.dumps(
+                [_fields(trial.spec.agent), _fields(trial.spec.environment), _limits(trial.spec)]
+            )
+            same = seen.setdefault((key, trial.spec.id, trial.spec.seed), run)
+            if same is not run:
+                raise ExperimentError(f"trial {trial.spec.id} is in {same.directory} and in {run.directory}")
+            groups[key].append((trial, run.returns(trial.spec.id)))
+    specs = [members[0][0].spec for members in groups.values()]
+    agents = _names([(_label(spec.agent), _fields(spec.agent)) for spec in specs])
+    environments = _names(
+        [(_label(spec.environment), _fields(spec.environment) | _limits(spec)) for spec in specs]
+    )
+    if len(set(environments)) == 1:
+        environments = [""] * len(specs)
+    return [
+        Setting(agent, environment, *map(tuple, zip(*members, strict=True)))
+        for agent, environment, members in zip(agents, environments, groups.values(), strict=True)
+    ]
+
+
+def _label(role: RoleSpec | None) -> str:
+    return "remote" if role is None else role.label
+
+
+def _fields(role: RoleSpec | None) -> dict[str, object]:
+    return {} if role is None else {"class": role.name, **role.options}
+
+
+def _limits(spec: TrialSpec) -> dict[str, object]:
+    return {"episodes": spec.episodes, "max_steps": spec.max_steps}
+
+
+def _names(described: Sequence[tuple[str, Mapping[str, object]]]) -> list[str]:
+    """Return each label, followed by the fields that tell it from another of the same label."""
+    names = []
+    for label, fields in described:
+        namesakes = [theirs for other, theirs in described if other == label]
+        telling = [name for name in fields if any(theirs.get(name) != fields[name] for theirs in namesakes)]
+        names.append(" ".join([label, *(f"{name}={fields[name]}" for name in telling)]))
+    return names

@@ -1,0 +1,1 @@
+"""The commands around experiments; each is a thin layer over the package."""

@@ -1,0 +1,75 @@
+"""`glue-plot`: draw the results of experiments."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final
+
+import click
+import numpy as np
+
+from experiment_runner.analysis.settings import collect
+from experiment_runner.report.plots import comparison, learning_curves, save, scatter
+from experiment_runner.store.directory import Results
+from glue import __version__
+from glue.commands import run
+
+__all__ = ["main", "plot"]
+
+_SEED: Final = 0  # of the bootstrap: the same runs always make the same figure
+
+
+@click.command()
+@click.argument("directories", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--out", "-o", required=True, type=click.Path(path_type=Path), help="File, .png or .svg.")
+@click.option(
+    "--kind",
+    type=click.Choice(["curves", "scatter", "comparison"]),
+    default="curves",
+    show_default=True,
+    help="Learning curves with confidence bands; every episode as a dot, a panel for each setting; or "
+    "what each agent reached in the end.",
+)
+@click.option(
+    "--window",
+    type=click.IntRange(1),
+    default=100,
+    show_default=True,
+    help="Episodes in the running mean, or that count as the end.",
+)
+@click.version_option(__version__, prog_name="glue-plot")
+def plot(directories: tuple[Path, ...], out: Path, kind: str, window: int) -> None:
+    """Draw the results of each RUN, a directory that glue-experiment made, also while it runs.
+
+    \b
+    Examples:
+      glue-plot runs/mine -o curves.png
+      glue-plot runs/mine runs/other --kind comparison -o comparison.svg
+    """
+    with ExitStack() as stack:
+        found = collect([stack.enter_context(Results.open(directory)) for directory in directories])
+    settings = [setting for setting in found if setting.curves().size]
+    rng = np.random.default_rng(_SEED)
+    if kind == "comparison":
+        agents = defaultdict(list)
+        for setting in settings:
+            agents[setting.agent].append(setting.curves())
+        figure = comparison(agents, rng, window=window)
+    else:
+        curves = {setting.label: setting.curves() for setting in settings}
+        if kind == "curves":
+            figure = learning_curves(curves, rng, window=window)
+        else:
+            figure = scatter(curves, window=window)
+    save(figure, out)
+
+
+def main() -> None:
+    """Run `glue-plot`."""
+    run(plot)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,136 @@
+"""`glue-watch`: see an agent play, in the terminal."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TextIO
+
+import click
+
+from env_server.render.text import TerminalScreen
+from glue import __version__
+from glue.commands import run
+from glue.core.experiment import Experiment
+from glue.core.local import local
+from glue.options import build, parse_assignments
+from glue.players.loading import find
+from glue.players.trained import load_trained
+from glue.protocol.messages import Role
+
+__all__ = ["main", "play", "watch"]
+
+
+@click.command()
+@click.option("--env", "environment", metavar="NAME", default="mario", show_default=True, help="Environment.")
+@click.option("--agent", metavar="NAME", required=True, help="Agent.")
+@click.option(
+    "--env-option",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Option of the environment; see `glue-env NAME --help`.",
+)
+@click.option(
+    "--agent-option",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Option of the agent; see `glue-agent NAME --help`.",
+)
+@click.option(
+    "--load",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="File of what an agent of this kind has learned, from `glue-results agent`; its random choices go "
+    "on from there as well.",
+)
+@click.option("--episodes", type=click.IntRange(1), default=1, show_default=True, help="Episodes to show.")
+@click.option(
+    "--after",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Episodes to play unseen before that.",
+)
+@click.option(
+    "--max-steps", type=click.IntRange(0), default=0, show_default=True, help="Step limit; 0 is none."
+)
+@click.option(
+    "--speed",
+    type=click.FloatRange(0.1, 1000),
+    default=10.0,
+    show_default=True,
+    help="Steps shown per second.",
+)
+@click.option(
+    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Seed of all chance."
+)
+@click.version_option(__version__, prog_name="glue-watch")
+def watch(
+    environment: str,
+    agent: str,
+    env_option: tuple[str, ...],
+    agent_option: tuple[str, ...],
+    load: Path | None,
+    episodes: int,
+    after: int,
+    max_steps: int,
+    speed: float,
+    seed: int,
+) -> None:
+    """Show an agent playing, in this terminal.
+
+    \b
+    Examples:
+      glue-watch --agent sample
+      glue-watch --agent hierarchical --after 500
+      glue-watch --agent hierarchical --load mario.agent --agent-option learning=off --agent-option epsilon=0
+      glue-watch --env mines --agent sarsa --after 1000 --speed 5
+    """
+    env_class, agent_class = find(Role.ENVIRONMENT, environment), find(Role.AGENT, agent)
+    world = build(env_class, parse_assignments(env_class, env_option))
+    player = build(agent_class, parse_assignments(agent_class, agent_option))
+    if load is not None:
+        player = load_trained(player, load)
+    with local(player, world) as glue:
+        glue.rl_init(seed)
+        for _ in range(after):
+            glue.rl_episode(max_steps)
+        for number in range(after + 1, after + episodes + 1):
+            title = f"{agent} in {environment}, episode {number}"
+            episode_return, steps = play(glue, sys.stdout, title, max_steps, speed)
+            print(f"episode {number}: return {episode_return:.2f} in {steps} steps", file=sys.stderr)
+
+
+def play(
+    glue: Experiment,
+    stream: TextIO,
+    title: str,
+    max_steps: int,
+    speed: float,
+    sleep: Callable[[float], None] = time.sleep,
+) -> tuple[float, int]:
+    """Run and draw one episode, `speed` steps a second; return its return and steps.
+
+    Where `stream` is no terminal nothing is drawn, and nothing is waited for.
+    """
+    pause = 1.0 / speed if stream.isatty() else 0.0
+    with TerminalScreen(stream) as screen:
+        screen.show(glue.rl_start().observation, 0.0, 0, 0.0, title)
+        made, terminal = 0, False
+        while not terminal and (max_steps == 0 or glue.rl_num_steps() < max_steps):
+            sleep(pause)
+            step = glue.rl_step()
+            made += 1
+            terminal = step.terminal
+            screen.show(step.observation, step.reward, made, glue.rl_return(), title)
+    return glue.rl_return(), glue.rl_num_steps()
+
+
+def main() -> None:
+    """Run `glue-watch`."""
+    run(watch)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""Trials on a Ray cluster (extra `ray`). Ray runs them; this process alone writes the store.
+
+Ray's own retries are off: it would repeat a trial from its start, and the episodes that are stored
+already would come a second time. What is lost goes on from its checkpoint instead, see
+`experiment_runner.executors.distribute`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+import time
+from collections.abc import Iterator
+from queue import SimpleQueue
+from threading import Thread
+from typing import Any, Final, Self
+
+from experiment_runner.executors.work import Ended, Job, Lost, Report, work
+from glue.errors import ConfigError, ExperimentError
+
+__all__ = ["RayCluster"]
+
+_BATCH_SECONDS: Final = 0.1
+_KNOCK_SECONDS: Final = 5.0
+
+
+class RayCluster:
+    """A pool of a cluster's processors; see `experiment_runner.executors.distribute.Pool`.
+
+    Args:
+        address: of the cluster; None for the one that Ray finds, or else one on this machine.
+        size: trials at a time; None for as many as the cluster has processors at the beginning.
+
+    Raises:
+        ConfigError: Ray is not installed.
+    """
+
+    def __init__(self, address: str | None, size: int | None) -> None:
+        self._ray = _import_ray()
+        self._address = address
+        self._asked = size
+        self._running: dict[Any, str] = {}
+        self.size = 0
+
+    def start(self, job: Job) -> None:
+        """Run a trial as a task of one processor."""
+        task = self._ray.remote(num_cpus=1, max_retries=0)(_run)
+        self._running[task.remote(job)] = job.spec.id
+
+    def receive(self) -> list[tuple[str, Report]]:
+        """Wait for reports; return them with the id of their trial."""
+        ready, _ = self._ray.wait(list(self._running), num_returns=1)
+        received: list[tuple[str, Report]] = []
+        for stream in ready:
+            trial_id = self._running[stream]
+            reports = self._read(stream)
+            received += [(trial_id, report) for report in reports]
+            if isinstance(reports[-1], (Ended, Lost)):
+                del self._running[stream]
+        return received
+
+    def _read(self, stream: Any) -> list[Report]:
+        try:
+            reports: list[Report] = self._ray.get(next(stream))
+        except (self._ray.exceptions.RayError, StopIteration) as error:
+            self._cancel(stream)  # should it run on somewhere, out of our sight
+            why = str(error).strip().partition("\n")[0]
+            return [Lost(f"its Ray worker was lost: {type(error).__name__}: {why}")]
+        return reports
+
+    def _cancel(self, stream: Any) -> None:
+        with contextlib.suppress(self._ray.exceptions.RayError):
+            self._ray.cancel(stream, force=True)
+
+    def __enter__(self) -> Self:
+        if self._address is not None:
+            _knock(self._address)
+        try:
+            self._ray.init(address=self._address, logging_level=logging.ERROR)
+        except (ConnectionError, ValueError, RuntimeError) as error:
+            reason = str(error).strip().partition("\n")[0]
+            raise ExperimentError(f"cannot use Ray: {reason}") from error
+        self.size = self._asked or max(1, int(self._ray.cluster_resources().get("CPU", 1)))
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for stream in self._running:
+            self._cancel(stream)
+        self._ray.shutdown()
+
+
+def _run(job: Job) -> Iterator[list[Report]]:
+    """Run a trial in a worker of Ray's, giving back its reports a batch at a time.
+
+    A thread does the work, so that an object of Ray's is made ten times a second, not for every episode.
+    """
+    reports: SimpleQueue[Report] = SimpleQueue()
+    Thread(target=work, args=(job, reports.put), daemon=True).start()
+    ended = False
+    while not ended:
+        batch = [reports.get()]
+        time.sleep(_BATCH_SECONDS)
+        while not reports.empty():
+            batch.append(reports.get())
+        ended = isinstance(batch[-1], Ended)
+        yield batch
+
+
+def _knock(address: str) -> None:
+    """See that somebody is there: Ray itself tries for minutes."""
+    host, colon, port = address.rpartition(":")
+    if not colon or not port.isdecimal():
+        raise ConfigError(f"{address!r} is no address of a Ray cluster: write HOST:PORT")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), _KNOCK_SECONDS).close()
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise ExperimentError(f"there is no Ray cluster at {address}: {reason}") from error
+
+
+def _import_ray() -> Any:
+    try:
+        import ray
+    except ImportError:
+        raise ConfigError("--engine ray needs Ray: pip install 'glue-rl[ray]'") from None
+    return ray

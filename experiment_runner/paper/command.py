@@ -1,0 +1,108 @@
+"""`glue-paper`: reproduce the experiments of Mohan (2010)."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Final
+
+import click
+
+from experiment_runner.paper.experiments import EPISODES, EXPERIMENTS, TRIALS, plan_of
+from experiment_runner.paper.report import write_report
+from experiment_runner.plan import Plan, check_options
+from experiment_runner.players import Meeting
+from experiment_runner.report.progress import Progress
+from experiment_runner.resume import open_run
+from experiment_runner.run import RunConfig, run_trials
+from glue import __version__
+from glue.commands import run
+from glue.players.loading import find
+from glue.protocol.messages import Role
+
+__all__ = ["main", "paper"]
+
+_ALL: Final = "all"
+
+
+@click.command()
+@click.argument("names", metavar="EXPERIMENT...", nargs=-1, type=click.Choice([*EXPERIMENTS, _ALL]))
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default="runs/paper",
+    show_default=True,
+    help="Directory of the results: a run for each experiment, the tables and the figures. What is there "
+    "already is gone on with.",
+)
+@click.option("--trials", type=click.IntRange(1), default=TRIALS, show_default=True, help="Of each setting.")
+@click.option("--episodes", type=click.IntRange(1), default=EPISODES, show_default=True, help="Of a trial.")
+@click.option(
+    "--workers",
+    type=click.IntRange(1),
+    default=os.cpu_count() or 1,
+    show_default="the number of cores",
+    help="Trials at a time, each in a process of its own.",
+)
+@click.option("--report-only", is_flag=True, help="Run nothing; make tables and figures of what is there.")
+@click.option(
+    "--docs",
+    type=click.Path(path_type=Path, dir_okay=False, exists=True),
+    help="Also write the tables between the marks of this file, and the figures to images/paper beside it.",
+)
+@click.version_option(__version__, prog_name="glue-paper")
+def paper(
+    names: tuple[str, ...],
+    out: Path,
+    trials: int,
+    episodes: int,
+    workers: int,
+    report_only: bool,
+    docs: Path | None,
+) -> int:
+    """Reproduce experiments of Mohan (2010), "Reinforcement Learning in Infinite Mario".
+
+    An EXPERIMENT is a number of the paper's, 1 to 8; sample, the competition's sample agent, which
+    stands in every figure; best, an agent beyond the paper's; or all. Tables and figures are made at
+    the end, of every experiment that --out holds.
+
+    \b
+    Examples:
+      glue-paper all
+      glue-paper sample 5 7
+      glue-paper 7 --trials 2 --episodes 300 --out runs/quick
+      glue-paper --report-only
+    """
+    if not names and not report_only:
+        raise click.UsageError("say which experiments: numbers from 1 to 8, sample, best, or all")
+    if names and report_only:
+        raise click.UsageError("--report-only reports on all that is there: name no experiment")
+    chosen = [name for name in EXPERIMENTS if name in names or _ALL in names]
+    plans = {
+        name: check_options(
+            plan_of(EXPERIMENTS[name], episodes, trials), lambda role, kind: find(Role(role), kind)
+        )
+        for name in chosen
+    }
+    failed = 0
+    for name, plan in plans.items():
+        click.echo(f"{name}: {EXPERIMENTS[name].title}", err=True)
+        failed += _run(out / name, plan, workers)
+    click.echo(write_report(out, docs), nl=False)
+    return 1 if failed else 0
+
+
+def _run(directory: Path, plan: Plan, workers: int) -> int:
+    """Run what remains of a plan; return how many trials failed."""
+    config = RunConfig(Meeting(in_process=True), workers=workers)
+    with open_run(directory, plan) as store:
+        return run_trials(store, config, Progress())
+
+
+def main() -> None:
+    """Run `glue-paper`."""
+    run(paper)
+
+
+if __name__ == "__main__":
+    main()

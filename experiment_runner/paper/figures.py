@@ -1,0 +1,78 @@
+"""Figures of the experiments of Mohan (2010): the paper's, and learning curves of all beside each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from experiment_runner.paper.experiments import EXPERIMENTS, PAPER_LEVEL, Level
+from experiment_runner.paper.outcomes import WINDOW, FloatArray, Outcome
+from experiment_runner.report.plots import learning_curves, scatter
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__all__ = ["figures"]
+
+_SEED: Final = 0  # of the bootstrap: the same runs always make the same figures
+_SAMPLE: Final = "sample"
+_BEST: Final = "best"
+_IN_CURVES: Final = (_SAMPLE, "4", "5", "6", "7", "8", _BEST)
+
+
+def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
+    """Return the figures that these outcomes allow, by name.
+
+    figure-2, ...        the paper's: every episode of every trial as a dot, on the level of the paper
+    figure-13-nearest    of experiment 8, the other level on which our reward comes nearest the paper's
+    curves-0, curves-1   the agents that learn, and the sample agent, on the paper's level and at
+                         difficulty 1
+    best                 every episode of the agent beyond the paper, on the paper's seed
+
+    Raises:
+        ExperimentError: matplotlib or SciPy is not installed.
+    """
+    drawn = {}
+    for experiment in EXPERIMENTS.values():
+        level = Level(PAPER_LEVEL.seed, experiment.difficulties[0])
+        panels = {o.agent: o.curves for o in outcomes if o.experiment is experiment and o.level == level}
+        if experiment.figure is not None and panels:
+            reference = _sample(outcomes, level)
+            drawn[f"figure-{experiment.figure}"] = scatter(panels, window=WINDOW, reference=reference)
+    near = _nearest([outcome for outcome in outcomes if outcome.level.seed != PAPER_LEVEL.seed])
+    if near is not None:
+        name = f"{near.agent}, level seed {near.level.seed}"
+        drawn[f"figure-{near.experiment.figure}-nearest"] = scatter({name: near.curves}, window=WINDOW)
+    for difficulty in (0, 1):
+        level = Level(PAPER_LEVEL.seed, difficulty)
+        curves = {o.agent: o.curves for o in outcomes if o.experiment.name in _IN_CURVES and o.level == level}
+        if curves:
+            rng = np.random.default_rng(_SEED)
+            drawn[f"curves-{difficulty}"] = learning_curves(curves, rng, window=WINDOW)
+    best = {
+        f"difficulty {o.level.difficulty}": o.curves
+        for o in outcomes
+        if o.experiment.name == _BEST and o.level.seed == PAPER_LEVEL.seed
+    }
+    if best:
+        drawn[_BEST] = scatter(best, window=WINDOW)
+    return drawn
+
+
+def _nearest(outcomes: Sequence[Outcome]) -> Outcome | None:
+    """Return the outcome whose reward is nearest to the published one."""
+    distances = {
+        abs(float(outcome.reward.value) - outcome.published.reward): outcome
+        for outcome in outcomes
+        if outcome.published is not None and outcome.published.reward is not None
+    }
+    return distances[min(distances)] if distances else None
+
+
+def _sample(outcomes: Sequence[Outcome], level: Level) -> tuple[str, FloatArray] | None:
+    for outcome in outcomes:
+        if outcome.experiment.name == _SAMPLE and outcome.level == level:
+            return "the sample agent", outcome.curves
+    return None

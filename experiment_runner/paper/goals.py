@@ -1,0 +1,148 @@
+"""What was required of the agents before the full run, and what was found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from experiment_runner.paper.experiments import EXPERIMENTS, PAPER_LEVEL, Level
+from experiment_runner.paper.outcomes import Outcome
+
+__all__ = ["Verdict", "verdicts"]
+
+_ORIGINAL_SAMPLE: Final = 130.45
+"""The reward of the competition's sample agent itself: ten runs of 500 episodes on the paper's level."""
+
+Number = Callable[[Outcome], float]
+
+
+class Verdict(NamedTuple):
+    """Something that was required, what was found, and whether that is enough."""
+
+    required: str
+    found: str
+    met: bool
+
+
+class _Goal(NamedTuple):
+    """What is required of the first of `agents`, on the paper's seed at a difficulty.
+
+    `check` is called with the outcome of each; it returns what was found, and whether that is enough.
+    """
+
+    agents: tuple[str, ...]
+    required: str
+    check: Callable[..., tuple[str, bool]]
+    difficulty: int = PAPER_LEVEL.difficulty
+
+
+def verdicts(outcomes: Sequence[Outcome]) -> list[Verdict]:
+    """Return a verdict on every goal whose agents have played."""
+    known = {(outcome.agent, outcome.level): outcome for outcome in outcomes}
+    given = []
+    for goal in _GOALS:
+        keys = [(agent, Level(PAPER_LEVEL.seed, goal.difficulty)) for agent in goal.agents]
+        if all(key in known for key in keys):
+            found, met = goal.check(*(known[key] for key in keys))
+            given.append(Verdict(f"`{goal.agents[0]}`: {goal.required}", found, met))
+    return given
+
+
+def _like_the_original(sample: Outcome) -> tuple[str, bool]:
+    return _show(_reward, sample), abs(_reward(sample) - _ORIGINAL_SAMPLE) <= 3
+
+
+def _less(agent: Outcome, other: Outcome) -> tuple[str, bool]:
+    return _show(_reward, agent, other), _reward(agent) < _reward(other)
+
+
+def _more(agent: Outcome, other: Outcome) -> tuple[str, bool]:
+    return _show(_reward, agent, other), _reward(agent) > _reward(other)
+
+
+def _no_worse(agent: Outcome, other: Outcome) -> tuple[str, bool]:
+    return _show(_reward, agent, other), _reward(agent) >= float(other.reward.low)
+
+
+def _at_least(reward: float) -> Callable[[Outcome], tuple[str, bool]]:
+    return lambda agent: (_show(_reward, agent), _reward(agent) >= reward)
+
+
+def _by(number: Number, most: float) -> Callable[[Outcome], tuple[str, bool]]:
+    return lambda agent: (_show(number, agent), number(agent) <= most)
+
+
+def _least(number: Number) -> Callable[..., tuple[str, bool]]:
+    def check(agent: Outcome, *others: Outcome) -> tuple[str, bool]:
+        return _show(number, agent, *others), number(agent) <= min(map(number, others))
+
+    return check
+
+
+def _finishing(share: float) -> Callable[[Outcome], tuple[str, bool]]:
+    return lambda agent: (
+        f"{agent.trials_finishing} of {len(agent.curves)}",
+        agent.trials_finishing >= share * len(agent.curves),
+    )
+
+
+def _reward(outcome: Outcome) -> float:
+    return float(outcome.reward.value)
+
+
+def _reached(outcome: Outcome) -> float:
+    return math.inf if outcome.reached is None else outcome.reached
+
+
+def _median_reached(outcome: Outcome) -> float:
+    return float(np.median(outcome.trials_reached)) if outcome.trials_reached else math.inf
+
+
+def _spread(outcome: Outcome) -> float:
+    return float(np.std(outcome.rewards))
+
+
+def _show(number: Number, agent: Outcome, *others: Outcome) -> str:
+    """Return an agent's number, and against whose it was held."""
+    form = "{:g}" if number in (_reached, _median_reached) else "{:.2f}"
+    shown = form.format(number(agent))
+    return f"{shown} against {', '.join(form.format(number(o)) for o in others)}" if others else shown
+
+
+_SAMPLE: Final = "sample"
+_FLAT: Final = tuple(EXPERIMENTS[name].agents for name in "123")
+_FOUR, _FIVE, _SIX, _SEVEN = (EXPERIMENTS[name].agents[0].label for name in "4567")
+_BEST: Final = "best"
+
+_GOALS: Final = (
+    _Goal((_SAMPLE,), f"within 3 of {_ORIGINAL_SAMPLE}, the original's reward", _like_the_original),
+    *(
+        _Goal((lost.label, _SAMPLE), "fails: less reward than the sample agent", _less)
+        for lost, _ in _FLAT
+    ),
+    *(
+        _Goal((textbook.label, lost.label), "learns: more reward than where the terminal one is lost", _more)
+        for lost, textbook in _FLAT
+    ),
+    _Goal((_FOUR,), "reward of 143.5 or more", _at_least(143.5)),
+    _Goal((_FIVE,), "reward of 144 or more", _at_least(144)),
+    _Goal((_FIVE,), "mean curve reached by episode 1000", _by(_reached, 1000)),
+    _Goal((_FIVE, _FOUR), f"mean curve reached no later than that of `{_FOUR}`", _least(_reached)),
+    _Goal((_FIVE, _FOUR), f"median trial reached no later than that of `{_FOUR}`", _least(_median_reached)),
+    _Goal((_SIX,), "reward of 144.5 or more", _at_least(144.5)),
+    _Goal((_SIX, _FIVE), f"reward above that of `{_FIVE}`, or in its interval", _no_worse),
+    _Goal((_SEVEN,), "reward of 143.5 or more", _at_least(143.5)),
+    _Goal((_SEVEN,), "mean curve reached by episode 200", _by(_reached, 200)),
+    _Goal((_SEVEN, _FOUR, _FIVE, _SIX), "mean curve reached before those of 4, 5 and 6", _least(_reached)),
+    _Goal((_SEVEN, _FOUR, _FIVE, _SIX), "median trial reached before theirs", _least(_median_reached)),
+    _Goal((_SEVEN, _FOUR, _FIVE, _SIX), "deviation between trials less than theirs", _least(_spread)),
+    _Goal((_BEST,), "reward of 150 or more", _at_least(150)),
+    _Goal((_BEST,), "every trial finishes", _finishing(1.0)),
+    *(
+        _Goal((_BEST,), f"8 of 10 trials finish at difficulty {difficulty}", _finishing(0.8), difficulty)
+        for difficulty in (1, 2, 3)
+    ),
+)  # fmt: skip

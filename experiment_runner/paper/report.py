@@ -1,0 +1,73 @@
+"""The report on the experiments of Mohan (2010): tables and figures in files, and in a page of the docs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from experiment_runner.paper.figures import figures
+from experiment_runner.paper.outcomes import load
+from experiment_runner.paper.tables import as_csv, as_markdown
+from experiment_runner.report.plots import save
+from experiment_runner.store.database import reported
+from experiment_runner.store.output import written
+from glue.errors import ExperimentError
+
+__all__ = ["BEGIN", "END", "REPORT", "write_report"]
+
+REPORT: Final = "report"
+BEGIN: Final = "<!-- written by glue-paper, from here -->"
+END: Final = "<!-- to here -->"
+
+
+def write_report(out: Path, docs: Path | None = None) -> str:
+    """Write tables and figures of all that `out` holds to the folder `REPORT` in it; return the tables.
+
+    Args:
+        out: holds the run directories.
+        docs: a page in Markdown: the tables go between its marks `BEGIN` and `END`, the figures to
+            images/paper beside it.
+
+    Raises:
+        ExperimentError: there is nothing yet, a mark is missing, or something cannot be read or written.
+    """
+    outcomes = load(out)
+    if not outcomes:
+        raise ExperimentError(f"{out} holds no finished episode of any experiment")
+    tables = as_markdown(outcomes)
+    page = None if docs is None else _with_tables(docs, tables)
+    drawn = figures(outcomes)
+    folder = _folder(out / REPORT)
+    _write(folder / "tables.md", tables)
+    _write(folder / "tables.csv", as_csv(outcomes))
+    for name, figure in drawn.items():
+        for ending in ("png", "svg"):
+            save(figure, folder / f"{name}.{ending}")
+    if docs is not None and page is not None:
+        _write(docs, page)
+        images = _folder(docs.parent / "images" / "paper")
+        for name, figure in drawn.items():
+            save(figure, images / f"{name}.png")
+    return tables
+
+
+def _with_tables(docs: Path, tables: str) -> str:
+    """Return the text of a page with these tables between its marks."""
+    with reported(f"cannot read {docs}"):
+        text = docs.read_text(encoding="utf-8")
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not begin or not end:
+        raise ExperimentError(f"{docs} must have the lines {BEGIN} and {END}, in this order")
+    return f"{before}{BEGIN}\n\n{tables}\n{END}{after}"
+
+
+def _folder(path: Path) -> Path:
+    with reported(f"cannot make {path}"):
+        path.mkdir(parents=True, exist_ok=True)
+    return path
+
+
+def _write(path: Path, text: str) -> None:
+    with written(path) as partial:
+        partial.write_text(text, encoding="utf-8")

@@ -1,0 +1,126 @@
+"""Tables of the experiments of Mohan (2010), ours beside the paper's: Markdown to read, CSV to go on with."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from typing import Final
+
+import numpy as np
+
+from experiment_runner.paper.experiments import PAPER_LEVEL
+from experiment_runner.paper.goals import verdicts
+from experiment_runner.paper.outcomes import FINISHED, TOLERANCE, WINDOW, Outcome
+
+__all__ = ["as_csv", "as_markdown"]
+
+_HEADER: Final = (
+    "experiment", "agent", "level", "paper", "ours", "95 % interval", "single trials",
+    "converged: paper", "reached", "settled", "trials reached", "values", "trials finish", "episodes finish",
+)  # fmt: skip
+_GOALS_HEADER: Final = ("required", "found", "met")
+_WORDS: Final = 3  # the first columns; the others are numbers
+_LEGEND: Final = f"""\
+A *level* is a seed and a difficulty. *Ours* is the mean over trials of the mean return of the last
+{WINDOW} episodes, with its 95 % bootstrap interval; *single trials* are the lowest and the highest of them.
+The running mean of {WINDOW} episodes, over all trials, has *reached* its end when it first comes within
+{TOLERANCE:g} of its last value, or above it; it has *settled* when from then on it stays within
+{TOLERANCE:g}. *Trials reached* is the median of the episodes at which the single trials reached theirs.
+*Values* is how many values a trial has learned in the end, on average. A trial *finishes* when at least
+half of its last {WINDOW} episodes reach the goal, that is, return {FINISHED:g} or more."""
+
+
+def as_markdown(outcomes: Sequence[Outcome]) -> str:
+    """Return a table for the paper's level, one for its higher difficulties, one for all other seeds."""
+    seed = PAPER_LEVEL.seed
+    groups = {
+        f"The paper's level: seed {seed}, difficulty {PAPER_LEVEL.difficulty}": [
+            outcome for outcome in outcomes if outcome.level == PAPER_LEVEL
+        ],
+        f"Seed {seed}, higher difficulties": [
+            outcome for outcome in outcomes if outcome.level.seed == seed and outcome.level != PAPER_LEVEL
+        ],
+        "Other level seeds": [outcome for outcome in outcomes if outcome.level.seed != seed],
+    }
+    tables = [
+        f"**{title}**\n\n{_table(_HEADER, map(_cells, group))}" for title, group in groups.items() if group
+    ]
+    given = verdicts(outcomes)
+    if given:
+        rows = ((v.required, v.found, "yes" if v.met else "**no**") for v in given)
+        tables.append(f"**Required and found**\n\n{_table(_GOALS_HEADER, rows)}")
+    return "\n\n".join([_LEGEND, *tables, _effort(outcomes)]) + "\n"
+
+
+def as_csv(outcomes: Sequence[Outcome]) -> str:
+    """Return a row for each agent and level, with a header; a number that there is none of is empty."""
+    text = io.StringIO()
+    records = [_record(outcome) for outcome in outcomes]
+    writer = csv.DictWriter(text, records[0] if records else (), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(records)
+    return text.getvalue()
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    rule = ["---" if number < _WORDS else "---:" for number in range(len(header))]
+    return "\n".join(f"| {' | '.join(row)} |" for row in (header, rule, *rows))
+
+
+def _cells(outcome: Outcome) -> tuple[str, ...]:
+    paper, reward, reached = outcome.published, outcome.reward, outcome.trials_reached
+    experiment, count = outcome.experiment, len(outcome.curves)
+    return (
+        f"{experiment.name}, {experiment.title}",
+        f"`{outcome.agent}`" + (f" ({count} of {outcome.planned} trials)" if count < outcome.planned else ""),
+        f"{outcome.level.seed}, {outcome.level.difficulty}",
+        f"{paper.reward:.2f}" if paper and paper.reward is not None else "",
+        f"{reward.value:.2f}",
+        "" if np.isnan(reward.low) else f"{reward.low:.2f} to {reward.high:.2f}",
+        f"{outcome.rewards.min():.1f} to {outcome.rewards.max():.1f}",
+        paper.convergence if paper else "",
+        f"{outcome.reached or ''}",
+        f"{outcome.settled or 'never'}",
+        f"{np.median(reached):.0f}" if reached else "",
+        f"{np.mean(outcome.values):,.0f}" if outcome.values else "",
+        f"{outcome.trials_finishing} of {count}",
+        f"{outcome.finishing.mean():.0%}",
+    )
+
+
+def _record(outcome: Outcome) -> dict[str, object]:
+    paper, reward = outcome.published, outcome.reward
+    reached, settled = outcome.trials_reached, outcome.trials_settled
+    return {
+        "experiment": outcome.experiment.name,
+        "agent": outcome.agent,
+        "level_seed": outcome.level.seed,
+        "level_difficulty": outcome.level.difficulty,
+        "trials": len(outcome.curves),
+        "episodes": outcome.curves.shape[1],
+        "paper_reward": paper.reward if paper else None,
+        "reward": float(reward.value),
+        "reward_low": None if np.isnan(reward.low) else float(reward.low),
+        "reward_high": None if np.isnan(reward.high) else float(reward.high),
+        "reward_lowest": float(outcome.rewards.min()),
+        "reward_highest": float(outcome.rewards.max()),
+        "paper_converged": paper.convergence if paper else None,
+        "reached": outcome.reached,
+        "settled": outcome.settled,
+        "trials_reached_median": float(np.median(reached)) if reached else None,
+        "trials_settled": len(settled),
+        "trials_settled_median": float(np.median(settled)) if settled else None,
+        "values": float(np.mean(outcome.values)) if outcome.values else None,
+        "trials_finishing": outcome.trials_finishing,
+        "episodes_finishing": float(outcome.finishing.mean()),
+        "steps": outcome.steps,
+        "seconds": outcome.seconds,
+    }
+
+
+def _effort(outcomes: Sequence[Outcome]) -> str:
+    trials = sum(len(outcome.curves) for outcome in outcomes)
+    steps = sum(outcome.steps for outcome in outcomes)
+    hours = sum(outcome.seconds for outcome in outcomes) / 3600
+    return f"{trials} trials, {steps / 1e6:,.0f} million steps, {hours:.1f} hours of one core."

@@ -1,0 +1,259 @@
+"""What a person sees while an experiment runs, and what a script reads.
+
+Everything for people goes to standard error, so that standard output is free for `--json`.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, Final, Protocol, TextIO
+
+from experiment_runner.plan import TrialSpec
+from experiment_runner.report.tables import format_table
+from experiment_runner.store.directory import EpisodeResult, TrialRecord
+from experiment_runner.store.output import finite
+
+__all__ = ["JsonLines", "Progress", "Reporter"]
+
+_WINDOW: Final = 100
+_TTY_SECONDS: Final = 0.2
+_LOG_SECONDS: Final = 10.0
+_COLUMNS: Final = ("trial", "episode", "steps/s", "return", f"mean of last {_WINDOW}", "left")
+
+_UP: Final = "\x1b[{}A\r"
+_CLEAR_LINE: Final = "\x1b[K"
+_CLEAR_BELOW: Final = "\x1b[J"
+
+
+class Reporter(Protocol):
+    """Is told what happens to the trials; an episode it hears of is stored already."""
+
+    def start(self, trials: Sequence[TrialRecord]) -> None:
+        """All trials of the run, and how far they are."""
+        ...
+
+    def begin(self, spec: TrialSpec, done: int) -> None:
+        """A trial starts, or goes on after `done` episodes."""
+        ...
+
+    def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
+        """An episode is finished."""
+        ...
+
+    def end(self, spec: TrialSpec) -> None:
+        """A trial is finished, or has failed."""
+        ...
+
+    def say(self, line: str) -> None:
+        """Something that a person should know."""
+        ...
+
+    def close(self) -> None:
+        """Nothing more will come."""
+        ...
+
+
+class Progress:
+    """A table of the trials under way, redrawn in place on a terminal; a line now and then elsewhere.
+
+    Args:
+        stream: where to write; None for standard error.
+        clock: returns seconds.
+    """
+
+    def __init__(self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+        self._stream = stream or sys.stderr
+        self._clock = clock
+        self._live = self._stream.isatty()
+        self._every = _TTY_SECONDS if self._live else _LOG_SECONDS
+        self._shown_at = clock() - (self._every if self._live else 0)
+        self._drawn = 0  # lines of the table that stand on the terminal
+        self._rows: dict[str, _Row] = {}
+        self._total = _Total([], clock())
+
+    def start(self, trials: Sequence[TrialRecord]) -> None:
+        self._total = _Total(trials, self._clock())
+
+    def begin(self, spec: TrialSpec, done: int) -> None:
+        self._rows[spec.id] = _Row(spec, done)
+        self._total.done[spec.id] = done
+
+    def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
+        now = self._clock()
+        self._rows[spec.id].add(result, now)
+        self._total.add(spec, result)
+        if now - self._shown_at >= self._every:
+            self._show(now)
+
+    def end(self, spec: TrialSpec) -> None:
+        row = self._rows[spec.id]
+        if self._live:
+            self._show(self._clock())
+        elif row.recent:
+            self.say(row.line(self._clock()))
+        del self._rows[spec.id]
+
+    def say(self, line: str) -> None:
+        self._erase()
+        print(line, file=self._stream, flush=True)
+
+    def close(self) -> None:
+        self._erase()
+        self._stream.flush()
+
+    def _show(self, now: float) -> None:
+        self._shown_at = now
+        begun = [row for row in self._rows.values() if row.recent]
+        if self._live:
+            self._draw(now, begun)
+        elif self._total.trials > 1:
+            self.say(self._total.line(now))
+        else:
+            for row in begun:
+                self.say(row.line(now))
+
+    def _draw(self, now: float, begun: Sequence[_Row]) -> None:
+        width, height = shutil.get_terminal_size()
+        room = max(height - 4, 1)
+        lines = format_table(_COLUMNS, [row.cells(now) for row in begun[:room]]).splitlines()
+        if len(begun) > room:
+            lines.append(f"and {len(begun) - room} more")
+        if self._total.trials > 1:
+            lines.append(self._total.line(now))
+        back = _UP.format(self._drawn) if self._drawn else ""
+        text = "".join(f"{line[: width - 1]}{_CLEAR_LINE}\n" for line in lines)
+        print(f"{back}{text}{_CLEAR_BELOW}", end="", file=self._stream, flush=True)
+        self._drawn = len(lines)
+
+    def _erase(self) -> None:
+        if self._drawn:
+            print(f"{_UP.format(self._drawn)}{_CLEAR_BELOW}", end="", file=self._stream)
+            self._drawn = 0
+
+
+class _Row:
+    """A trial under way."""
+
+    def __init__(self, spec: TrialSpec, done: int) -> None:
+        self._spec = spec
+        self._before = self._done = done
+        self._steps = 0
+        self._began = 0.0
+        self.recent: deque[float] = deque(maxlen=_WINDOW)
+
+    def add(self, result: EpisodeResult, now: float) -> None:
+        if not self.recent:
+            self._began = now - result.wall_time  # the time that players took to start says nothing
+        self._done = result.episode
+        self._steps += result.steps
+        self.recent.append(result.episode_return)
+
+    def cells(self, now: float) -> tuple[str, ...]:
+        """Return the trial's row of the table, `_COLUMNS`."""
+        elapsed = _at_least_an_instant(now - self._began)
+        left = elapsed / (self._done - self._before) * (self._spec.episodes - self._done)
+        return (
+            self._spec.id,
+            f"{self._done}/{self._spec.episodes}",
+            f"{self._steps / elapsed:,.0f}",
+            f"{self.recent[-1]:.2f}",
+            f"{sum(self.recent) / len(self.recent):.2f}",
+            _duration(left),
+        )
+
+    def line(self, now: float) -> str:
+        """Return the same as a line."""
+        trial, episode, rate, latest, mean, left = self.cells(now)
+        return (
+            f"{trial}  episode {episode}  {rate} steps/s  return {latest}  "
+            f"mean of last {len(self.recent)} {mean}  {left} left"
+        )
+
+
+class _Total:
+    """All trials of a run together.
+
+    Attributes:
+        trials: how many there are.
+        done: episodes of each, by id.
+    """
+
+    def __init__(self, trials: Sequence[TrialRecord], now: float) -> None:
+        self.trials = len(trials)
+        self.done = {trial.spec.id: trial.done for trial in trials}
+        self._episodes = {trial.spec.id: trial.spec.episodes for trial in trials}
+        self._began = now
+        self._steps = 0
+        self._run = 0  # episodes, since the beginning
+
+    def add(self, spec: TrialSpec, result: EpisodeResult) -> None:
+        self.done[spec.id] = result.episode
+        self._steps += result.steps
+        self._run += 1
+
+    def line(self, now: float) -> str:
+        elapsed = _at_least_an_instant(now - self._began)
+        done, episodes = sum(self.done.values()), sum(self._episodes.values())
+        finished = sum(self.done[trial] == self._episodes[trial] for trial in self.done)
+        left = elapsed / max(self._run, 1) * (episodes - done)
+        return (
+            f"{finished} of {self.trials} trials finished  episode {done}/{episodes}  "
+            f"{self._steps / elapsed:,.0f} steps/s  {_duration(left)} left"
+        )
+
+
+class JsonLines:
+    """An object a line on standard output for every episode; for people, what `inner` shows."""
+
+    def __init__(self, inner: Reporter, stream: TextIO | None = None) -> None:
+        self._inner = inner
+        self._stream = stream or sys.stdout
+
+    def start(self, trials: Sequence[TrialRecord]) -> None:
+        self._inner.start(trials)
+
+    def begin(self, spec: TrialSpec, done: int) -> None:
+        self._inner.begin(spec, done)
+
+    def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
+        self.write(
+            {
+                "trial": spec.id,
+                "episode": result.episode,
+                "return": result.episode_return,
+                "steps": result.steps,
+                "terminal": result.terminal,
+            }
+        )
+        self._inner.episode(spec, result)
+
+    def end(self, spec: TrialSpec) -> None:
+        self._inner.end(spec)
+
+    def say(self, line: str) -> None:
+        self._inner.say(line)
+
+    def close(self) -> None:
+        self._inner.close()
+
+    def write(self, value: dict[str, Any]) -> None:
+        """Write one object; a number that is infinite or not a number is null."""
+        numbers = {name: finite(number) for name, number in value.items()}
+        print(json.dumps(numbers), file=self._stream, flush=True)
+
+
+def _at_least_an_instant(seconds: float) -> float:
+    return max(seconds, 1e-9)
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes:02d} min"
+    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"

@@ -1,0 +1,103 @@
+"""Several runs into one.
+
+Parts of one plan, run on several machines, become a run of that plan: of each trial the longest
+record is kept. Runs of different plans become a run without a plan, to be read and drawn; trials
+of one id that are not the same get their run's name in front.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from experiment_runner.store.database import reported
+from experiment_runner.store.directory import ABOUT_FILE, PLAN_FILE, Results, Store, TrialRecord
+from glue.errors import ExperimentError
+
+__all__ = ["merge"]
+
+
+class _Source(NamedTuple):
+    run: Results
+    record: TrialRecord
+
+
+def merge(runs: Sequence[Results], directory: Path) -> None:
+    """Make a new run directory that holds the trials of all `runs`.
+
+    Raises:
+        ExperimentError: a trial came out differently in two runs, two trials would have one name, or
+            the directory cannot be made; then nothing is left of it.
+    """
+    sources = _choose(runs)
+    plans = {_text(run.directory / PLAN_FILE) for run in runs}
+    abouts = {str(run.directory): _about(run) for run in runs}
+    files = {ABOUT_FILE: json.dumps({"merged": abouts}, indent=2) + "\n"}
+    if len(plans) == 1 and all(plans):
+        files[PLAN_FILE] = plans.pop()
+    specs = [replace(source.record.spec, id=name) for name, source in sources.items()]
+    store = Store.create(directory, specs, files)
+    try:
+        with store:
+            for name, source in sources.items():
+                store.adopt(source.run, source.record.spec.id, name)
+    except BaseException:
+        shutil.rmtree(directory)
+        raise
+
+
+def _about(run: Results) -> object:
+    """Return what run.json says, whatever that is: it is kept, not used."""
+    text = _text(run.directory / ABOUT_FILE)
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def _choose(runs: Sequence[Results]) -> dict[str, _Source]:
+    """Return where each trial is taken from, under its id in the merged run."""
+    found: dict[str, list[_Source]] = defaultdict(list)
+    for run in runs:
+        for record in run.trials():
+            found[record.spec.id].append(_Source(run, record))
+    chosen: dict[str, _Source] = {}
+    for trial_id, sources in found.items():
+        groups: list[list[_Source]] = []
+        for source in sources:
+            for group in groups:
+                if group[0].record.spec == source.record.spec:
+                    group.append(source)
+                    break
+            else:
+                groups.append([source])
+        for group in groups:
+            name = trial_id if len(groups) == 1 else f"{group[0].run.directory.name}/{trial_id}"
+            if name in chosen:
+                raise ExperimentError(f"two trials would be called {name}: rename a run's directory")
+            chosen[name] = _longest(group)
+    return chosen
+
+
+def _longest(sources: Sequence[_Source]) -> _Source:
+    longest = max(sources, key=lambda source: source.record.done)
+    trial_id = longest.record.spec.id
+    episodes = longest.run.episodes(trial_id)
+    for other in sources:
+        for ours, theirs in zip(episodes, other.run.episodes(trial_id), strict=False):
+            if ours._replace(wall_time=0) != theirs._replace(wall_time=0):
+                raise ExperimentError(
+                    f"episode {ours.episode} of {trial_id} is not the same in {longest.run.directory} "
+                    f"and {other.run.directory}, though the plan is"
+                )
+    return longest
+
+
+def _text(path: Path) -> str:
+    with reported(f"cannot read {path}"):
+        return path.read_text(encoding="utf-8") if path.exists() else ""

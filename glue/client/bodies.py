@@ -1,0 +1,48 @@
+"""Bodies of messages to and from the values that players and experiments see."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from glue.errors import LocalProtocolError
+from glue.protocol.messages import Body
+from glue.types import Action, Observation, body_size
+
+__all__ = ["READ", "write"]
+
+
+def _read_text(body: bytes) -> str:
+    # Original RL-Glue programs send whatever bytes they like; they survive the way there and back.
+    return body.decode("utf-8", "surrogateescape")
+
+
+def _read_both(body: bytes) -> tuple[Observation, Action]:
+    size = body_size(body)
+    return Observation.from_body(body[:size]), Action.from_body(body[size:])
+
+
+READ: Final[Mapping[Body, Callable[[bytes], Any]]] = {
+    Body.NONE: lambda body: None,
+    Body.OBSERVATION: Observation.from_body,
+    Body.ACTION: Action.from_body,
+    Body.OBSERVATION_ACTION: _read_both,
+    Body.TEXT: _read_text,
+    Body.BLOB: bytes,
+}
+
+
+def write(value: Any) -> bytes:
+    if value is None:
+        return b""
+    if type(value) is str:
+        try:
+            return value.encode("utf-8", "surrogateescape")
+        except UnicodeEncodeError as error:
+            raise LocalProtocolError(
+                f"{value!r:.80} is no text that UTF-8 can carry: {error.reason}"
+            ) from None
+    if type(value) is bytes:
+        return value
+    body: bytes = value.body
+    return body

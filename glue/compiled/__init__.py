@@ -1,0 +1,1 @@
+"""What simulator and agents share of compiled code: numba, records of memory, Java's generator."""

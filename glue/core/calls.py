@@ -1,0 +1,199 @@
+"""Carry RL-Glue's calls out on a user's agent or environment.
+
+One table of functions for each role, from message kind to a call of the user's method with the answer
+checked, because a wrong answer is best reported where it was made. `glue.core.local` and `glue.client`
+share it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+
+from glue.errors import PeerFailed
+from glue.protocol.messages import CALLS, Kind, Role
+from glue.roles import (
+    Agent,
+    Environment,
+    SaveableAgent,
+    SaveableEnvironment,
+    SeedableAgent,
+    SeedableEnvironment,
+    offers,
+)
+from glue.types import Action, Observation
+
+__all__ = ["Answer", "Handler", "agent_calls", "environment_calls", "name_of", "role_calls"]
+
+Answer = tuple[tuple[Any, ...], Any]
+Handler = Callable[[tuple[Any, ...], Any], Answer]
+
+_DONE: Final[Answer] = ((), None)
+
+_TRUTH: Final = (int, np.bool_, np.integer)
+"""What a terminal may be: RL-Glue's own was an int, and a bool is one."""
+
+
+def name_of(player: object) -> str:
+    """Return the name that messages use for a user's agent or environment, or for the one in a wrapper."""
+    return type(getattr(player, "__wrapped__", player)).__name__
+
+
+def role_calls(role: Role, player: Any) -> dict[Kind, Handler]:
+    """Return what `player` can be asked, by message kind; see `agent_calls`, `environment_calls`.
+
+    Raises:
+        PeerFailed: a method of the role is missing.
+    """
+    needed = [kind for kind, call in CALLS.items() if call.callee is role and call.capability is None]
+    missing = [kind.name.lower() for kind in needed if not callable(getattr(player, kind.name.lower(), None))]
+    if missing:
+        raise PeerFailed(f"{name_of(player)} is no {role}: it has no {', '.join(missing)}")
+    return agent_calls(player) if role is Role.AGENT else environment_calls(player)
+
+
+def agent_calls(agent: Agent) -> dict[Kind, Handler]:
+    """Return a function for each kind of message that `agent` can be asked."""
+
+    def init(_: tuple[Any, ...], task_spec: Any) -> Answer:
+        agent.agent_init(task_spec)
+        return _DONE
+
+    def start(_: tuple[Any, ...], observation: Any) -> Answer:
+        action = agent.agent_start(observation)
+        if type(action) is not Action:
+            raise _wrong(agent, "agent_start", "an Action", action)
+        return (), action
+
+    def step(scalars: tuple[Any, ...], observation: Any) -> Answer:
+        action = agent.agent_step(scalars[0], observation)
+        if type(action) is not Action:
+            raise _wrong(agent, "agent_step", "an Action", action)
+        return (), action
+
+    def end(scalars: tuple[Any, ...], _: Any) -> Answer:
+        agent.agent_end(scalars[0])
+        return _DONE
+
+    def cleanup(_: tuple[Any, ...], __: Any) -> Answer:
+        agent.agent_cleanup()
+        return _DONE
+
+    def message(_: tuple[Any, ...], text: Any) -> Answer:
+        return (), _text(agent, "agent_message", agent.agent_message(text))
+
+    calls: dict[Kind, Handler] = {
+        Kind.AGENT_INIT: init,
+        Kind.AGENT_START: start,
+        Kind.AGENT_STEP: step,
+        Kind.AGENT_END: end,
+        Kind.AGENT_CLEANUP: cleanup,
+        Kind.AGENT_MESSAGE: message,
+    }
+    if offers(agent, SeedableAgent):
+        calls[Kind.AGENT_SEED] = _seeder(agent.agent_seed)
+    if offers(agent, SaveableAgent):
+        calls[Kind.AGENT_SAVE] = _saver(agent, "agent_save", agent.agent_save)
+        calls[Kind.AGENT_LOAD] = _loader(agent.agent_load)
+    return calls
+
+
+def environment_calls(environment: Environment) -> dict[Kind, Handler]:
+    """Return a function for each kind of message that `environment` can be asked."""
+
+    def init(_: tuple[Any, ...], __: Any) -> Answer:
+        return (), _text(environment, "env_init", environment.env_init())
+
+    def start(_: tuple[Any, ...], __: Any) -> Answer:
+        observation = environment.env_start()
+        if type(observation) is not Observation:
+            raise _wrong(environment, "env_start", "an Observation", observation)
+        return (), observation
+
+    def step(_: tuple[Any, ...], action: Any) -> Answer:
+        answer = environment.env_step(action)
+        try:
+            reward, observation, terminal = answer
+            reward = float(reward)
+        except (TypeError, ValueError, OverflowError):
+            raise _wrong(environment, "env_step", "(reward, observation, terminal)", answer) from None
+        if type(observation) is not Observation:
+            raise _wrong(environment, "env_step", "an Observation as its second value", observation)
+        if not isinstance(terminal, _TRUTH):
+            raise _wrong(environment, "env_step", "True or False as its third value", terminal)
+        return (reward, bool(terminal)), observation
+
+    def cleanup(_: tuple[Any, ...], __: Any) -> Answer:
+        environment.env_cleanup()
+        return _DONE
+
+    def message(_: tuple[Any, ...], text: Any) -> Answer:
+        return (), _text(environment, "env_message", environment.env_message(text))
+
+    calls: dict[Kind, Handler] = {
+        Kind.ENV_INIT: init,
+        Kind.ENV_START: start,
+        Kind.ENV_STEP: step,
+        Kind.ENV_CLEANUP: cleanup,
+        Kind.ENV_MESSAGE: message,
+    }
+    if offers(environment, SeedableEnvironment):
+        calls[Kind.ENV_SEED] = _seeder(environment.env_seed)
+    if offers(environment, SaveableEnvironment):
+        calls[Kind.ENV_SAVE] = _saver(environment, "env_save", environment.env_save)
+        calls[Kind.ENV_LOAD] = _loader(environment.env_load)
+    return calls
+
+
+def unsupported(kind: Kind, role: Role, name: str) -> str:
+    """Return why a call of a capability that a player does not offer cannot be made."""
+    return f"{role} {name} cannot do that: it has no {kind.name.lower()}"
+
+
+def skippable(kind: Kind) -> bool:
+    """Return whether a player without the capability of `kind` is simply passed over."""
+    return CALLS[kind].capability == "seed"
+
+
+def _seeder(method: Callable[[int], None]) -> Handler:
+    def seed(scalars: tuple[Any, ...], _: Any) -> Answer:
+        method(scalars[0])
+        return _DONE
+
+    return seed
+
+
+def _saver(player: object, name: str, method: Callable[[], bytes]) -> Handler:
+    def save(_: tuple[Any, ...], __: Any) -> Answer:
+        data = method()
+        if not isinstance(data, bytes):
+            raise _wrong(player, name, "bytes", data)
+        return (), data
+
+    return save
+
+
+def _loader(method: Callable[[bytes], None]) -> Handler:
+    def load(_: tuple[Any, ...], data: Any) -> Answer:
+        method(data)
+        return _DONE
+
+    return load
+
+
+def _text(player: object, method: str, value: object) -> str:
+    # RL-Glue sends a null answer as the empty string.
+    if value is None:
+        return ""
+    if not isinstance(value, str):
+        raise _wrong(player, method, "a str", value)
+    return value
+
+
+def _wrong(player: object, method: str, expected: str, value: object) -> PeerFailed:
+    return PeerFailed(
+        f"{method} of {name_of(player)} must return {expected}; "
+        f"it returned {type(value).__name__} {value!r:.80}"
+    )

@@ -1,0 +1,356 @@
+"""The RL-Glue state machine, without I/O.
+
+An engine turns each verb of an experiment into calls to the environment and the agent, one at a time.
+Its host (the hub over sockets, `glue.core.local` over function calls) carries each call out and hands the
+answer back:
+
+    step = engine.begin(Kind.RL_STEP)                 # a call for the environment
+    step = engine.resume(Kind.ENV_STEP, (r, t), obs)  # a call for the agent
+    step = engine.resume(Kind.AGENT_STEP, (), action) # the experiment's reply: step.kind is RL_STEP
+
+Each verb is a generator that reads like RL-Glue's own RL_glue.c: it yields calls and returns the
+reply. Bodies pass through untouched; the engine never looks into an observation or an action.
+
+What it keeps is what RL-Glue keeps: the last action, the return and the number of steps of the episode,
+the number of episodes. Nothing that an experiment may ask is refused for coming early, late or twice;
+what may come from whom, and when, is the table `LEGAL`.
+
+Source: RL-Glue 3.04, RL_glue.c.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Mapping
+from enum import Enum
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from glue.errors import LocalProtocolError, PeerLost, RemoteProtocolError
+from glue.protocol.messages import CALLS, Kind, Role, Value
+
+__all__ = ["EPISODE_VERBS", "LEGAL", "Engine", "State", "Step"]
+
+
+class State(Enum):
+    """Whose word the engine is waiting for."""
+
+    IDLE = "the experiment's next verb"
+    AWAITING_ENVIRONMENT = "the environment's answer"
+    AWAITING_AGENT = "the agent's answer"
+
+
+LEGAL: Final[Mapping[State, frozenset[Kind]]] = {
+    State.IDLE: frozenset(kind for kind, call in CALLS.items() if call.callee is None),
+    State.AWAITING_ENVIRONMENT: frozenset(k for k, c in CALLS.items() if c.callee is Role.ENVIRONMENT),
+    State.AWAITING_AGENT: frozenset(k for k, c in CALLS.items() if c.callee is Role.AGENT),
+}
+"""What may be said in each state. While an answer is awaited it must be the one to the call made."""
+
+EPISODE_VERBS: Final = frozenset(
+    {Kind.RL_STEP, Kind.RL_ENV_STEP, Kind.RL_AGENT_START, Kind.RL_AGENT_STEP, Kind.RL_AGENT_END}
+)
+"""Verbs that go on with an episode, and so make no sense once one of its players was replaced."""
+
+_INITIALISING: Final = frozenset({Kind.ENV_SEED, Kind.ENV_INIT, Kind.AGENT_SEED, Kind.AGENT_INIT})
+
+
+class Step(NamedTuple):
+    """A call to carry out, or, if `kind` is a verb, the reply to the experiment."""
+
+    kind: Kind
+    scalars: tuple[Value, ...] = ()
+    body: Any = b""
+
+
+Reply = tuple[tuple[Any, ...], Any]
+Verb = Generator[Step, Reply, Reply]
+
+_NO_SCALARS: Final[tuple[Value, ...]] = ()
+_ENV_START: Final = Step(Kind.ENV_START)
+
+
+class Engine:
+    """One experiment's RL-Glue.
+
+    Args:
+        empty_action: the action that RL_step executes before any agent gave one, in the host's form.
+
+    Attributes:
+        task_spec: what the environment returned from its last init; None before the first.
+        last_action: the action that the next RL_step executes.
+        total_reward: undiscounted sum of the rewards since the last start.
+        num_steps: 0 after init, 1 after start, one more with each step that did not end the episode.
+        num_episodes: episodes that reached a terminal step, and whose agent was told, since the last init.
+        asked: the call whose answer must come next; None while idle.
+        awaiting: its kind.
+        verb: the experiment's verb that is being carried out; None while idle.
+    """
+
+    def __init__(self, empty_action: Any) -> None:
+        self.task_spec: Any = None
+        self.last_action: Any = empty_action
+        self.total_reward = 0.0
+        self.num_steps = 0
+        self.num_episodes = 0
+        self.asked: Step | None = None
+        self.awaiting: Kind | None = None
+        self.verb: Kind | None = None
+        self._running: Verb | None = None
+        self._seed: int | None = None
+        self._started = False
+        self._void: str | None = None
+        self._uninitialised: set[Role] = set()
+
+    @property
+    def state(self) -> State:
+        """Whose word is awaited; see `LEGAL`."""
+        if self.awaiting is None:
+            return State.IDLE
+        if CALLS[self.awaiting].callee is Role.AGENT:
+            return State.AWAITING_AGENT
+        return State.AWAITING_ENVIRONMENT
+
+    def begin(self, verb: Kind, scalars: tuple[Value, ...] = _NO_SCALARS, body: Any = b"") -> Step:
+        """Start on an experiment's verb; return the first call, or at once the reply.
+
+        Raises:
+            LocalProtocolError: an earlier verb is still being carried out, or `verb` is none.
+            PeerLost: the episode that `verb` would go on with is void; start another.
+        """
+        if self._running is not None:
+            assert self.verb is not None
+            raise LocalProtocolError(f"{verb.name} came while {self.verb.name} is still being carried out")
+        if verb not in LEGAL[State.IDLE]:
+            raise LocalProtocolError(f"{verb.name} is not for an experiment to ask")
+        if self._void is not None and verb in EPISODE_VERBS:
+            raise PeerLost(f"the episode is void: {self._void}; start another")
+        self.verb = verb
+        self._running = _VERBS[verb](self, scalars, body)
+        return self._send(None)
+
+    def resume(self, kind: Kind, scalars: tuple[Value, ...], body: Any) -> Step:
+        """Take the answer to the call that is awaited; return the next call, or the reply.
+
+        Raises:
+            RemoteProtocolError: the answer is not to the call that was made.
+        """
+        if kind is not self.awaiting:
+            raise RemoteProtocolError(
+                f"{kind.name} was answered; "
+                + (f"{self.awaiting.name} was asked" if self.awaiting else "nothing was asked")
+            )
+        return self._send((scalars, body))
+
+    def _send(self, reply: Reply | None) -> Step:
+        running = self._running
+        assert running is not None
+        try:
+            step = running.send(reply)  # type: ignore[arg-type]
+        except StopIteration as stop:
+            verb = self.verb
+            assert verb is not None
+            self.abort()
+            return Step(verb, *stop.value)
+        if self._uninitialised:
+            step = self._initialised_first(step)
+        self.asked = step
+        self.awaiting = step[0]
+        return step
+
+    def abort(self) -> None:
+        """Forget the verb that is being carried out, if any; counters stay as they are."""
+        if self._running is not None:
+            self._running.close()
+        self._running = self.asked = self.verb = self.awaiting = None
+
+    @property
+    def in_episode(self) -> bool:
+        """Whether an episode is under way, so that losing a player makes it void."""
+        return self._started
+
+    def void(self, reason: str) -> None:
+        """Note that a player is gone: an episode under way cannot go on."""
+        if self._started:
+            self._void = reason
+            self._started = False
+
+    def replace(self, role: Role) -> None:
+        """Note that a player is a new one: it is initialised before anything else is asked of it.
+
+        If a call to it is awaited, `asked` may be another one afterwards.
+        """
+        if self.task_spec is not None:
+            self._uninitialised.add(role)
+        if self.asked is not None:
+            self.asked = self._initialised_first(self.asked)
+            self.awaiting = self.asked.kind
+
+    def _initialised_first(self, step: Step) -> Step:
+        """Return `step`, or what comes before it if it is for a player that was replaced."""
+        role = CALLS[step.kind].callee
+        if role not in self._uninitialised or step.kind in _INITIALISING:
+            return step
+        assert self._running is not None
+        self._running = self._bring_up(role, step, self._running)
+        return next(self._running)
+
+    def _bring_up(self, role: Role, step: Step, verb: Verb) -> Verb:
+        """Bring a replaced player to where RL_init left the other, then go on with `verb` from `step`."""
+        if role is Role.AGENT:
+            yield from self._init_agent()
+        else:
+            before = self.task_spec
+            yield from self._init_environment()
+            if self.task_spec != before:
+                self._uninitialised.add(Role.AGENT)
+        reply = yield step
+        try:
+            while True:
+                reply = yield verb.send(reply)
+        except StopIteration as stop:
+            outcome: Reply = stop.value
+            return outcome
+
+    # The verbs, in the order of RL-Glue's manual.
+
+    def _init(self, scalars: tuple[Any, ...], _: Any) -> Verb:
+        self._seed = scalars[0] if scalars else None
+        self._void = None
+        self._started = False
+        yield from self._init_environment()
+        yield from self._init_agent()
+        self.total_reward = 0.0
+        self.num_steps = 0
+        self.num_episodes = 0
+        return _NO_SCALARS, self.task_spec
+
+    def _init_environment(self) -> Generator[Step, Reply, None]:
+        if self._seed is not None:
+            yield Step(Kind.ENV_SEED, (role_seed(self._seed, Role.ENVIRONMENT),))
+        _, self.task_spec = yield Step(Kind.ENV_INIT)
+        self._uninitialised.discard(Role.ENVIRONMENT)
+
+    def _init_agent(self) -> Generator[Step, Reply, None]:
+        if self._seed is not None:
+            yield Step(Kind.AGENT_SEED, (role_seed(self._seed, Role.AGENT),))
+        yield Step(Kind.AGENT_INIT, _NO_SCALARS, self.task_spec)
+        self._uninitialised.discard(Role.AGENT)
+
+    def _start(self, _: tuple[Any, ...], __: Any) -> Verb:
+        _, observation = yield from self._env_start(_NO_SCALARS, None)
+        _, action = yield Step(Kind.AGENT_START, _NO_SCALARS, observation)
+        self.last_action = action
+        return _NO_SCALARS, (observation, action)
+
+    def _step(self, _: tuple[Any, ...], __: Any) -> Verb:
+        self._started = True
+        scalars, observation = yield Step(Kind.ENV_STEP, _NO_SCALARS, self.last_action)
+        reward, terminal = scalars
+        self.total_reward += reward
+        if terminal:
+            self._started = False
+            yield Step(Kind.AGENT_END, (reward,))
+            self.num_episodes += 1
+        else:
+            self.num_steps += 1
+            _, self.last_action = yield Step(Kind.AGENT_STEP, (reward,), observation)
+        return scalars, (observation, self.last_action)
+
+    def _episode(self, scalars: tuple[Any, ...], _: Any) -> Verb:
+        """Start, then step to the end or to the limit; the loop is `_step`, without its frame."""
+        max_steps = scalars[0]
+        yield from self._start(_NO_SCALARS, None)
+        while max_steps == 0 or self.num_steps < max_steps:
+            (reward, terminal), observation = yield Step(Kind.ENV_STEP, _NO_SCALARS, self.last_action)
+            self.total_reward += reward
+            if terminal:
+                self._started = False
+                yield Step(Kind.AGENT_END, (reward,))
+                self.num_episodes += 1
+                return (True,), None
+            self.num_steps += 1
+            _, self.last_action = yield Step(Kind.AGENT_STEP, (reward,), observation)
+        # Cut off: agent_end is not called and the episode is not counted.
+        self._started = False
+        return (False,), None
+
+    def _return(self, _: tuple[Any, ...], __: Any) -> Verb:
+        return (self.total_reward,), None
+        yield
+
+    def _num_steps(self, _: tuple[Any, ...], __: Any) -> Verb:
+        return (self.num_steps,), None
+        yield
+
+    def _num_episodes(self, _: tuple[Any, ...], __: Any) -> Verb:
+        return (self.num_episodes,), None
+        yield
+
+    def _cleanup(self, _: tuple[Any, ...], __: Any) -> Verb:
+        self._started = False
+        yield Step(Kind.ENV_CLEANUP)
+        yield Step(Kind.AGENT_CLEANUP)
+        return _NO_SCALARS, None
+
+    # Half steps, for experiments that stand between agent and environment themselves. None of them
+    # touches the last action: RL_step after them executes whatever RL_start or RL_step left.
+
+    def _env_start(self, _: tuple[Any, ...], __: Any) -> Verb:
+        self.total_reward = 0.0
+        self.num_steps = 1
+        self._started = True
+        self._void = None
+        return (yield _ENV_START)
+
+    def _env_step(self, _: tuple[Any, ...], action: Any) -> Verb:
+        self._started = True
+        scalars, observation = yield Step(Kind.ENV_STEP, _NO_SCALARS, action)
+        reward, terminal = scalars
+        self.total_reward += reward
+        if terminal:
+            self.num_episodes += 1
+            self._started = False
+        else:
+            self.num_steps += 1
+        return scalars, observation
+
+    @staticmethod
+    def _forward(kind: Kind) -> Callable[[Engine, tuple[Any, ...], Any], Verb]:
+        def verb(_: Engine, scalars: tuple[Any, ...], body: Any) -> Verb:
+            return (yield Step(kind, scalars, body))
+
+        return verb
+
+
+_VERBS: Final[Mapping[Kind, Callable[[Engine, tuple[Any, ...], Any], Verb]]] = {
+    Kind.RL_INIT: Engine._init,
+    Kind.RL_START: Engine._start,
+    Kind.RL_STEP: Engine._step,
+    Kind.RL_EPISODE: Engine._episode,
+    Kind.RL_RETURN: Engine._return,
+    Kind.RL_NUM_STEPS: Engine._num_steps,
+    Kind.RL_NUM_EPISODES: Engine._num_episodes,
+    Kind.RL_AGENT_MESSAGE: Engine._forward(Kind.AGENT_MESSAGE),
+    Kind.RL_ENV_MESSAGE: Engine._forward(Kind.ENV_MESSAGE),
+    Kind.RL_CLEANUP: Engine._cleanup,
+    Kind.RL_ENV_START: Engine._env_start,
+    Kind.RL_ENV_STEP: Engine._env_step,
+    Kind.RL_AGENT_START: Engine._forward(Kind.AGENT_START),
+    Kind.RL_AGENT_STEP: Engine._forward(Kind.AGENT_STEP),
+    Kind.RL_AGENT_END: Engine._forward(Kind.AGENT_END),
+    Kind.RL_AGENT_SAVE: Engine._forward(Kind.AGENT_SAVE),
+    Kind.RL_AGENT_LOAD: Engine._forward(Kind.AGENT_LOAD),
+    Kind.RL_ENV_SAVE: Engine._forward(Kind.ENV_SAVE),
+    Kind.RL_ENV_LOAD: Engine._forward(Kind.ENV_LOAD),
+}
+
+
+def role_seed(seed: int, role: Role) -> int:
+    """Return the seed that `role` is given by an experiment of this seed; 0 <= result < 2**63.
+
+    The two differ, so that agent and environment never share a stream of random numbers.
+    """
+    spawn_key = {Role.ENVIRONMENT: 0, Role.AGENT: 1, Role.EXPERIMENT: 2}[role]
+    words = np.random.SeedSequence(seed, spawn_key=(spawn_key,)).generate_state(1, np.uint64)
+    return int(words[0] >> np.uint64(1))

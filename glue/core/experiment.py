@@ -1,0 +1,185 @@
+"""The experiment's side of RL-Glue: its verbs, whatever carries them.
+
+`glue.local` and `glue.connect` both return an `Experiment`, so that the same program
+runs in one process or in three.
+"""
+
+from __future__ import annotations
+
+import operator
+from types import TracebackType
+from typing import Any, NamedTuple, Self, TypeVar
+
+from glue.errors import LocalProtocolError
+from glue.protocol.messages import Kind, Value
+from glue.types import Action, Observation
+
+__all__ = ["Experiment", "Start", "StepResult"]
+
+_T = TypeVar("_T")
+
+
+class Start(NamedTuple):
+    """What RL_start returns."""
+
+    observation: Observation
+    action: Action
+
+
+class StepResult(NamedTuple):
+    """What RL_step returns. On a terminal step `action` is the one that was just executed."""
+
+    reward: float
+    observation: Observation
+    terminal: bool
+    action: Action
+
+
+class Experiment:
+    """RL-Glue's verbs. Their meaning, corner by corner, is in docs/protocol.md.
+
+    Every verb may raise:
+        LocalProtocolError: an argument is of another type, or out of range; nothing was asked of anybody.
+        PeerLost: a player went away, in this verb or since the one before; the episode under way, or this
+            one, is void. Start it again.
+        PeerFailed: a player raised an exception or broke the protocol.
+        HubClosed: the hub ended the session.
+    """
+
+    def _call(self, kind: Kind, scalars: tuple[Value, ...] = (), body: Any = None) -> tuple[Any, Any]:
+        """Carry a verb out; return the scalars and the body of its reply."""
+        raise NotImplementedError
+
+    def close(self) -> None:
+        """Leave. RL_cleanup is not implied."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def rl_init(self, seed: int | None = None) -> str:
+        """Initialise the environment, then the agent; counters go to zero. Return the task spec.
+
+        `seed`, 0 to 2**63 - 1, reaches every player that offers the capability `seed`, before its init;
+        agent and environment are given different numbers derived from it.
+        """
+        if seed is not None:
+            seed = _whole(seed, 63, "a seed")
+        return _text(self._call(Kind.RL_INIT, (seed,))[1])
+
+    def rl_start(self) -> Start:
+        """Begin an episode; return the first observation and the agent's first action."""
+        observation, action = self._call(Kind.RL_START)[1]
+        return Start(observation, action)
+
+    def rl_step(self) -> StepResult:
+        """Execute the last action; return what came of it and the agent's next action."""
+        (reward, terminal), (observation, action) = self._call(Kind.RL_STEP)
+        return StepResult(reward, observation, terminal, action)
+
+    def rl_episode(self, max_steps: int = 0) -> bool:
+        """Run an episode; return whether it reached its end (True) or was cut off (False).
+
+        `max_steps`, 0 to 2**32 - 1, limits RL_num_steps, which is 1 after the start: the environment
+        makes at most `max_steps` - 1 steps. 0 is no limit.
+        """
+        (terminal,), _ = self._call(Kind.RL_EPISODE, (_whole(max_steps, 32, "a step limit"),))
+        return bool(terminal)
+
+    def rl_return(self) -> float:
+        """Return the undiscounted sum of the rewards since the last start."""
+        return float(self._call(Kind.RL_RETURN)[0][0])
+
+    def rl_num_steps(self) -> int:
+        """Return how many observations the agent was shown by start and step since the last start."""
+        return int(self._call(Kind.RL_NUM_STEPS)[0][0])
+
+    def rl_num_episodes(self) -> int:
+        """Return how many episodes reached their end since RL_init."""
+        return int(self._call(Kind.RL_NUM_EPISODES)[0][0])
+
+    def rl_agent_message(self, message: str) -> str:
+        """Send a text to the agent and return its answer."""
+        return _text(self._call(Kind.RL_AGENT_MESSAGE, (), _given(message, str))[1])
+
+    def rl_env_message(self, message: str) -> str:
+        """Send a text to the environment and return its answer."""
+        return _text(self._call(Kind.RL_ENV_MESSAGE, (), _given(message, str))[1])
+
+    def rl_cleanup(self) -> None:
+        """Clean up the environment, then the agent; counters stay."""
+        self._call(Kind.RL_CLEANUP)
+
+    def rl_env_start(self) -> Observation:
+        """Half of RL_start: begin an episode in the environment alone."""
+        return _observation(self._call(Kind.RL_ENV_START)[1])
+
+    def rl_env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        """Half of RL_step: execute `action` in the environment alone."""
+        (reward, terminal), observation = self._call(Kind.RL_ENV_STEP, (), _given(action, Action))
+        return reward, observation, terminal
+
+    def rl_agent_start(self, observation: Observation) -> Action:
+        """Half of RL_start: begin an episode with the agent alone."""
+        return _action(self._call(Kind.RL_AGENT_START, (), _given(observation, Observation))[1])
+
+    def rl_agent_step(self, reward: float, observation: Observation) -> Action:
+        """Half of RL_step: show the agent what came of its action."""
+        return _action(self._call(Kind.RL_AGENT_STEP, (float(reward),), _given(observation, Observation))[1])
+
+    def rl_agent_end(self, reward: float) -> None:
+        """Half of RL_step: tell the agent that the episode ended."""
+        self._call(Kind.RL_AGENT_END, (float(reward),))
+
+    def rl_agent_save(self) -> bytes:
+        """Return everything that the agent's later episodes depend on (capability `save`)."""
+        return bytes(self._call(Kind.RL_AGENT_SAVE)[1])
+
+    def rl_agent_load(self, data: bytes) -> None:
+        """Let the agent continue from what `rl_agent_save` returned."""
+        self._call(Kind.RL_AGENT_LOAD, (), _given(data, bytes))
+
+    def rl_env_save(self) -> bytes:
+        """Return everything that the environment's later episodes depend on (capability `save`)."""
+        return bytes(self._call(Kind.RL_ENV_SAVE)[1])
+
+    def rl_env_load(self, data: bytes) -> None:
+        """Let the environment continue from what `rl_env_save` returned."""
+        self._call(Kind.RL_ENV_LOAD, (), _given(data, bytes))
+
+
+def _whole(number: Any, bits: int, what: str) -> int:
+    """Return `number` as an int; it may be one of NumPy's."""
+    try:
+        whole = operator.index(number)
+    except TypeError:
+        raise LocalProtocolError(f"{what} is a whole number, not {number!r:.80}") from None
+    if not 0 <= whole < 2**bits:
+        raise LocalProtocolError(f"{what} is from 0 to 2^{bits} - 1, not {whole}")
+    return whole
+
+
+def _given(value: _T, kind: type[_T]) -> _T:
+    """Return `value` if it is of the type that is sent."""
+    if not isinstance(value, kind):
+        raise LocalProtocolError(f"a value of type {kind.__name__} is sent here, not {value!r:.80}")
+    return value
+
+
+def _text(body: Any) -> str:
+    assert isinstance(body, str)
+    return body
+
+
+def _observation(body: Any) -> Observation:
+    assert isinstance(body, Observation)
+    return body
+
+
+def _action(body: Any) -> Action:
+    assert isinstance(body, Action)
+    return body

@@ -1,0 +1,77 @@
+"""Agent, environment and experiment in one process: the engine over plain function calls.
+
+    from glue.core.local import local
+
+    with local(MyAgent(), MyEnvironment()) as glue:
+        glue.rl_init(seed=1)
+        while glue.rl_num_episodes() < 100:
+            glue.rl_episode(max_steps=1000)
+
+The numbers are those of the same three over a hub; only the sockets are gone.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from glue.core.calls import name_of, role_calls, skippable, unsupported
+from glue.core.engine import Engine, Step
+from glue.core.experiment import Experiment
+from glue.errors import GlueError, PeerFailed, Unsupported
+from glue.protocol.messages import CALLS, Kind, Role, Value
+from glue.roles import Agent, Environment
+from glue.types import Action
+
+__all__ = ["LocalExperiment", "local"]
+
+
+def local(agent: Agent, environment: Environment) -> LocalExperiment:
+    """Return an experiment on these two; call its verbs.
+
+    Raises:
+        PeerFailed: a method of the role is missing.
+    """
+    return LocalExperiment(agent, environment)
+
+
+class LocalExperiment(Experiment):
+    """RL-Glue's verbs over function calls. Made by `local`."""
+
+    def __init__(self, agent: Agent, environment: Environment) -> None:
+        self._engine = Engine(Action())
+        self._handlers = role_calls(Role.AGENT, agent) | role_calls(Role.ENVIRONMENT, environment)
+        self._names = {Role.AGENT: name_of(agent), Role.ENVIRONMENT: name_of(environment)}
+
+    def _call(self, kind: Kind, scalars: tuple[Value, ...] = (), body: Any = None) -> tuple[Any, Any]:
+        engine = self._engine
+        handlers = self._handlers
+        call, scalars, body = engine.begin(kind, scalars, body)
+        try:
+            while call is not kind:
+                handler = handlers.get(call)
+                if handler is None:
+                    call, scalars, body = self._without(call)
+                else:
+                    try:
+                        scalars, body = handler(scalars, body)
+                    except Exception as error:
+                        raise self._failure(call, error) from error
+                    call, scalars, body = engine.resume(call, scalars, body)
+        except BaseException:
+            engine.abort()
+            raise
+        return scalars, body
+
+    def _without(self, kind: Kind) -> Step:
+        """Go on past a call that its player does not offer."""
+        if skippable(kind):
+            return self._engine.resume(kind, (), None)
+        role = CALLS[kind].callee
+        assert role is not None
+        raise Unsupported(unsupported(kind, role, self._names[role]))
+
+    def _failure(self, kind: Kind, error: Exception) -> PeerFailed:
+        role = CALLS[kind].callee
+        assert role is not None
+        text = str(error) if isinstance(error, GlueError) else f"{type(error).__name__}: {error}"
+        return PeerFailed(f"{role} {self._names[role]} raised in {kind.name.lower()}: {text}")

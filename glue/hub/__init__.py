@@ -1,0 +1,1 @@
+"""The hub: an event loop on plain sockets that serves many sessions."""

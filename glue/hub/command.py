@@ -1,0 +1,119 @@
+"""`glue-hub`: a hub alone, for experiments that connect from outside."""
+
+from __future__ import annotations
+
+import resource
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Final
+
+import click
+
+from glue import __version__
+from glue.commands import Terminated, legacy_port_option, run
+from glue.config import DEFAULT_HUB, HubConfig, LegacyPort
+from glue.hub.server import Hub
+from glue.legacy.gateway import Gateway
+
+__all__ = ["hub", "main"]
+
+_DEFAULTS: Final = HubConfig()
+
+
+@click.command()
+@click.option(
+    "--bind",
+    multiple=True,
+    default=(DEFAULT_HUB,),
+    show_default=True,
+    metavar="URL",
+    help="Address to listen on: tcp://host:port or ipc://path. Repeat it for several.",
+)
+@click.option(
+    "--heartbeat",
+    type=float,
+    default=_DEFAULTS.heartbeat,
+    show_default=True,
+    help="Seconds between signs of life.",
+)
+@click.option(
+    "--patience",
+    type=float,
+    default=_DEFAULTS.patience,
+    show_default=True,
+    help="Seconds that a peer may be out of reach before its episode is void.",
+)
+@click.option(
+    "--max-sessions",
+    type=click.IntRange(1),
+    default=_DEFAULTS.max_sessions,
+    show_default=True,
+    help="Sessions served at once.",
+)
+@legacy_port_option
+@click.option("--insecure", is_flag=True, help="Allow addresses that other machines can reach.")
+@click.version_option(__version__, prog_name="glue-hub")
+def hub(
+    bind: tuple[str, ...],
+    heartbeat: float,
+    patience: float,
+    max_sessions: int,
+    legacy_port: tuple[str, ...],
+    insecure: bool,
+) -> None:
+    """Run a hub alone, until Ctrl-C.
+
+    Environments, agents and experiments connect to it; a session is one of each, paired by name. An
+    experiment started with glue-experiment brings its own hub, and needs none of these.
+
+    \b
+    Examples:
+      glue-hub
+      glue-hub --bind tcp://127.0.0.1:5000
+      glue-experiment --hub tcp://127.0.0.1:5000 --session a --episodes 100
+      glue-hub --legacy-port 4096 --legacy-port 5096=b
+    """
+    config = HubConfig(
+        bind=bind,
+        heartbeat=heartbeat,
+        patience=patience,
+        max_sessions=max_sessions,
+        insecure=insecure,
+    )
+    ports = [LegacyPort.parse(text, insecure=insecure) for text in legacy_port]
+    serve_until_interrupted(config, ports)
+
+
+def serve_until_interrupted(config: HubConfig, ports: Sequence[LegacyPort] = ()) -> None:
+    """Serve until Ctrl-C or SIGTERM; every peer is told."""
+    _allow_many_connections()
+    running = Hub(config, log=_log)
+    gateway = Gateway(running, ports, _log)
+    for endpoint in running.endpoints:
+        _log(f"listening on {endpoint}")
+    for port in gateway.ports:
+        _log(f"listening for original RL-Glue programs on {port}")
+    with running.in_background():
+        try:
+            running.wait()
+        except KeyboardInterrupt as interrupt:
+            name = "SIGTERM" if isinstance(interrupt, Terminated) else "SIGINT"
+            running.stop(f"the hub was stopped by {name}")
+            _log(f"stopped by {name}")
+
+
+def _allow_many_connections() -> None:
+    """Take all descriptors that the system allows: a tournament needs one for each of its peers."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with suppress(ValueError, OSError):  # macOS calls it infinite, and refuses that
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+
+
+def _log(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def main() -> None:
+    """Run `glue-hub`."""
+    run(hub)

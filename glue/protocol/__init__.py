@@ -1,0 +1,1 @@
+"""The protocol of docs/protocol.md without I/O: messages, their frames, and ZeroMQ's wire protocol."""

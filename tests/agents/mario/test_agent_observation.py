@@ -1,0 +1,95 @@
+"""Observations of Infinite Mario: what is read, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agents.mario.observation import CHARS, MAX_SPRITES, Screen, read
+from agents.mario.sample import SampleAgent
+from agents.mohan2010.hierarchical import HierarchicalAgent
+from glue.compiled.records import new
+from glue.errors import RemoteProtocolError
+from glue.roles import Agent
+from glue.types import Observation
+
+if TYPE_CHECKING:
+    from tests.agents.conftest import Draw
+
+
+def screen_of(observation: Observation) -> Screen | None:
+    screens = new(Screen)
+    if not read(observation.body, cast(Screen, screens[0])):
+        return None
+    return cast(Screen, screens.view(np.recarray)[0])
+
+
+def test_mario_is_kept_apart_from_the_other_sprites(draw: Draw) -> None:
+    monsters = [(3, 5.25, 1.5, -0.5, 0.25), (9, 6.0, 2.0, 1.0, -1.0)]
+    screen = screen_of(draw("M", monsters=monsters, mario=11, at=(0.5, 0.75), speed=(0.125, -2.0)))
+    assert screen is not None
+    mario = screen.mario
+    assert (mario.kind, mario.x, mario.y, mario.speed_x, mario.speed_y) == (11, 0.5, 0.75, 0.125, -2.0)
+    assert screen.count == 2
+    seen = [(s.kind, s.x, s.y, s.speed_x, s.speed_y) for s in screen.sprites[:2]]
+    assert seen == monsters
+
+
+def test_as_many_sprites_as_there_is_room_for_are_read() -> None:
+    def crowd(sprites: int) -> Observation:
+        return Observation([0] * (1 + 2 * sprites), [1.0] * (4 * sprites), b" " * CHARS)
+
+    full = screen_of(crowd(MAX_SPRITES))
+    assert full is not None
+    assert full.count == MAX_SPRITES - 1
+    assert screen_of(crowd(MAX_SPRITES + 1)) is None
+    assert screen_of(crowd(0)) is None
+
+
+@given(ints=st.integers(0, 9), doubles=st.integers(0, 17), chars=st.integers(CHARS - 1, CHARS + 1))
+def test_only_marios_layout_is_read(ints: int, doubles: int, chars: int) -> None:
+    observation = Observation([0] * ints, [1.0] * doubles, b" " * chars)
+    fits = ints % 2 == 1 and ints >= 3 and doubles == 2 * (ints - 1) and chars == CHARS
+    assert (screen_of(observation) is not None) is fits
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf, 2.0**31])
+@pytest.mark.parametrize("place", [0, 1, 2, 3, 4, 7])
+def test_places_and_speeds_must_be_finite_and_near(draw: Draw, number: float, place: int) -> None:
+    good = draw("M", monsters=[(3, 1.0, 1.0, 0.0, 0.0)])
+    doubles = good.doubles.tolist()
+    doubles[place] = number
+    assert screen_of(Observation(good.ints, doubles, good.chars)) is None
+
+
+@given(
+    ints=st.lists(st.integers(-(2**31), 2**31 - 1), min_size=5, max_size=5),
+    doubles=st.lists(st.floats(), min_size=8, max_size=8),
+    chars=st.binary(min_size=CHARS, max_size=CHARS),
+)
+def test_whatever_fills_the_layout_an_agent_acts_or_refuses(
+    ints: list[int], doubles: list[float], chars: bytes
+) -> None:
+    task_spec = (
+        "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 ACTIONS INTS (-1 1) (2 0 1) REWARDS (0 1)"
+    )
+    observation = Observation(ints, doubles, chars)
+    agents: list[Agent] = [HierarchicalAgent(), SampleAgent()]
+    for agent in agents:
+        agent.agent_init(task_spec)
+        try:
+            assert agent.agent_start(observation).counts == (3, 0, 0)
+        except RemoteProtocolError:
+            assert not all(abs(number) < 2.0**31 for number in doubles)
+
+
+def test_an_observation_of_another_task_is_refused_with_what_came(task_spec: str) -> None:
+    agent = HierarchicalAgent()
+    agent.agent_init(task_spec)
+    with pytest.raises(RemoteProtocolError, match="one of 1 ints, 0 doubles and 0 chars came"):
+        agent.agent_start(Observation([7]))

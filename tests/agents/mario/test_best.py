@@ -1,0 +1,376 @@
+"""The agent `best`: on a walk one can reckon, and on levels of Mario's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from agents.checkpoint import Checkpoint, CheckpointError, pack, unpack
+from agents.mario.archive import Archive
+from agents.mario.best import BestAgent
+from agents.mario.klo import ACTIONS, LEFT, klo
+from env_server.mario.environment import InfiniteMario
+from glue.errors import ConfigError, RemoteProtocolError
+from glue.options import parameters
+from glue.roles import Environment, capabilities
+from glue.testing import check_agent
+from glue.types import Action, Observation
+from tests.agents.topologies import check_same_over_sockets
+
+if TYPE_CHECKING:
+    from tests.agents.conftest import Draw
+
+TASK_SPEC = (
+    "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 "
+    "ACTIONS INTS (-1 1) (2 0 1)  REWARDS (-10.0 100.0)"
+)
+RUN_LEFT = ACTIONS[klo(LEFT, False, True)]
+
+
+@dataclass
+class Walk:
+    """A walk seen as Mario's: a tile a step, to be jumped over pits; coins only for those who jump.
+
+    The rewards are Mario's: +100 at the goal, -10 for a pit or at the step limit, +1 for a coin, and
+    -0.01 a step. As in Mario's, the last direction of an episode pushes the start of the next, if
+    `pushed`. Mario is a sprite of `kinds`, by column from the left.
+    """
+
+    goal: int = 25
+    pits: tuple[int, ...] = (9, 15)
+    coins: tuple[int, ...] = (6, 20, 21)
+    pushed: bool = True
+    max_steps: int = 60
+    x: int = field(default=0, init=False)
+    direction: int = field(default=0, init=False)
+
+    def env_init(self) -> str:
+        self.direction = 0
+        return TASK_SPEC
+
+    def env_start(self) -> Observation:
+        self.x = 2 + self.direction * self.pushed
+        self.steps = 0
+        self.taken: set[int] = set()
+        return self._see()
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        self.direction, jump, _ = action.ints.tolist()
+        self.x = max(0, self.x + self.direction)
+        self.steps += 1
+        if self.x == self.goal:
+            return 100.0, self._see(), True
+        if (self.x in self.pits and not jump) or self.steps == self.max_steps:
+            return -10.0, self._see(), True
+        coin = self.x in self.coins and bool(jump) and self.x not in self.taken
+        self.taken |= {self.x} if coin else set()
+        return coin - 0.01, self._see(), False
+
+    def env_cleanup(self) -> None:
+        pass
+
+    def env_message(self, message: str) -> str:
+        return ""
+
+    def _see(self) -> Observation:
+        return Observation([0, 0, 0], [self.x + 0.5, 2.0, 0.0, 0.0], b" " * 352)
+
+
+def play(agent: BestAgent, environment: Environment, episodes: int) -> tuple[list[list[Action]], list[float]]:
+    """Return every episode's actions and return, of an agent that is past its init."""
+    actions, returns = [], []
+    for _ in range(episodes):
+        action = agent.agent_start(environment.env_start())
+        actions.append([action])
+        total, terminal = 0.0, False
+        while not terminal:
+            reward, observation, terminal = environment.env_step(action)
+            total += reward
+            if not terminal:
+                action = agent.agent_step(reward, observation)
+                actions[-1].append(action)
+        agent.agent_end(reward)
+        returns.append(total)
+    return actions, returns
+
+
+def started(environment: Environment, seed: int = 1, **options: Any) -> BestAgent:
+    """Return an agent past its init."""
+    agent = BestAgent(seed=seed, **options)
+    agent.agent_init(environment.env_init())
+    return agent
+
+
+def short_level(difficulty: int = 0) -> InfiniteMario:
+    return InfiniteMario(level_seed=7, level_width=60, max_trial_steps=300, level_difficulty=difficulty)
+
+
+def memory(agent: BestAgent) -> dict[str, bytes]:
+    """Return what an agent remembers of its worlds."""
+    arrays = unpack(agent.agent_save(), "best", {}).arrays
+    return {name: array.tobytes() for name, array in arrays.items() if name != "generator"}
+
+
+def worlds(agent: BestAgent) -> int:
+    """Return how many worlds an agent remembers."""
+    return len(unpack(agent.agent_save(), "best", {}).arrays["worlds"])
+
+
+def greatest_return(walk: Walk) -> float:
+    """Return what a faultless episode earns: four steps to settle at the edge, then a jump at every tile."""
+    return 100.0 + len(walk.coins) - 0.01 * (4 + walk.goal - 1)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_best_way_of_a_walk_is_found_and_then_repeated(seed: int) -> None:
+    walk = Walk()
+    agent = started(walk, seed, horizon=600)
+    actions, returns = play(agent, walk, 700)
+    assert max(returns) == pytest.approx(greatest_return(walk))
+    assert returns[600:] == [max(returns)] * 100
+    assert all(each == actions[-1] for each in actions[600:])
+    assert agent.agent_message("best") == repr(max(returns))
+
+
+def test_every_episode_settles_at_the_edge_so_that_there_is_one_world() -> None:
+    walk = Walk()
+    agent = started(walk)
+    actions, _ = play(agent, walk, 50)
+    assert all(each[:4] == [RUN_LEFT] * 4 for each in actions)
+    assert len({each[4] for each in actions}) > 1
+    assert worlds(agent) == 1
+
+
+def test_worlds_that_begin_differently_are_remembered_apart() -> None:
+    """A walk that begins far from the edge: where the last episode ended decides where the next begins."""
+
+    class FarWalk(Walk):
+        def env_start(self) -> Observation:
+            observation = super().env_start()
+            self.x += 8 * self.pushed
+            return observation if not self.pushed else self._see()
+
+    walk = FarWalk(pits=(16,), coins=(18,))
+    agent = started(walk, horizon=800)
+    _, returns = play(agent, walk, 900)
+    assert worlds(agent) > 1
+    assert min(returns[-100:]) > 100.0
+
+
+def test_more_worlds_than_can_be_kept_are_not_kept(draw: Draw, task_spec: str) -> None:
+    agent = BestAgent()
+    agent.agent_init(task_spec)
+    for x in range(40):
+        screen = draw("7" * 21, at=(float(x), 2.0))
+        agent.agent_start(screen)
+        for _ in range(8):
+            agent.agent_step(-0.01, screen)
+        agent.agent_end(-10.0)
+    assert worlds(agent) == 8
+
+
+def test_when_the_world_changes_the_agent_begins_anew() -> None:
+    walk = Walk()
+    agent = started(walk, horizon=400)
+    _, returns = play(agent, walk, 450)
+    assert returns[-1] == pytest.approx(greatest_return(walk))
+    other = replace(walk, goal=12, pits=(5, 6, 10), coins=(4,))
+    _, returns = play(agent, other, 450)
+    assert returns[-50:] == pytest.approx([greatest_return(other)] * 50)
+
+
+def test_an_episode_explores_less_and_less_and_never_after_the_horizon() -> None:
+    walk = Walk()
+    agent = started(walk, horizon=10)
+    chances = []
+    for _ in range(12):
+        chances.append(float(agent.agent_message("epsilon")))
+        play(agent, walk, 1)
+    assert chances == pytest.approx([*(1 - (n / 10) ** 3 for n in range(10)), 0.0, 0.0])
+    assert float(started(walk, epsilon=0.5).agent_message("epsilon")) == 0.5
+
+
+def test_without_exploring_the_first_episode_is_repeated() -> None:
+    walk = Walk(pushed=False)
+    actions, _ = play(started(walk, epsilon=0.0), walk, 20)
+    assert actions == [actions[0]] * 20
+
+
+def test_an_episode_that_was_cut_off_leaves_its_places() -> None:
+    walk = Walk()
+    agent = started(walk)
+    action = agent.agent_start(walk.env_start())
+    for _ in range(30):
+        reward, observation, terminal = walk.env_step(action)
+        if terminal:
+            break
+        action = agent.agent_step(reward, observation)
+    assert agent.agent_message("best") == "none"
+    assert int(agent.agent_message("cells")) > 0
+    _, returns = play(agent, walk, 1)
+    assert agent.agent_message("best") == repr(returns[0])
+
+
+def test_an_episode_that_ends_while_settling_teaches_nothing(draw: Draw, task_spec: str) -> None:
+    agent = BestAgent()
+    agent.agent_init(task_spec)
+    for _ in range(3):
+        agent.agent_start(draw("M"))
+        agent.agent_step(-0.01, draw("M"))
+        agent.agent_end(-10.0)
+    assert agent.agent_message("best") == "none"
+
+
+def test_an_endless_episode_takes_no_more_than_so_much_memory(draw: Draw, task_spec: str) -> None:
+    agent = BestAgent()
+    agent.agent_init(task_spec)
+    screen = draw("M", "7" * 21)
+    agent.agent_start(screen)
+    for _ in range(5000):
+        agent.agent_step(1.0, screen)
+    agent.agent_end(1.0)
+    assert agent.agent_message("best") == "none"
+    assert len(agent.agent_save()) < 10_000
+
+
+@pytest.mark.parametrize("difficulty", [0, 3])
+def test_a_short_level_is_finished_better_and_better(difficulty: int) -> None:
+    environment = short_level(difficulty)
+    _, returns = play(started(environment, horizon=400), environment, 420)
+    assert returns[-20:] == [max(returns)] * 20
+    assert max(returns) > 100.0
+    assert max(returns) > max(returns[:20])
+
+
+def test_the_same_seed_gives_the_same_actions() -> None:
+    def actions(experiments_seed: int, own_seed: int | None = None) -> list[list[Action]]:
+        agent, environment = BestAgent(seed=own_seed), short_level()
+        agent.agent_seed(experiments_seed)
+        agent.agent_init(environment.env_init())
+        return play(agent, environment, 20)[0]
+
+    assert actions(3) == actions(3)
+    assert actions(3) != actions(4)
+    assert actions(4, own_seed=3) == actions(3)
+
+
+def test_init_forgets_everything() -> None:
+    environment = short_level()
+    agent = started(environment)
+    first = play(agent, environment, 20)
+    agent.agent_cleanup()
+    agent.agent_init(environment.env_init())
+    assert play(agent, environment, 20) == first
+
+
+def test_an_agent_loaded_goes_on_as_the_one_that_was_saved() -> None:
+    environment = short_level(1)
+    agent = started(environment)
+    play(agent, environment, 60)
+    saved = agent.agent_save()
+    other = started(short_level(), seed=2)
+    twin = short_level(1)
+    twin.env_init()
+    twin.env_load(environment.env_save())
+    other.agent_load(saved)
+    assert other.agent_save() == saved
+    assert play(other, twin, 60) == play(agent, environment, 60)
+    assert other.agent_save() == agent.agent_save() != saved
+
+
+def test_without_learning_the_best_episode_is_repeated_and_nothing_changes() -> None:
+    environment = short_level()
+    agent = started(environment)
+    _, returns = play(agent, environment, 100)
+    watched = started(environment, learning=False)
+    watched.agent_load(agent.agent_save())
+    assert play(watched, environment, 5)[1] == [max(returns)] * 5
+    other = short_level(3)
+    other.env_init()
+    play(watched, other, 5)
+    environment.env_init()
+    assert play(watched, environment, 1)[1] == [max(returns)]
+    assert memory(watched) == memory(agent)
+
+
+def test_another_task_is_refused_in_words() -> None:
+    with pytest.raises(ConfigError, match="agent best plays Infinite Mario alone"):
+        BestAgent().agent_init("VERSION RL-Glue-3.0 PROBLEMTYPE episodic")
+
+
+@pytest.mark.parametrize(
+    "observation",
+    [
+        Observation(),
+        Observation([0, 0, 0], [1.0, 2.0, 0.0, 0.0], b" " * 351),
+        Observation([0, 0], [1.0, 2.0, 0.0, 0.0], b" " * 352),
+        Observation([0], [], b" " * 352),
+        Observation([0, 0, 0], [float("nan"), 2.0, 0.0, 0.0], b" " * 352),
+        Observation([0, 0, 0], [1.0, 2.0**31, 0.0, 0.0], b" " * 352),
+    ],
+)
+def test_another_tasks_observation_is_refused(task_spec: str, observation: Observation) -> None:
+    agent = BestAgent()
+    agent.agent_init(task_spec)
+    with pytest.raises(RemoteProtocolError, match="is the environment Mario"):
+        agent.agent_start(observation)
+
+
+def test_messages_are_answered(task_spec: str) -> None:
+    agent = BestAgent()
+    agent.agent_init(task_spec)
+    assert [agent.agent_message(each) for each in ("best", "cells", "epsilon")] == ["none", "0", "1.0"]
+    assert "answers the messages best, cells and epsilon only" in agent.agent_message("hello")
+
+
+def test_every_option_is_explained() -> None:
+    assert all(option.option.help for option in parameters(BestAgent).values())
+    assert capabilities(BestAgent()) == ("save", "seed")
+
+
+GENERATOR = np.zeros(40, np.int8)
+WORLDS = np.array([7])
+NO_WORLDS = np.empty(0, np.int64)
+ARCHIVE = {f"0 {name}": array for name, array in Archive().arrays().items()}
+
+
+@pytest.mark.parametrize(
+    ("episodes", "arrays"),
+    [
+        (3, {"worlds": NO_WORLDS}),
+        (3, {"worlds": NO_WORLDS, "generator": GENERATOR[:39]}),
+        (-1, {"worlds": NO_WORLDS, "generator": GENERATOR}),
+        (3, {"generator": GENERATOR}),
+        (3, {"worlds": np.empty(0), "generator": GENERATOR}),
+        (3, {"worlds": WORLDS, "generator": GENERATOR}),
+        (3, {"worlds": WORLDS, "generator": GENERATOR, **ARCHIVE, "0 values": np.zeros(1)}),
+        (3, {"worlds": np.array([7, 8]), "generator": GENERATOR, **ARCHIVE}),
+        (3, {"worlds": np.arange(9), "generator": GENERATOR, **ARCHIVE}),
+    ],
+)
+def test_what_the_agent_cannot_have_saved_is_refused(
+    task_spec: str, episodes: int, arrays: dict[str, Any]
+) -> None:
+    agent = BestAgent()
+    agent.agent_init(task_spec)
+    before = agent.agent_save()
+    with pytest.raises(CheckpointError):
+        agent.agent_load(pack(Checkpoint("best", {}, {"episodes": episodes}, arrays)))
+    assert agent.agent_save() == before
+    whole = {"worlds": WORLDS, "generator": GENERATOR, **ARCHIVE}
+    agent.agent_load(pack(Checkpoint("best", {}, {"episodes": 3}, whole)))
+    assert agent.agent_save() != before
+
+
+def test_the_agent_keeps_the_contract(draw: Draw, task_spec: str) -> None:
+    def screen(generator: np.random.Generator) -> Observation:
+        return draw("7" * 21, at=(float(generator.uniform(0, 21)), float(generator.uniform(-1, 17))))
+
+    check_agent(BestAgent, task_spec, observation=screen)
+
+
+def test_over_sockets_the_agent_acts_as_in_one_process() -> None:
+    check_same_over_sockets(BestAgent, short_level)

@@ -1,0 +1,129 @@
+"""The sample agent: the original's actions, its generator, its memory."""
+
+from __future__ import annotations
+
+import gzip
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from agents.mario.klo import ACTIONS
+from agents.mario.sample import JavaRandom, SampleAgent
+from env_server.mario.environment import InfiniteMario
+from glue.errors import RemoteProtocolError
+from glue.types import Action, Observation
+
+if TYPE_CHECKING:
+    from tests.agents.conftest import Draw
+
+GOLDEN = Path(__file__).parents[2] / "golden" / "sample_agent.jsonl.gz"
+
+
+def runs() -> Iterator[tuple[dict[str, Any], list[list[list[int]]]]]:
+    """Yield every recorded run and its actions, step by step, episode by episode."""
+    run: dict[str, Any] = {}
+    episodes: list[list[list[int]]] = []
+    with gzip.open(GOLDEN, "rt") as lines:
+        for line in map(json.loads, lines):
+            if line["kind"] == "run":
+                if run:
+                    yield run, episodes
+                run, episodes = line, []
+            elif line["kind"] == "start":
+                episodes.append([])
+            elif line["kind"] == "step":
+                episodes[-1].append(line["a"])
+    yield run, episodes
+
+
+def test_the_originals_actions_step_for_step() -> None:
+    compared = 0
+    for run, episodes in runs():
+        agent = SampleAgent(seed=run["policy_seed"])
+        agent.agent_seed(99)  # A seed given as an option is not to be overridden.
+        environment = InfiniteMario(
+            level_seed=run["level_seed"],
+            level_type=run["level_type"],
+            level_difficulty=run["level_difficulty"],
+        )
+        agent.agent_init(environment.env_init())
+        assert len(episodes) == 30
+        for actions in episodes:
+            action = agent.agent_start(environment.env_start())
+            terminal = False
+            for recorded in actions:
+                assert not terminal
+                assert action == Action(recorded)
+                reward, observation, terminal = environment.env_step(action)
+                if terminal:
+                    agent.agent_end(reward)
+                else:
+                    action = agent.agent_step(reward, observation)
+                compared += 1
+            assert terminal
+    assert compared == 15_490
+
+
+@pytest.mark.parametrize(
+    ("seed", "draws"),
+    [
+        (0, [0.730967787376657, 0.24053641567148587, 0.6374174253501083]),
+        (42, [0.7275636800328681, 0.6832234717598454, 0.30871945533265976]),
+        (42 + 2**48, [0.7275636800328681]),
+    ],
+)
+def test_the_generator_is_javas(seed: int, draws: list[float]) -> None:
+    """Numbers as `new Random(seed).nextDouble()` gives them; the lowest 48 bits of a seed count."""
+    random = JavaRandom(seed)
+    assert [random.next_double() for _ in draws] == draws
+
+
+def test_all_but_the_last_seven_actions_are_repeated(draw: Draw, task_spec: str) -> None:
+    screen = draw("M", "7" * 21)
+
+    def episode(steps: int) -> list[int]:
+        actions = [agent.agent_start(screen), *(agent.agent_step(0.0, screen) for _ in range(steps - 1))]
+        agent.agent_end(-10.0)
+        return [ACTIONS.index(action) for action in actions]
+
+    agent = SampleAgent(seed=5)
+    agent.agent_init(task_spec)
+    first = episode(40)
+    second = episode(40)
+    assert second[:33] == first[:33]
+    assert second[33:] != first[33:]
+    third = episode(20)
+    assert third == second[:20]
+    assert episode(40)[:13] == second[:13]
+    episode(7)
+    fresh = [episode(1) for _ in range(60)]
+    assert len({action for (action,) in fresh}) > 1
+
+
+def test_an_episode_that_was_cut_off_is_not_remembered(draw: Draw, task_spec: str) -> None:
+    screen = draw("M", "7" * 21)
+    agent = SampleAgent(seed=5)
+    agent.agent_init(task_spec)
+    first = [agent.agent_start(screen), *(agent.agent_step(0.0, screen) for _ in range(19))]
+    agent.agent_end(0.0)
+    for _ in range(3):
+        agent.agent_start(screen)
+    repeated = [agent.agent_start(screen), *(agent.agent_step(0.0, screen) for _ in range(12))]
+    assert repeated == first[:13]
+
+
+@pytest.mark.parametrize("y", [-5.0, -0.5, 0.0, 17.5, 2.0e9])
+def test_mario_outside_the_screen_is_no_trouble(draw: Draw, task_spec: str, y: float) -> None:
+    agent = SampleAgent(seed=1)
+    agent.agent_init(task_spec)
+    assert agent.agent_start(draw("7" * 21, at=(3.0, y))) in ACTIONS
+
+
+def test_another_tasks_observation_is_refused(task_spec: str) -> None:
+    agent = SampleAgent()
+    agent.agent_init(task_spec)
+    with pytest.raises(RemoteProtocolError, match="is the environment Mario"):
+        agent.agent_start(Observation([1, 2, 3], [0.5], b"?"))

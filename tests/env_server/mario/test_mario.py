@@ -1,0 +1,319 @@
+"""Infinite Mario as an environment: its options, calls, messages and what outlives an episode."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import struct
+import zlib
+from typing import Any
+
+import pytest
+
+from env_server.mario import environment as mario
+from env_server.mario.environment import InfiniteMario
+from glue.errors import SimulatorError
+from glue.options import build, parameters
+from glue.roles import capabilities
+from glue.types import Action, Observation
+
+Options = dict[str, Any]
+RUN_RIGHT = Action(ints=[1, 0, 1])
+JUMP_RIGHT = Action(ints=[1, 1, 1])
+STAND = Action(ints=[0, 0, 0])
+
+
+def begun(**options: Any) -> InfiniteMario:
+    environment = InfiniteMario(**options)
+    environment.env_init()
+    environment.env_start()
+    return environment
+
+
+def play_to_the_end(environment: InfiniteMario, action: Action) -> tuple[float, Observation]:
+    """Repeat an action; return the last reward and observation."""
+    while True:
+        reward, observation, ended = environment.env_step(action)
+        if ended:
+            return reward, observation
+
+
+@pytest.mark.parametrize(
+    ("options", "steps", "returns", "digest"),
+    [
+        ({}, (134, 134), (-0.33, 0.67), "7fb080c3e957e60c"),
+        ({"instance": 1}, (134, 134), (-1.33, -1.33), "b5bbe74fdae9d27e"),
+        ({"instance": 2}, (134, 134), (-101.33, -101.33), "b4a2ff1c1e15304e"),
+        ({"instance": 3}, (101, 101), (8.0, 9.0), "040ec455c059ab5f"),
+        ({"instance": 4}, (101, 101), (-1.0, -1.0), "f8f6ec4404068419"),
+        ({"instance": 5}, (400, 400), (-3.0, -3.0), "a41d6549e12ba8b4"),
+        ({"instance": 6}, (83, 196), (-2.82, 111.05), "88bb66879e56e702"),
+        ({"instance": 7}, (62, 62), (-4.61, -2.61), "7271e86366392b82"),
+        ({"instance": 8}, (134, 134), (-0.33, 0.67), "7fb080c3e957e60c"),
+        ({"instance": 9}, (162, 162), (7.39, 9.39), "479976f2e0da568f"),
+        ({"mdp": "proving-1"}, (119, 119), (-1.18, -1.18), "772489e824106323"),
+        ({"mdp": "proving-2"}, (11, 11), (-10.1, -10.1), "9ea476fcf3b84fd7"),
+        ({"mdp": "proving-3"}, (10, 10), (-10.09, -10.09), "54b557502e81cdbd"),
+        ({"mdp": "proving-4"}, (10, 10), (-0.09, -0.09), "aeb4fecafc5ea1ef"),
+        ({"mdp": "proving-5"}, (10, 10), (-0.09, -0.09), "0978e3be8f2347d8"),
+        ({"mdp": "proving-6"}, (22, 22), (-0.21, -0.21), "452f0cd82abfb861"),
+        ({"mdp": "proving-7"}, (7, 7), (-0.06, -0.06), "918f3099913efe21"),
+        ({"mdp": "proving-8"}, (5, 22), (-0.04, -0.21), "616a65760c9eba50"),
+        ({"mdp": "proving-9"}, (17, 28), (-4.16, -7.27), "8aa02c9f8ead1012"),
+        ({"mdp": "proving-10"}, (8, 8), (-10.07, -10.07), "b0dd479b4f007fbc"),
+        ({"mdp": "testing-1"}, (30, 27), (-7.29, -9.26), "684dabe88645d2ae"),
+        ({"mdp": "testing-2"}, (7, 7), (-10.06, -10.06), "a8968b084049d017"),
+        ({"mdp": "testing-3"}, (8, 7), (-10.07, -10.06), "253eb0c9af72cd15"),
+        ({"mdp": "testing-4"}, (14, 9), (-0.13, -0.08), "fb3f4df96b8c5d56"),
+        ({"mdp": "testing-5"}, (6, 6), (-0.05, -0.05), "75f04d217d5fcdab"),
+        ({"mdp": "testing-6"}, (6, 7), (-0.05, -0.06), "7aba4081e8773dcc"),
+        ({"mdp": "testing-7"}, (12, 12), (-0.11, -0.11), "3044027a1a16e10f"),
+        ({"mdp": "testing-8"}, (4, 4), (-0.03, -0.03), "fabf028a41da4dff"),
+        ({"mdp": "testing-9"}, (43, 43), (-8.42, -8.42), "b7b17dc733a5ee96"),
+        ({"mdp": "testing-10"}, (9, 9), (-10.08, -10.08), "e8ef971f371523a9"),
+    ],
+)
+def test_published_task_plays_as_the_original(
+    options: Options, steps: tuple[int, int], returns: tuple[float, float], digest: str
+) -> None:
+    """Two episodes of at most 400 fixed actions, against digests taken from the original."""
+    environment = build(InfiniteMario, options)
+    environment.env_init()
+    seen = hashlib.sha256()
+    for expected_steps, expected_return in zip(steps, returns, strict=True):
+        seen.update(packed(0.0, environment.env_start(), False))
+        rewards: list[float] = []
+        ended = False
+        while not ended and len(rewards) < 400:
+            i = len(rewards)
+            action = Action(ints=[-1 if i % 23 >= 20 else 1, i % 7 < 4, i % 11 < 8])
+            reward, observation, ended = environment.env_step(action)
+            rewards.append(reward)
+            seen.update(packed(reward, observation, ended))
+        assert len(rewards) == expected_steps
+        assert round(sum(rewards), 6) == expected_return
+    assert seen.hexdigest()[:16] == digest
+
+
+def packed(reward: float, observation: Observation, ended: bool) -> bytes:
+    head = struct.pack("<d?", reward, ended)
+    if ended:
+        return head
+    return head + observation.ints.tobytes() + observation.doubles.tobytes() + observation.chars
+
+
+def test_task_spec_names_the_actions_and_the_reward_range() -> None:
+    assert InfiniteMario().env_init() == (
+        "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 "
+        "ACTIONS INTS (-1 1) (2 0 1)  REWARDS (-10.0 100.0)"
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "printed"),
+    [
+        (0.0, "0.0"),
+        (9999999.0, "9999999.0"),
+        (1e7, "1.0E7"),
+        (123456789.0, "1.23456789E8"),
+        (1e8 / 3, "3.3333333333333332E7"),
+        (0.001, "0.001"),
+        (0.00025, "2.5E-4"),
+    ],
+)
+def test_task_spec_prints_numbers_as_java_does(value: float, printed: str) -> None:
+    spec = InfiniteMario(reward_goal=value, reward_death=-1, reward_coin=-1, reward_kill=-1).env_init()
+    assert spec.endswith(f"REWARDS (-1.0 {printed})")
+
+
+def test_every_option_says_what_it_means_and_has_bounds_or_choices() -> None:
+    for parameter in parameters(InfiniteMario).values():
+        option = parameter.option
+        assert option.help
+        assert option.choices or (option.low is not None and option.high is not None)
+
+
+def test_defaults_are_the_original_ones() -> None:
+    assert json.loads(InfiniteMario().env_message("parameters")) == {
+        "level_seed": 121,
+        "level_type": 0,
+        "level_difficulty": 0,
+        "level_width": 320,
+        "max_trial_steps": 1000,
+        "reward_goal": 100.0,
+        "reward_death": -10.0,
+        "reward_step": -0.01,
+        "reward_coin": 1.0,
+        "reward_kill": 1.0,
+        "speed_walk": 0.6,
+        "speed_run": 1.2,
+        "speed_jump": -1.9,
+        "speed_slidejump": -2.0,
+        "accel_fall": 0.82,
+        "jump_time": 7,
+        "slidejump_time": -6,
+        "render": "tick",
+        "alpha": 1.0,
+        "start_ticks": 5,
+        "velocity": "source",
+    }
+
+
+def test_single_parameter_overrides_the_instance_and_the_mdp() -> None:
+    assert InfiniteMario(instance=5).parameters.speed_walk == 0.3
+    assert InfiniteMario(instance=5, speed_walk=0.5).parameters.speed_walk == 0.5
+    assert InfiniteMario(mdp="testing-9").parameters.level_seed == 2299321
+    assert InfiniteMario(mdp="testing-9", level_seed=7).parameters.level_seed == 7
+    assert InfiniteMario(mdp="testing-9", level_seed=7).parameters.level_type == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "bound"),
+    [
+        ({"level_type": 3}, "from 0 to 2, not 3"),
+        ({"instance": 10}, "from 0 to 9, not 10"),
+        ({"instance": -1}, "from 0 to 9, not -1"),
+        ({"instance": 3, "mdp": "proving-1"}, "instance 3 and mdp proving-1 are two tasks: leave out one"),
+        ({"level_width": 2001}, "from 0 to 2000 tiles, not 2001"),
+        ({"level_seed": 2**31}, "from -2147483648 to 2147483647, not 2147483648"),
+        ({"max_trial_steps": 0}, "from 1 to 1000000000 steps, not 0"),
+        ({"accel_fall": 1.5}, "from 0 to 1 per tick, not 1.5"),
+        ({"speed_walk": float("nan")}, "not nan"),
+        ({"reward_goal": float("inf")}, "not inf"),
+        ({"start_ticks": 7}, "5 or 10 ticks, not 7"),
+        ({"render": "sometimes"}, "tick, checkin, not 'sometimes'"),
+        ({"mdp": "proving-11"}, "not 'proving-11'"),
+        ({"jump_time": 7.5}, "takes a whole number, not 7.5"),
+    ],
+)
+def test_parameter_out_of_bounds_is_refused_with_the_bound(options: Options, bound: str) -> None:
+    with pytest.raises(SimulatorError, match=bound.replace(".", r"\.")) as refused:
+        InfiniteMario(**options)
+    assert next(iter(options)) in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("action", "complaint"),
+    [
+        (Action(ints=[2, 0, 0]), "direction must be from -1 to 1, not 2"),
+        (Action(ints=[-2, 0, 2]), "direction must be from -1 to 1, not -2; run must be from 0 to 1, not 2"),
+        (Action(ints=[0, -1, 0]), "jump must be from 0 to 1, not -1"),
+        (Action(ints=[0, 0]), "2 ints, 0 doubles and 0 chars came"),
+        (Action(ints=[0, 0, 0], doubles=[1.0]), "3 ints, 1 doubles and 0 chars came"),
+        (Action(ints=[0, 0, 0], chars=b"x"), "3 ints, 0 doubles and 1 chars came"),
+        (Action(), "0 ints, 0 doubles and 0 chars came"),
+    ],
+)
+def test_action_out_of_bounds_is_refused_and_changes_nothing(action: Action, complaint: str) -> None:
+    environment = begun()
+    with pytest.raises(SimulatorError, match=complaint):
+        environment.env_step(action)
+    assert environment.env_step(RUN_RIGHT) == begun().env_step(RUN_RIGHT)
+
+
+def test_calls_out_of_place_are_refused() -> None:
+    environment = InfiniteMario(max_trial_steps=1)
+    with pytest.raises(SimulatorError, match="env_init"):
+        environment.env_start()
+    environment.env_init()
+    with pytest.raises(SimulatorError, match="start"):
+        environment.env_step(STAND)
+    environment.env_start()
+    assert environment.env_step(STAND)[2]
+    with pytest.raises(SimulatorError, match="start"):
+        environment.env_step(STAND)
+    environment.env_cleanup()
+    with pytest.raises(SimulatorError, match="env_init"):
+        environment.env_start()
+
+
+def test_standing_still_times_out_with_the_last_observation() -> None:
+    environment = begun(level_seed=3, max_trial_steps=20)
+    last = None
+    for _ in range(19):
+        _, last, ended = environment.env_step(STAND)
+        assert not ended
+    assert environment.env_step(STAND) == (-10.0, last, True)
+
+
+def test_buttons_held_at_the_end_move_the_next_episode() -> None:
+    environment = begun(max_trial_steps=5)
+    play_to_the_end(environment, RUN_RIGHT)
+    # Mario died in the first tick of a step, which lets go of run but not of right.
+    assert environment.env_start().doubles[0] == 2.0708749294281006
+    play_to_the_end(environment, STAND)
+    assert environment.env_start().doubles[0] == 2.0
+
+
+def test_init_begins_afresh() -> None:
+    environment = begun(max_trial_steps=5)
+    play_to_the_end(environment, RUN_RIGHT)
+    environment.env_init()
+    assert environment.env_start().doubles[0] == 2.0
+
+
+def test_save_brings_back_what_later_episodes_depend_on() -> None:
+    environment = begun(max_trial_steps=5, start_ticks=10)
+    environment.env_message("level level_seed=8 level_type=2 level_difficulty=5")
+    play_to_the_end(environment, JUMP_RIGHT)
+    saved = environment.env_save()
+    expected = environment.env_start()
+    other = InfiniteMario(max_trial_steps=5, start_ticks=10)
+    other.env_init()
+    other.env_load(saved)
+    assert other.env_message("level") == "level_seed=8 level_type=2 level_difficulty=5"
+    assert other.env_start() == expected
+    assert other.env_step(JUMP_RIGHT) == environment.env_step(JUMP_RIGHT)
+    assert capabilities(environment) == ("save",)
+
+
+def test_damaged_save_is_refused() -> None:
+    environment = begun()
+    saved = environment.env_save()
+    for i in range(len(saved)):
+        damaged = saved[:i] + bytes([saved[i] ^ 1]) + saved[i + 1 :]
+        with pytest.raises(SimulatorError):
+            environment.env_load(damaged)
+    for wrong in (b"", saved[:-1], saved + b"\0"):
+        with pytest.raises(SimulatorError):
+            environment.env_load(wrong)
+    environment.env_load(saved)
+
+
+def test_save_with_a_level_out_of_bounds_is_refused() -> None:
+    data = mario._SAVED.pack(mario._MAGIC, 121, 3, 0, *(False,) * 5)
+    environment = begun()
+    with pytest.raises(SimulatorError, match="level_type must be from 0 to 2, not 3"):
+        environment.env_load(data + mario._CHECKSUM.pack(zlib.crc32(data)))
+    assert environment.env_message("level") == "level_seed=121 level_type=0 level_difficulty=0"
+
+
+def test_level_changed_by_message_counts_from_the_next_episode() -> None:
+    environment = begun()
+    untouched = begun()
+    answer = environment.env_message("level level_seed=5 level_type=1")
+    assert answer == "level_seed=5 level_type=1 level_difficulty=0"
+    assert environment.env_step(RUN_RIGHT) == untouched.env_step(RUN_RIGHT)
+    assert environment.env_start().chars == begun(level_seed=5, level_type=1).env_start().chars
+    environment.env_cleanup()
+    assert environment.env_message("level") == "level_seed=121 level_type=0 level_difficulty=0"
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        "",
+        "help",
+        "parameters please",
+        "level 5",
+        "level level_seed=five",
+        "level level_type=3",
+        "level speed_walk=1",
+        "level height=20",
+    ],
+)
+def test_other_messages_are_refused_and_change_nothing(message: str) -> None:
+    environment = begun()
+    before = environment.parameters
+    assert environment.env_message(message).startswith("refused: ")
+    assert environment.parameters == before

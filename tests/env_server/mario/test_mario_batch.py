@@ -1,0 +1,69 @@
+"""A batch plays each game as it would be played alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from env_server.mario.batch import Batch
+from env_server.mario.environment import InfiniteMario
+from env_server.mario.game import Game
+from glue.errors import SimulatorError
+
+
+@pytest.fixture
+def batch() -> Iterator[Batch]:
+    with Batch([InfiniteMario(level_seed=seed).parameters for seed in range(3)]) as batch:
+        yield batch
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_games_play_as_they_do_alone(random_play: ModuleType, threads: int) -> None:
+    rng = np.random.default_rng(5)
+    tasks = [random_play.random_task(rng) for _ in range(7)]
+    actions = np.array([random_play.random_actions(rng, 150) for _ in tasks])
+    alone = [Game(task) for task in tasks]
+    with Batch(tasks, threads=threads) as batch:
+        batch.start()
+        for i, game in enumerate(alone):
+            assert batch.observation(i) == game.start()
+        for step in range(150):
+            rewards, ended = batch.step(actions[:, step])
+            for i, game in enumerate(alone):
+                expected = game.step(*actions[i, step].tolist())
+                assert (rewards[i], batch.observation(i), ended[i]) == expected
+                if ended[i]:
+                    game.start()
+            batch.start(ended)
+
+
+def test_ended_game_must_be_started_again() -> None:
+    tasks = [InfiniteMario(max_trial_steps=limit).parameters for limit in (2, 1)]
+    with Batch(tasks) as batch:
+        batch.start()
+        _, ended = batch.step(np.zeros((2, 3), np.int32))
+        assert ended.tolist() == [False, True]
+        with pytest.raises(SimulatorError, match="game 1 has no episode"):
+            batch.step(np.zeros((2, 3), np.int32))
+        batch.start(ended)
+        batch.step(np.zeros((2, 3), np.int32))
+
+
+def test_action_out_of_bounds_is_refused_and_no_game_moves(batch: Batch) -> None:
+    batch.start()
+    before = [batch.observation(i) for i in range(3)]
+    actions = np.zeros((3, 3), np.int32)
+    actions[1, 0] = 2
+    with pytest.raises(SimulatorError, match=r"\[2, 0, 0\] came for game 1"):
+        batch.step(actions)
+    with pytest.raises(SimulatorError, match=r"shape \(3, 3\), not \(2, 3\)"):
+        batch.step(actions[:2])
+    assert [batch.observation(i) for i in range(3)] == before
+
+
+def test_batch_must_be_started(batch: Batch) -> None:
+    with pytest.raises(SimulatorError, match="game 0 has no episode"):
+        batch.step(np.zeros((3, 3), np.int32))

@@ -1,0 +1,78 @@
+"""docs/mario.md tells an agent's author what the environment does."""
+
+from __future__ import annotations
+
+import doctest
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from env_server.mario.environment import InfiniteMario
+from env_server.mario.parameters import MDPS
+from env_server.render.scene import KINDS
+from glue.options import parameters, parse_assignments
+
+TEXT = (Path(__file__).parents[3] / "docs" / "mario.md").read_text(encoding="utf-8")
+
+
+def rows(heading: str) -> list[list[str]]:
+    """Return the cells of the table whose first line holds `heading`."""
+    lines = TEXT[TEXT.index(heading) :].split("\n\n")[0].splitlines()[2:]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+
+
+def task(**options: int | str) -> dict[str, object]:
+    return json.loads(InfiniteMario(**options).env_message("parameters"))  # type: ignore[arg-type, no-any-return]
+
+
+def test_examples_are_what_they_show() -> None:
+    examples = doctest.DocTestParser().get_doctest(TEXT, {}, "mario.md", None, 0)
+    assert doctest.DocTestRunner().run(examples, out=pytest.fail).attempted == 12
+
+
+def test_instances_are_as_listed() -> None:
+    listed = rows("| instance | differs")
+    assert [int(number) for number, _ in listed] == list(range(10))
+    for number, differing in listed:
+        options = parse_assignments(InfiniteMario, differing.split())
+        assert task(instance=int(number)) == task() | options
+
+
+def test_mdps_are_as_listed() -> None:
+    listed = {}
+    for number, proving, testing, differing in rows("| | proving"):
+        options = parse_assignments(InfiniteMario, differing.split())
+        listed[f"proving-{number}"] = {"level_seed": int(proving), **options}
+        listed[f"testing-{number}"] = {"level_seed": int(testing), **options}
+    assert set(listed) == set(MDPS)
+    for name, options in listed.items():
+        assert task(mdp=name) == task() | options
+
+
+def test_kinds_are_as_listed() -> None:
+    cells = [cell for row in rows("| kind | actor") for cell in (row[:2], row[2:])]
+    assert {int(kind): actor for kind, actor in cells} == KINDS
+
+
+def test_every_char_is_listed() -> None:
+    listed = {char.strip("`") for char, _ in rows("| char | tile |")}
+    assert listed == {"space", "&#124;", *"M!$b?1237"}
+
+
+def test_messages_are_answered() -> None:
+    mario = InfiniteMario()
+    messages = [message.strip("`") for message, _ in rows("| message | answer |")]
+    answers = [mario.env_message(message) for message in messages]
+    assert json.loads(answers[0])["level_seed"] == 121
+    assert answers[1:] == [
+        "level_seed=121 level_type=0 level_difficulty=0",
+        "level_seed=7 level_type=1 level_difficulty=0",
+    ]
+
+
+def test_options_that_are_named_exist() -> None:
+    named = set(re.findall(r"`(\w+)=\w+`", TEXT)) | set(re.findall(r"`(reward_\w+|max_\w+|alpha)`", TEXT))
+    assert {"reward_step", "max_trial_steps", "alpha", "render", "velocity", "start_ticks"} <= named
+    assert named <= set(parameters(InfiniteMario))

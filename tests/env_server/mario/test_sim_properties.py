@@ -1,0 +1,113 @@
+"""What holds for every game: it depends on its task and its actions alone, and can be copied at any point."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from types import ModuleType
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from env_server.mario.game import Game
+from glue.types import Observation
+
+Step = tuple[float, Observation, bool]
+Actions = list[list[int]]
+
+_SEEDS = st.integers(0, 2**32 - 1)
+
+
+def make(random_play: ModuleType, seed: int, steps: int) -> tuple[Game, Actions]:
+    rng = np.random.default_rng(seed)
+    return Game(random_play.random_task(rng)), random_play.random_actions(rng, steps)
+
+
+def play(game: Game, actions: Actions) -> list[Step]:
+    """Carry out the actions, starting again after each end."""
+    steps: list[Step] = []
+    for action in actions:
+        steps.append(game.step(*action))
+        if steps[-1][2]:
+            game.start()
+    return steps
+
+
+@settings(deadline=None)
+@given(seed=_SEEDS, before=_SEEDS)
+def test_same_task_and_actions_give_the_same_bytes(random_play: ModuleType, seed: int, before: int) -> None:
+    first, actions = make(random_play, seed, 60)
+    start = first.start()
+    expected = play(first, actions)
+    other, others_actions = make(random_play, before, 60)
+    other.start()
+    play(other, others_actions)
+    again, _ = make(random_play, seed, 60)
+    assert again.start() == start
+    assert play(again, actions) == expected
+
+
+@settings(deadline=None)
+@given(seed=_SEEDS, at=st.integers(0, 100))
+def test_restored_game_continues_as_if_never_stopped(random_play: ModuleType, seed: int, at: int) -> None:
+    game, actions = make(random_play, seed, 100)
+    game.start()
+    play(game, actions[:at])
+    saved = game.clone()
+    expected = play(game, actions[at:])
+    assert play(saved.clone(), actions[at:]) == expected
+    game.restore(saved)
+    assert play(game, actions[at:]) == expected
+
+
+@settings(deadline=None)
+@given(seeds=st.tuples(_SEEDS, _SEEDS))
+def test_two_games_do_not_touch_each_other(random_play: ModuleType, seeds: tuple[int, int]) -> None:
+    alone = []
+    for seed in seeds:
+        game, actions = make(random_play, seed, 60)
+        game.start()
+        alone.append(play(game, actions))
+    pairs = [make(random_play, seed, 60) for seed in seeds]
+    for game, _ in pairs:
+        game.start()
+    together: list[list[Step]] = [[], []]
+    for i in range(60):
+        for (game, actions), steps in zip(pairs, together, strict=True):
+            steps += play(game, [actions[i]])
+    assert together == alone
+
+
+def test_restored_end_is_still_an_end(random_play: ModuleType) -> None:
+    game, _ = make(random_play, 1, 0)
+    game.world.max_trial_steps = 1
+    game.world.draws_at_checkins = False
+    last = game.start()
+    saved = game.clone()
+    assert game.step(0, 0, 0) == (-10.0, last, True)
+    game.restore(saved)
+    assert game.step(1, 1, 1) == (-10.0, last, True)
+
+
+@pytest.mark.slow
+def test_a_million_random_steps_stay_in_bounds(
+    random_play: ModuleType, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = subprocess.run(
+        [sys.executable, "-W", "error", random_play.__file__ or "", "1000000"],
+        env={**os.environ, "NUMBA_BOUNDSCHECK": "1"},
+        capture_output=True,
+        text=True,
+        timeout=250,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr
+    met = json.loads(run.stdout)
+    with capsys.disabled():
+        print(f"\nrandom play: {met}")
+    assert met["bounds checked"]
+    assert met["steps"] >= 10**6

@@ -1,0 +1,103 @@
+"""`glue-env NAME --render`: the game is drawn, and plays as it does without."""
+
+from __future__ import annotations
+
+import io
+import re
+from pathlib import Path
+
+from env_server.mario.environment import InfiniteMario
+from env_server.render.live import Rendered
+from env_server.render.text import TerminalScreen
+from env_server.toys import MinesEnvironment, SkeletonEnvironment
+from glue.roles import capabilities
+from glue.testing import check_environment
+from glue.types import Action, Observation
+from tests.terminal import Terminal, drawings, run, run_in_terminal
+
+
+class Notes(TerminalScreen):
+    """Writes down what it is to draw."""
+
+    def __init__(self) -> None:
+        super().__init__(io.StringIO())
+        self.shown: list[tuple[float, int, float]] = []
+        self.closed = 0
+
+    def show(
+        self, observation: Observation, reward: float, step: int, episode_return: float, title: str = ""
+    ) -> None:
+        self.shown.append((reward, step, episode_return))
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def rendered(screen: TerminalScreen | None = None) -> Rendered:
+    return Rendered(MinesEnvironment(random_start=True), screen or TerminalScreen(io.StringIO()))
+
+
+def test_rendered_environment_keeps_the_contract() -> None:
+    check_environment(rendered, episodes=2, steps=50)
+
+
+def test_rendered_environment_is_the_same_in_all_else() -> None:
+    plain, drawn = MinesEnvironment(random_start=True), rendered()
+    for environment in plain, drawn:
+        environment.env_seed(5)
+    assert drawn.env_init() == plain.env_init()
+    assert drawn.env_start() == plain.env_start()
+    for action in (1, 3, 3, 0, 2):
+        assert drawn.env_step(Action([action])) == plain.env_step(Action([action]))
+    assert drawn.env_message("map") == plain.env_message("map")
+    assert drawn.env_save() == plain.env_save()
+
+
+def test_rendered_environment_offers_what_the_environment_does() -> None:
+    for environment in MinesEnvironment(), SkeletonEnvironment(), InfiniteMario():
+        assert capabilities(Rendered(environment, Notes())) == capabilities(environment)
+
+
+def test_every_observation_is_shown_and_each_episode_counted_afresh() -> None:
+    screen = Notes()
+    environment = Rendered(MinesEnvironment(), screen)
+    environment.env_init()
+    for _ in range(2):
+        environment.env_start()
+        environment.env_step(Action([1]))
+        environment.env_step(Action([1]))
+    assert screen.shown == [(0.0, 0, 0.0), (-1.0, 1, -1.0), (-1.0, 2, -2.0)] * 2
+    environment.env_cleanup()
+    assert screen.closed == 1
+
+
+def test_environment_is_drawn_in_its_terminal(tmp_path: Path) -> None:
+    hub = f"ipc://{tmp_path}/hub"
+    experiment = Terminal(
+        *("glue-experiment", "--agent", "skeleton", "--episodes", "1", "--max-steps", "12"),
+        *("--bind", hub, "--out", "run"),
+        cwd=tmp_path,
+    )
+    try:
+        status, text = run_in_terminal("glue-env", "mario", "--render", "--hub", hub, cwd=tmp_path)
+        assert (experiment.end(), status) == (0, 0), (experiment.lines, text)
+    finally:
+        experiment.close()
+    first, last = drawings(text)[0], drawings(text)[-1]
+    assert re.search(r"mm Mario.*\nstep 0  reward 0  return 0\.00  speed ", first)
+    assert re.search(r"mm Mario.*\nstep 11  reward -?[\d.]+  return -?[\d.]+  speed ", last)
+    assert "goodbye" in text[text.rindex("\x1b[?25h") :], "the cursor is back before the last line"
+
+
+def test_where_there_is_no_terminal_nothing_is_drawn(tmp_path: Path) -> None:
+    hub = f"ipc://{tmp_path}/hub"
+    experiment = Terminal(
+        *("glue-experiment", "--agent", "skeleton", "--episodes", "1", "--max-steps", "5"),
+        *("--bind", hub, "--out", "run"),
+        cwd=tmp_path,
+    )
+    try:
+        shown = run("glue-env", "mines", "--render", "--hub", hub, cwd=tmp_path)
+        assert (experiment.end(), shown.returncode, shown.stdout) == (0, 0, ""), shown.stderr
+    finally:
+        experiment.close()

@@ -1,0 +1,562 @@
+"""Replaying recordings: ours of any environment, and those of the original Infinite Mario."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import os
+import pty
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from env_server.mario.environment import InfiniteMario
+from env_server.replay.episodes import (
+    Difference,
+    Moment,
+    RecordedRun,
+    build_environment,
+    open_recording,
+    recorded_moments,
+    replayed_moments,
+)
+from env_server.replay.golden import Digest, GoldenEpisode, GoldenReader, digest
+from env_server.toys import MinesEnvironment
+from glue.errors import ConfigError
+from glue.options import Value
+from glue.roles import Environment
+from glue.trajectory import Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
+from glue.types import Action, Observation
+
+GOLDEN = Path(__file__).parents[2] / "golden" / "mario"
+RIGHT = Action([1, 0, 1])
+
+
+def golden_lines(name: str, episodes: int = 3) -> list[dict[str, Any]]:
+    """Return the lines of the first episodes of a recording of the original."""
+    lines = []
+    with gzip.open(GOLDEN / name, "rt", encoding="ascii") as file:
+        for text in file:
+            lines.append(json.loads(text))
+            episodes -= lines[-1]["kind"] == "end"
+            if not episodes:
+                break
+    return lines
+
+
+def write_golden(path: Path, lines: list[dict[str, Any]]) -> Path:
+    path.write_bytes(gzip.compress("".join(json.dumps(line) + "\n" for line in lines).encode()))
+    return path
+
+
+def as_hashes(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the lines as a recording with obs = hash has them."""
+    hashed = [{key: value for key, value in line.items() if key not in ("i", "d", "c")} for line in lines]
+    return [line | {"obs": "hash"} if line["kind"] == "run" else line for line in hashed]
+
+
+def build(run: RecordedRun) -> Environment:
+    return cast(Environment, InfiniteMario(**cast(Any, run.options)))
+
+
+def replay(path: Path) -> list[Moment]:
+    return list(replayed_moments(open_recording(path), build_environment))
+
+
+def record(
+    path: Path, environment: Any, name: str, options: Mapping[str, Value], seed: int, steps: int
+) -> None:
+    """Record two episodes of random actions, each of at most `steps`; of Mario, on two levels."""
+    is_mario = isinstance(environment, InfiniteMario)
+    generator = np.random.default_rng(seed)
+    seeded = hasattr(environment, "env_seed")
+    if seeded:
+        environment.env_seed(seed)
+    with TrajectoryWriter(path) as recording:
+        recording.run(Run(name, options, environment.env_init(), seed if seeded else None))
+        for episode in range(2):
+            recording.start(environment.env_start())
+            for _ in range(steps):
+                number = int(generator.integers(4))
+                action = Action([1, number % 2, number // 2] if is_mario else [number])
+                reward, observation, terminal = environment.env_step(action)
+                recording.step(action, reward, observation, terminal)
+                if terminal:
+                    break
+            if episode == 0 and is_mario:
+                recording.message("level level_seed=7")
+                environment.env_message("level level_seed=7")
+    environment.env_cleanup()
+
+
+@pytest.mark.parametrize("name", ["variants.jsonl.gz", "ticks.jsonl.gz"])
+def test_original_recordings_replay(name: str) -> None:
+    moments = replay(GOLDEN / name)
+    runs = golden_lines(name, 10**9)
+    assert moments[-1].run + 1 == sum(line["kind"] == "run" for line in runs)
+    assert moments[-1].episode + 1 == sum(line["kind"] == "end" for line in runs)
+    assert sum(moment.step > 0 for moment in moments) == sum(line["kind"] == "step" for line in runs)
+    returns = [line["return"] for line in runs if line["kind"] == "end"]
+    ends = [
+        before
+        for before, after in zip(moments, [*moments[1:], None], strict=True)
+        if not after or not after.step
+    ]
+    assert [moment.episode_return for moment in ends] == returns
+
+
+def test_recording_of_hashes_replays(tmp_path: Path) -> None:
+    lines = golden_lines("variants.jsonl.gz")
+    path = write_golden(tmp_path / "a.jsonl.gz", as_hashes(lines))
+    first = next(iter(GoldenReader(path)))
+    assert isinstance(first, GoldenEpisode)
+    assert isinstance(first.start, Digest)
+    assert replay(path) == replay(write_golden(tmp_path / "b.jsonl.gz", lines))
+
+
+def test_run_that_begins_with_keys_held_replays(tmp_path: Path) -> None:
+    lines = golden_lines("variants.jsonl.gz")
+    run = lines[0]
+    second = next(i for i, line in enumerate(lines) if line["kind"] == "start" and line["episode"] == 1)
+    assert lines[second]["keys"] == [0, 1, 0, 0]
+    path = write_golden(tmp_path / "a.jsonl.gz", [run, *lines[second:]])
+    assert replay(path)[0].observation.doubles[0] > 2  # he took a step to the right
+
+
+def test_keys_that_the_last_episode_did_not_leave_are_told(tmp_path: Path) -> None:
+    lines = golden_lines("variants.jsonl.gz")
+    second = next(line for line in lines if line["kind"] == "start" and line["episode"] == 1)
+    second["keys"] = [0, 1, 1, 0]  # one more: the observation is the same with it
+    with pytest.raises(
+        Difference, match=r"episode 1, start: the keys held: expected \[0, 1, 1, 0\], got \[0, 1, 0, 0\]"
+    ):
+        replay(write_golden(tmp_path / "a.jsonl.gz", lines))
+
+
+@pytest.mark.parametrize("hashed", [False, True])
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"r": 5.0}, r"step 9: the reward: expected 5\.0, got -0\.00999"),
+        ({"end": 1}, "step 9: terminal: expected True, got False"),
+        ({"a": [-1, 0, 0]}, "step 9: "),
+        ({"a": [2, 0, 0]}, "step 9: the environment refused: direction must be from -1 to 1"),
+    ],
+)
+def test_first_difference_is_told(tmp_path: Path, hashed: bool, change: dict[str, Any], message: str) -> None:
+    lines = golden_lines("variants.jsonl.gz")
+    step = lines[10]
+    step |= change
+    seen = Observation(step["i"], step["d"], step["c"].encode())
+    step["h"] = digest(seen, step["r"], step["end"] == 1).hex()
+    if hashed:
+        lines = as_hashes(lines)
+    with pytest.raises(Difference, match="run var-alpha0, episode 0, " + message):
+        replay(write_golden(tmp_path / "a.jsonl.gz", lines))
+
+
+@pytest.mark.parametrize(
+    ("field", "index", "value", "message"),
+    [
+        ("i", 0, 3, r"int 0 \(the camera's column\): expected 3, got 0"),
+        ("i", 1, 10, r"int 1 \(kind of sprite 0\): expected 10, got 0"),
+        ("i", 4, 1, r"int 4 \(winged of sprite 1\): expected 1, got 0"),
+        ("d", 2, 0.5, r"double 2 \(horizontal speed of sprite 0\): expected 0\.5, got "),
+        ("d", 7, 0.0, r"double 7 \(vertical speed of sprite 1\): expected 0\.0, got -0\.0"),
+        ("c", 23, "b", r"char 23 \(row 1, column 1\): expected b'b', got b' '"),
+    ],
+)
+def test_difference_of_an_observation_names_the_number(
+    tmp_path: Path, field: str, index: int, value: Any, message: str
+) -> None:
+    lines = golden_lines("episodes.jsonl.gz", 1)
+    step = lines[2]
+    if field == "c":
+        step["c"] = step["c"][:index] + value + step["c"][index + 1 :]
+    else:
+        step[field][index] = value
+    step["h"] = digest(Observation(step["i"], step["d"], step["c"].encode()), step["r"], False).hex()
+    with pytest.raises(Difference, match="run dev-0001, episode 0, step 1: " + message):
+        replay(write_golden(tmp_path / "a.jsonl.gz", lines))
+
+
+def test_hash_that_differs_is_told(tmp_path: Path) -> None:
+    lines = as_hashes(golden_lines("variants.jsonl.gz"))
+    lines[1]["h"] = "0" * 16
+    with pytest.raises(Difference, match="start: the observation: expected hash 0000000000000000, got hash "):
+        replay(write_golden(tmp_path / "a.jsonl.gz", lines))
+
+
+def test_missing_sprite_is_told_by_the_counts(tmp_path: Path) -> None:
+    lines = golden_lines("episodes.jsonl.gz", 1)
+    step = lines[2]
+    step["i"], step["d"] = step["i"][:-2], step["d"][:-4]
+    step["h"] = digest(Observation(step["i"], step["d"], step["c"].encode()), step["r"], False).hex()
+    with pytest.raises(Difference, match="expected 3 ints, 4 doubles, 352 chars, got 5 ints, 8 doubles"):
+        replay(write_golden(tmp_path / "a.jsonl.gz", lines))
+
+
+GOOD_RUN = {
+    "kind": "run",
+    "id": "a",
+    "level_seed": 121,
+    "level_type": 0,
+    "level_difficulty": 0,
+    "instance": None,
+    "params": {},
+    "obs": "hash",
+    "render": "tick",
+    "alpha": 1.0,
+    "start_ticks": 5,
+    "velocity": "source",
+}
+START = {"kind": "start", "episode": 0, "keys": [0, 0, 0, 0], "h": "0" * 16}
+STEP = {"kind": "step", "a": [1, 0, 0], "r": 0.5, "end": 0, "h": "0" * 16}
+END = {"kind": "end"}
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ([START], "line 1: a line 'start' cannot stand here"),
+        ([GOOD_RUN, STEP], "line 2: a line 'step' cannot"),
+        ([GOOD_RUN, START, START], "line 3: a line 'start' cannot"),
+        ([GOOD_RUN, START, GOOD_RUN], "line 3: a line 'run' cannot"),
+        ([GOOD_RUN, END], "line 2: a line 'end' cannot"),
+        ([{"kind": "what"}], "line 1: a line 'what' cannot"),
+        ([{}], "line 1: field 'kind' must be str"),
+        ([[1]], "line 1 is not a JSON object"),
+        ([GOOD_RUN, START, STEP], "ends in the middle of an episode of a"),
+        ([GOOD_RUN | {"id": "\x1b[2J"}], "line 1: field 'id' must be a name"),
+        ([GOOD_RUN | {"params": {"a": "b"}}], "line 1: parameter 'a' must be a number"),
+        ([GOOD_RUN | {"alpha": "1"}], "line 1: field 'alpha' must be float or int"),
+        ([GOOD_RUN | {"level_seed": 1.5}], "line 1: field 'level_seed' must be int"),
+        ([GOOD_RUN, START | {"keys": [0, 1]}], r"line 2: field 'keys' must be 4 times 0 or 1; \[0, 1\] came"),
+        ([GOOD_RUN, START | {"keys": [0, 0, 0, 2]}], "line 2: field 'keys' must be 4 times 0 or 1"),
+        ([GOOD_RUN, START | {"keys": None}], "line 2: field 'keys' must be list"),
+        ([GOOD_RUN, START | {"h": "xyz"}], "line 2: field 'h' must be 16 hexadecimal digits"),
+        ([GOOD_RUN, START | {"h": "00"}], "line 2: field 'h' must be 16"),
+        ([GOOD_RUN, START | {"i": [0], "d": [], "c": ""}], "line 2: its hash is not that of"),
+        ([GOOD_RUN, START | {"i": [2**31], "d": [], "c": ""}], "line 2: ints must be"),
+        ([GOOD_RUN, START | {"i": [True], "d": [], "c": ""}], "line 2: field 'i' must be a list of int"),
+        ([GOOD_RUN, START | {"i": [], "d": [10**400], "c": ""}], "line 2: "),
+        ([GOOD_RUN, START | {"i": [], "d": [], "c": "\u2603"}], "line 2: "),
+        ([GOOD_RUN, START, STEP | {"a": [2**40]}], "line 3: ints must be"),
+        ([GOOD_RUN, START, STEP | {"end": 2}], "line 3: field 'end' must be 0 or 1"),
+        ([GOOD_RUN, START, STEP | {"r": None}], "line 3: field 'r' must be float or int"),
+    ],
+)
+def test_malformed_recording_of_the_original_is_told_by_its_line(
+    tmp_path: Path, lines: list[Any], message: str
+) -> None:
+    with pytest.raises(TrajectoryError, match=message):
+        list(GoldenReader(write_golden(tmp_path / "a.jsonl.gz", lines)))
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"plain text", "not a gzip file"),
+        (gzip.compress(b"{\n"), "line 1 is not JSON"),
+        (gzip.compress(b"[" * 100_000), "line 1 is not JSON"),
+        (gzip.compress(b'{"kind": ' + b"1" * 10_000 + b"}"), "line 1 is not JSON"),
+        (gzip.compress(b" " * (2**20 + 1)), "line 1 has more than 1048576 bytes"),
+        (gzip.compress(b'{"kind": "tick"}\n' * 9)[:-9], "is damaged after line"),
+    ],
+)
+def test_other_files_are_refused_as_recordings_of_the_original(
+    tmp_path: Path, data: bytes, message: str
+) -> None:
+    (tmp_path / "a").write_bytes(data)
+    with pytest.raises(TrajectoryError, match=message):
+        list(GoldenReader(tmp_path / "a"))
+    with pytest.raises(TrajectoryError, match=r"cannot read .*nowhere: No such file"):
+        list(GoldenReader(tmp_path / "nowhere"))
+
+
+@settings(deadline=None, max_examples=200)
+@given(seed=st.integers(0, 2**32), packed=st.booleans())
+def test_damaged_recording_of_the_original_raises_nothing_else(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, packed: bool
+) -> None:
+    path = tmp_path_factory.mktemp("damage") / "a"
+    text = "".join(json.dumps(line) + "\n" for line in golden_lines("variants.jsonl.gz", 1)).encode()
+    data = bytearray(gzip.compress(text) if packed else text)
+    data[seed % len(data)] ^= 1 << seed % 8
+    path.write_bytes(data if packed else gzip.compress(data))
+    try:
+        list(GoldenReader(path))
+    except TrajectoryError:
+        return
+
+
+def test_our_recordings_replay(tmp_path: Path) -> None:
+    mines, mario = tmp_path / "mines.traj", tmp_path / "mario.traj"
+    record(mines, MinesEnvironment(random_start=True), "mines", {"random_start": True}, seed=3, steps=40)
+    record(mario, InfiniteMario(level_difficulty=2), "", {"level_difficulty": 2}, seed=4, steps=60)
+    assert isinstance(open_recording(mines), TrajectoryReader)
+    assert replay(mines)[-1].episode == 1
+    moments = list(replayed_moments(open_recording(mario), build))
+    assert moments[-1].episode == 1
+    assert moments == list(recorded_moments(open_recording(mario)))
+
+
+def test_recording_that_goes_on_from_a_saved_state_replays(tmp_path: Path) -> None:
+    environment = InfiniteMario()
+    task_spec = environment.env_init()
+    environment.env_start()
+    environment.env_step(RIGHT)  # held over, the button shows in the next episode's first observation
+    state = environment.env_save()
+    first = environment.env_start()
+    with TrajectoryWriter(tmp_path / "a") as recording:
+        recording.run(Run("", {}, task_spec, None, state))
+        recording.start(first)
+    assert len(list(replayed_moments(open_recording(tmp_path / "a"), build))) == 1
+    with TrajectoryWriter(tmp_path / "b") as recording:
+        recording.run(Run("", {}, task_spec))
+        recording.start(first)
+    with pytest.raises(Difference, match="x of sprite 0"):
+        list(replayed_moments(open_recording(tmp_path / "b"), build))
+
+
+def test_other_task_spec_is_a_difference(tmp_path: Path) -> None:
+    with TrajectoryWriter(tmp_path / "a") as recording:
+        recording.run(Run("mines", {}, "VERSION of another time"))
+        recording.start(Observation([0]))
+    with pytest.raises(
+        Difference, match="the task spec: expected 'VERSION of another time', got 'VERSION RL"
+    ):
+        replay(tmp_path / "a")
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("", {}, "name it with --env"),
+        ("evil.py:Evil", {}, r"not installed: if you trust it, say --env evil\.py:Evil"),
+        ("os:stat_result", {}, "not installed"),
+        ("mines", {"length": 3}, "has no option length"),
+    ],
+)
+def test_recording_can_only_name_installed_environments(
+    tmp_path: Path, name: str, options: dict[str, Value], message: str
+) -> None:
+    with TrajectoryWriter(tmp_path / "a") as recording:
+        recording.run(Run(name, options, ""))
+        recording.start(Observation([0]))
+    with pytest.raises(ConfigError, match=message):
+        replay(tmp_path / "a")
+
+
+def test_environments_are_cleaned_up_at_the_end_and_at_a_difference(tmp_path: Path) -> None:
+    class Counted(InfiniteMario):
+        open_now = 0
+
+        def env_init(self) -> str:
+            Counted.open_now += 1
+            return super().env_init()
+
+        def env_cleanup(self) -> None:
+            Counted.open_now -= 1
+            super().env_cleanup()
+
+    lines = golden_lines("variants.jsonl.gz", 9)
+    lines[-2] |= {"r": 7.0}
+    path = write_golden(tmp_path / "a", as_hashes(lines))
+    with pytest.raises(Difference):
+        list(replayed_moments(open_recording(path), lambda run: Counted(**cast(Any, run.options))))
+    assert Counted.open_now == 0
+
+
+def test_hashes_alone_cannot_be_shown(tmp_path: Path) -> None:
+    path = write_golden(tmp_path / "a", as_hashes(golden_lines("variants.jsonl.gz", 1)))
+    with pytest.raises(ConfigError, match="only a hash was recorded"):
+        list(recorded_moments(open_recording(path)))
+
+
+LEVEL = {
+    "kind": "level",
+    "level_seed": 121,
+    "level_type": 0,
+    "level_difficulty": 0,
+    "level_width": 320,
+    "width": 370,
+    "height": 15,
+    "xExit": 317,
+    "yExit": 11,
+    "rows": ["00" * 370] * 15,
+    "sprites": [[15, 11, 2, 0]],
+}
+
+
+def test_levels_of_the_original_are_compared() -> None:
+    reader = GoldenReader(GOLDEN / "levels.jsonl.gz")
+    assert list(replayed_moments(reader, build)) == []
+    assert reader.levels == 120
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"level_seed": 122}, "goal: "),
+        ({"width": 371}, "width: expected 371, got 370"),
+        ({"yExit": 12}, r"goal: expected \(317, 12\), got \(317, 11\)"),
+        ({"rows": LEVEL["rows"]}, "tile in column 111, row 3: expected '00', got '10'"),
+        ({"rows": []}, "tile in column 0, row 0: expected None, got '00'"),
+        ({"sprites": LEVEL["sprites"]}, "spawn point 1: expected None, got Spawn"),
+        ({"sprites": []}, r"spawn point 0: expected None, got Spawn\(column=15, row=11, kind=2, winged=F"),
+    ],
+)
+def test_level_that_differs_is_told_by_what_differs(
+    tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
+    level = golden_lines("levels.jsonl.gz", 10**9)[0]
+    path = write_golden(tmp_path / "a", [level, level | change])
+    task = "level_seed=12. level_type=0 level_difficulty=0 level_width=320"
+    with pytest.raises(Difference, match=f"^{task}: the level's {message}"):
+        replay(path)
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ([GOOD_RUN, START, LEVEL], "line 3: a line 'level' cannot stand here"),
+        ([LEVEL | {"width": "370"}], "line 1: field 'width' must be int"),
+        ([LEVEL | {"rows": [0]}], "line 1: field 'rows' must be a list of str"),
+        (
+            [LEVEL | {"sprites": [[1, 2, 3]]}],
+            "line 1: field 'sprites' must be a list of .column, row",
+        ),
+        ([LEVEL | {"sprites": [[1, 2, "a", 0]]}], "line 1: field 'sprites' must be a list of"),
+        ([LEVEL | {"level_seed": None}], "line 1: field 'level_seed' must be int"),
+    ],
+)
+def test_malformed_level_is_told_by_its_line(tmp_path: Path, lines: list[Any], message: str) -> None:
+    with pytest.raises(TrajectoryError, match=message):
+        list(GoldenReader(write_golden(tmp_path / "a", lines)))
+
+
+def test_level_out_of_bounds_is_refused_with_the_bound(tmp_path: Path) -> None:
+    path = write_golden(tmp_path / "a", [LEVEL | {"level_width": 10**9}])
+    with pytest.raises(ConfigError, match="level_width must be from 0 to 2000 tiles"):
+        replay(path)
+
+
+PROGRAM = "from env_server.replay.command import main; main()"
+
+
+def command(*arguments: object, **more: Any) -> subprocess.CompletedProcess[str]:
+    """Run glue-replay in a process of its own."""
+    words = [sys.executable, "-c", PROGRAM, *map(str, arguments)]
+    return subprocess.run(words, capture_output=True, text=True, timeout=120, check=False, **more)
+
+
+def test_command_compares_and_counts(tmp_path: Path) -> None:
+    hashed = write_golden(tmp_path / "h.jsonl.gz", as_hashes(golden_lines("episodes.jsonl.gz", 1)))
+    levels = GOLDEN / "levels.jsonl.gz"
+    done = command("--check", GOLDEN / "variants.jsonl.gz", hashed, levels)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == (
+        f"{GOLDEN / 'variants.jsonl.gz'}: 6 runs, 18 episodes, 697 steps: no difference\n"
+        f"{hashed}: 1 run, 1 episode, 212 steps: no difference\n"
+        f"{levels}: 120 levels: no difference\n"
+    )
+
+
+def test_command_fails_on_a_difference_in_one_line(tmp_path: Path) -> None:
+    lines = as_hashes(golden_lines("episodes.jsonl.gz", 1))
+    lines[5]["r"] = 1.0
+    path = write_golden(tmp_path / "a.jsonl.gz", lines)
+    done = command(path)
+    assert done.returncode == 1
+    where = f"Error: {path}: run dev-0001, episode 0, step 4: the reward"
+    assert done.stderr.endswith(
+        f"{where}: expected 1.0, got -0.009999999999999998 (before it, 1 run, 1 episode, 3 steps agree)\n"
+    )
+    assert done.stdout == ""
+
+
+def test_command_says_what_is_wrong_with_its_arguments(tmp_path: Path) -> None:
+    record(tmp_path / "a", MinesEnvironment(), "mines", {}, seed=1, steps=3)
+    cases: list[tuple[list[object], int, str]] = [
+        (["--gif", "x.gif", "--check", tmp_path / "a"], 2, "--gif and --png show a part of one FILE"),
+        ([tmp_path / "a", "--env-option", "seed=1"], 2, "--env-option is an option of --env"),
+        ([tmp_path / "a", "--env", "mine"], 2, "did you mean mines?"),
+        ([tmp_path / "a", "--env", "mines", "--env-option", "sed=1"], 2, "did you mean seed?"),
+        ([tmp_path / "a", "--env", "skeleton"], 1, "the task spec: expected"),
+        ([tmp_path / "a", "--png", tmp_path / "x.png"], 1, "an observation of Infinite Mario has"),
+        ([tmp_path / "a", "--png", tmp_path / "x.png", "--episode", "9"], 2, "no such episode"),
+        ([write_golden(tmp_path / "run", [GOOD_RUN])], 1, "holds no whole episode"),
+    ]
+    for arguments, code, message in cases:
+        done = command(*arguments)
+        assert (done.returncode, message in done.stderr) == (code, True), done.stderr
+        assert "Traceback" not in done.stderr
+
+
+def test_command_tells_of_a_recording_that_was_not_closed(tmp_path: Path) -> None:
+    record(tmp_path / "whole", MinesEnvironment(), "mines", {}, seed=1, steps=3)
+    (tmp_path / "torn").write_bytes((tmp_path / "whole").read_bytes()[:-12])
+    done = command(tmp_path / "torn")
+    assert done.returncode == 0
+    assert "was not closed" in done.stderr
+    assert ": no difference" in done.stdout
+
+
+def test_command_writes_pictures(tmp_path: Path) -> None:
+    gif, png = tmp_path / "a.gif", tmp_path / "a.png"
+    done = command(GOLDEN / "variants.jsonl.gz", "--episode", 1, "--steps", 3, 8, "--gif", gif, "--png", png)
+    assert done.returncode == 0, done.stderr
+    with Image.open(gif) as image:
+        assert getattr(image, "n_frames", 1) > 5
+    with Image.open(png) as image:
+        assert image.size == (640, 480)
+
+
+def test_command_draws_in_a_terminal_at_its_speed(tmp_path: Path) -> None:
+    path = write_golden(tmp_path / "a", golden_lines("variants.jsonl.gz", 2))
+    looking, drawing = pty.openpty()
+    words = [sys.executable, "-c", PROGRAM, str(path), "--episode", "1", "--steps", "2", "4", "--speed", "50"]
+    environment = os.environ | {"TERM": "xterm", "NO_COLOR": "1"}
+    process = subprocess.Popen(words, stdout=drawing, stdin=drawing, env=environment)
+    os.close(drawing)
+    drawn = "".join(_until_closed(looking))
+    os.close(looking)
+    assert process.wait(timeout=60) == 0
+    assert [step for step in range(8) if f"run var-alpha0, episode 1, step {step}" in drawn] in (
+        [2, 4],
+        [2, 3, 4],
+    )
+    assert "::::" in drawn
+    assert "\x1b[?25h" in drawn
+    assert "2 episodes, 45 steps: no difference" in drawn
+
+
+def _until_closed(descriptor: int) -> Iterator[str]:
+    while True:
+        try:
+            data = os.read(descriptor, 2**16)
+        except OSError:  # how Linux says that the other end was closed
+            return
+        if not data:
+            return
+        yield data.decode()
+
+
+def test_command_compares_with_the_environment_it_is_told_to(tmp_path: Path) -> None:
+    source = "from env_server.toys import MinesEnvironment\nclass Mine(MinesEnvironment): ...\n"
+    (tmp_path / "own.py").write_text(source)
+    own = f"{tmp_path / 'own.py'}:Mine"
+    record(tmp_path / "a", MinesEnvironment(random_start=True), own, {"random_start": True}, seed=3, steps=9)
+    assert "which is not installed" in command(tmp_path / "a").stderr
+    assert command(tmp_path / "a", "--env", own).returncode == 0
+    done = command(tmp_path / "a", "--env", own, "--env-option", "random_start=no")
+    assert "start: int 0: expected" in done.stderr

@@ -1,0 +1,109 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from experiment_runner.analysis.settings import Setting, collect
+from experiment_runner.plan_file import parse_plan
+from experiment_runner.resume import create_run
+from experiment_runner.store.directory import EpisodeResult, Results, Store
+from glue.errors import ExperimentError
+
+
+def make_run(directory: Path, text: str, lengths: list[int] | None = None) -> Results:
+    """Make a run whose trials have so many episodes; trial t's episode e returned 100 t + e."""
+    plan = parse_plan(text)
+    with create_run(directory, plan) as store:
+        for number, (spec, length) in enumerate(zip(plan.expand(), lengths or [], strict=False)):
+            for episode in range(1, length + 1):
+                store.record(spec.id, EpisodeResult(episode, 100.0 * number + episode, 1, True, 0.0))
+    return Results.open(directory)
+
+
+def labels(settings: list[Setting]) -> list[str]:
+    return [setting.label for setting in settings]
+
+
+def test_trials_that_differ_in_their_seed_are_one_setting(tmp_path: Path) -> None:
+    text = "episodes = 3\ntrials = 2\n[environments.mario]\n[agents.random]\n[agents.sample]"
+    with make_run(tmp_path / "a", text, [3, 1, 0, 2]) as run:
+        random, sample = collect([run])
+    assert (random.agent, random.environment, random.label) == ("random", "", "random")
+    assert [record.done for record in random.trials] == [3, 1]
+    assert [returns.tolist() for returns in random.returns] == [[1, 2, 3], [101]]
+    assert [returns.tolist() for returns in sample.returns] == [[], [301, 302]]
+
+
+def test_labels_say_what_varies_and_nothing_else(tmp_path: Path) -> None:
+    text = """
+        episodes = 1
+        [environments.mario]
+        level_seed = [1, 2]
+        width = 320
+        [agents.sample]
+        [agents.sarsa]
+        step_size = [0.1, 0.3]
+        discount = 0.9
+        """
+    with make_run(tmp_path / "a", text) as run:
+        settings = collect([run])
+    assert labels(settings) == [
+        "sample, mario level_seed=1",
+        "sample, mario level_seed=2",
+        "sarsa step_size=0.1, mario level_seed=1",
+        "sarsa step_size=0.1, mario level_seed=2",
+        "sarsa step_size=0.3, mario level_seed=1",
+        "sarsa step_size=0.3, mario level_seed=2",
+    ]
+    assert [setting.agent for setting in settings[2:4]] == ["sarsa step_size=0.1"] * 2
+
+
+def test_settings_of_several_runs_are_told_apart_or_joined(tmp_path: Path) -> None:
+    common = "trials = 2\n[environments.mario]\n[agents.sarsa]\nstep_size = "
+    with (
+        make_run(tmp_path / "a", f"episodes = 1\n{common} 0.1") as first,
+        make_run(tmp_path / "b", f"episodes = 1\n{common} 0.2") as other_option,
+        make_run(tmp_path / "c", f"episodes = 9\n{common} 0.1") as longer,
+        make_run(tmp_path / "d", f"episodes = 1\nseed = 1\n{common} 0.1") as other_seed,
+    ):
+        assert labels(collect([first, other_option])) == ["sarsa step_size=0.1", "sarsa step_size=0.2"]
+        assert labels(collect([first, longer])) == ["sarsa, mario episodes=1", "sarsa, mario episodes=9"]
+        (joined,) = collect([first, other_seed])
+        assert (joined.label, len(joined.trials)) == ("sarsa", 4)
+
+
+def test_option_may_be_called_label(tmp_path: Path) -> None:
+    text = "episodes = 1\n[agents.gym]\nlabel = ['x', 'y']"
+    with make_run(tmp_path / "a", text) as run:
+        assert labels(collect([run])) == ["gym label=x", "gym label=y"]
+
+
+def test_trial_given_twice_is_refused(tmp_path: Path) -> None:
+    message = r"trial remote/remote/0 is in .*/a and in .*/a"
+    with make_run(tmp_path / "a", "episodes = 1") as run:
+        again = Results.open(tmp_path / "a")
+        with again, pytest.raises(ExperimentError, match=message):
+            collect([run, again])
+
+
+@pytest.mark.parametrize(
+    ("lengths", "curves"),
+    [
+        ([2, 1, 2], [[1, 2], [201, 202]]),  # the finished ones, in full
+        ([1, 1, 0], [[1], [101]]),  # none finished: those begun, as far as all went
+        ([0, 0, 0], []),
+    ],
+)
+def test_curves_are_as_long_as_can_be(tmp_path: Path, lengths: list[int], curves: list[list[float]]) -> None:
+    with make_run(tmp_path / "a", "episodes = 2\ntrials = 3", lengths) as run:
+        (setting,) = collect([run])
+    assert setting.curves().ndim == 2
+    assert setting.curves().tolist() == curves
+
+
+def test_settings_are_read_while_the_run_goes_on(tmp_path: Path) -> None:
+    make_run(tmp_path / "a", "episodes = 2", [1]).close()
+    with Store.open(tmp_path / "a") as store, Results.open(tmp_path / "a") as results:
+        store.record("remote/remote/0", EpisodeResult(2, 5.0, 1, True, 0.0))
+        assert collect([results])[0].curves().tolist() == [[1, 5]]

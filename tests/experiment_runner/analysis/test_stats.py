@@ -1,0 +1,163 @@
+from __future__ import annotations
+
+import math
+import sys
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from experiment_runner.analysis.stats import (
+    convergence_episode,
+    estimate,
+    has_scipy,
+    interquartile_mean,
+    mean,
+    mean_of_last,
+    running_mean,
+)
+from glue.errors import ExperimentError
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def array(*values: float) -> FloatArray:
+    return np.array(values, np.float64)
+
+
+def rng(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def test_mean_of_last_takes_what_there_is() -> None:
+    assert mean_of_last(array(1, 2, 3, 4), window=2) == 3.5
+    assert mean_of_last(array(1, 2), window=100) == 1.5
+    assert math.isnan(mean_of_last(array()))
+
+
+def test_running_mean_of_one_trial_and_of_several() -> None:
+    assert running_mean(array(1, 3, 5, 10), window=2).tolist() == [2, 4, 7.5]
+    assert running_mean(array(4, 5), window=2).tolist() == [4.5]
+    assert running_mean(array(1), window=2).shape == (0,)
+    assert running_mean(np.array([[1.0, 3.0, 5.0], [0.0, 0.0, 6.0]]), window=2).tolist() == [[2, 4], [0, 3]]
+    assert running_mean(np.ones((7, 3)), window=4).shape == (7, 0)
+
+
+def test_running_mean_forgets_what_is_past() -> None:
+    # A running sum would carry the infinity, or the rounding of 1e300, on to the end.
+    assert running_mean(array(math.inf, 1, 2, 3), window=2).tolist()[1:] == [1.5, 2.5]
+    assert running_mean(array(1e300, 1, 2, 3), window=2).tolist()[1:] == [1.5, 2.5]
+
+
+@pytest.mark.parametrize(
+    ("returns", "episode"),
+    [
+        # Means of 2: 0 0 5 10 10 10, the last is 10: within 2 from the mean after episode 5 on.
+        ([0, 0, 0, 10, 10, 10, 10], 5),
+        # The same, an episode shorter: episode 5 is followed by only one.
+        ([0, 0, 0, 10, 10, 10], None),
+        # Level from the start: the earliest mean there is.
+        ([10, 10, 10, 10], 2),
+        # Ends included: |8 - 10| is within 2.
+        ([8, 8, 8, 10, 10, 10], 2),
+        ([7.9, 7.9, 7.9, 10, 10, 10], 4),
+        # It was close once, and strayed: only the last return counts.
+        ([10, 10, 0, 0, 10, 10, 10, 10], 6),
+        # Still rising.
+        ([0, 5, 10, 15, 20, 25], None),
+        ([10, 10, 10], None),
+        ([10], None),
+        ([], None),
+        ([1, 1, 1, math.nan], None),
+    ],
+)
+def test_convergence_by_hand(returns: list[float], episode: int | None) -> None:
+    assert convergence_episode(array(*returns), window=2, tolerance=2) == episode
+
+
+@given(st.lists(st.integers(-5, 5), max_size=40), st.integers(1, 6))
+def test_convergence_is_what_its_rule_says(values: list[int], window: int) -> None:
+    means = {e: sum(values[e - window : e]) / window for e in range(window, len(values) + 1)}
+    final = means.get(len(values), math.nan)
+    stays = [
+        e
+        for e in means
+        if all(abs(means[f] - final) <= 2 for f in means if f >= e) and len(values) - e >= window
+    ]
+    found = convergence_episode(array(*values), window=window, tolerance=2)
+    assert found == (min(stays) if stays else None)
+
+
+def test_interquartile_mean_cuts_a_quarter_at_either_end() -> None:
+    assert interquartile_mean(array(-100, 1, 2, 3, 4, 5, 6, 1000)) == 3.5
+    assert interquartile_mean(array(0, 10, 20)) == 10  # a quarter of three is none
+    assert interquartile_mean(np.array([[0.0, 5.0], [1.0, 6.0], [2.0, 7.0], [90.0, 8.0]])).tolist() == [
+        1.5,
+        6.5,
+    ]
+
+
+def test_interval_of_the_mean_agrees_with_theory() -> None:
+    values = rng(1).normal(50, 10, 400)
+    value, low, high = estimate([values], mean, rng(2))
+    half = 1.96 * values.std() / np.sqrt(len(values))
+    assert value == pytest.approx(values.mean())
+    assert low == pytest.approx(values.mean() - half, abs=0.1 * half)
+    assert high == pytest.approx(values.mean() + half, abs=0.1 * half)
+    narrow = estimate([values], mean, rng(2), confidence=0.5)
+    assert low < narrow.low < value < narrow.high < high
+
+
+def test_interval_depends_on_the_generator_alone() -> None:
+    strata = [array(1, 2, 3, 9), array(4, 5, 7, 8)]
+    assert estimate(strata, interquartile_mean, rng(3)) == estimate(strata, interquartile_mean, rng(3))
+    assert estimate(strata, interquartile_mean, rng(3)) != estimate(strata, interquartile_mean, rng(4))
+
+
+def test_trials_are_drawn_within_their_stratum() -> None:
+    strata = [np.zeros(3), np.full(3, 10.0)]
+    assert [float(x) for x in estimate(strata, mean, rng())] == [5, 5, 5]
+    _, low, high = estimate([np.concatenate(strata)], mean, rng())
+    assert low < 5 < high
+
+
+def test_statistic_is_of_all_strata_together() -> None:
+    assert estimate([array(0, 1, 2, 3), array(10, 11, 12, 99)], interquartile_mean, rng()).value == 6.5
+
+
+def test_curves_have_an_interval_at_each_point() -> None:
+    curves = np.stack([np.arange(5.0), np.arange(5.0) + 2, np.arange(5.0) + 4])
+    value, low, high = estimate([curves], mean, rng())
+    assert value.tolist() == [2, 3, 4, 5, 6]
+    assert low.tolist() == [0, 1, 2, 3, 4]
+    assert high.tolist() == [4, 5, 6, 7, 8]
+
+
+def test_interval_of_long_curves_does_not_depend_on_how_they_are_batched() -> None:
+    # 5000 points of ten trials are resampled in batches; the first alone, in one go.
+    curves = rng(5).normal(size=(10, 5000))
+    long, short = (estimate([c], mean, rng(6)) for c in (curves, curves[:, :1]))
+    assert (long.low[0], long.high[0]) == (short.low[0], short.high[0])
+
+
+def test_one_trial_has_no_interval() -> None:
+    value, low, high = estimate([array(7)], mean, rng())
+    assert value == 7
+    assert np.isnan(low)
+    assert np.isnan(high)
+    assert np.isnan(estimate([array(7), array(1, 2)], mean, rng()).low)
+
+
+def test_infinite_returns_are_no_error() -> None:
+    assert estimate([array(math.inf, 1, 2)], mean, rng()).value == math.inf
+
+
+def test_missing_scipy_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert has_scipy()
+    monkeypatch.setitem(sys.modules, "scipy", None)
+    assert not has_scipy()
+    with pytest.raises(ExperimentError, match=r"need SciPy: pip install 'glue-rl\[plot\]'"):
+        estimate([array(1, 2)], mean, rng())
+    assert convergence_episode(np.ones(200)) == 100

@@ -1,0 +1,160 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner, Result
+
+from experiment_runner.commands.experiment import experiment
+from experiment_runner.plan_file import load_plan
+from experiment_runner.store.directory import Results
+from glue.errors import ConfigError, ExperimentError
+
+PLAN = """episodes = 3
+max_steps = 20
+trials = 2
+
+[environments.mines]
+
+[agents.sarsa]
+step_size = [0.1, 0.5]
+"""
+MINES = ("--env", "mines", "--agent", "random", "--max-steps", "9", "--in-process")
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("plan.toml").write_text(PLAN)
+
+
+def invoke(*arguments: str) -> Result:
+    return CliRunner().invoke(experiment, arguments, standalone_mode=False)
+
+
+def refused(*arguments: str) -> str:
+    """Return what is said; nothing is made."""
+    result = invoke(*arguments)
+    assert isinstance(result.exception, ConfigError | ExperimentError | click.ClickException), result
+    assert not Path("runs").exists()
+    return str(result.exception)
+
+
+def test_plan_runs_and_is_kept_with_the_results() -> None:
+    result = invoke("--plan", "plan.toml", "--in-process", "--out", "run")
+    assert (result.exception, result.return_value) == (None, 0)
+    assert load_plan(Path("run/plan.toml")) == load_plan(Path("plan.toml"))
+    lines = result.stdout.splitlines()
+    assert [line.split()[:2] for line in lines[1:5]] == [
+        [f"sarsa/step_size={size}/mines/{number}", "3/3"] for size in (0.1, 0.5) for number in (0, 1)
+    ]
+    assert lines[-1].endswith(" s; results in run")
+
+
+def test_counts_on_the_command_line_go_before_the_plans() -> None:
+    counts = ("--episodes", "1", "--trials", "1", "--seed", "9", "--max-steps", "5")
+    assert invoke("--plan", "plan.toml", *counts, "--in-process", "--out", "run").return_value == 0
+    plan = load_plan(Path("run/plan.toml"))
+    assert (plan.episodes, plan.trials, plan.seed, plan.max_steps) == (1, 1, 9, 5)
+    assert plan.agents == load_plan(Path("plan.toml")).agents
+
+
+def test_dry_run_shows_the_trials_and_makes_nothing() -> None:
+    result = invoke("--plan", "plan.toml", "--trials", "1", "--dry-run")
+    assert result.return_value == 0
+    assert result.stdout.startswith("2 trials of 3 episodes cut off after 20 steps; seed 0\n")
+    assert "sarsa/step_size=0.5/mines/0  seed " in result.stdout
+    assert [path.name for path in Path.cwd().iterdir()] == ["plan.toml"]
+
+
+def test_same_command_goes_on_and_a_finished_run_stays_as_it_is() -> None:
+    command = (*MINES, "--episodes", "4", "--json", "--out", "run")
+    first = invoke(*command).stdout.splitlines()
+    again = invoke(*command).stdout.splitlines()
+    assert len(first) == 5
+    assert len(again) == 1
+    summaries = [json.loads(lines[-1]) for lines in (first, again)]
+    for summary in summaries:
+        del summary["seconds"]
+    assert summaries[0] == summaries[1]
+    assert (summaries[0]["episodes"], summaries[0]["failed_trials"], summaries[0]["out"]) == (4, 0, "run")
+
+
+def test_resume_goes_on_with_whatever_the_plan_was() -> None:
+    invoke("--plan", "plan.toml", "--in-process", "--out", "run")
+    assert invoke("--resume", "run", "--in-process").return_value == 0
+    with Results.open(Path("run")) as results:
+        assert [event.kind for event in results.events()] == ["start", "resume"]
+
+
+def test_directory_without_a_name_is_made_in_runs() -> None:
+    for _ in range(3):
+        assert invoke(*MINES, "--episodes", "1").return_value == 0
+    assert invoke("--plan", "plan.toml", "--in-process").return_value == 0
+    names = sorted(path.name.split("-", 2)[2] for path in Path("runs").iterdir())
+    assert names[0] == "plan"
+    assert len(names) == 4
+    assert all(name.startswith("random-mines") for name in names[1:])
+
+
+def test_failed_trial_makes_the_exit_code_and_is_explained() -> None:
+    Path("bad.py").write_text(
+        "from agents.baselines import RandomAgent\n"
+        "class Bad(RandomAgent):\n"
+        "    def agent_start(self, observation):\n"
+        "        raise ValueError('a mistake')\n"
+    )
+    result = invoke(
+        "--env", "mines", "--agent", "bad.py:Bad", "--episodes", "2", "--in-process", "--out", "r"
+    )
+    assert result.return_value == 1
+    assert "failed: Bad/mines/0: agent Bad raised in agent_start: ValueError: a mistake" in result.stdout
+    assert "raise ValueError('a mistake')" in result.stderr  # their own line, in its traceback
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "say how many --episodes to run, or give a --plan or a run to --resume"),
+        (("--plan", "plan.toml", "--env", "mines"), "plan.toml says which agents and environments there are"),
+        (("--plan", "nowhere.toml"), "cannot read the plan nowhere.toml"),
+        (("--resume", "nowhere"), "nowhere holds no run"),
+        (("--resume", "run", "--episodes", "3"), "leave out --plan, --out, and what the plan says"),
+        (("--resume", "run", "--out", "other"), "leave out --plan, --out, and what the plan says"),
+        (("--episodes", "3", "--agent-option", "a=1"), "--agent-option needs --agent NAME"),
+        (("--episodes", "3", "--in-process", "--env", "mines"), "--agent NAME is missing"),
+        (("--episodes", "3", "--workers", "2", "--agent", "random"), "--env NAME is missing"),
+        (
+            (*MINES, "--episodes", "3", "--workers", "2", "--hub", "tcp://h:1"),
+            "every worker brings its own hub",
+        ),
+        ((*MINES, "--episodes", "3", "--address", "h:1"), "say --engine ray"),
+        (("--episodes", "3", "--hub", "tcp://h:1", "--bind", "ipc://x"), "with --hub there is none"),
+        ((*MINES, "--episodes", "3", "--legacy-port", "4096"), "with --in-process there is no hub"),
+        (("--episodes", "0"), "0 is not in the range"),
+    ],
+)
+def test_command_that_makes_no_sense_is_refused(arguments: tuple[str, ...], message: str) -> None:
+    assert message in refused(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("plan", "message"),
+    [
+        (
+            "episodes = 3\ntrials =\nseed = 1",
+            "plan.toml: this is not TOML: Invalid value (at line 2, column 9)",
+        ),
+        ("episodes = 0", "plan.toml: episodes must be a whole number from 1"),
+        ("episodes = 1\n[agents.sarsa]\nstep_size = [0.1, 7]", "sarsa: option step_size must be from 0 to 1"),
+        ("episodes = 1\n[agents.sarsa]\nstep_size = [0.5, 0.5]", "sarsa/step_size=0.5/remote/0 twice"),
+    ],
+)
+def test_mistake_in_a_plan_is_one_of_the_command(plan: str, message: str) -> None:
+    Path("plan.toml").write_text(plan)
+    result = invoke("--plan", "plan.toml")
+    assert isinstance(result.exception, ConfigError)  # which makes the exit code 2
+    assert message in str(result.exception)
+    assert not Path("runs").exists()

@@ -1,0 +1,129 @@
+"""`glue-watch`: what a person sees, and what somebody does who made a mistake."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+from pathlib import Path
+
+import pytest
+
+from agents.mario.sample import SampleAgent
+from agents.tabular import SarsaAgent
+from env_server.mario.environment import InfiniteMario
+from env_server.toys import MinesEnvironment
+from experiment_runner.commands.watch import play
+from glue.core.local import local
+from glue.players.trained import Trained
+from glue.roles import Agent
+from tests.terminal import drawings, run, run_in_terminal, watched_terminal
+
+
+def learned(episodes: int) -> bytes:
+    """What SARSA has learned in the mines after so many episodes."""
+    agent = SarsaAgent()
+    with local(agent, MinesEnvironment()) as glue:
+        glue.rl_init(seed=1)
+        for _ in range(episodes):
+            glue.rl_episode(200)
+        return agent.agent_save()
+
+
+def test_watch_draws_the_game_in_a_terminal(tmp_path: Path) -> None:
+    status, text = run_in_terminal(
+        *("glue-watch", "--agent", "sample", "--max-steps", "12", "--speed", "1000", "--seed", "3"),
+        cwd=tmp_path,
+    )
+    assert status == 0
+    first, last = drawings(text)[0], drawings(text)[-1]
+    for drawing in first, last:
+        tiles, legend = drawing.split("\n")[:16], drawing.split("\n")[16]
+        assert {len(line) for line in tiles} == {42}
+        assert sum(line.count("mm") for line in tiles) == 1
+        assert "##" in "".join(tiles)
+        assert legend.startswith("mm Mario")
+        assert "sample in mario, episode 1" in drawing
+    assert re.search(r"step 0  reward 0  return 0\.00  speed [+-]\d\.\d\d [+-]\d\.\d\d tiles/step", first)
+    shown = re.search(r"step 11  reward -?[\d.]+  return (-?[\d.]+)  speed ", last)
+    assert shown
+    assert f"episode 1: return {shown[1]} in 12 steps" in last
+    assert text.index("\x1b[?25l") < text.rindex("\x1b[?25h"), "the cursor comes back"
+
+
+def test_play_waits_between_the_steps_that_a_person_sees() -> None:
+    waits: list[float] = []
+    with watched_terminal() as (writing, seen), local(SampleAgent(), InfiniteMario()) as glue:
+        glue.rl_init(seed=3)
+        with os.fdopen(writing, "w", closefd=False) as terminal:
+            result = play(glue, terminal, "a title", 5, speed=4.0, sleep=waits.append)
+        assert result == (glue.rl_return(), 5)
+    assert b"a title" in b"".join(seen)
+    assert waits == [0.25] * 4
+
+
+def test_play_draws_nothing_where_nobody_looks_and_does_not_wait() -> None:
+    stream = io.StringIO()
+    waits: list[float] = []
+    with local(SarsaAgent(), MinesEnvironment()) as glue:
+        glue.rl_init(seed=3)
+        played = [play(glue, stream, "a title", 0, speed=0.1, sleep=waits.append) for _ in range(3)]
+        glue.rl_init(seed=3)
+        assert played == [(glue.rl_return(), glue.rl_num_steps()) for _ in range(3) if glue.rl_episode()]
+    assert stream.getvalue() == ""
+    assert set(waits) == {0.0}
+
+
+def test_watch_plays_unseen_episodes_first_and_says_how_the_others_went(tmp_path: Path) -> None:
+    shown = run(
+        *("glue-watch", "--env", "mines", "--agent", "sarsa", "--after", "20", "--episodes", "2"),
+        cwd=tmp_path,
+    )
+    assert shown.returncode == 0, shown.stderr
+    assert re.findall(r"episode (\d+): return", shown.stderr) == ["21", "22"]
+    assert shown.stdout == ""
+
+
+def test_watch_shows_what_was_learned(tmp_path: Path) -> None:
+    (tmp_path / "mines.agent").write_bytes(learned(1000))
+    greedy = SarsaAgent(learning=False, epsilon=0)
+    players: dict[str, Agent] = {"loaded": Trained(greedy, learned(1000)), "new": greedy}
+    ways = {}
+    for way, agent in players.items():
+        with local(agent, MinesEnvironment()) as glue:
+            glue.rl_init(seed=0)
+            glue.rl_episode(60)
+            ways[way] = f"episode 1: return {glue.rl_return():.2f} in {glue.rl_num_steps()} steps\n"
+    shown = run(
+        *("glue-watch", "--env", "mines", "--agent", "sarsa", "--load", "mines.agent", "--max-steps", "60"),
+        *("--agent-option", "learning=off", "--agent-option", "epsilon=0"),
+        cwd=tmp_path,
+    )
+    assert shown.stderr == ways["loaded"] != ways["new"]
+
+
+MISTAKES = {
+    "no file": (["sarsa", "--load", "nothing.agent"], "cannot read nothing.agent"),
+    "a folder": (["sarsa", "--load", "folder"], "is a directory"),
+    "a damaged file": (["sarsa", "--load", "damaged.agent"], "bytes"),
+    "another agent's file": (["hierarchical", "--load", "mines.agent"], "not a saved agent"),
+    "an agent that cannot load": (["mine.py:Plain", "--load", "mines.agent"], "Plain cannot load"),
+    "a misspelt agent": (["sarsaa"], "did you mean sarsa"),
+    "a misspelt option": (["sarsa", "--agent-option", "stepsize=1"], "did you mean step_size"),
+    "no speed": (["sarsa", "--speed", "0"], "0.1<=x<=1000"),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_mistake_is_answered_in_a_line(mistake: str, tmp_path: Path) -> None:
+    arguments, advice = MISTAKES[mistake]
+    environment = "mario" if arguments[0] == "hierarchical" else "mines"
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "mine.py").write_text("class Plain: pass")
+    (tmp_path / "mines.agent").write_bytes(learned(3))
+    (tmp_path / "damaged.agent").write_bytes(learned(3)[:-1])
+    shown = run("glue-watch", "--env", environment, "--agent", *arguments, cwd=tmp_path)
+    assert shown.returncode in (1, 2)
+    assert advice in shown.stderr
+    assert "Traceback" not in shown.stderr
+    assert sum(line.startswith("Error:") for line in shown.stderr.splitlines()) == 1

@@ -1,0 +1,37 @@
+"""docs/paper.md shows a whole study, and calls the command as it is."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+from typing import Final
+
+from experiment_runner.paper.command import paper
+from experiment_runner.paper.experiments import EXPERIMENTS
+from experiment_runner.paper.report import BEGIN, END
+
+DOCS: Final = Path(__file__).parents[3] / "docs"
+TEXT: Final = (DOCS / "paper.md").read_text(encoding="utf-8")
+TABLES: Final = TEXT.partition(BEGIN)[2].partition(END)[0]
+
+
+def test_every_call_of_the_command_is_understood() -> None:
+    calls = [shlex.split(line, comments=True) for line in TEXT.splitlines() if line.startswith("glue-paper")]
+    assert len(calls) > 3
+    for name, *arguments in calls:
+        paper.make_context(name, arguments)
+
+
+def test_figures_are_those_of_the_folder_and_small() -> None:
+    shown = re.findall(r"!\[[^]]+\]\(images/paper/(.+?)\)", TEXT)
+    files = {path.name: path.stat().st_size for path in (DOCS / "images" / "paper").iterdir()}
+    assert sorted(shown) == sorted(files)
+    assert sum(files.values()) < 3_000_000
+
+
+def test_tables_are_of_finished_trials_of_every_experiment_of_the_paper() -> None:
+    agents = {sweep.label for experiment in EXPERIMENTS.values() for sweep in experiment.agents}
+    shown = set(re.findall(r"^\|[^|]+\| `([\w-]+)` \|", TABLES, re.MULTILINE))
+    assert agents <= shown <= agents
+    assert "trials)" not in TABLES

@@ -1,0 +1,170 @@
+from __future__ import annotations
+
+import sys
+import xml.etree.ElementTree
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from experiment_runner.report.plots import comparison, learning_curves, save, scatter
+from glue.errors import ExperimentError
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def learner(final: float, trials: int = 4, episodes: int = 300) -> FloatArray:
+    chance = np.random.default_rng(int(final))
+    rise = final * (1 - np.exp(-np.arange(episodes) / 50))
+    return rise + chance.normal(0, 3, (trials, episodes)) + chance.normal(0, 3, (trials, 1))
+
+
+CURVES = {"slow": learner(50), "quick": learner(80)}
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def legend_of(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.legends[0].get_texts()]
+
+
+def test_learning_curve_is_the_running_mean_over_trials() -> None:
+    figure = learning_curves(CURVES, rng(), window=20)
+    (axes,) = figure.axes
+    slow, quick = axes.lines
+    assert legend_of(figure) == ["slow", "quick"]
+    np.testing.assert_array_equal(slow.get_xdata(), np.arange(20, 301))
+    last = np.asarray(quick.get_ydata())[-1]
+    assert last == pytest.approx(CURVES["quick"][:, -20:].mean())
+    assert slow.get_color() != quick.get_color()
+    assert slow.get_linestyle() != quick.get_linestyle()
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("episode", "episode return (reward)")
+    assert "running mean of 20 episodes over 4 trials" in axes.get_title(loc="left")
+
+
+def test_band_holds_the_mean_and_spans_the_trials() -> None:
+    figure = learning_curves({"slow": CURVES["slow"]}, rng(), window=20)
+    (band,) = figure.axes[0].collections
+    corners = np.asarray(band.get_paths()[0].vertices)
+    at_end = corners[corners[:, 0] == 300][:, 1]
+    trials = CURVES["slow"][:, -20:].mean(axis=1)
+    assert trials.min() <= at_end.min() < trials.mean() < at_end.max() <= trials.max()
+
+
+def test_window_shrinks_for_a_short_run() -> None:
+    figure = learning_curves({"short": learner(10, episodes=30)}, rng())
+    assert "running mean of 3 episodes" in figure.axes[0].get_title(loc="left")
+
+
+def test_curve_shorter_than_the_window_is_left_out() -> None:
+    figure = learning_curves({**CURVES, "begun": learner(10, episodes=5)}, rng(), window=20)
+    assert legend_of(figure) == ["slow", "quick"]
+
+
+def test_single_trial_is_drawn_without_a_band() -> None:
+    figure = learning_curves({"one": learner(10, trials=1)}, rng())
+    assert "over 1 trial," in figure.axes[0].get_title(loc="left")
+
+
+def test_scatter_shows_every_episode_of_every_trial() -> None:
+    figure = scatter(CURVES, window=20)
+    assert [axes.get_title(loc="left").replace("\N{NO-BREAK SPACE}", " ") for axes in figure.axes] == [
+        "slow (4 trials)",
+        "quick (4 trials)",
+    ]
+    dots, line = figure.axes[0].lines[:2]
+    assert sorted(np.asarray(dots.get_ydata())) == sorted(CURVES["slow"].ravel())
+    assert sorted(np.asarray(dots.get_xdata())) == sorted([*range(1, 301)] * 4)
+    np.testing.assert_allclose(np.asarray(line.get_ydata())[-1], CURVES["slow"][:, -20:].mean())
+
+
+def test_scatter_has_the_reference_in_every_panel() -> None:
+    figure = scatter(CURVES, reference=("sample agent", learner(30)))
+    assert "sample agent" in legend_of(figure)
+    for axes in figure.axes:
+        (line,) = [line for line in axes.lines if line.get_label() == "sample agent"]
+        assert np.asarray(line.get_ydata())[-1] == pytest.approx(learner(30)[:, -30:].mean())
+
+
+def test_comparison_marks_mean_and_interquartile_mean() -> None:
+    reached = np.array([[0.0, 1.0], [0.0, 2.0], [0.0, 3.0], [0.0, 10.0]])
+    (axes,) = comparison({"a": [reached], "b": [reached + 5]}, rng(), window=1).axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["a", "b"]
+    marks = {
+        (line.get_label(), float(np.asarray(line.get_xdata())[0]))
+        for line in axes.lines
+        if str(line.get_label()).endswith("mean")
+    }
+    assert marks == {("mean", 4.0), ("interquartile mean", 2.5)}
+
+
+def test_comparison_counts_each_environment_alike() -> None:
+    easy, hard = np.full((5, 3), 100.0), np.zeros((2, 3))
+    (axes,) = comparison({"a": [easy, hard]}, rng()).axes
+    (mean,) = [line for line in axes.lines if line.get_label() == "mean"]
+    assert np.asarray(mean.get_xdata()).tolist() == [50]
+
+
+@pytest.mark.parametrize("empty", [{}, {"a": np.empty((0, 0))}])
+def test_nothing_to_draw_is_said(empty: dict[str, FloatArray]) -> None:
+    with pytest.raises(ExperimentError, match="nothing to draw yet"):
+        learning_curves(empty, rng())
+    with pytest.raises(ExperimentError, match="nothing to draw yet"):
+        scatter(empty)
+    with pytest.raises(ExperimentError, match="nothing to draw yet"):
+        comparison({name: [returns] for name, returns in empty.items()}, rng())
+
+
+def figures() -> dict[str, Figure]:
+    return {
+        "curves": learning_curves(CURVES, rng()),
+        "scatter": scatter(CURVES),
+        "comparison": comparison({name: [returns] for name, returns in CURVES.items()}, rng()),
+    }
+
+
+def test_figures_are_the_same_byte_for_byte(tmp_path: Path) -> None:
+    for kind in ("png", "svg"):
+        for attempt in ("one", "two"):
+            for name, figure in figures().items():
+                save(figure, tmp_path / f"{name}-{attempt}.{kind}")
+        for name in figures():
+            one, two = ((tmp_path / f"{name}-{attempt}.{kind}").read_bytes() for attempt in ("one", "two"))
+            assert one == two
+            if kind == "svg":
+                assert xml.etree.ElementTree.fromstring(one).tag.endswith("svg")
+            else:
+                with Image.open(tmp_path / f"{name}-one.png") as image:
+                    assert image.width == 1280
+                    assert len(image.convert("RGB").getcolors(1 << 24) or []) > 20
+
+
+def test_users_style_neither_changes_a_figure_nor_is_changed(tmp_path: Path) -> None:
+    save(learning_curves(CURVES, rng()), tmp_path / "plain.svg")
+    with mpl.rc_context({"font.size": 30, "axes.grid": False}):
+        save(learning_curves(CURVES, rng()), tmp_path / "styled.svg")
+        assert mpl.rcParams["font.size"] == 30
+    assert (tmp_path / "plain.svg").read_bytes() == (tmp_path / "styled.svg").read_bytes()
+
+
+def test_unknown_ending_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ExperimentError, match=r"saved as .png or .svg, not as curves.pdf"):
+        save(scatter(CURVES), tmp_path / "curves.pdf")
+
+
+def test_figure_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ExperimentError, match=r"cannot write .*absent/x.png: No such file"):
+        save(scatter(CURVES), tmp_path / "absent" / "x.png")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_missing_matplotlib_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(ExperimentError, match=r"need matplotlib: pip install 'glue-rl\[plot\]'"):
+        scatter(CURVES)

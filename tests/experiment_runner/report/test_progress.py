@@ -1,0 +1,184 @@
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import re
+
+import pytest
+
+from experiment_runner.plan import Plan, RoleSweep, TrialSpec
+from experiment_runner.report.progress import JsonLines, Progress
+from experiment_runner.store.directory import EpisodeResult, TrialRecord
+
+PLAN = Plan(episodes=50, trials=3, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))
+FIRST, SECOND, THIRD = PLAN.expand()
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Terminal(io.StringIO):
+    """Carries out what `Progress` writes, as a terminal does."""
+
+    def isatty(self) -> bool:
+        return True
+
+    def screen(self) -> list[str]:
+        lines, row = [""], 0
+        for part in re.split(r"(\n|\r|\x1b\[\d*[A-Z])", self.getvalue()):
+            if part == "\n":
+                row += 1
+                if row == len(lines):
+                    lines.append("")
+            elif part.startswith("\x1b["):
+                count, what = int(part[2:-1] or 0), part[-1]
+                if what == "A":
+                    row -= count
+                    assert row >= 0
+                elif what == "J":
+                    lines[row:] = [""]
+                else:
+                    assert what == "K"
+            elif part and part != "\r":
+                lines[row] = part  # whole lines are written, and the rest of them is cleared
+        return lines
+
+
+def result(episode: int, episode_return: float = 2.0, steps: int = 100) -> EpisodeResult:
+    return EpisodeResult(episode, episode_return, steps, True, 0.5)
+
+
+def records(*specs: TrialSpec, done: int = 0) -> list[TrialRecord]:
+    return [TrialRecord(spec, done, 0, None) for spec in specs]
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+    size = os.terminal_size((100, 8))
+    monkeypatch.setattr("shutil.get_terminal_size", lambda: size)
+    return Terminal()
+
+
+def test_table_of_one_trial_shows_rate_mean_and_time_left(terminal: Terminal, clock: Clock) -> None:
+    progress = Progress(terminal, clock)
+    progress.start(records(FIRST, done=10))
+    progress.begin(FIRST, 10)
+    for episode, value in ((11, 1.0), (12, 4.0)):
+        clock.now += 0.5
+        progress.episode(FIRST, result(episode, value))
+    assert terminal.screen() == [
+        "trial          episode  steps/s  return  mean of last 100  left",
+        "sarsa/mines/0    12/50      200    4.00              2.50  19 s",
+        "",
+    ]
+
+
+def test_table_of_many_trials_is_redrawn_in_place(terminal: Terminal, clock: Clock) -> None:
+    progress = Progress(terminal, clock)
+    progress.start(records(FIRST, SECOND, THIRD))
+    for spec in (FIRST, SECOND):
+        progress.begin(spec, 0)
+    for episode in (1, 2):
+        for spec in (FIRST, SECOND):
+            clock.now += 0.5
+            progress.episode(spec, result(episode))
+    progress.say("the agent sarsa was killed by signal 9; it is started again")
+    clock.now += 0.5
+    progress.episode(FIRST, result(3))
+    assert terminal.screen() == [
+        "the agent sarsa was killed by signal 9; it is started again",
+        "trial          episode  steps/s  return  mean of last 100  left",
+        "sarsa/mines/0     3/50      120    2.00              2.00  39 s",
+        "sarsa/mines/1     2/50      100    2.00              2.00  48 s",
+        "0 of 3 trials finished  episode 5/150  200 steps/s  1 min 12 s left",
+        "",
+    ]
+    progress.close()
+    assert terminal.screen() == ["the agent sarsa was killed by signal 9; it is started again", ""]
+
+
+def test_table_fits_the_terminal(terminal: Terminal, clock: Clock) -> None:
+    many = Plan(episodes=50, trials=30, agents=(RoleSweep("sarsa", label="x" * 90),)).expand()
+    progress = Progress(terminal, clock)
+    progress.start(records(*many))
+    for spec in many:
+        progress.begin(spec, 0)
+        clock.now += 1
+        progress.episode(spec, result(1))
+    screen = terminal.screen()
+    assert len(screen) <= 8
+    assert all(len(line) < 100 for line in screen)
+    assert screen[-3:-1] == [
+        "and 26 more",
+        "0 of 30 trials finished  episode 30/1500  100 steps/s  24 min 30 s left",
+    ]
+
+
+def test_trial_that_goes_back_counts_its_episodes_once(terminal: Terminal, clock: Clock) -> None:
+    progress = Progress(terminal, clock)
+    progress.start(records(FIRST, SECOND))
+    progress.begin(FIRST, 0)
+    for episode in (1, 2, 3):
+        progress.episode(FIRST, result(episode))
+    progress.begin(FIRST, 1)
+    for episode in (2, 3):
+        clock.now += 1
+        progress.episode(FIRST, result(episode))
+    assert "0 of 2 trials finished  episode 3/100" in terminal.screen()[-2]
+
+
+def test_elsewhere_a_line_comes_now_and_then(clock: Clock) -> None:
+    stream = io.StringIO()
+    progress = Progress(stream, clock)
+    progress.start(records(FIRST))
+    progress.begin(FIRST, 0)
+    for episode in range(1, 26):
+        clock.now += 0.5
+        progress.episode(FIRST, result(episode))
+    progress.end(FIRST)
+    progress.close()
+    assert stream.getvalue().splitlines() == [
+        "sarsa/mines/0  episode 20/50  200 steps/s  return 2.00  mean of last 20 2.00  15 s left",
+        "sarsa/mines/0  episode 25/50  200 steps/s  return 2.00  mean of last 25 2.00  12 s left",
+    ]
+
+
+def test_json_lines_name_their_trial() -> None:
+    stream, people = io.StringIO(), io.StringIO()
+    lines = JsonLines(Progress(people), stream)
+    lines.start(records(FIRST, SECOND))
+    for spec in (FIRST, SECOND):
+        lines.begin(spec, 0)
+    lines.episode(SECOND, result(1, math.nan))
+    lines.episode(FIRST, result(1, -1.5))
+    lines.say("a word")
+    assert [json.loads(line) for line in stream.getvalue().splitlines()] == [
+        {"trial": SECOND.id, "episode": 1, "return": None, "steps": 100, "terminal": True},
+        {"trial": FIRST.id, "episode": 1, "return": -1.5, "steps": 100, "terminal": True},
+    ]
+    assert people.getvalue() == "a word\n"
+
+
+def test_json_lines_have_no_number_that_json_lacks() -> None:
+    stream = io.StringIO()
+    lines = JsonLines(Progress(io.StringIO()), stream)
+    lines.begin(FIRST, 0)
+    for episode, episode_return in enumerate((math.nan, math.inf, -math.inf), 1):
+        lines.episode(FIRST, result(episode, episode_return))
+    lines.write({"summary": True, "mean_return": math.nan, "seconds": 1.5})
+    written = stream.getvalue().splitlines()
+    *episodes, summary = [json.loads(line, parse_constant=pytest.fail) for line in written]
+    assert [episode["return"] for episode in episodes] == [None] * 3
+    assert summary == {"summary": True, "mean_return": None, "seconds": 1.5}

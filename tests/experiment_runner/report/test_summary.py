@@ -1,0 +1,84 @@
+"""What `glue-experiment` says at its end."""
+
+from __future__ import annotations
+
+import math
+import tracemalloc
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiment_runner.plan import Plan, RoleSweep
+from experiment_runner.report.summary import summarize, tabulate
+from experiment_runner.resume import create_run
+from experiment_runner.store.directory import EpisodeResult, Store
+
+PLAN = Plan(episodes=20_000, trials=3, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))
+FIRST, SECOND, THIRD = (spec.id for spec in PLAN.expand())
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    with create_run(tmp_path / "run", PLAN) as store:
+        yield store
+
+
+def record(store: Store, trial_id: str, *returns: float) -> None:
+    for episode, value in enumerate(returns, store.done(trial_id) + 1):
+        store.record(trial_id, EpisodeResult(episode, value, episode, episode % 3 > 0, 0.5))
+
+
+def test_table_and_summary_are_of_all_episodes_and_of_the_last(store: Store) -> None:
+    returns = np.random.default_rng(1).normal(0, 10, 130)
+    record(store, FIRST, *returns.tolist())
+    record(store, SECOND, 1.0, 2.0, 4.5)
+    store.record_void(SECOND, 4, "the agent left")
+    store.record_failure(SECOND, "the agent left for good")
+    header, first, second, third, _, failure, last = tabulate(store, 7.0).splitlines()
+    assert " ".join(header.split()) == "trial episodes steps mean return mean of last 100 cut off void"
+    means = f"{returns.mean():.2f}", f"{returns[-100:].mean():.2f}"
+    assert first.split() == [FIRST, "130/20000", "8,515", *means, "43", "0"]
+    assert second.split() == [SECOND, "3/20000", "6", "2.50", "2.50", "1", "1"]
+    assert third.split() == [THIRD, "0/20000", "0", "-", "-", "0", "0"]
+    assert failure == f"failed: {SECOND}: the agent left for good"
+    assert last == f"7.0 s; results in {store.directory}"
+    assert summarize(store, 7.0) == {
+        "summary": True,
+        "episodes": 133,
+        "steps": 8521,
+        "mean_return": pytest.approx((returns.sum() + 7.5) / 133),
+        "mean_last_100": pytest.approx((returns[-100:].sum() + 7.5) / 103),
+        "cut_off": 44,
+        "voids": 1,
+        "failed_trials": 1,
+        "seconds": 7.0,
+        "out": str(store.directory),
+    }
+
+
+def test_summary_of_nothing_has_no_mean(store: Store) -> None:
+    summary = summarize(store, 0.0)
+    assert (summary["episodes"], summary["mean_return"], summary["mean_last_100"]) == (0, None, None)
+
+
+@pytest.mark.parametrize(
+    ("values", "mean"),
+    [((1.0, math.nan), math.nan), ((1.0, math.inf), math.inf), ((-math.inf, math.inf), math.nan)],
+)
+def test_unusual_returns_show_in_the_means(store: Store, values: tuple[float, ...], mean: float) -> None:
+    record(store, FIRST, *values)
+    assert summarize(store, 0.0)["mean_return"] == pytest.approx(mean, nan_ok=True)
+    assert tabulate(store, 0.0).splitlines()[1].split()[3] == f"{mean:.2f}"
+
+
+def test_memory_does_not_grow_with_the_episodes(store: Store) -> None:
+    record(store, FIRST, *[1.0] * 20_000)
+    tracemalloc.start()
+    try:
+        tabulate(store, 0.0)
+        summarize(store, 0.0)
+        assert tracemalloc.get_traced_memory()[1] < 200_000  # bytes
+    finally:
+        tracemalloc.stop()

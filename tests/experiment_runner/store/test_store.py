@@ -1,0 +1,563 @@
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from experiment_runner.plan import Plan, RoleSweep
+from experiment_runner.store import database
+from experiment_runner.store.directory import (
+    PLAN_FILE,
+    Checkpoint,
+    EpisodeResult,
+    Event,
+    Results,
+    Store,
+    Void,
+)
+from experiment_runner.store.lock import lock_holder
+from glue.errors import ExperimentError
+
+PLAN = Plan(
+    episodes=100_000,
+    trials=2,
+    environments=(RoleSweep("mario", {"level_seed": (121, 122), "slow": False}),),
+    agents=(RoleSweep("random", {"speed": 0.1}),),
+)
+FIRST, SECOND, THIRD, FOURTH = (spec.id for spec in PLAN.expand())
+FILES = {PLAN_FILE: "the plan\n"}
+NOBODY = 65534
+
+
+def result(episode: int) -> EpisodeResult:
+    return EpisodeResult(episode, episode / 3, 10 * episode, episode % 2 == 0, 0.25)
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    with Store.create(tmp_path / "run", PLAN.expand(), FILES, clock=lambda: 5.0) as store:
+        yield store
+
+
+@pytest.fixture
+def open_folder() -> Iterator[Path]:
+    """A folder that everybody can reach and only its owner can write to."""
+    folder = Path(tempfile.mkdtemp())
+    folder.chmod(0o755)
+    yield folder
+    shutil.rmtree(folder)
+
+
+@contextlib.contextmanager
+def as_somebody_else(folder: Path) -> Iterator[None]:
+    """Take away the right to write: permissions do not bind root, so become nobody."""
+    if os.geteuid() == 0:
+        os.seteuid(NOBODY)
+        try:
+            yield
+        finally:
+            os.seteuid(0)
+    else:
+        folder.chmod(0o555)
+        try:
+            yield
+        finally:
+            folder.chmod(0o755)
+
+
+def start(program: str, *arguments: object, prefix: Sequence[str] = ()) -> subprocess.Popen[str]:
+    command = [*prefix, sys.executable, "-c", program, *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def test_recorded_episodes_read_back(store: Store) -> None:
+    store.record(FIRST, result(1))
+    store.record(FIRST, result(2))
+    store.record(THIRD, result(1))
+    with Results.open(store.directory) as results:
+        assert results.episodes(FIRST) == [result(1), result(2)]
+        assert results.episodes(THIRD) == [result(1)]
+        assert results.episodes(SECOND) == []
+        assert results.returns(FIRST).tolist() == [1 / 3, 2 / 3]
+        assert results.returns(SECOND).shape == (0,)
+        records = results.trials()
+    assert [record.spec for record in records] == PLAN.expand()
+    assert [record.done for record in records] == [2, 0, 1, 0]
+    assert not any(record.finished for record in records)
+
+
+def test_files_stand_beside_the_database(store: Store) -> None:
+    assert (store.directory / PLAN_FILE).read_text() == "the plan\n"
+
+
+def test_reader_sees_each_episode_as_soon_as_it_is_recorded(store: Store) -> None:
+    with Results.open(store.directory) as results:
+        for episode in range(1, 50):
+            store.record(FIRST, result(episode))
+            assert results.returns(FIRST)[-1] == episode / 3
+
+
+@pytest.mark.parametrize("value", [math.inf, -math.inf, 0.1 + 0.2, 5e-324])
+def test_unusual_returns_are_kept(store: Store, value: float) -> None:
+    store.record(FIRST, EpisodeResult(1, value, 2**40, False, 0.0))
+    assert store.episodes(FIRST) == [EpisodeResult(1, value, 2**40, False, 0.0)]
+    assert store.returns(FIRST).tolist() == [value]
+
+
+def test_return_that_is_not_a_number_reads_back_so(store: Store) -> None:
+    store.record(FIRST, EpisodeResult(1, math.nan, 3, True, 0.0))
+    assert math.isnan(store.episodes(FIRST)[0].episode_return)
+    np.testing.assert_array_equal(store.returns(FIRST), [math.nan])
+
+
+@pytest.mark.parametrize("episode", [0, 1, 3])
+def test_episode_out_of_turn_is_refused(store: Store, episode: int) -> None:
+    store.record(FIRST, result(1))
+    with pytest.raises(ExperimentError, match=f"episode {episode} of {FIRST} came where episode 2"):
+        store.record(FIRST, result(episode))
+    assert store.episodes(FIRST) == [result(1)]
+
+
+def test_unknown_trial_is_refused(store: Store) -> None:
+    with pytest.raises(ExperimentError, match="has no trial sample/0"):
+        store.record("sample/0", result(1))
+
+
+def test_only_the_newest_checkpoint_is_kept(store: Store) -> None:
+    store.record(FIRST, result(1), Checkpoint(b"one"))
+    store.record(SECOND, result(1), Checkpoint(b"other"))
+    store.record(FIRST, result(2), Checkpoint(b"two\0", b"world"))
+    store.record(FIRST, result(3))
+    assert store.checkpoint(FIRST) == (2, Checkpoint(b"two\0", b"world"))
+    assert store.checkpoint(SECOND) == (1, Checkpoint(b"other"))
+    assert store.checkpoint(THIRD) is None
+    assert store.checkpointed() == {FIRST: 2, SECOND: 1}
+
+
+def test_episode_and_its_checkpoint_are_recorded_together_or_not_at_all(store: Store) -> None:
+    store.record(FIRST, result(1), Checkpoint(b"one"))
+    with pytest.raises(ExperimentError, match=r"episode 2 of .* is not recorded"):
+        store.record(FIRST, result(2), Checkpoint(object()))  # type: ignore[arg-type]
+    assert store.episodes(FIRST) == [result(1)]
+    store.record(FIRST, result(2), Checkpoint(b"two"))
+    assert store.checkpoint(FIRST) == (2, Checkpoint(b"two"))
+
+
+def test_voids_events_and_failures_read_back(store: Store) -> None:
+    store.record(FIRST, result(1))
+    store.record_void(FIRST, 2, "the agent was lost")
+    store.record_void(FIRST, 2, "the agent was lost again")
+    store.record_event("start", "glue-rl")
+    store.record_event("rewind", "starts over", SECOND)
+    store.record_failure(SECOND, "the environment raised ValueError")
+    assert store.voids() == [
+        Void(5.0, FIRST, 2, "the agent was lost"),
+        Void(5.0, FIRST, 2, "the agent was lost again"),
+    ]
+    assert store.events() == [
+        Event(5.0, None, "start", "glue-rl"),
+        Event(5.0, SECOND, "rewind", "starts over"),
+    ]
+    first, second = store.trials()[:2]
+    assert (first.done, first.voids, first.failure) == (1, 2, None)
+    assert (second.done, second.voids, second.failure) == (0, 0, "the environment raised ValueError")
+
+
+def test_rewound_trial_goes_on_after_the_episode(store: Store) -> None:
+    for episode in range(1, 6):
+        store.record(FIRST, result(episode), Checkpoint(b"five") if episode == 5 else None)
+        store.record(SECOND, result(episode))
+    store.record_failure(FIRST, "crashed")
+    store.rewind(FIRST, 3)
+    assert [r.episode for r in store.episodes(FIRST)] == [1, 2, 3]
+    assert len(store.episodes(SECOND)) == 5
+    assert store.checkpoint(FIRST) is None
+    assert store.trials()[0].failure is None
+    store.record(FIRST, result(4))
+    store.rewind(FIRST, 0)
+    store.record(FIRST, result(1))
+    assert store.episodes(FIRST) == [result(1)]
+
+
+def test_reopened_store_goes_on(store: Store) -> None:
+    store.record(FIRST, result(1), Checkpoint(b"one"))
+    store.close()
+    with Store.open(store.directory) as again:
+        assert again.checkpoint(FIRST) == (1, Checkpoint(b"one"))
+        again.record(FIRST, result(2))
+        assert len(again.episodes(FIRST)) == 2
+
+
+def test_trial_with_all_its_episodes_is_finished(tmp_path: Path) -> None:
+    with Store.create(tmp_path / "run", Plan(episodes=2).expand(), {}) as store:
+        store.record("remote/remote/0", result(1))
+        assert not store.trials()[0].finished
+        store.record("remote/remote/0", result(2))
+        assert store.trials()[0].finished
+
+
+operations = st.lists(
+    st.one_of(
+        st.tuples(st.just("record"), st.sampled_from([FIRST, THIRD]), st.booleans()),
+        st.tuples(st.just("rewind"), st.sampled_from([FIRST, THIRD]), st.integers(0, 12)),
+        st.tuples(st.just("reopen"), st.none(), st.none()),
+    ),
+    max_size=30,
+)
+
+
+@settings(max_examples=50, deadline=None)
+@given(operations)
+def test_store_is_what_was_done_to_it(operations: list[tuple[str, str, int]]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        store = Store.create(Path(folder) / "run", PLAN.expand(), FILES)
+        episodes: dict[str, int] = {FIRST: 0, THIRD: 0}
+        checkpoints: dict[str, int] = {}
+        for operation, trial, value in operations:
+            if operation == "record":
+                episodes[trial] += 1
+                if value:
+                    checkpoints[trial] = episodes[trial]
+                saved = Checkpoint(b"%d" % episodes[trial]) if value else None
+                store.record(trial, result(episodes[trial]), saved)
+            elif operation == "rewind":
+                store.rewind(trial, value)
+                episodes[trial] = min(episodes[trial], value)
+                if checkpoints.get(trial, 0) > value:
+                    del checkpoints[trial]
+            else:
+                store.close()
+                store = Store.open(store.directory)
+        assert store.checkpointed() == checkpoints
+        for trial, done in episodes.items():
+            assert store.episodes(trial) == [result(episode) for episode in range(1, done + 1)]
+        for trial, episode in checkpoints.items():
+            assert store.checkpoint(trial) == (episode, Checkpoint(b"%d" % episode))
+        store.close()
+
+
+# What cannot be a run directory, or is not one.
+
+
+def test_directory_with_a_run_is_not_overwritten(store: Store) -> None:
+    store.record(FIRST, result(1))
+    store.close()
+    with pytest.raises(ExperimentError, match="holds a run: continue it with --resume"):
+        Store.create(store.directory, PLAN.expand(), FILES)
+    with Results.open(store.directory) as results:
+        assert results.episodes(FIRST) == [result(1)]
+
+
+def test_directory_with_other_files_is_refused_and_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("my thesis")
+    with pytest.raises(ExperimentError, match=r"holds thesis.tex, which is not of a run"):
+        Store.create(tmp_path, PLAN.expand(), FILES)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+
+
+def test_file_is_not_a_run_directory(tmp_path: Path) -> None:
+    path = tmp_path / "run"
+    path.write_text("")
+    with pytest.raises(ExperimentError, match=r"cannot make .*: File exists"):
+        Store.create(path, PLAN.expand(), FILES)
+
+
+def test_interrupted_making_of_a_run_is_made_good(tmp_path: Path) -> None:
+    (tmp_path / PLAN_FILE).write_text("half a pl")
+    database.connect_to_write(tmp_path).close()
+    with pytest.raises(ExperimentError, match="holds no run"):
+        Results.open(tmp_path)
+    with Store.create(tmp_path, PLAN.expand(), FILES) as store:
+        store.record(FIRST, result(1))
+    assert (tmp_path / PLAN_FILE).read_text() == "the plan\n"
+
+
+@pytest.mark.parametrize("opener", [Results.open, Store.open])
+def test_directory_without_a_run_is_refused(tmp_path: Path, opener: type[Results]) -> None:
+    with pytest.raises(ExperimentError, match="holds no run"):
+        opener(tmp_path)  # type: ignore[call-arg]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_somebody_elses_database_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "results.sqlite"
+    with contextlib.closing(sqlite3.connect(path)) as connection:
+        connection.execute("CREATE TABLE recipes (name TEXT)")
+    with pytest.raises(ExperimentError, match="not written by glue-experiment"):
+        Results.open(tmp_path)
+    path.write_bytes(b"no database at all, but long enough to be one" * 100)
+    with pytest.raises(ExperimentError, match="file is not a database"):
+        Results.open(tmp_path)
+
+
+# Versions of the tables.
+
+
+def dump(directory: Path) -> list[str]:
+    with contextlib.closing(sqlite3.connect(directory / "results.sqlite")) as connection:
+        return list(connection.iterdump())
+
+
+def test_run_of_version_1_opens_today(tmp_path: Path) -> None:
+    text = (Path(__file__).parent / "run_version_1.sql").read_text()
+    with contextlib.closing(sqlite3.connect(tmp_path / "results.sqlite")) as connection:
+        connection.executescript(text)
+    with Results.open(tmp_path) as results:
+        assert [(r.spec.id, r.done, r.failure) for r in results.trials()] == [
+            ("random/level_seed=121/mario/0", 2, None),
+            ("remote/mario/1", 0, "it raised ValueError"),
+        ]
+        assert results.returns("random/level_seed=121/mario/0").tolist() == [1.5, -10.25]
+        assert results.checkpoint("random/level_seed=121/mario/0") == (2, Checkpoint(b"\x01\x02", b""))
+        assert [void.why for void in results.voids()] == ["the agent was lost"]
+        assert [event.kind for event in results.events()] == ["start"]
+    with Store.open(tmp_path) as store:
+        store.record("remote/mario/1", result(1))
+
+
+@pytest.fixture
+def next_version(monkeypatch: pytest.MonkeyPatch, store: Store) -> Store:
+    """A closed run, and a program in which the next version of the tables is today's."""
+    store.record(FIRST, result(1))
+    store.close()
+    added = ("ALTER TABLE trials ADD COLUMN note TEXT NOT NULL DEFAULT 'none'",)
+    monkeypatch.setattr(database, "MIGRATIONS", (*database.MIGRATIONS, added))
+    return store
+
+
+def test_old_run_is_migrated_when_opened_for_writing(next_version: Store) -> None:
+    before = dump(next_version.directory)
+    with Store.open(next_version.directory) as store:
+        store.record(FIRST, result(2))
+        assert store.episodes(FIRST) == [result(1), result(2)]
+    after = "\n".join(dump(next_version.directory))
+    assert "note TEXT NOT NULL DEFAULT 'none'" in after
+    assert "note" not in "\n".join(before)
+
+
+def test_old_run_is_read_without_being_changed(next_version: Store) -> None:
+    before = dump(next_version.directory)
+    with Results.open(next_version.directory) as results:
+        assert results.episodes(FIRST) == [result(1)]
+    assert dump(next_version.directory) == before
+
+
+def test_migration_that_fails_leaves_the_run_as_it_was(
+    next_version: Store, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = dump(next_version.directory)
+    broken = (*database.MIGRATIONS, ("DELETE FROM episodes", "DROP TABLE absent"))
+    monkeypatch.setattr(database, "MIGRATIONS", broken)
+    with pytest.raises(ExperimentError, match="no such table: absent"):
+        Store.open(next_version.directory)
+    assert dump(next_version.directory) == before
+
+
+def test_run_of_a_newer_release_is_refused(next_version: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    Store.open(next_version.directory).close()
+    monkeypatch.undo()
+    for opener in (Results.open, Store.open):
+        with pytest.raises(ExperimentError, match=r"version 2 .* up to 1: .* newer release"):
+            opener(next_version.directory)
+
+
+# One writer.
+
+
+def test_second_writer_is_refused_by_name(store: Store) -> None:
+    holder = f"in use by process {os.getpid()} on "
+    with pytest.raises(ExperimentError, match=holder):
+        Store.open(store.directory)
+    with pytest.raises(ExperimentError, match=holder):
+        Store.create(store.directory, PLAN.expand(), FILES)
+    assert f"process {os.getpid()} on" in (lock_holder(store.directory) or "")
+    store.record(FIRST, result(1))
+
+
+def test_closed_store_can_be_opened_again(store: Store) -> None:
+    store.close()
+    assert lock_holder(store.directory) is None
+    Store.open(store.directory).close()
+
+
+HOLD = """
+import subprocess, sys
+from pathlib import Path
+from experiment_runner.store.directory import Store
+store = Store.open(Path(sys.argv[1]))
+child = subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=sys.stdin)
+print(child.pid, flush=True)
+child.wait()
+"""
+
+
+def test_killed_writer_lets_go_though_its_child_lives_on(store: Store) -> None:
+    store.close()
+    command = [sys.executable, "-c", HOLD, str(store.directory)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        child = int(process.stdout.readline())
+        with pytest.raises(ExperimentError, match=f"in use by process {process.pid} on"):
+            Store.open(store.directory)
+        process.kill()
+        process.wait()
+        os.kill(child, 0)  # it is there
+        Store.open(store.directory).close()
+
+
+WRITE = """
+import sys
+from pathlib import Path
+from experiment_runner.store.directory import Checkpoint, EpisodeResult, Store
+from glue.errors import ExperimentError
+store = Store.open(Path(sys.argv[1]))
+trial = sys.argv[2]
+done = len(store.episodes(trial))
+try:
+    for episode in range(done + 1, done + 100_000):
+        result = EpisodeResult(episode, episode / 3, 10 * episode, episode % 2 == 0, 0.25)
+        checkpoint = Checkpoint(b"%d" % episode, bytes(2000)) if episode % 7 == 0 else None
+        store.record(trial, result, checkpoint)
+        print(episode, flush=True)
+except ExperimentError as error:
+    print(error, file=sys.stderr)
+    sys.exit(3)
+"""
+
+
+def test_killed_writer_loses_no_episode_that_it_reported(store: Store) -> None:
+    store.close()
+    chance = np.random.default_rng(4)
+    for _ in range(10):
+        lines = int(chance.integers(1, 300))
+        with start(WRITE, store.directory, FIRST) as process:
+            assert process.stdout is not None
+            for _ in range(lines):
+                process.stdout.readline()
+            os.kill(process.pid, signal.SIGKILL)
+            rest = process.stdout.read().split()
+        with Results.open(store.directory) as results:
+            episodes = results.episodes(FIRST)
+            assert episodes == [result(episode) for episode in range(1, len(episodes) + 1)]
+            assert len(episodes) >= lines
+            if rest:
+                assert len(episodes) - int(rest[-1]) in (0, 1)  # recorded, perhaps not yet reported
+            last = len(episodes) - len(episodes) % 7
+            assert results.checkpoint(FIRST) == (
+                (last, Checkpoint(b"%d" % last, bytes(2000))) if last else None
+            )
+        with contextlib.closing(sqlite3.connect(store.directory / "results.sqlite")) as connection:
+            assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+
+
+# A disk that is full, and one that cannot be written to.
+
+LIMITED = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))"
+
+
+def check_stopped_writer(process: subprocess.Popen[str], directory: Path, reason: str) -> None:
+    reported, message = process.communicate()
+    assert process.returncode == 3, message
+    last = int(reported.split()[-1])
+    assert message.strip().endswith(f"continue with --resume {directory}")
+    assert f"episode {last + 1} of {FIRST} is not recorded: {reason}; the episodes before it are" in message
+    with Results.open(directory) as results:
+        assert results.episodes(FIRST) == [result(episode) for episode in range(1, last + 1)]
+
+
+def test_file_that_may_not_grow_stops_the_run_cleanly(store: Store) -> None:
+    """Stands in, everywhere, for a full disk: to SQLite it is the same failing write."""
+    store.close()
+    with start(f"{LIMITED}\n{WRITE}", store.directory, FIRST) as process:
+        check_stopped_writer(process, store.directory, "disk I/O error")
+    with Store.open(store.directory) as again:
+        again.record(FIRST, result(len(again.episodes(FIRST)) + 1))
+
+
+SMALL_DISK = ["unshare", "--map-root-user", "--mount", "sh", "-c"]
+MOUNT = 'mount -t tmpfs -o size=400k none "$1" && '
+
+
+def test_full_disk_stops_the_run_cleanly(tmp_path: Path) -> None:
+    probe = [*SMALL_DISK, MOUNT + "true", "sh", str(tmp_path)]
+    if not shutil.which("unshare") or subprocess.run(probe, capture_output=True).returncode:
+        pytest.skip("this user may not mount a small disk")
+    create = f"""
+import sys
+from pathlib import Path
+from experiment_runner.plan import Plan
+from experiment_runner.store.directory import Store
+Store.create(Path(sys.argv[1]), [*{PLAN!r}.expand()], {{}}).close()
+""".replace("import Plan\n", "import Plan, RoleSweep\n")
+    read = """
+import sys
+from pathlib import Path
+from experiment_runner.store.directory import Results
+print("read", [episode.episode for episode in Results.open(Path(sys.argv[1])).episodes(sys.argv[2])][-1])
+"""
+    # The disk is there only for programs started in the same breath.
+    steps = (
+        '"$2" -c "$3" "$1/run" && "$2" -c "$4" "$1/run" "$6"; code=$?; "$2" -c "$5" "$1/run" "$6"; exit $code'
+    )
+    command = [*SMALL_DISK, MOUNT + steps, "sh", str(tmp_path), sys.executable, create, WRITE, read, FIRST]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 3, done.stderr
+    *_, last, _, read_back = done.stdout.split()
+    assert read_back == last
+    assert (
+        f"episode {int(last) + 1} of {FIRST} is not recorded: the disk is full; the episodes" in done.stderr
+    )
+    assert "Traceback" not in done.stderr
+
+
+def test_nothing_is_left_of_a_run_that_could_not_be_made(tmp_path: Path) -> None:
+    program = f"""{LIMITED.replace("150_000", "6_000")}
+import sys
+from pathlib import Path
+from experiment_runner.plan import Plan
+from experiment_runner.store.directory import Store
+from glue.errors import ExperimentError
+try:
+    Store.create(Path(sys.argv[1]), Plan(episodes=1, trials=100).expand(), {{"plan.toml": "the plan"}})
+except ExperimentError as error:
+    print(error)
+"""
+    with start(program, tmp_path / "run") as process:
+        message, errors = process.communicate()
+    assert (process.returncode, errors) == (0, "")
+    assert message.startswith(f"cannot make {tmp_path / 'run'}: ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_read_only_directory_is_refused(open_folder: Path) -> None:
+    with as_somebody_else(open_folder), pytest.raises(ExperimentError, match=r"cannot make .*: Permission"):
+        Store.create(open_folder / "run", PLAN.expand(), FILES)
+    assert list(open_folder.iterdir()) == []
+
+
+@pytest.mark.parametrize("under_way", [True, False])
+def test_run_in_a_read_only_directory_is_read_but_not_written(open_folder: Path, under_way: bool) -> None:
+    directory = open_folder / "run"
+    store = Store.create(directory, PLAN.expand(), FILES)
+    store.record(FIRST, result(1))
+    if not under_way:
+        store.close()
+    with as_somebody_else(directory):
+        with Results.open(directory) as results:
+            assert results.episodes(FIRST) == [result(1)]
+        with pytest.raises(ExperimentError, match=r"cannot open .*: Permission denied|in use"):
+            Store.open(directory)
+    store.close()

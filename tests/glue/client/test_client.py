@@ -1,0 +1,634 @@
+"""A peer's side of the protocol, against a hub that a test plays by hand."""
+
+from __future__ import annotations
+
+import platform
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, wait
+from typing import Any
+
+import msgpack
+import pytest
+import zmq
+
+from glue.client.experiment import RemoteExperiment, connect
+from glue.client.players import serve_agent, serve_environment
+from glue.client.transport import Context
+from glue.core.sessions import INSTANCE_SIZE
+from glue.errors import (
+    ConfigError,
+    GlueError,
+    HubClosed,
+    LocalProtocolError,
+    PeerFailed,
+    PeerLost,
+    Refused,
+    Unsupported,
+)
+from glue.protocol.messages import CALLS, ErrorCode, Kind, Message, Role
+from glue.protocol.wire import FROM_HUB, TO_HUB, decode, encode
+from glue.types import Action, Observation
+from tests.players import ScriptedAgent, ScriptedEnvironment, SeededAgent
+
+TIMEOUT = 30.0
+HEARTBEAT = 0.05
+OBSERVATION = Observation(ints=[3])
+
+
+class HandHub:
+    """A hub that hears and says what a test wants; it answers whoever spoke last."""
+
+    def __init__(self) -> None:
+        self._context: Context = zmq.Context()
+        self._socket = self._context.socket(zmq.ROUTER)
+        self._socket.setsockopt(zmq.RCVTIMEO, int(TIMEOUT * 1000))
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.bind("tcp://127.0.0.1:*")
+        self.url: str = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
+        self._route = b""
+        self._programs: list[Future[Any]] = []
+
+    def run(self, program: Callable[..., Any], *arguments: Any, **named: Any) -> Future[Any]:
+        """Run a program that connects to this hub, in a thread."""
+        future: Future[Any] = Future()
+
+        def target() -> None:
+            try:
+                future.set_result(program(*arguments, **named))
+            except BaseException as error:
+                future.set_exception(error)
+
+        threading.Thread(target=target, daemon=True).start()
+        self._programs.append(future)
+        return future
+
+    def next(self) -> Message:
+        """The next message, whatever it is."""
+        self._route, *frames = self._socket.recv_multipart()
+        return decode(frames, TO_HUB)
+
+    def hear(self, *kinds: Kind) -> Message:
+        """The next message that is no sign of life; it must be one of `kinds`."""
+        while (message := self.next()).kind is Kind.HEARTBEAT:
+            pass
+        assert message.kind in kinds, message
+        return message
+
+    def say(
+        self, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "default"
+    ) -> None:
+        """Say something to whoever spoke last."""
+        frames = encode(Message(kind, session, seq, scalars, body), FROM_HUB)
+        self._socket.send_multipart([self._route, *frames])
+
+    def welcome(self, resumed: bool = False, session: str = "default", max_body: int = 10_000) -> Message:
+        """Hear a HELLO, and welcome its sender; return the HELLO."""
+        hello = self.hear(Kind.HELLO)
+        assert hello.session == session
+        self.say(Kind.WELCOME, 0, 1, resumed, HEARTBEAT, 10.0, max_body, session=session)
+        return hello
+
+    def say_unknown(self, kind: int, seq: int) -> None:
+        """Say something that no peer of this version knows."""
+        self._socket.send_multipart([self._route, msgpack.packb([kind, "default", seq, "new"]), b"body"])
+
+    def call(self, kind: Kind, seq: int, *scalars: Any, body: bytes = b"") -> Message:
+        """Call a player, and return its answer."""
+        self.say(kind, seq, *scalars, body=body)
+        return self.hear(kind)
+
+    def close(self) -> None:
+        """Say goodbye to who is still there, and end."""
+        if self._route:
+            self.say(Kind.GOODBYE, 0, "the test is over")
+        wait(self._programs, TIMEOUT)
+        self._socket.close()
+        self._context.term()
+
+
+@pytest.fixture
+def hub() -> Iterator[HandHub]:
+    hub = HandHub()
+    yield hub
+    hub.close()
+
+
+@pytest.fixture
+def lines() -> list[str]:
+    """What the client under test has logged."""
+    return []
+
+
+def serve(hub: HandHub, agent: Any, lines: list[str]) -> Future[Any]:
+    """Serve an agent, and let it be welcomed."""
+    future = hub.run(serve_agent, agent, hub.url, log=lines.append)
+    hub.welcome()
+    return future
+
+
+def experiment(
+    hub: HandHub, verbs: Callable[[RemoteExperiment], Any], lines: list[str], **how: Any
+) -> Future[Any]:
+    """Run an experiment of these verbs, and let it be welcomed."""
+
+    def program() -> Any:
+        with connect(hub.url, log=lines.append, **how) as glue:
+            return verbs(glue)
+
+    future = hub.run(program)
+    hub.welcome()
+    return future
+
+
+# Greetings
+
+
+def test_hello_says_who_speaks_and_what_it_can_do(hub: HandHub, lines: list[str]) -> None:
+    hub.run(serve_agent, SeededAgent(), hub.url, log=lines.append)
+    versions, role, instance, name, codec, abilities = hub.welcome().scalars
+    assert (versions, role, name, abilities) == ((1,), "agent", "SeededAgent", ("seed",))
+    assert codec == f"Python {platform.python_version()}"
+    assert isinstance(instance, bytes)
+    assert len(instance) == INSTANCE_SIZE
+    hub.say(Kind.GOODBYE, 0, "enough")
+
+
+def test_instances_differ(hub: HandHub, lines: list[str]) -> None:
+    seen = set()
+    for _ in range(2):
+        hub.run(serve_agent, ScriptedAgent(), hub.url, log=lines.append)
+        seen.add(hub.welcome().scalars[2])
+        hub.say(Kind.GOODBYE, 0, "enough")
+        hub.hear(Kind.GOODBYE)
+    assert len(seen) == 2
+
+
+def test_goodbye_ends_the_service_with_the_hubs_reason(hub: HandHub, lines: list[str]) -> None:
+    serving = serve(hub, ScriptedAgent(), lines)
+    hub.say(Kind.GOODBYE, 0, "the experiment is over")
+    assert serving.result(TIMEOUT) == "the experiment is over"
+    assert hub.hear(Kind.GOODBYE).scalars == ("goodbye",)
+
+
+def test_an_unknown_kind_is_answered_with_an_error_and_changes_nothing(
+    hub: HandHub, lines: list[str]
+) -> None:
+    serve(hub, ScriptedAgent(), lines)
+    hub.say_unknown(999, 7)
+    error = hub.hear(Kind.ERROR)
+    assert (error.session, error.seq) == ("default", 7)
+    assert error.scalars == (ErrorCode.UNKNOWN_KIND, "message kind 999 is not one of protocol version 1")
+    assert hub.call(Kind.AGENT_INIT, 1, body=b"").seq == 1
+
+
+def test_a_refusal_is_an_error_with_the_hubs_reason(hub: HandHub, lines: list[str]) -> None:
+    serving = hub.run(serve_environment, ScriptedEnvironment(), hub.url, log=lines.append)
+    hub.hear(Kind.HELLO)
+    hub.say(Kind.REFUSE, 0, "role-taken", "there is one already")
+    with pytest.raises(Refused, match="refused this environment: there is one already"):
+        serving.result(TIMEOUT)
+
+
+def test_a_hub_that_is_silent_is_greeted_again(hub: HandHub, lines: list[str]) -> None:
+    serving = hub.run(serve_agent, ScriptedAgent(), hub.url, log=lines.append)
+    first = hub.hear(Kind.HELLO)
+    assert hub.hear(Kind.HELLO) == first
+    hub.say(Kind.GOODBYE, 0, "enough")
+    serving.result(TIMEOUT)
+    assert lines[0].startswith(f"no hub at {hub.url} yet; waiting for one")
+    assert lines[1] == f"the hub at {hub.url} is there"
+
+
+@pytest.mark.parametrize(("url", "session"), [("localhost", "s"), ("tcp://127.0.0.1:9", "a\nb")])
+def test_a_malformed_address_or_session_is_refused_before_anything_is_sent(url: str, session: str) -> None:
+    with pytest.raises(ConfigError):
+        serve_agent(ScriptedAgent(), url, session)
+    with pytest.raises(ConfigError):
+        connect(url, session)
+
+
+# Signs of life
+
+
+def test_an_idle_peer_shows_signs_of_life_as_often_as_the_hub_wants(hub: HandHub, lines: list[str]) -> None:
+    serve(hub, ScriptedAgent(), lines)
+    for _ in range(5):
+        assert hub.next() == Message(Kind.HEARTBEAT, "default", 0)
+    hub.say(Kind.GOODBYE, 0, "enough")
+
+
+def test_a_peer_that_the_hub_does_not_know_greets_it_as_the_same_again(
+    hub: HandHub, lines: list[str]
+) -> None:
+    agent = ScriptedAgent()
+    hub.run(serve_agent, agent, hub.url, log=lines.append)
+    hello = hub.welcome()
+    hub.call(Kind.AGENT_INIT, 1, body=b"task")
+    hub.say(Kind.ERROR, 0, ErrorCode.UNKNOWN_PEER, "say HELLO first")
+    assert hub.welcome(resumed=True) == hello
+    hub.call(Kind.AGENT_INIT, 1, body=b"task")
+    assert agent.calls == ["agent_init task"]
+    hub.say(Kind.GOODBYE, 0, "enough")
+
+
+def test_a_peer_unknown_in_one_session_greets_the_hub_in_all(hub: HandHub, lines: list[str]) -> None:
+    # One session may be so busy that the connection is never idle; the others must not be forgotten.
+    agents = {"a": ScriptedAgent(), "b": ScriptedAgent()}
+    hub.run(serve_agent, agents, hub.url, log=lines.append)
+    hub.welcome(session="a")
+    hub.welcome(session="b")
+    hub.say(Kind.ERROR, 0, ErrorCode.UNKNOWN_PEER, "say HELLO first", session="b")
+    assert [hub.hear(Kind.HELLO).session for _ in agents] == ["a", "b"]
+    hub.say(Kind.GOODBYE, 0, "enough", session="a")
+
+
+# Exactly once
+
+
+def test_a_call_is_carried_out_and_answered(hub: HandHub, lines: list[str]) -> None:
+    serve(hub, ScriptedAgent(), lines)
+    answer = hub.call(Kind.AGENT_START, 1, body=OBSERVATION.body)
+    assert answer == Message(Kind.AGENT_START, "default", 1, (), Action(ints=[103]).body)
+    hub.say(Kind.GOODBYE, 0, "enough")
+
+
+def test_a_repeated_call_is_answered_alike_and_not_carried_out_again(hub: HandHub, lines: list[str]) -> None:
+    agent = ScriptedAgent()
+    serve(hub, agent, lines)
+    first = hub.call(Kind.AGENT_STEP, 5, 1.0, body=OBSERVATION.body)
+    assert hub.call(Kind.AGENT_STEP, 5, 1.0, body=OBSERVATION.body) == first
+    assert agent.calls == ["agent_step 1 [3]"]
+    hub.say(Kind.GOODBYE, 0, "enough")
+
+
+def test_an_outdated_call_is_ignored(hub: HandHub, lines: list[str]) -> None:
+    agent = ScriptedAgent()
+    serve(hub, agent, lines)
+    hub.call(Kind.AGENT_STEP, 5, 1.0, body=OBSERVATION.body)
+    hub.say(Kind.AGENT_START, 4, body=OBSERVATION.body)
+    assert hub.call(Kind.AGENT_END, 6, 2.0).seq == 6
+    assert agent.calls == ["agent_step 1 [3]", "agent_end 2"]
+    hub.say(Kind.GOODBYE, 0, "enough")
+
+
+def test_a_hub_that_was_started_anew_counts_from_the_start(hub: HandHub, lines: list[str]) -> None:
+    agent = ScriptedAgent()
+    serve(hub, agent, lines)
+    hub.call(Kind.AGENT_STEP, 5, 1.0, body=OBSERVATION.body)
+    hub.say(Kind.ERROR, 0, ErrorCode.UNKNOWN_PEER, "say HELLO first")
+    hub.welcome(resumed=False)
+    assert hub.call(Kind.AGENT_INIT, 1, body=b"new").seq == 1
+    assert agent.calls == ["agent_step 1 [3]", "agent_init new"]
+    hub.say(Kind.GOODBYE, 0, "enough")
+
+
+def test_each_session_has_its_own_player_and_its_own_count(hub: HandHub, lines: list[str]) -> None:
+    agents = {"a": ScriptedAgent(), "b": ScriptedAgent()}
+    hub.run(serve_agent, agents, hub.url, log=lines.append)
+    for session in agents:
+        hub.welcome(session=session)
+    for session, seq in (("a", 9), ("b", 1), ("a", 10)):
+        hub.say(Kind.AGENT_MESSAGE, seq, body=session.encode(), session=session)
+        assert hub.hear(Kind.AGENT_MESSAGE)[1:3] == (session, seq)
+    assert agents["a"].calls == ["agent_message a"] * 2
+    assert agents["b"].calls == ["agent_message b"]
+    hub.say(Kind.GOODBYE, 0, "enough", session="a")
+
+
+# Mistakes of a user's player
+
+
+class Failing(ScriptedAgent):
+    """Raises at its first step."""
+
+    def __init__(self, error: Exception) -> None:
+        super().__init__()
+        self._error = error
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        raise self._error
+
+
+def fail(hub: HandHub, lines: list[str], error: Exception) -> tuple[Message, PeerFailed]:
+    """What the hub is told of an exception, and what `serve_agent` raises."""
+    serving = serve(hub, Failing(error), lines)
+    hub.say(Kind.AGENT_STEP, 7, 1.0, body=OBSERVATION.body)
+    told = hub.hear(Kind.ERROR)
+    with pytest.raises(PeerFailed) as caught:
+        serving.result(TIMEOUT)
+    return told, caught.value
+
+
+def test_an_exception_is_told_to_the_hub_in_a_few_words_and_shown_in_full(
+    hub: HandHub, lines: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    cause = ValueError("no such thing")
+    told, raised = fail(hub, lines, cause)
+    assert (told.seq, told.scalars) == (7, (ErrorCode.EXCEPTION, "ValueError: no such thing"))
+    assert str(raised) == "agent Failing raised in agent_step: ValueError: no such thing"
+    assert raised.__cause__ is cause
+    shown = capsys.readouterr().err
+    assert "Traceback" in shown
+    assert "raise self._error" in shown
+    assert hub.hear(Kind.GOODBYE).scalars == ("ValueError in agent_step",)
+
+
+def test_an_error_of_ours_is_told_without_its_name_and_shown_without_a_traceback(
+    hub: HandHub, lines: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    told, _ = fail(hub, lines, LocalProtocolError("ints must be whole"))
+    assert told.scalars[1] == "ints must be whole"
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    "text", ["x" * 10_000, "\N{GRINNING FACE}" * 5000, "file \udcff", "two\nlines\x1b[2J"]
+)
+def test_any_text_of_an_exception_can_be_told(hub: HandHub, lines: list[str], text: str) -> None:
+    told, _ = fail(hub, lines, ValueError(text))
+    assert str(told.scalars[1]).isprintable()
+
+
+def test_an_answer_that_the_hub_will_not_take_is_a_failure(hub: HandHub, lines: list[str]) -> None:
+    class Verbose(ScriptedAgent):
+        def agent_message(self, message: str) -> str:
+            return "x" * 20_000
+
+    serving = serve(hub, Verbose(), lines)
+    hub.say(Kind.AGENT_MESSAGE, 1)
+    told = hub.hear(Kind.ERROR).scalars
+    assert told == (
+        ErrorCode.EXCEPTION,
+        "the body of AGENT_MESSAGE has 20000 bytes; the hub takes 10000",
+    )
+    with pytest.raises(PeerFailed, match="agent Verbose raised in agent_message"):
+        serving.result(TIMEOUT)
+
+
+def test_a_call_of_a_capability_that_was_not_offered_is_a_failure(hub: HandHub, lines: list[str]) -> None:
+    serving = serve(hub, ScriptedAgent(), lines)
+    hub.say(Kind.AGENT_SAVE, 1)
+    with pytest.raises(PeerFailed, match="the hub asked ScriptedAgent for AGENT_SAVE"):
+        serving.result(TIMEOUT)
+
+
+def test_a_player_without_a_method_is_refused_before_anything_is_sent() -> None:
+    with pytest.raises(PeerFailed, match="ScriptedEnvironment is no agent: it has no agent_init"):
+        serve_agent(ScriptedEnvironment())  # type: ignore[arg-type]
+
+
+# The experiment
+
+
+def answer_all(hub: HandHub, replies: dict[Kind, tuple[tuple[Any, ...], bytes]]) -> None:
+    """Reply to requests until the experiment leaves."""
+    while (request := hub.hear(*CALLS, Kind.GOODBYE)).kind is not Kind.GOODBYE:
+        scalars, body = replies[request.kind]
+        hub.say(request.kind, request.seq, *scalars, body=body)
+
+
+PAIR = OBSERVATION.body + Action(ints=[4]).body
+REPLIES: dict[Kind, tuple[tuple[Any, ...], bytes]] = {
+    Kind.RL_INIT: ((), b"spec"),
+    Kind.RL_START: ((), PAIR),
+    Kind.RL_STEP: ((0.5, True), PAIR),
+    Kind.RL_EPISODE: ((True,), b""),
+    Kind.RL_RETURN: ((-2.5,), b""),
+    Kind.RL_NUM_STEPS: ((7,), b""),
+    Kind.RL_NUM_EPISODES: ((8,), b""),
+    Kind.RL_AGENT_MESSAGE: ((), "agént".encode()),
+    Kind.RL_ENV_MESSAGE: ((), b"any \xff bytes"),
+    Kind.RL_CLEANUP: ((), b""),
+    Kind.RL_ENV_START: ((), OBSERVATION.body),
+    Kind.RL_ENV_STEP: ((0.5, False), OBSERVATION.body),
+    Kind.RL_AGENT_START: ((), Action(ints=[4]).body),
+    Kind.RL_AGENT_STEP: ((), Action(ints=[5]).body),
+    Kind.RL_AGENT_END: ((), b""),
+    Kind.RL_AGENT_SAVE: ((), b"\x00\xff"),
+    Kind.RL_AGENT_LOAD: ((), b""),
+    Kind.RL_ENV_SAVE: ((), b"\x01"),
+    Kind.RL_ENV_LOAD: ((), b""),
+}
+
+
+def test_every_verb_asks_and_returns_what_came(hub: HandHub, lines: list[str]) -> None:
+    def verbs(glue: RemoteExperiment) -> list[Any]:
+        glue.rl_cleanup()
+        glue.rl_agent_end(1)
+        glue.rl_agent_load(b"x")
+        glue.rl_env_load(b"x")
+        return [
+            glue.rl_init(seed=3),
+            glue.rl_start(),
+            glue.rl_step(),
+            glue.rl_episode(9),
+            glue.rl_return(),
+            glue.rl_num_steps(),
+            glue.rl_num_episodes(),
+            glue.rl_agent_message("?"),
+            glue.rl_env_message("?"),
+            glue.rl_env_start(),
+            glue.rl_env_step(Action()),
+            glue.rl_agent_start(OBSERVATION),
+            glue.rl_agent_step(1, OBSERVATION),
+            glue.rl_agent_save(),
+            glue.rl_env_save(),
+        ]
+
+    running = experiment(hub, verbs, lines)
+    assert set(REPLIES) == {kind for kind, call in CALLS.items() if call.callee is None}
+    answer_all(hub, REPLIES)
+    action = Action(ints=[4])
+    assert running.result(TIMEOUT) == [
+        "spec",
+        (OBSERVATION, action),
+        (0.5, OBSERVATION, True, action),
+        True,
+        -2.5,
+        7,
+        8,
+        "agént",
+        "any \udcff bytes",
+        OBSERVATION,
+        (0.5, OBSERVATION, False),
+        action,
+        Action(ints=[5]),
+        b"\x00\xff",
+        b"\x01",
+    ]
+
+
+def test_bytes_that_are_no_text_survive_the_way_there_and_back(hub: HandHub, lines: list[str]) -> None:
+    running = experiment(hub, lambda glue: glue.rl_env_message("any \udcff bytes"), lines)
+    request = hub.hear(Kind.RL_ENV_MESSAGE)
+    assert request.body == b"any \xff bytes"
+    hub.say(Kind.RL_ENV_MESSAGE, request.seq)
+    running.result(TIMEOUT)
+
+
+@pytest.mark.parametrize(
+    ("code", "error"),
+    [
+        (ErrorCode.PEER_LOST, PeerLost),
+        (ErrorCode.PEER_FAILED, PeerFailed),
+        (ErrorCode.UNSUPPORTED, Unsupported),
+        (ErrorCode.BUSY, LocalProtocolError),
+        (ErrorCode.NOT_ASKED, LocalProtocolError),
+        ("a code of the future", LocalProtocolError),
+    ],
+)
+def test_an_error_of_the_hub_is_raised_as_what_it_is(
+    hub: HandHub, lines: list[str], code: str, error: type[GlueError]
+) -> None:
+    running = experiment(hub, lambda glue: glue.rl_step(), lines)
+    request = hub.hear(Kind.RL_STEP)
+    hub.say(Kind.ERROR, request.seq, code, "what happened")
+    with pytest.raises(error, match=r"^what happened$") as caught:
+        running.result(TIMEOUT)
+    assert caught.type is error
+
+
+def test_a_repeated_or_outdated_reply_is_ignored(hub: HandHub, lines: list[str]) -> None:
+    running = experiment(hub, lambda glue: (glue.rl_num_steps(), glue.rl_num_steps()), lines)
+    first = hub.hear(Kind.RL_NUM_STEPS).seq
+    hub.say(Kind.RL_NUM_STEPS, first, 1)
+    hub.say(Kind.RL_NUM_STEPS, first, 1)
+    second = hub.hear(Kind.RL_NUM_STEPS).seq
+    hub.say(Kind.ERROR, first, ErrorCode.PEER_LOST, "old")
+    hub.say(Kind.RL_NUM_STEPS, second, 2)
+    assert running.result(TIMEOUT) == (1, 2)
+
+
+def test_a_request_is_repeated_after_a_reconnect(hub: HandHub, lines: list[str]) -> None:
+    running = experiment(hub, lambda glue: glue.rl_num_steps(), lines)
+    request = hub.hear(Kind.RL_NUM_STEPS)
+    hub.say(Kind.ERROR, request.seq, ErrorCode.UNKNOWN_PEER, "say HELLO first")
+    hub.welcome(resumed=True)
+    assert hub.hear(Kind.RL_NUM_STEPS) == request
+    hub.say(Kind.RL_NUM_STEPS, request.seq, 5)
+    assert running.result(TIMEOUT) == 5
+
+
+def test_a_hub_that_does_not_know_the_experiment_any_more_ends_it(hub: HandHub, lines: list[str]) -> None:
+    running = experiment(hub, lambda glue: glue.rl_num_steps(), lines)
+    request = hub.hear(Kind.RL_NUM_STEPS)
+    hub.say(Kind.ERROR, request.seq, ErrorCode.UNKNOWN_PEER, "say HELLO first")
+    hub.welcome(resumed=False)
+    with pytest.raises(HubClosed, match="knows nothing of this experiment"):
+        running.result(TIMEOUT)
+
+
+def test_goodbye_of_the_hub_ends_the_verb(hub: HandHub, lines: list[str]) -> None:
+    running = experiment(hub, lambda glue: glue.rl_step(), lines)
+    hub.hear(Kind.RL_STEP)
+    hub.say(Kind.GOODBYE, 0, "SIGTERM")
+    with pytest.raises(HubClosed, match=r"^SIGTERM$"):
+        running.result(TIMEOUT)
+
+
+def test_notices_reach_the_program(hub: HandHub, lines: list[str]) -> None:
+    seen: list[tuple[str, str, str]] = []
+    running = experiment(
+        hub, lambda glue: glue.rl_num_steps(), lines, on_notice=lambda *notice: seen.append(notice)
+    )
+    hub.say(Kind.NOTICE, 0, "lost", "agent", "its name")
+    answer_all(hub, REPLIES)
+    running.result(TIMEOUT)
+    assert seen == [("lost", "agent", "its name")]
+
+
+@pytest.mark.parametrize("kind", [Kind.RL_START, Kind.RL_EPISODE, Kind.RL_AGENT_SAVE])
+def test_a_player_lost_between_two_verbs_fails_the_next_that_depends_on_it(
+    hub: HandHub, lines: list[str], kind: Kind
+) -> None:
+    verbs: dict[Kind, Callable[[RemoteExperiment], Any]] = {
+        Kind.RL_START: lambda glue: glue.rl_start(),
+        Kind.RL_EPISODE: lambda glue: glue.rl_episode(),
+        Kind.RL_AGENT_SAVE: lambda glue: glue.rl_agent_save(),
+    }
+
+    def program(glue: RemoteExperiment) -> None:
+        assert glue.rl_num_steps() == 7
+        with pytest.raises(PeerLost, match="the agent a was lost between two verbs, and another is in its"):
+            verbs[kind](glue)
+        verbs[kind](glue)
+
+    running = experiment(hub, program, lines)
+    hub.say(Kind.NOTICE, 0, "lost", "agent", "a")
+    hub.say(Kind.NOTICE, 0, "joined", "agent", "b")
+    answer_all(hub, REPLIES)
+    running.result(TIMEOUT)
+
+
+def test_a_player_lost_before_the_beginning_is_nobodys_loss(hub: HandHub, lines: list[str]) -> None:
+    def program(glue: RemoteExperiment) -> None:
+        glue.rl_init()
+        glue.rl_episode()
+
+    running = experiment(hub, program, lines)
+    hub.say(Kind.NOTICE, 0, "lost", "agent", "a")
+    answer_all(hub, REPLIES)
+    running.result(TIMEOUT)
+
+
+def test_a_loss_that_a_verb_has_failed_of_is_told_once(hub: HandHub, lines: list[str]) -> None:
+    def program(glue: RemoteExperiment) -> None:
+        with pytest.raises(PeerLost, match="it was killed"):
+            glue.rl_episode()
+        glue.rl_episode()
+
+    running = experiment(hub, program, lines)
+    request = hub.hear(Kind.RL_EPISODE)
+    hub.say(Kind.NOTICE, 0, "lost", "agent", "a")
+    hub.say(Kind.ERROR, request.seq, ErrorCode.PEER_LOST, "it was killed")
+    answer_all(hub, REPLIES)
+    running.result(TIMEOUT)
+
+
+def test_waiting_for_players_tells_who_is_missing(hub: HandHub, lines: list[str]) -> None:
+    told: list[frozenset[Role]] = []
+
+    def verbs(glue: RemoteExperiment) -> None:
+        glue.wait_for_players(told.append)
+
+    running = experiment(hub, verbs, lines)
+    hub.say(Kind.NOTICE, 0, "joined", "environment", "e")
+    assert hub.next().kind is Kind.HEARTBEAT, "it waits"
+    hub.say(Kind.NOTICE, 0, "joined", "agent", "a")
+    running.result(TIMEOUT)
+    assert told[-1:] == [frozenset({Role.AGENT})]
+
+
+def test_an_experiment_can_be_given_up_from_another_thread(hub: HandHub, lines: list[str]) -> None:
+    made: list[RemoteExperiment] = []
+
+    def verbs(glue: RemoteExperiment) -> None:
+        made.append(glue)
+        glue.rl_step()
+
+    running = experiment(hub, verbs, lines)
+    hub.hear(Kind.RL_STEP)
+    made[0].give_up("the agent could not be started")
+    with pytest.raises(HubClosed, match="could not be started"):
+        running.result(TIMEOUT)
+
+
+def test_a_request_too_large_is_not_sent_and_the_next_one_is(hub: HandHub, lines: list[str]) -> None:
+    def verbs(glue: RemoteExperiment) -> int:
+        with pytest.raises(LocalProtocolError, match="has 20000 bytes; the hub takes 10000"):
+            glue.rl_env_message("x" * 20_000)
+        return glue.rl_num_steps()
+
+    running = experiment(hub, verbs, lines)
+    answer_all(hub, REPLIES)
+    assert running.result(TIMEOUT) == 7
+
+
+def test_a_text_that_utf_8_cannot_carry_is_a_local_error(hub: HandHub, lines: list[str]) -> None:
+    def verbs(glue: RemoteExperiment) -> None:
+        glue.rl_env_message("half a pair \ud800")
+
+    running = experiment(hub, verbs, lines)
+    with pytest.raises(LocalProtocolError, match=r"'half a pair \\ud800' is no text that UTF-8 can carry"):
+        running.result(TIMEOUT)

@@ -1,0 +1,665 @@
+"""What the hub does about peers that come, go, come back, repeat themselves and misbehave: no sockets."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from glue.config import HubConfig
+from glue.core.sessions import INSTANCE_SIZE, Switchboard
+from glue.errors import RemoteProtocolError
+from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
+from glue.protocol.wire import FROM_HUB, MAX_NAME, TO_HUB, UnknownKind, decode, encode
+from glue.types import Action, Observation
+
+OBSERVATION = Observation(ints=[3], chars=b"o").body
+ACTION = Action(ints=[4]).body
+CONFIG = HubConfig(heartbeat=1.0, patience=5.0, max_sessions=8)
+
+
+def instance(name: str) -> bytes:
+    return name.encode().ljust(INSTANCE_SIZE, b".")
+
+
+ANSWERS: dict[Kind, tuple[tuple[Any, ...], bytes]] = {
+    Kind.ENV_INIT: ((), b"spec"),
+    Kind.ENV_START: ((), OBSERVATION),
+    Kind.ENV_STEP: ((1.0, False), OBSERVATION),
+    Kind.ENV_MESSAGE: ((), b"env answer"),
+    Kind.AGENT_START: ((), ACTION),
+    Kind.AGENT_STEP: ((), ACTION),
+    Kind.AGENT_MESSAGE: ((), b"agent answer"),
+}
+
+
+class Rig:
+    """A switchboard whose routes are names; what it sends waits in `inbox` until it is read.
+
+    Everything goes through the frames of the wire, both ways, so nothing impossible can be said.
+    """
+
+    def __init__(self, config: HubConfig = CONFIG) -> None:
+        self.board = Switchboard(config, self._send, self._log)
+        self.inbox: dict[str, list[Message]] = {}
+        self.gone: set[str] = set()
+        self.full: set[str] = set()
+        self.now = 0.0
+        self.logged: list[str] = []
+
+    def _log(self, line: str) -> None:
+        self.logged.append(line)
+
+    def _send(self, route: Any, message: Message) -> bool:
+        frames = encode(message, FROM_HUB)
+        if route in self.gone or route in self.full:
+            return False
+        self.inbox.setdefault(route, []).append(decode(frames, FROM_HUB))
+        return True
+
+    def put(
+        self, route: str, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "s"
+    ) -> None:
+        """Let `route` say something."""
+        message = decode(encode(Message(kind, session, seq, scalars, body), TO_HUB), TO_HUB)
+        self.board.receive(route, message, self.now)
+
+    def say(
+        self, route: str, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "s"
+    ) -> list[Message]:
+        """Let `route` say something; return all that it has heard since last asked."""
+        self.put(route, kind, seq, *scalars, body=body, session=session)
+        return self.heard(route)
+
+    def heard(self, route: str) -> list[Message]:
+        """What `route` was sent since last asked."""
+        return self.inbox.pop(route, [])
+
+    def hello(
+        self,
+        route: str,
+        role: Role | str,
+        who: str | None = None,
+        session: str = "s",
+        abilities: tuple[str, ...] = (),
+    ) -> list[Message]:
+        """Let a peer in by `route`; by default it is known by the name of its route."""
+        name = who or route
+        scalars = ((PROTOCOL_VERSION,), str(role), instance(name), name, "test", abilities)
+        return self.say(route, Kind.HELLO, 0, *scalars, session=session)
+
+    def fill(self) -> None:
+        """Let in an agent, an environment and an experiment, by routes `a`, `e` and `x`."""
+        for route, role in (("a", Role.AGENT), ("e", Role.ENVIRONMENT), ("x", Role.EXPERIMENT)):
+            assert self.hello(route, role)[0].kind is Kind.WELCOME
+        self.heard("x")
+
+    def ask(self, kind: Kind, seq: int, *scalars: Any, body: bytes = b"") -> None:
+        """Let the experiment ask for a verb, which takes a while."""
+        self.heard("x")
+        assert self.say("x", kind, seq, *scalars, body=body) == []
+
+    def answer(self, route: str, *scalars: Any) -> Kind:
+        """Let a player answer the one call it was sent; return its kind."""
+        calls = [message for message in self.heard(route) if message.kind in CALLS]
+        assert len(calls) == 1, f"{route} was asked {calls}"
+        (call,) = calls
+        standard, body = ANSWERS.get(call.kind, ((), b""))
+        self.put(route, call.kind, call.seq, *(scalars or standard), body=body)
+        return call.kind
+
+    def serve(self, *players: str) -> list[Kind]:
+        """Let players answer whatever they are asked, until they are asked nothing more."""
+        made = []
+        while route := next((route for route in players or ("a", "e") if self.inbox.get(route)), None):
+            made.append(self.answer(route))
+        return made
+
+    def cut(self, route: str) -> None:
+        """Break the connection of a route."""
+        self.gone.add(route)
+
+    def tick(self, seconds: float) -> None:
+        """Let time pass, with one tick at the end; heartbeats are thrown away."""
+        self.now += seconds
+        self.board.tick(self.now)
+        for route, messages in self.inbox.items():
+            self.inbox[route] = [message for message in messages if message.kind is not Kind.HEARTBEAT]
+
+    def lose(self, route: str) -> None:
+        """Break the connection of a route, and wait until the hub gives it up."""
+        self.cut(route)
+        self.tick(CONFIG.heartbeat)
+        self.tick(CONFIG.patience)
+
+
+@pytest.fixture
+def rig() -> Rig:
+    rig = Rig()
+    rig.fill()
+    return rig
+
+
+@pytest.fixture
+def playing(rig: Rig) -> Rig:
+    """In the middle of an RL_episode: the environment is asked for a step."""
+    rig.ask(Kind.RL_INIT, 1, None)
+    assert rig.serve() == [Kind.ENV_INIT, Kind.AGENT_INIT]
+    rig.heard("x")
+    rig.ask(Kind.RL_EPISODE, 2, 0)
+    assert rig.answer("e") is Kind.ENV_START
+    assert rig.answer("a") is Kind.AGENT_START
+    return rig
+
+
+def error(messages: list[Message]) -> tuple[str, str]:
+    """The code and the text of the one message, which must be an error."""
+    (message,) = messages
+    assert message.kind in (Kind.ERROR, Kind.REFUSE), message
+    code, text = map(str, message.scalars)
+    return code, text
+
+
+def notices(messages: list[Message]) -> list[tuple[str, str]]:
+    return [(str(m.scalars[0]), str(m.scalars[1])) for m in messages if m.kind is Kind.NOTICE]
+
+
+# Greetings
+
+
+def test_hello_is_welcomed_with_what_the_hub_is_set_to() -> None:
+    (welcome,) = Rig().hello("a", Role.AGENT)
+    assert welcome == Message(Kind.WELCOME, "s", 0, (1, False, 1.0, 5.0, CONFIG.max_body))
+
+
+def test_the_experiment_is_told_who_is_there_and_who_comes() -> None:
+    rig = Rig()
+    rig.hello("a", Role.AGENT)
+    assert notices(rig.hello("x", Role.EXPERIMENT)) == [("joined", "agent")]
+    rig.hello("e", Role.ENVIRONMENT)
+    assert notices(rig.heard("x")) == [("joined", "environment")]
+
+
+def test_a_second_agent_is_refused_while_the_first_can_be_reached(rig: Rig) -> None:
+    code, text = error(rig.hello("b", Role.AGENT))
+    assert code == ErrorCode.ROLE_TAKEN
+    assert text == "session 's' has an agent already: a (test)"
+    rig.ask(Kind.RL_AGENT_MESSAGE, 1)
+    assert rig.answer("a") is Kind.AGENT_MESSAGE
+
+
+def test_a_peer_of_another_protocol_version_is_refused_and_told_ours() -> None:
+    scalars = ((7, 9), "agent", instance("a"), "a", "test", ())
+    code, text = error(Rig().say("a", Kind.HELLO, 0, *scalars))
+    assert code == ErrorCode.VERSION
+    assert "speaks protocol version 1, the peer [7, 9]" in text
+
+
+@pytest.mark.parametrize(
+    ("role", "instance", "session", "complaint"),
+    [
+        ("king", instance("a"), "s", "a role is agent, environment, experiment, not 'king'"),
+        ("agent", b"short", "s", "an instance is 16 bytes, not 5"),
+        ("agent", instance("a"), "", "a session has a name of printable characters"),
+        ("agent", instance("a"), "a\nb", "a session has a name of printable characters"),
+    ],
+)
+def test_a_hello_that_makes_no_sense_is_refused(
+    role: str, instance: bytes, session: str, complaint: str
+) -> None:
+    rig = Rig()
+    scalars = ((PROTOCOL_VERSION,), role, instance, "a", "test", ())
+    assert error(rig.say("a", Kind.HELLO, 0, *scalars, session=session)) == (ErrorCode.MALFORMED, complaint)
+    assert error(rig.say("a", Kind.HEARTBEAT, 0, session=session))[0] == ErrorCode.UNKNOWN_PEER
+
+
+def test_one_connection_is_one_role_of_a_session(rig: Rig) -> None:
+    code, text = error(rig.hello("a", Role.EXPERIMENT, who="other"))
+    assert code == ErrorCode.MALFORMED
+    assert "this connection is the agent of the session already" in text
+
+
+def test_one_connection_may_serve_several_sessions(rig: Rig) -> None:
+    rig.hello("a", Role.AGENT, session="t")
+    rig.hello("e", Role.ENVIRONMENT, session="t")
+    rig.hello("y", Role.EXPERIMENT, session="t")
+    rig.heard("y")
+    for session, experiment in (("t", "y"), ("s", "x")):
+        rig.say(experiment, Kind.RL_AGENT_MESSAGE, 1, session=session)
+        (call,) = rig.heard("a")
+        assert call.session == session
+        rig.say("a", call.kind, call.seq, session=session, body=b"hm")
+        assert [reply.body for reply in rig.heard(experiment)] == [b"hm"]
+
+
+def test_sessions_are_limited_and_a_freed_one_is_given_to_the_next() -> None:
+    rig = Rig()
+    for n in range(CONFIG.max_sessions):
+        assert rig.hello(f"r{n}", Role.AGENT, session=f"s{n}")[0].kind is Kind.WELCOME
+    code, text = error(rig.hello("late", Role.AGENT, session="late"))
+    assert (code, text) == (ErrorCode.FULL, "this hub serves 8 sessions at once, and all are in use")
+    rig.say("r3", Kind.GOODBYE, 0, "enough", session="s3")
+    assert rig.hello("late", Role.AGENT, session="late")[0].kind is Kind.WELCOME
+
+
+def test_the_longest_names_and_texts_still_fit_into_every_header() -> None:
+    # Each character takes four bytes; an error that quotes them must not exceed its own limit.
+    wide = "\N{GRINNING FACE}" * MAX_NAME
+    long = wide[:200]
+    rig = Rig()
+    for route, role in (("a", Role.AGENT), ("e", Role.ENVIRONMENT), ("x", Role.EXPERIMENT)):
+        scalars = ((PROTOCOL_VERSION,), str(role), instance(route), long, wide, ())
+        rig.put(route, Kind.HELLO, 0, *scalars, session=wide)
+    assert [message.kind for message in rig.heard("x")] == [Kind.WELCOME, Kind.NOTICE, Kind.NOTICE]
+    assert error(rig.hello("b", Role.AGENT, session=wide))[0] == ErrorCode.ROLE_TAKEN
+    rig.heard("a")
+    rig.say("x", Kind.RL_AGENT_MESSAGE, 1, session=wide)
+    (call,) = rig.heard("a")
+    rig.say("a", Kind.ERROR, call.seq, "exception", wide + wide, session=wide)
+    assert error(rig.heard("x"))[0] == ErrorCode.PEER_FAILED
+    assert error(rig.hello("v", "\0" * 2000, session=wide))[0] == ErrorCode.MALFORMED
+
+
+# Exactly once
+
+
+def test_a_repeated_request_is_carried_out_once_and_answered_once_per_connection(rig: Rig) -> None:
+    rig.ask(Kind.RL_AGENT_MESSAGE, 1, body=b"hm")
+    assert rig.say("x", Kind.RL_AGENT_MESSAGE, 1, body=b"hm") == [], "still being carried out"
+    assert rig.serve() == [Kind.AGENT_MESSAGE]
+    assert [message.seq for message in rig.heard("x")] == [1]
+    assert rig.say("x", Kind.RL_AGENT_MESSAGE, 1, body=b"hm") == []
+    assert rig.serve() == []
+
+
+def test_a_reconnected_player_is_sent_the_outstanding_call_again(playing: Rig) -> None:
+    (call,) = playing.heard("e")
+    playing.cut("e")
+    welcome, again = playing.hello("e2", Role.ENVIRONMENT, who="e")
+    assert welcome.scalars[1] is True, "resumed"
+    assert again == call
+    assert playing.heard("x") == [], "the experiment need not know"
+
+
+def test_a_repeated_answer_changes_nothing(playing: Rig) -> None:
+    (call,) = playing.heard("e")
+    scalars, body = ANSWERS[call.kind]
+    playing.say("e", call.kind, call.seq, *scalars, body=body)
+    assert playing.say("e", call.kind, call.seq, *scalars, body=body) == []
+    assert len(playing.heard("a")) == 1
+
+
+def test_a_reconnected_experiment_is_sent_the_last_reply_again(rig: Rig) -> None:
+    rig.ask(Kind.RL_AGENT_MESSAGE, 1)
+    rig.cut("x")
+    rig.serve()
+    welcome, *rest = rig.hello("x2", Role.EXPERIMENT, who="x")
+    assert welcome.scalars[1] is True
+    *known, reply = rest
+    assert notices(known) == [("joined", "agent"), ("joined", "environment")]
+    assert (reply.seq, reply.body) == (1, b"agent answer")
+    assert rig.say("x2", Kind.RL_AGENT_MESSAGE, 1) == [], "it comes once"
+
+
+def test_a_reconnected_experiment_whose_request_was_lost_asks_again(rig: Rig) -> None:
+    rig.cut("x")
+    rig.hello("x2", Role.EXPERIMENT, who="x")
+    (reply,) = rig.say("x2", Kind.RL_NUM_STEPS, 1)
+    assert reply.scalars == (0,)
+
+
+def test_a_second_hello_over_the_same_connection_is_welcomed_and_nothing_else(playing: Rig) -> None:
+    assert len(playing.heard("e")) == 1
+    assert [message.kind for message in playing.hello("e", Role.ENVIRONMENT)] == [Kind.WELCOME]
+    assert playing.heard("x") == []
+
+
+def test_a_peer_whose_queue_was_full_gets_what_it_missed_when_there_is_room(playing: Rig) -> None:
+    playing.full.add("a")
+    assert playing.answer("e") is Kind.ENV_STEP
+    playing.tick(1.0)
+    assert playing.heard("a") == []
+    playing.full.clear()
+    playing.tick(1.0)
+    assert [message.kind for message in playing.heard("a")] == [Kind.AGENT_STEP]
+
+
+def test_an_experiment_whose_queue_was_full_gets_its_reply_when_there_is_room(rig: Rig) -> None:
+    rig.ask(Kind.RL_AGENT_MESSAGE, 1)
+    rig.full.add("x")
+    rig.serve()
+    rig.tick(1.0)
+    rig.full.clear()
+    rig.tick(1.0)
+    assert [message.kind for message in rig.heard("x")] == [Kind.RL_AGENT_MESSAGE]
+
+
+# Lost and replaced
+
+
+@pytest.mark.parametrize("lost", ["a", "e"])
+def test_a_player_out_of_reach_for_longer_than_patience_makes_the_episode_void(
+    playing: Rig, lost: str
+) -> None:
+    playing.cut(lost)
+    playing.tick(CONFIG.heartbeat)
+    playing.tick(CONFIG.patience - 0.1)
+    assert playing.heard("x") == []
+    playing.tick(0.1)
+    notice, failed = playing.heard("x")
+    assert notices([notice]) == [("lost", "agent" if lost == "a" else "environment")]
+    code, text = error([failed])
+    assert code == ErrorCode.PEER_LOST
+    assert f"{lost} (test) was out of reach for 5.0 s" in text
+
+
+def test_a_player_that_says_goodbye_makes_the_episode_void_at_once(playing: Rig) -> None:
+    playing.say("a", Kind.GOODBYE, 0, "interrupted")
+    _, failed = playing.heard("x")
+    assert error([failed]) == (ErrorCode.PEER_LOST, "the agent a (test) left: interrupted")
+
+
+def test_a_late_answer_to_a_void_episode_changes_nothing(playing: Rig) -> None:
+    (call,) = playing.heard("e")
+    playing.lose("a")
+    playing.heard("x")
+    scalars, body = ANSWERS[call.kind]
+    assert playing.say("e", call.kind, call.seq, *scalars, body=body) == []
+    code, text = error(playing.say("x", Kind.RL_STEP, 3))
+    assert code == ErrorCode.PEER_LOST
+    assert "start another" in text
+
+
+@pytest.mark.parametrize("early", [True, False], ids=["before the next verb", "while a verb waits for it"])
+@pytest.mark.parametrize(
+    ("lost", "role", "calls"),
+    [
+        ("a", Role.AGENT, [Kind.ENV_START, Kind.AGENT_INIT, Kind.AGENT_START, Kind.ENV_STEP]),
+        ("e", Role.ENVIRONMENT, [Kind.ENV_INIT, Kind.ENV_START, Kind.AGENT_START, Kind.ENV_STEP]),
+    ],
+)
+def test_a_replacement_is_initialised_and_a_new_episode_goes_on_with_it(
+    playing: Rig, lost: str, role: Role, calls: list[Kind], early: bool
+) -> None:
+    rig = playing
+    rig.heard("e")
+    rig.lose(lost)
+    rig.heard("x")
+    made: list[Kind] = []
+    if early:
+        rig.hello("new", role)
+    rig.ask(Kind.RL_EPISODE, 3, 2)
+    if not early:
+        made += rig.serve()
+        (welcome, call) = rig.hello("new", role)
+        assert welcome.scalars[1] is False, "not resumed"
+        rig.inbox["new"] = [call]
+    made += rig.serve("a", "e", "new")
+    assert made == [*calls, Kind.AGENT_STEP]
+    *_, reply = rig.heard("x")
+    assert (reply.kind, reply.scalars) == (Kind.RL_EPISODE, (False,))
+
+
+def test_a_replacement_is_seeded_if_it_can_be(rig: Rig) -> None:
+    rig.ask(Kind.RL_INIT, 1, 5)
+    rig.serve()
+    rig.lose("a")
+    rig.ask(Kind.RL_AGENT_MESSAGE, 2)
+    _, call = rig.hello("a2", Role.AGENT, abilities=("seed",))
+    assert call.kind is Kind.AGENT_SEED
+
+
+def test_a_player_that_returns_after_it_was_given_up_goes_on_without_init(playing: Rig) -> None:
+    rig = playing
+    rig.heard("e")
+    rig.lose("e")
+    rig.heard("x")
+    rig.ask(Kind.RL_EPISODE, 3, 0)
+    welcome, call = rig.hello("e2", Role.ENVIRONMENT, who="e")
+    assert welcome.scalars[1] is True
+    assert call.kind is Kind.ENV_START
+    assert notices(rig.heard("x")) == [("returned", "environment")]
+
+
+def test_a_player_that_returns_is_not_asked_for_a_capability_it_lacks(rig: Rig) -> None:
+    rig.lose("e")
+    rig.heard("x")
+    rig.ask(Kind.RL_INIT, 1, 5)
+    _, call = rig.hello("e2", Role.ENVIRONMENT, who="e")
+    assert call.kind is Kind.ENV_INIT
+
+
+def test_a_player_unreachable_just_now_is_replaced_without_waiting(playing: Rig) -> None:
+    playing.cut("a")
+    assert playing.hello("b", Role.AGENT)[0].kind is Kind.WELCOME
+    lost, failed, joined = playing.heard("x")
+    assert notices([lost, joined]) == [("lost", "agent"), ("joined", "agent")]
+    assert error([failed])[0] == ErrorCode.PEER_LOST
+
+
+def test_the_end_of_the_experiment_leaves_the_players_to_the_next(playing: Rig) -> None:
+    rig = playing
+    (call,) = rig.heard("e")
+    rig.say("x", Kind.GOODBYE, 0, "over")
+    assert rig.say("e", call.kind, call.seq, 1.0, False, body=OBSERVATION) == []
+    assert rig.heard("a") == []
+    rig.hello("y", Role.EXPERIMENT)
+    rig.put("y", Kind.RL_INIT, 1, None)
+    assert rig.serve() == [Kind.ENV_INIT, Kind.AGENT_INIT]
+
+
+def test_a_new_experiment_finds_a_new_engine(playing: Rig) -> None:
+    playing.say("x", Kind.GOODBYE, 0, "over")
+    playing.hello("y", Role.EXPERIMENT)
+    (reply,) = playing.say("y", Kind.RL_NUM_STEPS, 1)
+    assert reply.scalars == (0,)
+
+
+def test_a_session_that_all_have_left_is_forgotten(playing: Rig) -> None:
+    for route in ("a", "e", "x"):
+        playing.say(route, Kind.GOODBYE, 0, "over")
+    assert playing.hello("a", Role.AGENT)[0].scalars[1] is False
+
+
+# A slow or dead session
+
+
+def test_a_session_waits_for_nobody_but_its_own(rig: Rig) -> None:
+    for route, role in (("ta", Role.AGENT), ("te", Role.ENVIRONMENT), ("tx", Role.EXPERIMENT)):
+        rig.hello(route, role, session="t")
+    rig.heard("tx")
+    rig.ask(Kind.RL_AGENT_MESSAGE, 1)
+    rig.say("tx", Kind.RL_ENV_MESSAGE, 1, session="t")
+    (call,) = rig.heard("te")
+    rig.say("te", call.kind, call.seq, session="t", body=b"here")
+    assert [message.body for message in rig.heard("tx")] == [b"here"]
+    rig.lose("a")
+    assert rig.heard("tx") == []
+
+
+# Out of place
+
+
+def test_a_stranger_is_told_to_say_hello() -> None:
+    code, text = error(Rig().say("a", Kind.HEARTBEAT, 5))
+    assert code == ErrorCode.UNKNOWN_PEER
+    assert "say HELLO first" in text
+
+
+def test_a_known_peer_is_a_stranger_to_other_sessions(rig: Rig) -> None:
+    assert error(rig.say("a", Kind.HEARTBEAT, session="t"))[0] == ErrorCode.UNKNOWN_PEER
+
+
+@pytest.mark.parametrize("kind", [Kind.RL_START, Kind.ENV_START])
+def test_an_agent_that_speaks_for_another_role_gets_an_error(playing: Rig, kind: Kind) -> None:
+    body = OBSERVATION if kind is Kind.ENV_START else b""
+    code, text = error(playing.say("a", kind, 1, body=body))
+    assert code == ErrorCode.NOT_ASKED
+    assert text == f"{kind.name} 1 was never asked of this agent"
+    assert playing.heard("x") == []
+
+
+def test_an_experiment_that_answers_calls_gets_an_error(playing: Rig) -> None:
+    code, text = error(playing.say("x", Kind.ENV_STEP, 3, 1.0, False, body=OBSERVATION))
+    assert (code, text) == (ErrorCode.BUSY, "ENV_STEP came while RL_EPISODE is still being carried out")
+    playing.lose("a")
+    playing.heard("x")
+    code, text = error(playing.say("x", Kind.ENV_STEP, 3, 1.0, False, body=OBSERVATION))
+    assert (code, text) == (ErrorCode.NOT_ASKED, "ENV_STEP is not for an experiment to send")
+
+
+def test_a_request_below_the_one_before_gets_an_error_and_a_repeated_one_none(rig: Rig) -> None:
+    assert rig.say("x", Kind.RL_RETURN, 0)[0].scalars == (
+        ErrorCode.NOT_ASKED,
+        "a request 0 came after 0; sequence numbers grow from 1",
+    )
+    assert rig.say("x", Kind.RL_RETURN, 5)[0].kind is Kind.RL_RETURN
+    assert rig.say("x", Kind.RL_RETURN, 5) == []
+    code, text = error(rig.say("x", Kind.RL_RETURN, 4))
+    assert (code, text) == (ErrorCode.NOT_ASKED, "a request 4 came after 5; sequence numbers grow from 1")
+
+
+@pytest.mark.parametrize("seq", [0, 99])
+def test_an_answer_that_nobody_asked_for_gets_an_error(playing: Rig, seq: int) -> None:
+    code, text = error(playing.say("a", Kind.AGENT_STEP, seq, body=ACTION))
+    assert code == ErrorCode.NOT_ASKED
+    assert text == f"AGENT_STEP {seq} was never asked of this agent"
+
+
+def test_an_answer_of_the_wrong_kind_fails_the_verb_and_names_the_player(playing: Rig) -> None:
+    (call,) = playing.heard("e")
+    code, text = error(playing.say("e", Kind.ENV_START, call.seq, body=OBSERVATION))
+    assert (code, text) == (ErrorCode.NOT_ASKED, "ENV_START was answered; ENV_STEP was asked")
+    code, text = error(playing.heard("x"))
+    assert code == ErrorCode.PEER_FAILED
+    assert text.startswith("environment e (test) broke the protocol")
+
+
+def test_an_exception_of_a_player_fails_the_verb_and_names_the_player(playing: Rig) -> None:
+    (call,) = playing.heard("e")
+    playing.say("e", Kind.ERROR, call.seq, "exception", "ValueError: no such thing\nas this")
+    code, text = error(playing.heard("x"))
+    assert code == ErrorCode.PEER_FAILED
+    assert text == "environment e (test) raised in env_step: ValueError: no such thing as this"
+
+
+def test_a_capability_that_a_player_lacks_is_an_error_for_the_experiment(rig: Rig) -> None:
+    code, text = error(rig.say("x", Kind.RL_AGENT_SAVE, 1))
+    assert code == ErrorCode.UNSUPPORTED
+    assert text == "agent a (test) cannot do that: it has no agent_save"
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        (Kind.WELCOME, 1, True, 1.0, 1.0, 5),
+        (Kind.REFUSE, "code", "text"),
+        (Kind.NOTICE, "lost", "agent", "a"),
+    ],
+)
+def test_what_only_the_hub_says_is_an_error_from_a_peer(rig: Rig, message: tuple[Any, ...]) -> None:
+    kind, *scalars = message
+    code, text = error(rig.say("a", kind, 0, *scalars))
+    assert (code, text) == (ErrorCode.NOT_ASKED, f"{kind.name} is for the hub to send")
+
+
+def test_an_unknown_kind_is_an_error_and_costs_no_seat(playing: Rig) -> None:
+    playing.board.malformed("e", UnknownKind(999, "s", 7), playing.now)
+    *_, answer = playing.heard("e")
+    assert (answer.seq, answer.scalars[0]) == (7, ErrorCode.UNKNOWN_KIND)
+    assert playing.heard("x") == []
+
+
+def test_a_malformed_message_costs_its_sender_its_seat_and_fails_what_waits_for_it(playing: Rig) -> None:
+    playing.heard("e")
+    playing.board.malformed("e", RemoteProtocolError("no sense in it"), playing.now)
+    assert error(playing.heard("e")) == (ErrorCode.MALFORMED, "no sense in it")
+    lost, failed = playing.heard("x")
+    assert notices([lost]) == [("lost", "environment")]
+    assert error([failed])[0] == ErrorCode.PEER_FAILED
+    assert error(playing.say("e", Kind.HEARTBEAT))[0] == ErrorCode.UNKNOWN_PEER
+
+
+def test_a_heartbeat_is_returned(rig: Rig) -> None:
+    assert rig.say("a", Kind.HEARTBEAT, 8) == [Message(Kind.HEARTBEAT, "s", 8)]
+
+
+def test_every_peer_is_told_when_the_hub_ends(rig: Rig) -> None:
+    rig.hello("a", Role.AGENT, session="t")
+    rig.board.close("SIGTERM")
+    told = {route: [(m.session, m.scalars) for m in rig.heard(route)] for route in ("a", "e", "x")}
+    s = ("s", ("SIGTERM",))
+    assert told == {"a": [s, ("t", ("SIGTERM",))], "e": [s], "x": [s]}
+
+
+# Anything at all
+
+roles = st.sampled_from([*map(str, Role), "king"])
+routes = st.sampled_from(["r0", "r1", "r2", "r3", "r4"])
+sessions = st.sampled_from(["s", "t", "", "\N{GRINNING FACE}" * MAX_NAME])
+instances = st.sampled_from([instance("1"), instance("2"), instance("3"), b""])
+texts = st.sampled_from(["", "text", "\0\n", "\N{GRINNING FACE}" * 220])
+names = st.sampled_from(["", "name", "\N{GRINNING FACE}" * 60])
+VALUES: dict[type, st.SearchStrategy[Any]] = {
+    int: st.integers(0, 2**63 - 1),
+    float: st.floats(),
+    bool: st.booleans(),
+    str: texts,
+    bytes: instances,
+    tuple: st.just(()),
+}
+BODIES = {"an observation": OBSERVATION, "an action": ACTION, "an observation, then at once an action": b""}
+
+
+@st.composite
+def events(draw: st.DrawFn) -> tuple[Any, ...]:
+    """Something that can happen: a legal message from anybody, a connection cut or restored, time, noise."""
+    what = draw(
+        st.sampled_from(["hello", "hello", "answer", "answer", "answer", "say", "cut", "time", "noise"])
+    )
+    route, session = draw(routes), draw(sessions)
+    if what == "hello":
+        abilities = draw(st.sampled_from([(), ("seed",), ("save", "seed")]))
+        versions = draw(st.sampled_from([(1,), (1, 2), (2,), ()]))
+        hello = (versions, draw(roles), draw(instances), draw(texts), draw(names), abilities)
+        return "say", route, Message(Kind.HELLO, session, 0, hello)
+    if what == "say":
+        kind = draw(st.sampled_from(sorted(TO_HUB)))
+        shape = TO_HUB[kind]
+        scalars = tuple(() if scalar.type is tuple else draw(VALUES[scalar.type]) for scalar in shape.scalars)
+        seq = draw(st.integers(0, 12))
+        return "say", route, Message(kind, session, seq, scalars, BODIES.get(shape.body.value, b"text"))
+    if what == "cut":
+        return "cut", route, draw(st.booleans())
+    if what == "time":
+        return "time", draw(st.sampled_from([0.5, 1.0, 5.0]))
+    return what, route
+
+
+@given(st.lists(events(), max_size=60))
+@settings(max_examples=300, deadline=None)
+def test_whatever_peers_do_the_switchboard_goes_on_and_says_only_what_can_be_sent(
+    story: list[tuple[Any, ...]],
+) -> None:
+    rig = Rig(HubConfig(max_sessions=3))
+    for what, *details in story:
+        if what == "say":
+            route, message = details
+            rig.board.receive(route, decode(encode(message, TO_HUB), TO_HUB), rig.now)
+        elif what == "answer":
+            (route,) = details
+            calls = [m for m in rig.inbox.get(route, []) if m.kind in CALLS and CALLS[m.kind].callee]
+            if calls:
+                scalars, body = ANSWERS.get(calls[-1].kind, ((), b""))
+                answer = Message(calls[-1].kind, calls[-1].session, calls[-1].seq, scalars, body)
+                rig.board.receive(route, decode(encode(answer, TO_HUB), TO_HUB), rig.now)
+        elif what == "cut":
+            route, cut = details
+            (rig.gone.add if cut else rig.gone.discard)(route)
+        elif what == "time":
+            rig.tick(details[0])
+        else:
+            rig.board.malformed(details[0], RemoteProtocolError("noise"), rig.now)
+    rig.board.close("over")

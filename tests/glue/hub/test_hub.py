@@ -1,0 +1,139 @@
+"""The hub as a program's part: addresses it can listen on, and how it ends."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from pathlib import Path
+
+import pytest
+
+from glue.client.experiment import connect
+from glue.config import HubConfig
+from glue.core.sessions import INSTANCE_SIZE
+from glue.errors import ConfigError, GlueError, HubClosed
+from glue.hub.server import Hub
+from glue.protocol import zmtp
+from glue.protocol.messages import Kind, Message, Value
+from glue.protocol.wire import TO_HUB, encode
+
+TIMEOUT = 20.0
+"""Seconds until a test gives up waiting. Generous: machines are busy."""
+
+
+def hub(*urls: str) -> Hub:
+    return Hub(HubConfig(bind=urls, heartbeat=0.05))
+
+
+def close(listening: Hub) -> None:
+    with listening.in_background():
+        pass
+
+
+def test_a_free_port_is_named() -> None:
+    listening = hub("tcp://127.0.0.1:*", "tcp://[::1]:*")
+    for url, host in zip(listening.endpoints, ("127.0.0.1", "[::1]"), strict=True):
+        address, _, port = url.rpartition(":")
+        assert address == f"tcp://{host}"
+        with socket.create_connection((host.strip("[]"), int(port))):
+            pass
+    close(listening)
+
+
+def test_an_address_in_use_is_an_error_that_says_what_to_do(tmp_path: Path) -> None:
+    first = hub("tcp://127.0.0.1:*", f"ipc://{tmp_path}/hub")
+    for url in first.endpoints:
+        with pytest.raises(ConfigError, match=f"{url} is in use: is another hub .* running there"):
+            hub("tcp://127.0.0.1:*", url)
+    close(first)
+
+
+def test_an_address_of_another_machine_is_an_error() -> None:
+    with pytest.raises(ConfigError, match=r"tcp://192\.0\.2\.1:4097 is not an address of this machine"):
+        Hub(HubConfig(bind=("tcp://192.0.2.1:4097",), insecure=True))
+    with pytest.raises(ConfigError, match=r"tcp://nowhere\.invalid:4097 is not an address of this machine"):
+        Hub(HubConfig(bind=("tcp://nowhere.invalid:4097",), insecure=True))
+
+
+def test_a_socket_that_a_killed_hub_left_is_replaced_and_a_file_is_not(tmp_path: Path) -> None:
+    left = tmp_path / "left"
+    with socket.socket(socket.AF_UNIX) as killed:
+        killed.bind(str(left))
+    listening = hub(f"ipc://{left}")
+    close(listening)
+    assert not left.exists()
+    left.write_text("something of mine")
+    with pytest.raises(ConfigError, match="in use"):
+        hub(f"ipc://{left}")
+    assert left.read_text() == "something of mine"
+
+
+def test_a_path_that_another_hub_has_taken_is_left_to_it(tmp_path: Path) -> None:
+    path = tmp_path / "hub"
+    first = hub(f"ipc://{path}")
+    path.unlink()
+    second = hub(f"ipc://{path}")
+    close(first)
+    assert path.exists()
+    close(second)
+    assert not path.exists()
+
+
+def test_a_name_stands_for_its_ipv4_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    resolve = socket.getaddrinfo
+
+    def prefer_ipv6(host: str, port: int, family: int = 0, *how: int, **more: int) -> object:
+        return resolve("::1" if family == socket.AF_UNSPEC else host, port, family, *how, **more)
+
+    monkeypatch.setattr(socket, "getaddrinfo", prefer_ipv6)
+    listening = hub("tcp://localhost:*")
+    assert listening.endpoints[0].startswith("tcp://127.0.0.1:")
+    close(listening)
+
+
+def test_the_longest_heartbeat_lets_peers_in() -> None:
+    listening = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=7 * 86400, patience=7 * 86400))
+    port = int(listening.endpoints[0].rpartition(":")[2])
+    with listening.in_background(), socket.create_connection(("127.0.0.1", port)) as peer:
+        assert peer.recv(64) == zmtp.GREETING
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_hub_that_fails_tells_its_peers_and_whoever_waits_for_it() -> None:
+    failing = hub("tcp://127.0.0.1:*")
+
+    def fail(now: float) -> None:
+        raise ZeroDivisionError
+
+    with failing.in_background(), connect(failing.endpoints[0]) as glue:
+        failing.loop.on_tick(fail)
+        with pytest.raises(GlueError, match="the hub failed, by a mistake of its own"):
+            failing.wait()
+        with pytest.raises(HubClosed, match="the hub failed"):
+            glue.rl_init()
+
+
+def test_all_that_a_peer_said_before_it_broke_off_is_heard() -> None:
+    joined, left = threading.Semaphore(0), threading.Semaphore(0)
+
+    def log(line: str) -> None:
+        for event, semaphore in (("joined", joined), ("left: the end", left)):
+            if event in line:
+                semaphore.release()
+
+    listening = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, patience=60.0), log)
+    sessions = [f"{number}" for number in range(200)]
+
+    def say(peer: socket.socket, kind: Kind, *scalars: Value) -> None:
+        messages = [Message(kind, session, 0, scalars) for session in sessions]
+        peer.sendall(b"".join(zmtp.encode(encode(message, TO_HUB)) for message in messages))
+
+    with listening.in_background():
+        port = int(listening.endpoints[0].rpartition(":")[2])
+        with socket.create_connection(("127.0.0.1", port)) as peer:
+            peer.sendall(zmtp.GREETING + b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER")
+            say(peer, Kind.HELLO, (1,), "agent", bytes(INSTANCE_SIZE), "many", "test", ())
+            assert all(joined.acquire(timeout=TIMEOUT) for _ in sessions)
+            say(peer, Kind.GOODBYE, "the end")
+            # Since it has not read its welcomes, this is a reset.
+        assert all(left.acquire(timeout=TIMEOUT) for _ in sessions)

@@ -1,0 +1,527 @@
+"""The original binary format: real recordings, round trips, and everything that can be wrong."""
+
+from __future__ import annotations
+
+import json
+import struct
+import tracemalloc
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, assume, example, given, settings
+from hypothesis import strategies as st
+
+from glue.errors import LocalProtocolError, RemoteProtocolError
+from glue.legacy.codec import (
+    FROM_AGENT,
+    FROM_ENVIRONMENT,
+    FROM_EXPERIMENT,
+    FROM_STRANGER,
+    MAX_COUNT,
+    MAX_TEXT,
+    SURPLUS,
+    TO_AGENT,
+    TO_ENVIRONMENT,
+    TO_EXPERIMENT,
+    Control,
+    Decoder,
+    Frame,
+    Vocabulary,
+    encode,
+)
+from glue.protocol.messages import Body, Kind
+from glue.types import Action, Observation, body_size
+
+CAPTURES = sorted((Path(__file__).parents[2] / "golden" / "captures").glob("*.json"))
+VOCABULARIES = {
+    "from stranger": FROM_STRANGER,
+    "from agent": FROM_AGENT,
+    "from environment": FROM_ENVIRONMENT,
+    "from experiment": FROM_EXPERIMENT,
+    "to agent": TO_AGENT,
+    "to environment": TO_ENVIRONMENT,
+    "to experiment": TO_EXPERIMENT,
+}
+OF_ROLE = {
+    ("agent", "client"): FROM_AGENT,
+    ("agent", "server"): TO_AGENT,
+    ("environment", "client"): FROM_ENVIRONMENT,
+    ("environment", "server"): TO_ENVIRONMENT,
+    ("experiment", "client"): FROM_EXPERIMENT,
+    ("experiment", "server"): TO_EXPERIMENT,
+}
+
+# A busy machine must not fail a test that is right.
+unhurried = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+
+def raw(kind: int, payload: bytes = b"") -> bytes:
+    return struct.pack(">iI", kind, len(payload)) + payload
+
+
+def text_of(text: bytes) -> bytes:
+    return struct.pack(">I", len(text)) + text
+
+
+def events(decoder: Decoder) -> Iterator[Frame]:
+    while (message := decoder.next_event()) is not None:
+        yield message
+
+
+def decode(data: bytes, vocabulary: Vocabulary) -> list[Frame]:
+    decoder = Decoder(vocabulary)
+    decoder.receive_data(data)
+    return list(events(decoder))
+
+
+# Recordings
+
+
+def streams(path: Path) -> Iterator[tuple[Vocabulary, list[bytes]]]:
+    recorded = json.loads(path.read_text())["frames"]
+    for (role, end), vocabulary in OF_ROLE.items():
+        frames = [
+            bytes.fromhex(event["hex"])
+            for event in recorded
+            if (event["role"], event["from"]) == (role, end) and "event" not in event
+        ]
+        if end == "client":
+            yield FROM_STRANGER, frames[:1]
+            frames = frames[1:]
+        yield vocabulary, frames
+
+
+@pytest.mark.parametrize("path", CAPTURES, ids=lambda path: path.stem)
+def test_every_recorded_frame_is_read_and_written_back_to_the_same_bytes(path: Path) -> None:
+    count = 0
+    for vocabulary, frames in streams(path):
+        for recorded in frames:
+            (message,) = decode(recorded, vocabulary)
+            assert encode(message, vocabulary) == recorded
+            count += 1
+    assert count >= 19
+
+
+@pytest.mark.parametrize("size", [1, 7, 8, 9, 1000])
+def test_a_recorded_stream_gives_the_same_messages_however_it_is_cut(size: int) -> None:
+    path = next(path for path in CAPTURES if path.stem == "c_test_1")
+    for vocabulary, frames in streams(path):
+        stream = b"".join(frames)
+        decoder = Decoder(vocabulary)
+        messages: list[Frame] = []
+        for start in range(0, len(stream), size):
+            decoder.receive_data(stream[start : start + size])
+            messages.extend(events(decoder))
+        assert messages == [message for each in frames for message in decode(each, vocabulary)]
+
+
+def test_the_extreme_numbers_of_test_1_arrive_exactly() -> None:
+    path = next(path for path in CAPTURES if path.stem == "c_test_1")
+    messages = [
+        message
+        for vocabulary, frames in streams(path)
+        if vocabulary is FROM_ENVIRONMENT
+        for each in frames
+        for message in decode(each, vocabulary)
+    ]
+    last_step = [message for message in messages if message.kind is Kind.ENV_STEP][-1]
+    assert last_step.scalars == (-2.0, False)
+    assert (
+        last_step.body
+        == Observation(
+            ints=[173, -173, 2147483647, 0, -2147483648],
+            doubles=[0.0078125, -0.0078125, 0.0, 0.0078125e150, -0.0078125e150],
+            chars=b"gF? &",
+        ).body
+    )
+
+
+# Round trips
+
+
+def bodies() -> st.SearchStrategy[bytes]:
+    def body(ints: list[int], doubles: list[int], chars: bytes) -> bytes:
+        return (
+            struct.pack("<4I", len(ints), len(doubles), len(chars), 0)
+            + struct.pack(f"<{len(doubles)}Q{len(ints)}I", *doubles, *ints)
+            + chars
+        )
+
+    return st.builds(
+        body,
+        st.lists(st.integers(0, 2**32 - 1), max_size=9),
+        st.lists(st.integers(0, 2**64 - 1), max_size=9),
+        st.binary(max_size=9),
+    )
+
+
+def texts() -> st.SearchStrategy[bytes]:
+    as_text = st.text(st.characters(blacklist_characters="\0", codec="utf-8"), max_size=20)
+    return as_text.map(str.encode) | st.binary(max_size=20).map(lambda data: data.replace(b"\0", b"\xff"))
+
+
+SCALARS: dict[type, st.SearchStrategy[Any]] = {
+    bool: st.booleans(),
+    int: st.integers(0, 2**31 - 1),
+    float: st.floats(allow_nan=False),
+}
+BODIES: dict[Body, st.SearchStrategy[bytes]] = {
+    Body.NONE: st.just(b""),
+    Body.OBSERVATION: bodies(),
+    Body.ACTION: bodies(),
+    Body.OBSERVATION_ACTION: st.builds(bytes.__add__, bodies(), bodies()),
+    Body.TEXT: texts(),
+}
+
+
+@st.composite
+def frames_of(draw: st.DrawFn, vocabulary: Vocabulary) -> Frame:
+    layout = vocabulary[draw(st.sampled_from(sorted(vocabulary)))]
+    scalars = tuple(draw(SCALARS[of_type]) for of_type in layout.types)
+    return Frame(layout.kind, scalars, draw(BODIES[layout.body]))
+
+
+@pytest.mark.parametrize("vocabulary", VOCABULARIES.values(), ids=VOCABULARIES)
+@unhurried
+@given(data=st.data())
+def test_messages_survive_writing_and_reading_at_any_split(
+    vocabulary: Vocabulary, data: st.DataObject
+) -> None:
+    sent = data.draw(st.lists(frames_of(vocabulary), max_size=4))
+    stream = b"".join(encode(message, vocabulary) for message in sent)
+    cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=6)))
+    decoder = Decoder(vocabulary)
+    received: list[Frame] = []
+    for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True):
+        decoder.receive_data(stream[start:end])
+        received.extend(events(decoder))
+    assert received == sent
+
+
+@unhurried
+@given(
+    ints=st.lists(st.integers(0, 2**32 - 1), max_size=5),
+    doubles=st.lists(st.integers(0, 2**64 - 1), max_size=5),
+    chars=st.binary(max_size=5),
+)
+@example(ints=[0x80000000], doubles=[0x7FF4000000000001, 0xFFF8DEADBEEF0001, 1 << 63], chars=b"\0\xff")
+def test_an_abstract_type_keeps_every_bit_in_the_original_order(
+    ints: list[int], doubles: list[int], chars: bytes
+) -> None:
+    theirs = (
+        struct.pack(">3I", len(ints), len(doubles), len(chars))
+        + struct.pack(f">{len(ints)}I{len(doubles)}Q", *ints, *doubles)
+        + chars
+    )
+    (message,) = decode(raw(5, theirs), FROM_AGENT)
+    action = Action.from_body(message.body)
+    assert action.ints.view("uint32").tolist() == ints
+    assert action.doubles.view("uint64").tolist() == doubles
+    assert action.chars == chars
+    assert encode(message, FROM_AGENT) == raw(5, theirs)
+
+
+def test_the_bytes_of_a_small_step_are_the_originals() -> None:
+    observation = Observation(ints=[3]).body
+    action = Action(ints=[1]).body
+    for message, vocabulary, expected in (
+        (Frame(Kind.RL_STEP), FROM_EXPERIMENT, "00000016 00000000"),
+        (
+            Frame(Kind.ENV_STEP, body=action),
+            TO_ENVIRONMENT,
+            "0000000d 00000010 00000001 00000000 00000000 00000001",
+        ),
+        (
+            Frame(Kind.ENV_STEP, (-1.0, False), observation),
+            FROM_ENVIRONMENT,
+            "0000000d 0000001c 00000000 bff0000000000000 00000001 00000000 00000000 00000003",
+        ),
+        (
+            Frame(Kind.AGENT_STEP, (-1.0,), observation),
+            TO_AGENT,
+            "00000006 00000018 bff0000000000000 00000001 00000000 00000000 00000003",
+        ),
+        (
+            Frame(Kind.RL_STEP, (-1.0, False), observation + action),
+            TO_EXPERIMENT,
+            "00000016 0000002c 00000000 bff0000000000000 00000001 00000000 00000000 00000003"
+            "00000001 00000000 00000000 00000001",
+        ),
+    ):
+        assert encode(message, vocabulary) == bytes.fromhex(expected)
+
+
+@pytest.mark.parametrize("terminal", [1, 2, -1])
+def test_any_terminal_but_zero_is_taken_for_true(terminal: int) -> None:
+    payload = struct.pack(">id3I", terminal, 0.5, 0, 0, 0)
+    (message,) = decode(raw(13, payload), FROM_ENVIRONMENT)
+    assert message.scalars == (0.5, True)
+
+
+def test_a_limit_of_steps_is_unsigned() -> None:
+    (message,) = decode(raw(27, b"\xff\xff\xff\xff"), FROM_EXPERIMENT)
+    assert message.scalars == (2**32 - 1,)
+
+
+def test_the_vocabularies_are_the_originals() -> None:
+    assert sorted(FROM_STRANGER) == [1, 2, 3]
+    assert sorted(FROM_AGENT) == sorted(TO_AGENT) == [4, 5, 6, 7, 8, 10, 35]
+    assert sorted(FROM_ENVIRONMENT) == sorted(TO_ENVIRONMENT) == [11, 12, 13, 14, 19, 35]
+    assert sorted(FROM_EXPERIMENT) == sorted(TO_EXPERIMENT) == [*range(20, 28), *range(33, 41)]
+
+
+def test_a_million_of_each_is_accepted() -> None:
+    body = Observation([7] * MAX_COUNT, [0.5] * MAX_COUNT, b"c" * MAX_COUNT).body
+    message = Frame(Kind.ENV_START, body=body)
+    assert decode(encode(message, FROM_ENVIRONMENT), FROM_ENVIRONMENT) == [message]
+
+
+def test_a_stranger_becomes_an_agent_once_told_so() -> None:
+    decoder = Decoder(FROM_STRANGER)
+    decoder.receive_data(raw(Control.CONNECT_AGENT, b"ignored") + raw(7))
+    assert decoder.next_event() == Frame(Control.CONNECT_AGENT)
+    decoder.expect(FROM_AGENT)
+    assert decoder.next_event() == Frame(Kind.AGENT_END)
+
+
+# Texts
+
+
+@pytest.mark.parametrize("text", [b"", b"one", "déjà vu 漢字 🎲".encode(), b"caf\xe9"])
+def test_texts_with_the_right_count_arrive_whole(text: bytes) -> None:
+    stream = raw(33, text_of(text)) + raw(22)
+    assert decode(stream, FROM_EXPERIMENT) == [Frame(Kind.RL_AGENT_MESSAGE, body=text), Frame(Kind.RL_STEP)]
+
+
+def test_a_zero_byte_ends_a_text_in_both_directions() -> None:
+    assert decode(raw(10, text_of(b"cut\0off")), FROM_AGENT) == [Frame(Kind.AGENT_MESSAGE, body=b"cut")]
+    assert encode(Frame(Kind.AGENT_MESSAGE, body=b"cut\0off"), TO_AGENT) == raw(10, text_of(b"cut"))
+
+
+def java_text(text: str) -> bytes:
+    """A text as Java sends it: counted in UTF-16 units, sent as UTF-8."""
+    units = len(text.encode("utf-16-be")) // 2
+    return struct.pack(">I", units) + text.encode()
+
+
+def java_frame(kind: int, text: str) -> bytes:
+    payload = java_text(text)
+    (units,) = struct.unpack_from(">I", payload)
+    return struct.pack(">iI", kind, 4 + units) + payload
+
+
+@unhurried
+@given(st.lists(st.text(st.characters(blacklist_characters="\0", codec="utf-8")), max_size=4))
+@example(["é", "漢字", "🎲", "", "plain"])
+def test_texts_that_java_counted_in_utf16_units_arrive_whole(texts: list[str]) -> None:
+    stream = b"".join(java_frame(33, text) for text in texts)
+    assert decode(stream, FROM_EXPERIMENT) == [
+        Frame(Kind.RL_AGENT_MESSAGE, body=text.encode()) for text in texts
+    ]
+
+
+@unhurried
+@given(st.text(st.characters(blacklist_characters="\0", codec="utf-8")), st.data())
+def test_the_end_of_a_java_text_that_comes_late_is_dropped_and_the_next_message_read(
+    text: str, data: st.DataObject
+) -> None:
+    assume(not text.isascii())
+    stream = java_frame(10, text)
+    cut = data.draw(st.integers(8 + 4 + len(text.encode("utf-16-be")) // 2, len(stream)))
+    decoder = Decoder(FROM_AGENT)
+    decoder.receive_data(stream[:cut])
+    assert decoder.next_event() == Frame(Kind.AGENT_MESSAGE, body=stream[12:cut])
+    for byte in stream[cut:] + raw(7):
+        assert decoder.next_event() is None
+        decoder.receive_data(bytes([byte]))
+    assert decoder.next_event() == Frame(Kind.AGENT_END)
+
+
+def test_a_zero_in_a_java_text_cuts_it_and_its_end_does_not_follow() -> None:
+    assert decode(java_frame(33, "é\0bc") + raw(22), FROM_EXPERIMENT) == [
+        Frame(Kind.RL_AGENT_MESSAGE, body="é".encode()),
+        Frame(Kind.RL_STEP),
+    ]
+
+
+def test_only_a_text_that_fills_its_frame_can_have_an_end_behind_it() -> None:
+    with pytest.raises(RemoteProtocolError, match="kind"):
+        decode(raw(33, text_of("é".encode()) + b"surplus") + b"\xa9" + raw(22), FROM_EXPERIMENT)
+
+
+def test_once_another_message_has_begun_no_end_of_a_text_is_expected() -> None:
+    decoder = Decoder(FROM_EXPERIMENT)
+    decoder.receive_data(raw(33, text_of("éé".encode())) + raw(22))
+    assert [message.kind for message in events(decoder)] == [Kind.RL_AGENT_MESSAGE, Kind.RL_STEP]
+    decoder.receive_data(b"\xa9" + raw(22))
+    with pytest.raises(RemoteProtocolError, match="kind"):
+        decoder.next_event()
+
+
+def test_a_text_may_have_a_million_bytes_and_not_one_more() -> None:
+    (message,) = decode(raw(11, text_of(b"x" * MAX_TEXT)), FROM_ENVIRONMENT)
+    assert message.body == b"x" * MAX_TEXT
+    with pytest.raises(RemoteProtocolError, match="at most 1000000 bytes"):
+        decode(raw(11, text_of(b"x" * (MAX_TEXT + 1))), FROM_ENVIRONMENT)
+
+
+# Malformed input
+
+
+def check_body(form: Body, body: bytes) -> None:
+    if form is Body.NONE:
+        assert body == b""
+    elif form is Body.TEXT:
+        assert b"\0" not in body
+    elif form is Body.OBSERVATION_ACTION:
+        size = body_size(body)
+        Observation.from_body(body[:size])
+        Action.from_body(body[size:])
+    else:
+        Observation.from_body(body)
+
+
+def payloads() -> Iterator[tuple[Vocabulary, int, bytes]]:
+    some = Observation([1, 2], [0.5], b"abc").body
+    sample = {
+        Body.NONE: b"",
+        Body.OBSERVATION: some,
+        Body.ACTION: some,
+        Body.OBSERVATION_ACTION: some + some,
+        Body.TEXT: b"text",
+    }
+    for vocabulary in VOCABULARIES.values():
+        for kind, layout in vocabulary.items():
+            scalars = tuple(of_type(1) for of_type in layout.types)
+            yield vocabulary, kind, encode(Frame(layout.kind, scalars, sample[layout.body]), vocabulary)[8:]
+
+
+def test_a_payload_cut_short_anywhere_is_an_error() -> None:
+    for vocabulary, kind, payload in payloads():
+        for size in range(len(payload)):
+            with pytest.raises(RemoteProtocolError, match="more bytes were expected"):
+                decode(raw(kind, payload[:size]), vocabulary)
+
+
+def test_surplus_payload_is_ignored() -> None:
+    for vocabulary, kind, payload in payloads():
+        plain = decode(raw(kind, payload), vocabulary)
+        assert decode(raw(kind, payload + bytes(SURPLUS)), vocabulary) == plain
+
+
+def test_an_unfinished_frame_gives_nothing() -> None:
+    for vocabulary, kind, payload in payloads():
+        whole = raw(kind, payload)
+        for size in range(len(whole)):
+            assert decode(whole[:size], vocabulary) == []
+
+
+@pytest.mark.parametrize("counts", [(MAX_COUNT + 1, 0, 0), (0, MAX_COUNT + 1, 0), (0, 0, MAX_COUNT + 1)])
+def test_a_count_above_a_million_is_refused(counts: tuple[int, int, int]) -> None:
+    with pytest.raises(RemoteProtocolError, match="1000001"):
+        decode(raw(12, struct.pack(">3I", *counts) + bytes(9_000_000)), FROM_ENVIRONMENT)
+
+
+@pytest.mark.parametrize(
+    ("vocabulary", "data"),
+    [
+        (FROM_ENVIRONMENT, raw(12, struct.pack(">3I", 2**32 - 1, 2**32 - 1, 2**32 - 1))),
+        (FROM_ENVIRONMENT, raw(12, struct.pack(">3I", MAX_COUNT, MAX_COUNT, MAX_COUNT))),
+        (FROM_EXPERIMENT, raw(33, struct.pack(">I", 2**32 - 1))),
+        (FROM_EXPERIMENT, raw(33, struct.pack(">I", MAX_TEXT))),
+        (FROM_ENVIRONMENT, struct.pack(">iI", 12, 2**32 - 1)),
+        (FROM_ENVIRONMENT, struct.pack(">iI", 12, 2**31)),
+        (FROM_STRANGER, struct.pack(">iI", 2, 2**20)),
+    ],
+)
+def test_giant_counts_and_sizes_are_refused_without_allocating(vocabulary: Vocabulary, data: bytes) -> None:
+    tracemalloc.start()
+    try:
+        with pytest.raises(RemoteProtocolError):
+            decode(data, vocabulary)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 100_000
+
+
+def test_a_size_is_refused_from_the_header_alone_as_soon_as_it_passes_the_limit() -> None:
+    for vocabulary in VOCABULARIES.values():
+        for kind, layout in vocabulary.items():
+            assert decode(struct.pack(">iI", kind, layout.limit), vocabulary) == []
+            with pytest.raises(RemoteProtocolError, match=layout.kind.name):
+                decode(struct.pack(">iI", kind, layout.limit + 1), vocabulary)
+
+
+@pytest.mark.parametrize("kind", [0, -1, 5, 41, 99, 2**31 - 1])
+def test_a_kind_that_may_not_come_is_refused(kind: int) -> None:
+    with pytest.raises(RemoteProtocolError, match=f"kind {kind} came$"):
+        decode(raw(kind), FROM_ENVIRONMENT)
+
+
+@pytest.mark.parametrize("kind", [9, 15, 18, 28, 32])
+def test_a_kind_of_version_2_is_refused_by_name(kind: int) -> None:
+    with pytest.raises(RemoteProtocolError, match=r"RL-Glue 2\.x"):
+        decode(raw(kind), FROM_EXPERIMENT)
+
+
+def test_after_an_error_the_decoder_stays_in_error_and_keeps_nothing() -> None:
+    decoder = Decoder(FROM_AGENT)
+    decoder.receive_data(raw(99))
+    with pytest.raises(RemoteProtocolError) as first:
+        decoder.next_event()
+    decoder.receive_data(raw(7))
+    with pytest.raises(RemoteProtocolError) as second:
+        decoder.next_event()
+    assert str(first.value) == str(second.value)
+
+
+@pytest.mark.parametrize("vocabulary", VOCABULARIES.values(), ids=VOCABULARIES)
+@unhurried
+@given(data=st.data())
+def test_random_bytes_give_messages_or_the_one_error(vocabulary: Vocabulary, data: st.DataObject) -> None:
+    kinds = st.sampled_from([*vocabulary, Control.TERMINATE, 0])
+    near_frames = st.builds(raw, kinds, st.binary(max_size=60))
+    near_texts = st.builds(lambda kind, text: raw(kind, text_of(text)), kinds, st.binary(max_size=20))
+    near_bodies = st.builds(
+        lambda kind, counts, rest: raw(kind, struct.pack(">3I", *counts) + rest),
+        kinds,
+        st.tuples(*[st.integers(0, 3) | st.integers(0, 2**32 - 1)] * 3),
+        st.binary(max_size=60),
+    )
+    chunks = data.draw(st.lists(st.binary(max_size=40) | near_frames | near_texts | near_bodies, max_size=6))
+    decoder = Decoder(vocabulary)
+    try:
+        for chunk in chunks:
+            decoder.receive_data(chunk)
+            for message in events(decoder):
+                assert message.kind in vocabulary
+                check_body(vocabulary[message.kind].body, message.body)
+    except RemoteProtocolError:
+        pass
+
+
+# What cannot be sent
+
+
+def test_a_kind_outside_the_vocabulary_cannot_be_sent() -> None:
+    with pytest.raises(LocalProtocolError, match="AGENT_START"):
+        encode(Frame(Kind.ENV_STEP), TO_AGENT)
+
+
+def test_more_than_an_original_program_takes_cannot_be_sent() -> None:
+    with pytest.raises(LocalProtocolError, match="1000001 chars"):
+        encode(Frame(Kind.AGENT_START, body=Observation(chars=bytes(MAX_COUNT + 1)).body), TO_AGENT)
+    with pytest.raises(LocalProtocolError, match="AGENT_MESSAGE"):
+        encode(Frame(Kind.AGENT_MESSAGE, body=b"x" * (MAX_TEXT + 1)), TO_AGENT)
+    with pytest.raises(LocalProtocolError, match="RL_NUM_STEPS"):
+        encode(Frame(Kind.RL_NUM_STEPS, (2**31,)), TO_EXPERIMENT)
+
+
+def test_a_body_that_contradicts_its_counts_cannot_be_sent() -> None:
+    body = Observation([1]).body
+    for wrong in (b"", body[:-1], body + b"x"):
+        with pytest.raises(LocalProtocolError, match="AGENT_START"):
+            encode(Frame(Kind.AGENT_START, body=wrong), TO_AGENT)

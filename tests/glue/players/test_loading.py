@@ -1,0 +1,90 @@
+"""Agents and environments by name: installed, of a module, of a file; and what can be wrong there."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from env_server.toys import MinesEnvironment
+from glue.errors import ConfigError
+from glue.players.loading import find, names
+from glue.protocol.messages import Role
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory, forgotten afterwards with whatever was imported there."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", sys.path.copy())
+    monkeypatch.setattr(sys, "modules", sys.modules.copy())
+    return tmp_path
+
+
+def write(folder: Path, name: str, text: str) -> None:
+    (folder / name).parent.mkdir(exist_ok=True)
+    (folder / name).write_text(text, encoding="utf-8")
+
+
+def test_installed_class_is_found_by_its_name_and_by_its_module() -> None:
+    assert find(Role.ENVIRONMENT, "mines") is MinesEnvironment
+    assert find(Role.ENVIRONMENT, "env_server.toys:MinesEnvironment") is MinesEnvironment
+    assert "mines" in names(Role.ENVIRONMENT)
+
+
+@pytest.mark.parametrize("name", ["mine:Mine", "mine.py:Mine", "./mine.py:Mine"])
+def test_class_is_found_in_the_working_directory(folder: Path, name: str) -> None:
+    write(folder, "mine.py", "class Mine: pass")
+    assert find(Role.AGENT, name).__name__ == "Mine"
+
+
+def test_file_may_import_what_is_beside_it(folder: Path) -> None:
+    write(folder, "elsewhere/beside_mine.py", "class Mine: pass")
+    write(folder, "elsewhere/mine.py", "from beside_mine import Mine")
+    assert find(Role.AGENT, "elsewhere/mine.py:Mine").__name__ == "Mine"
+
+
+@pytest.mark.parametrize(
+    ("name", "error"),
+    [
+        ("minez", "no environment is called 'minez': did you mean mines?"),
+        ("", "no environment is called ''"),
+        (":Mine", "no environment is called ':Mine'"),
+        ("mine:", "no environment is called 'mine:'"),
+        ("mine.py", "(your own is named module:Class or path/to/file.py:Class)"),
+        ("nowhere.py:Mine", "there is no file nowhere.py"),
+        ("nowhere:Mine", "there is no module 'nowhere' here"),
+        ("mine:Mime", "mine has no class 'Mime'; did you mean Mine?"),
+        ("mine.py:Mime", "mine.py has no class 'Mime'; did you mean Mine?"),
+        ("mine.py:number", "mine.py has no class 'number'"),
+    ],
+)
+def test_name_of_nothing_is_an_error_that_says_so(folder: Path, name: str, error: str) -> None:
+    write(folder, "mine.py", "number = 3\nclass Mine: pass")
+    with pytest.raises(ConfigError) as raised:
+        find(Role.ENVIRONMENT, name)
+    assert error in str(raised.value)
+
+
+@pytest.mark.parametrize("name", ["broken:Mine", "broken.py:Mine"])
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("\nclass Mine(:", "cannot be imported: SyntaxError: invalid syntax (broken.py, line 2)"),
+        (
+            "\nimport nowhere",
+            "cannot be imported: ModuleNotFoundError: No module named 'nowhere' ({file}, line 2)",
+        ),
+        ("\n\n1 / 0", "cannot be imported: ZeroDivisionError: division by zero ({file}, line 3)"),
+        ("import sys\nsys.exit(3)", "cannot be imported: SystemExit: 3 ({file}, line 2)"),
+    ],
+)
+def test_file_that_cannot_be_imported_is_an_error_that_says_where(
+    folder: Path, name: str, text: str, error: str
+) -> None:
+    write(folder, "broken.py", text)
+    with pytest.raises(ConfigError) as raised:
+        find(Role.AGENT, name)
+    expected = error.format(file=folder / "broken.py")
+    assert str(raised.value) == f"{name.partition(':')[0]} {expected}"

@@ -1,0 +1,241 @@
+"""A hub with ports for original programs, threads for the programs, and our own programs in disguise."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import zmq
+
+from glue.client.experiment import RemoteExperiment, connect
+from glue.client.players import serve_agent, serve_environment
+from glue.client.transport import Context
+from glue.config import HubConfig, LegacyPort
+from glue.core.experiment import Experiment
+from glue.hub.server import Hub
+from glue.legacy.gateway import Gateway
+from glue.protocol.messages import Kind, Value
+from glue.roles import Agent, Environment
+from glue.types import AbstractType, Action, Observation
+from tests.system.legacy import legacy_client
+from tests.system.legacy.legacy_client import STYLES, TIMEOUT, Connection, Numbers, Style
+
+C = STYLES["c"]
+_ASIDE = "aside"
+
+
+class Log:
+    """Keeps lines, and lets a test wait for one."""
+
+    def __init__(self) -> None:
+        self._news = threading.Condition()
+        self._lines: list[str] = []
+
+    def __call__(self, line: str) -> None:
+        with self._news:
+            self._lines.append(line)
+            self._news.notify_all()
+
+    def __str__(self) -> str:
+        with self._news:
+            return "\n".join(self._lines)
+
+    def wait_for(self, text: str, times: int = 1) -> None:
+        """Wait until that many lines hold `text`."""
+
+        def there() -> bool:
+            return sum(text in line for line in self._lines) >= times
+
+        with self._news:
+            assert self._news.wait_for(there, TIMEOUT), f"{text!r} is not in {self._lines}"
+
+
+class Rig:
+    """A hub with one port for each session, and whoever was let loose on them."""
+
+    def __init__(self, hub: Hub, gateway: Gateway, context: Context, log: Log) -> None:
+        self.hub = hub
+        self.url = hub.endpoints[0]
+        self.log = log
+        self._context = context
+        self._ports = {port.session: port.port for port in gateway.ports}
+        self._threads: list[threading.Thread] = []
+        self._failures: list[BaseException] = []
+
+    def port(self, session: str = "default") -> int:
+        """The port of a session."""
+        return self._ports[session]
+
+    def connect(self, style: Style = C, session: str = "default") -> Connection:
+        """Connect as an original program does."""
+        return Connection(self.port(session), style)
+
+    def experiment(self, style: Style = C, session: str = "default") -> legacy_client.Experiment:
+        """Connect as an original experiment."""
+        return legacy_client.Experiment(self.connect(style, session))
+
+    def settle(self) -> None:
+        """Return when the hub has acted on all that it was sent so far."""
+        aside = self.experiment(session=_ASIDE)
+        for _ in range(2):
+            aside.num_steps()
+        aside.close()
+
+    def native(self, session: str = "default") -> RemoteExperiment:
+        """Connect as an experiment of ours."""
+        return connect(self.url, session, context=self._context, log=self.log)
+
+    def agent(self, agent: legacy_client.Agent, style: Style = C, session: str = "default") -> None:
+        """Let an original agent play, in a thread."""
+        self.serve_agent(agent, self.connect(style, session))
+
+    def serve_agent(self, agent: legacy_client.Agent, connection: Connection) -> None:
+        """Let an original agent play over a connection that the test has its hands on."""
+        self._start(lambda: legacy_client.serve_agent(agent, connection))
+
+    def environment(
+        self, environment: legacy_client.Environment, style: Style = C, session: str = "default"
+    ) -> None:
+        """Let an original environment play, in a thread."""
+        connection = self.connect(style, session)
+        self._start(lambda: legacy_client.serve_environment(environment, connection))
+
+    def native_agent(self, agent: Agent, session: str = "default") -> None:
+        """Let an agent of ours play, in a thread."""
+        url, how = self.url, {"context": self._context, "log": self.log}
+        self._start(lambda: serve_agent(agent, url, session, **how))
+
+    def native_environment(self, environment: Environment, session: str = "default") -> None:
+        """Let an environment of ours play, in a thread."""
+        url, how = self.url, {"context": self._context, "log": self.log}
+        self._start(lambda: serve_environment(environment, url, session, **how))
+
+    def _start(self, program: Callable[[], object]) -> None:
+        def run() -> None:
+            try:
+                program()
+            except BaseException as error:  # raised again by `join`
+                self._failures.append(error)
+
+        thread = threading.Thread(target=run)
+        self._threads.append(thread)
+        thread.start()
+
+    def join(self) -> None:
+        """Wait until every program has ended; raise what one of them raised."""
+        for thread in self._threads:
+            thread.join(TIMEOUT)
+            assert not thread.is_alive(), f"a program has not ended; the log:\n{self.log}"
+        self._threads.clear()
+        if self._failures:
+            raise self._failures.pop()
+
+
+@contextmanager
+def gateway(*sessions: str, heartbeat: float = 0.5, patience: float = 5.0) -> Iterator[Rig]:
+    """Run a hub with a port for each session, or for `default`; with it all programs must end."""
+    log = Log()
+    with zmq.Context() as context:
+        hub = Hub(HubConfig(("tcp://127.0.0.1:*",), heartbeat, patience), log)
+        ports = [LegacyPort(0, session) for session in (*(sessions or ("default",)), _ASIDE)]
+        rig = Rig(hub, Gateway(hub, ports, log), context, log)
+        try:
+            with hub.in_background():
+                yield rig
+        finally:
+            rig.join()
+
+
+def to_numbers(value: AbstractType) -> Numbers:
+    """Return what an original program has for an observation or action of ours."""
+    return Numbers(tuple(value.ints.tolist()), tuple(value.doubles.tolist()), value.chars)
+
+
+class DisguisedAgent:
+    """An agent of ours, as an original program."""
+
+    def __init__(self, agent: Agent) -> None:
+        self._agent = agent
+
+    def init(self, task_spec: str) -> None:
+        self._agent.agent_init(task_spec)
+
+    def start(self, observation: Numbers) -> Numbers:
+        return to_numbers(self._agent.agent_start(Observation(*observation)))
+
+    def step(self, reward: float, observation: Numbers) -> Numbers:
+        return to_numbers(self._agent.agent_step(reward, Observation(*observation)))
+
+    def end(self, reward: float) -> None:
+        self._agent.agent_end(reward)
+
+    def cleanup(self) -> None:
+        self._agent.agent_cleanup()
+
+    def message(self, message: str) -> str:
+        return self._agent.agent_message(message)
+
+
+class DisguisedEnvironment:
+    """An environment of ours, as an original program."""
+
+    def __init__(self, environment: Environment) -> None:
+        self._environment = environment
+
+    def init(self) -> str:
+        return self._environment.env_init()
+
+    def start(self) -> Numbers:
+        return to_numbers(self._environment.env_start())
+
+    def step(self, action: Numbers) -> tuple[float, Numbers, int]:
+        reward, observation, terminal = self._environment.env_step(Action(*action))
+        return reward, to_numbers(observation), int(terminal)
+
+    def cleanup(self) -> None:
+        self._environment.env_cleanup()
+
+    def message(self, message: str) -> str:
+        return self._environment.env_message(message)
+
+
+class DisguisedExperiment(Experiment):
+    """The verbs of ours, over the connection of an original experiment."""
+
+    def __init__(self, experiment: legacy_client.Experiment) -> None:
+        self._experiment = experiment
+
+    def close(self) -> None:
+        self._experiment.close()
+
+    def _call(self, kind: Kind, scalars: tuple[Value, ...] = (), body: Any = None) -> tuple[Any, Any]:
+        glue = self._experiment
+        match kind:
+            case Kind.RL_INIT:
+                return (), glue.init()
+            case Kind.RL_START:
+                observation, action = glue.start()
+                return (), (Observation(*observation), Action(*action))
+            case Kind.RL_STEP:
+                reward, observation, terminal, action = glue.step()
+                return (reward, bool(terminal)), (Observation(*observation), Action(*action))
+            case Kind.RL_EPISODE:
+                (max_steps,) = scalars
+                assert isinstance(max_steps, int)
+                return (bool(glue.episode(max_steps)),), None
+            case Kind.RL_RETURN:
+                return (glue.episode_return(),), None
+            case Kind.RL_NUM_STEPS:
+                return (glue.num_steps(),), None
+            case Kind.RL_NUM_EPISODES:
+                return (glue.num_episodes(),), None
+            case Kind.RL_AGENT_MESSAGE:
+                return (), glue.agent_message(body)
+            case Kind.RL_ENV_MESSAGE:
+                return (), glue.env_message(body)
+            case Kind.RL_CLEANUP:
+                glue.cleanup()
+                return (), None
+        raise AssertionError(f"an original experiment has no {kind.name}")

@@ -1,0 +1,172 @@
+"""Original programs and the commands, each a process of its own."""
+
+from __future__ import annotations
+
+import json
+import re
+import resource
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.system.legacy.legacy_client import TIMEOUT
+
+BIN = Path(sys.executable).parent
+ROOT = Path(__file__).parents[3]
+
+
+class Command:
+    """A command that runs, and the ports that it says it has opened, by session."""
+
+    def __init__(self, process: subprocess.Popen[str], ports: int) -> None:
+        self.process = process
+        self.ports: dict[str, int] = {}
+        assert process.stderr is not None
+        for line in process.stderr:
+            if found := re.search(r"programs .*on 127\.0\.0\.1:(\d+), session '(.*)'", line):
+                self.ports[found[2]] = int(found[1])
+                if len(self.ports) == ports:
+                    return
+        raise AssertionError("the command ended without having opened its ports")
+
+    def end(self) -> tuple[int, str, str]:
+        """Wait for the end; return the status, and what was said on standard output and error."""
+        out, err = self.process.communicate(timeout=TIMEOUT)
+        return self.process.returncode, out, err
+
+
+@contextmanager
+def command(*arguments: str, ports: int = 1, before: Callable[[], None] = lambda: None) -> Iterator[Command]:
+    """Run a command that opens so many ports."""
+    process = subprocess.Popen(
+        [BIN / arguments[0], *arguments[1:]],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=before,
+    )
+    try:
+        yield Command(process, ports)
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@contextmanager
+def program(role: str, name: str, port: int, style: str) -> Iterator[subprocess.Popen[str]]:
+    """Run an original program."""
+    arguments = [role, name, "--port", str(port), "--style", style]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.system.legacy.legacy_programs", *arguments],
+        cwd=ROOT,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def test_a_hub_joins_original_programs_by_their_ports_and_says_goodbye_when_it_is_stopped() -> None:
+    bind = "tcp://127.0.0.1:*"
+    options = ("--legacy-port", "*", "--legacy-port", "*=other")
+    with command("glue-hub", "--bind", bind, *options, ports=2) as hub:
+        port, other = hub.ports["default"], hub.ports["other"]
+        with (
+            program("agent", "A1", port, "java") as agent,
+            program("environment", "E1", port, "python") as environment,
+            program("agent", "A1", other, "c") as waiting,
+            program("experiment", "test_1", port, "c") as experiment,
+        ):
+            assert experiment.communicate(timeout=TIMEOUT)[0] == "test_1: 56 checks passed\n"
+            assert agent.wait(TIMEOUT) == environment.wait(TIMEOUT) == experiment.returncode == 0
+            assert waiting.poll() is None
+            assert hub.process.stderr is not None
+            for line in hub.process.stderr:
+                if "session 'other': agent" in line:
+                    break
+            hub.process.send_signal(signal.SIGTERM)
+            assert waiting.wait(TIMEOUT) == 0
+        assert hub.end()[0] == 0
+
+
+def test_an_experiment_waits_for_an_original_agent(tmp_path: Path) -> None:
+    options = ("--env", "skeleton", "--episodes", "5", "--max-steps", "50", "--json")
+    with command(
+        "glue-experiment", *options, "--legacy-port", "*", "--out", str(tmp_path / "run")
+    ) as running:
+        with program("agent", "skeleton", running.ports["default"], "java") as agent:
+            assert agent.wait(TIMEOUT) == 0
+        status, out, err = running.end()
+    assert status == 0, err
+    assert json.loads(out.splitlines()[-1])["episodes"] == 5
+
+
+EXPERIMENT = ["glue-experiment", "--episodes", "1"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["glue-hub", "--legacy-port", "0.0.0.0:4096"], "--insecure"),
+        (["glue-hub", "--legacy-port", "4096="], "a session has a name"),
+        (["glue-hub", "--legacy-port", "http"], "write [HOST:]PORT[=SESSION]"),
+        (
+            ["glue-experiment", "--episodes", "1", "--hub", "tcp://127.0.0.1:4097", "--legacy-port", "4096"],
+            "--hub",
+        ),
+        (["glue-experiment", "--episodes", "1", "--in-process", "--legacy-port", "4096"], "--in-process"),
+    ],
+)
+def test_a_mistake_is_told_in_one_line(arguments: list[str], complaint: str, tmp_path: Path) -> None:
+    done = subprocess.run(
+        [BIN / arguments[0], *arguments[1:]], cwd=tmp_path, capture_output=True, text=True, timeout=TIMEOUT
+    )
+    assert done.returncode == 2
+    assert complaint in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_port_in_use_is_told_in_one_line() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        done = subprocess.run(
+            [BIN / "glue-hub", "--bind", "tcp://127.0.0.1:*", "--legacy-port", port],
+            capture_output=True,
+            text=True,
+            timeout=TIMEOUT,
+        )
+    assert done.returncode == 2
+    assert f"127.0.0.1:{port}, session 'default': the port is in use" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_hub_out_of_descriptors_serves_those_it_has_and_later_the_others() -> None:
+    def few_descriptors() -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40))
+
+    options = ("--bind", "tcp://127.0.0.1:*", "--heartbeat", "0.1", "--patience", "0.5", "--legacy-port", "*")
+    with command("glue-hub", *options, before=few_descriptors) as hub:
+        port = hub.ports["default"]
+        crowd = [socket.create_connection(("127.0.0.1", port), TIMEOUT) for _ in range(60)]
+        with (
+            program("agent", "A1", port, "c") as agent,
+            program("environment", "E1", port, "c") as environment,
+            program("experiment", "test_sanity", port, "c") as experiment,
+        ):
+            # The crowd says nothing, and so is dropped after a while.
+            assert experiment.communicate(timeout=TIMEOUT)[0] == "test_sanity: 1 checks passed\n"
+            assert agent.wait(TIMEOUT) == environment.wait(TIMEOUT) == 0
+        for connection in crowd:
+            connection.close()
+        hub.process.send_signal(signal.SIGINT)
+        assert "cannot accept a connection for now" in hub.end()[2]

@@ -1,0 +1,554 @@
+"""Programs that die, stall, lie or intrude: what the others notice of it, and that nobody else does."""
+
+from __future__ import annotations
+
+import struct
+import threading
+from collections.abc import Iterator
+from contextlib import closing, suppress
+
+import numpy as np
+import pytest
+
+from glue.client.experiment import RemoteExperiment
+from glue.errors import HubClosed, LocalProtocolError, PeerFailed, PeerLost
+from glue.types import Observation
+from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.system.legacy.legacy_client import (
+    STYLES,
+    TIMEOUT,
+    Connection,
+    Die,
+    Experiment,
+    Id,
+    Numbers,
+    pack_numbers,
+    probe,
+)
+from tests.system.legacy.legacy_programs import FiveStepEnvironment, MirrorAgent, test_1
+from tests.system.legacy.legacy_rig import Rig, gateway
+
+test_1.__test__ = False  # type: ignore[attr-defined]
+
+ROLES = (Id.AGENT_CONNECTION, Id.ENVIRONMENT_CONNECTION, Id.EXPERIMENT_CONNECTION)
+EMPTY = pack_numbers(Numbers())
+TERMINATE = struct.pack(">iI", Id.RL_TERM, 0)
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    with gateway() as rig:
+        yield rig
+
+
+def join(rig: Rig, role: Id, session: str = "default") -> Connection:
+    """A program driven by hand."""
+    connection = rig.connect(session=session)
+    connection.send(role)
+    return connection
+
+
+def ending(connection: Connection) -> bytes:
+    """Return what still comes until the server closes, and close as well."""
+    with closing(connection):
+        return connection.receive_until_closed()
+
+
+def assert_reset(connection: Connection) -> None:
+    """Check that the server broke the connection, rather than merely closed it."""
+    with closing(connection), pytest.raises(ConnectionResetError):
+        connection.receive_until_closed()
+
+
+def run_test_1(rig: Rig, session: str = "default") -> None:
+    """Let an original trio show that everything works."""
+    rig.agent(MirrorAgent(), session=session)
+    rig.environment(FiveStepEnvironment(), session=session)
+    glue = rig.experiment(session=session)
+    assert len(test_1(glue)) == 56
+    glue.close()
+    rig.join()
+
+
+class MortalAgent(MirrorAgent):
+    """Dies in its third step."""
+
+    def step(self, reward: float, observation: Numbers) -> Numbers:
+        if self.counter == 2:
+            raise Die
+        return super().step(reward, observation)
+
+
+class MortalEnvironment(FiveStepEnvironment):
+    """Dies in its third step."""
+
+    def step(self, action: Numbers) -> tuple[float, Numbers, int]:
+        if self.counter == 2:
+            raise Die
+        return super().step(action)
+
+
+def let_die(rig: Rig, mortal: str) -> None:
+    """Let two original players play, one of them mortal."""
+    rig.agent(MortalAgent() if mortal == "agent" else MirrorAgent())
+    rig.environment(MortalEnvironment() if mortal == "environment" else FiveStepEnvironment())
+
+
+def replace(rig: Rig, mortal: str) -> None:
+    """Let a healthy one take the place of a mortal one."""
+    if mortal == "agent":
+        rig.agent(MirrorAgent())
+    else:
+        rig.environment(FiveStepEnvironment())
+
+
+@pytest.mark.parametrize("mortal", ["agent", "environment"])
+def test_an_episode_is_run_again_when_a_player_was_lost_and_replaced(rig: Rig, mortal: str) -> None:
+    let_die(rig, mortal)
+    glue = rig.experiment()
+    glue.init()
+    glue.connection.send(Id.RL_EPISODE, struct.pack(">I", 0))
+    rig.log.wait_for("to begin RL_EPISODE again")
+    replace(rig, mortal)
+    assert glue.connection.receive() == (Id.RL_EPISODE, struct.pack(">i", 1))
+    assert (glue.num_steps(), glue.num_episodes(), glue.episode_return()) == (5, 1, 5.0)
+    glue.close()
+
+
+@pytest.mark.parametrize("mortal", ["agent", "environment"])
+def test_our_experiment_is_told_of_the_void_episode_and_goes_on(rig: Rig, mortal: str) -> None:
+    let_die(rig, mortal)
+    with rig.native() as glue:
+        glue.rl_init()
+        with pytest.raises(PeerLost, match="closed its connection"):
+            glue.rl_episode()
+        replace(rig, mortal)
+        assert glue.rl_episode()
+        assert (glue.rl_num_steps(), glue.rl_num_episodes()) == (5, 1)
+
+
+@pytest.mark.parametrize("mortal", ["agent", "environment"])
+def test_an_experiment_that_makes_its_own_steps_is_cut_off_and_the_other_player_stays(
+    rig: Rig, mortal: str
+) -> None:
+    let_die(rig, mortal)
+    glue = rig.experiment()
+    glue.init()
+    glue.start()
+    assert glue.step()[2] == glue.step()[2] == 0
+    with pytest.raises(ConnectionResetError):
+        glue.step()
+    glue.close()
+    rig.log.wait_for("was cut off: its protocol cannot say that RL_STEP failed")
+    replace(rig, mortal)
+    glue = rig.experiment()
+    glue.init()
+    assert glue.episode(0) == 1
+    glue.close()
+
+
+def test_a_player_lost_between_episodes_is_replaced_without_a_word(rig: Rig) -> None:
+    calls: list[str] = []
+    rig.native_agent(ScriptedAgent(calls))
+    environment = join(rig, Id.ENVIRONMENT_CONNECTION)
+    glue = rig.experiment()
+    glue.connection.send(Id.RL_INIT)
+    assert environment.receive() == (Id.ENV_INIT, b"")
+    environment.send_text(Id.ENV_INIT, "sample task spec")
+    assert glue.connection.receive()[0] == Id.RL_INIT
+    environment.close()
+    rig.log.wait_for("closed its connection")  # though nothing was asked of it
+    rig.environment(FiveStepEnvironment())
+    assert glue.episode(0) == 1
+    assert calls[0] == "agent_init sample task spec"
+    glue.close()
+
+
+@pytest.mark.parametrize("request_id", [Id.RL_INIT, Id.RL_START, Id.RL_CLEANUP, Id.RL_ENV_MESSAGE])
+def test_any_call_that_can_be_made_anew_is(rig: Rig, request_id: Id) -> None:
+    rig.agent(MirrorAgent())
+    environment = join(rig, Id.ENVIRONMENT_CONNECTION)
+    glue = rig.experiment()
+    if request_id == Id.RL_ENV_MESSAGE:
+        glue.connection.send_text(request_id, "who are you?")
+    else:
+        glue.connection.send(request_id)
+    environment.receive()
+    environment.reset()
+    rig.environment(FiveStepEnvironment())
+    assert glue.connection.receive()[0] == request_id
+    glue.close()
+
+
+ONE = pack_numbers(Numbers((1,)))
+
+
+def void_the_start(rig: Rig) -> tuple[Connection, Connection, Experiment]:
+    """Return agent, environment, experiment: the agent is at work on a start that has been made anew."""
+    agent, environment = join(rig, Id.AGENT_CONNECTION), join(rig, Id.ENVIRONMENT_CONNECTION)
+    glue = rig.experiment()
+    glue.connection.send(Id.RL_START)
+    environment.receive()
+    environment.send(Id.ENV_START, EMPTY)
+    assert agent.receive() == (Id.AGENT_START, EMPTY)
+    environment.close()
+    rig.log.wait_for("to begin RL_START again")
+    environment = join(rig, Id.ENVIRONMENT_CONNECTION)
+    assert environment.receive()[0] == Id.ENV_START
+    environment.send(Id.ENV_START, ONE)
+    rig.settle()
+    assert agent.nothing_came()
+    return agent, environment, glue
+
+
+def test_an_agent_that_still_thinks_about_a_void_step_is_sent_nothing_until_it_has_answered(rig: Rig) -> None:
+    agent, environment, glue = void_the_start(rig)
+    agent.send(Id.AGENT_START, pack_numbers(Numbers((100,))))
+    assert agent.receive() == (Id.AGENT_START, ONE)
+    agent.send(Id.AGENT_START, pack_numbers(Numbers((101,))))
+    assert glue.connection.receive() == (Id.RL_START, ONE + pack_numbers(Numbers((101,))))
+    glue.close()
+    for player in (agent, environment):
+        assert ending(player) == TERMINATE
+
+
+def test_what_was_to_be_asked_next_is_forgotten_when_the_experiment_leaves(rig: Rig) -> None:
+    agent, environment, glue = void_the_start(rig)
+    glue.close()
+    assert ending(environment) == TERMINATE
+    rig.settle()
+    assert agent.nothing_came()
+    agent.send(Id.AGENT_START, EMPTY)
+    assert ending(agent) == TERMINATE
+
+
+def test_the_goodbye_waits_for_the_answer_to_what_nobody_needs_any_more(rig: Rig) -> None:
+    agent = join(rig, Id.AGENT_CONNECTION)
+    glue = rig.experiment()
+    glue.connection.send(Id.RL_AGENT_START, EMPTY)
+    assert agent.receive() == (Id.AGENT_START, EMPTY)
+    glue.connection.reset()
+    rig.log.wait_for("was sent off")
+    rig.settle()
+    assert agent.nothing_came()
+    agent.send(Id.AGENT_START, EMPTY)
+    assert ending(agent) == TERMINATE
+
+
+def test_an_experiment_that_died_in_a_call_is_missed_at_once_and_another_may_come() -> None:
+    # Nothing is done here by the hub's patience.
+    with gateway(patience=3600.0) as rig:
+        agent = join(rig, Id.AGENT_CONNECTION)
+        glue = rig.experiment()
+        glue.connection.send(Id.RL_AGENT_START, EMPTY)
+        assert agent.receive() == (Id.AGENT_START, EMPTY)
+        glue.close()
+        rig.log.wait_for("it has closed its connection during RL_AGENT_START")
+        run_test_1(rig)
+        agent.send(Id.AGENT_START, EMPTY)
+        assert ending(agent) == TERMINATE
+
+
+@pytest.mark.parametrize("requests", [0, 100_000, 1_000_000])
+def test_an_experiment_that_is_killed_while_nobody_is_there_to_answer_is_missed(
+    rig: Rig, requests: int
+) -> None:
+    glue = rig.experiment()
+    glue.connection.send(Id.RL_INIT)
+    glue.connection.flood(struct.pack(">iI", Id.RL_NUM_STEPS, 0) * requests)
+    rig.settle()
+    glue.connection.reset()
+    rig.log.wait_for("it has closed its connection during RL_INIT")
+    run_test_1(rig)
+
+
+def test_an_experiment_that_leaves_while_nobody_is_there_to_answer_is_missed(rig: Rig) -> None:
+    glue = rig.experiment()
+    glue.connection.send(Id.RL_INIT)
+    rig.settle()
+    glue.close()
+    rig.log.wait_for("it has closed its connection during RL_INIT")
+    run_test_1(rig)
+
+
+def test_nobody_waits_for_a_silent_connection_and_it_is_dropped_after_a_while() -> None:
+    with gateway(heartbeat=0.05, patience=0.5) as rig:
+        silent, halting = rig.connect(), rig.connect()
+        halting.send_raw(b"\0\0\0\2\0\0")
+        run_test_1(rig)
+        assert ending(silent) == b""
+        assert ending(halting) == b""
+        assert str(rig.log).count("has not said what it is") == 2
+
+
+def test_a_port_probe_is_not_noticed_whenever_it_comes(rig: Rig) -> None:
+    probe(rig.port())
+    rig.agent(MirrorAgent())
+    probe(rig.port())
+    rig.environment(FiveStepEnvironment())
+    rig.connect().reset()
+    glue = rig.experiment()
+    probe(rig.port())
+    glue.init()
+    probe(rig.port())
+    assert glue.episode(0) == 1
+    rig.connect().reset()
+    glue.close()
+    rig.join()
+    rig.settle()
+    assert [line for line in str(rig.log).splitlines() if "aside" not in line] == [
+        line for line in str(rig.log).splitlines() if "session 'default'" in line
+    ]
+
+
+def test_a_crowd_of_silent_connections_keeps_nobody_out(rig: Rig) -> None:
+    crowd = [rig.connect() for _ in range(300)]
+    run_test_1(rig)
+    rig.log.wait_for("must go", times=300 - 256)
+    for connection in crowd:
+        connection.close()
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_a_second_of_a_role_is_turned_away_and_the_first_stays(rig: Rig, role: Id) -> None:
+    rig.agent(MirrorAgent())
+    rig.environment(FiveStepEnvironment())
+    glue = rig.experiment()
+    glue.init()
+    glue.start()
+    second = join(rig, role)
+    if role == Id.EXPERIMENT_CONNECTION:
+        assert_reset(second)
+    else:
+        assert ending(second) == TERMINATE
+    rig.log.wait_for("refused a peer of session 'default'")
+    assert glue.step()[2] == 0
+    assert glue.agent_message("still there") == "still there|1.|still there"
+    glue.close()
+
+
+def test_a_second_agent_is_turned_away_before_the_run_begins_as_well(rig: Rig) -> None:
+    rig.agent(MirrorAgent())
+    rig.settle()
+    assert ending(join(rig, Id.AGENT_CONNECTION)) == TERMINATE
+    rig.environment(FiveStepEnvironment())
+    glue = rig.experiment()
+    glue.init()
+    assert glue.episode(0) == 1
+    glue.close()
+
+
+UNKNOWN = (0, 1, 9, 15, 31, 41, 64, 67, 69, 255, -1, 2**31 - 1)
+
+
+@pytest.mark.parametrize("message_id", [0, 4, 35, 99, -1, 0x47455420])
+def test_a_stranger_with_an_unknown_id_is_dropped(rig: Rig, message_id: int) -> None:
+    stranger = rig.connect()
+    stranger.send(message_id)
+    assert ending(stranger) == b""
+    rig.log.wait_for("is no RL-Glue program")
+    run_test_1(rig)
+
+
+@pytest.mark.parametrize("message_id", UNKNOWN)
+@pytest.mark.parametrize("role", ROLES)
+def test_a_program_with_an_unknown_id_is_dropped_and_the_others_stay(
+    rig: Rig, role: Id, message_id: int
+) -> None:
+    if role != Id.AGENT_CONNECTION:
+        rig.agent(MirrorAgent())
+    if role != Id.ENVIRONMENT_CONNECTION:
+        rig.environment(FiveStepEnvironment())
+    liar = join(rig, role)
+    liar.send(message_id)
+    if role == Id.EXPERIMENT_CONNECTION:
+        assert_reset(liar)
+    else:
+        assert ending(liar) == TERMINATE
+    rig.log.wait_for("malformed")
+    if role == Id.AGENT_CONNECTION:
+        rig.agent(MirrorAgent())
+    elif role == Id.ENVIRONMENT_CONNECTION:
+        rig.environment(FiveStepEnvironment())
+    glue = rig.experiment()
+    assert len(test_1(glue)) == 56
+    glue.close()
+
+
+WRONG_ANSWERS = {
+    "to another call": (Id.AGENT_END, b""),
+    "too short": (Id.AGENT_STEP, EMPTY[:-1]),
+    "of too many numbers": (Id.AGENT_STEP, struct.pack(">3I", 1_000_001, 0, 0)),
+    "without its numbers": (Id.AGENT_STEP, struct.pack(">3I", 0, 1_000_000, 0)),
+    "of another role": (Id.ENV_STEP, EMPTY),
+    "unknown": (99, b""),
+}
+
+
+@pytest.mark.parametrize("wrong", WRONG_ANSWERS)
+def test_a_wrong_answer_costs_its_sender_the_place_and_an_original_episode_is_run_again(
+    rig: Rig, wrong: str
+) -> None:
+    rig.native_environment(ScriptedEnvironment())
+    liar = join(rig, Id.AGENT_CONNECTION)
+    glue = rig.experiment()
+    glue.connection.send(Id.RL_EPISODE, struct.pack(">I", 0))
+    liar.receive()
+    liar.send(Id.AGENT_START, EMPTY)
+    assert liar.receive()[0] == Id.AGENT_STEP
+    message_id, payload = WRONG_ANSWERS[wrong]
+    liar.send(message_id, payload)
+    assert ending(liar) == TERMINATE
+    rig.agent(MirrorAgent())
+    assert glue.connection.receive() == (Id.RL_EPISODE, struct.pack(">i", 1))
+    assert glue.num_steps() == 3
+    glue.close()
+
+
+def test_our_experiment_is_told_who_broke_the_protocol(rig: Rig) -> None:
+    class Liar(MirrorAgent):
+        def start(self, observation: Numbers) -> Numbers:
+            connection.send(Id.AGENT_END)
+            return observation
+
+    connection = rig.connect()
+    rig.serve_agent(Liar(), connection)
+    with rig.native() as glue, pytest.raises(PeerFailed, match="AGENT_END came; AGENT_START was asked"):
+        glue.rl_agent_start(Observation())
+
+
+def test_an_answer_that_nobody_asked_for_is_a_fault(rig: Rig) -> None:
+    liar = join(rig, Id.AGENT_CONNECTION)
+    liar.send(Id.AGENT_STEP, EMPTY)
+    assert ending(liar) == TERMINATE
+    rig.log.wait_for("AGENT_STEP came; nothing was asked")
+    run_test_1(rig)
+
+
+def test_a_player_that_ends_in_the_middle_of_an_answer_is_lost(rig: Rig) -> None:
+    rig.environment(FiveStepEnvironment())
+    agent = join(rig, Id.AGENT_CONNECTION)
+    glue = rig.experiment()
+    glue.connection.send(Id.RL_START)
+    agent.receive()
+    agent.send_raw(struct.pack(">iI3Ii", Id.AGENT_START, 16, 1, 0, 0, 7)[:-1])
+    agent.close()
+    rig.agent(MirrorAgent())
+    assert glue.connection.receive()[0] == Id.RL_START
+    glue.close()
+
+
+def let_our_environment_raise() -> None:
+    def fall(call: str) -> None:
+        if call.startswith("env_step"):
+            raise LocalProtocolError("fell over")
+
+    with gateway() as rig:
+        rig.native_environment(ScriptedEnvironment(before=fall))
+        rig.agent(MirrorAgent())
+        glue = rig.experiment()
+        glue.init()
+        glue.connection.send(Id.RL_EPISODE, struct.pack(">I", 0))
+        assert_reset(glue.connection)
+        rig.log.wait_for("cannot say that RL_EPISODE failed: environment ScriptedEnvironment")
+
+
+def test_an_original_experiment_is_cut_off_when_a_player_of_ours_raises() -> None:
+    with pytest.raises(PeerFailed, match="fell over"):
+        let_our_environment_raise()
+
+
+def test_what_an_original_experiment_cannot_be_sent_cuts_it_off(rig: Rig) -> None:
+    rig.native_agent(LongWinded())
+    glue = rig.experiment()
+    glue.connection.send_text(Id.RL_AGENT_MESSAGE, "tell me")
+    assert_reset(glue.connection)
+    rig.log.wait_for("at most 1000000 bytes")
+
+
+class LongWinded(ScriptedAgent):
+    """Says more than an original program is sent."""
+
+    def agent_message(self, message: str) -> str:
+        return "x" * 1_000_001
+
+
+def test_an_experiment_that_does_not_read_is_not_answered_any_further(rig: Rig) -> None:
+    calls: list[str] = []
+    rig.native_environment(BigEnvironment(calls=calls))
+    glue = rig.experiment()
+    count = 200
+    for _ in range(count):
+        glue.connection.send(Id.RL_ENV_START)
+    rig.native_agent(ScriptedAgent(), session="other")
+    with rig.native("other") as other:
+        for _ in range(2 * count):
+            other.rl_agent_message("how are you?")
+    assert len(calls) < count // 2, "the system's own buffers hold a few megabytes"
+    for _ in range(count):
+        message_id, payload = glue.connection.receive()
+        assert (message_id, len(payload)) == (Id.RL_ENV_START, 12 + 8 * 100_000)
+    assert len(calls) == count
+    glue.close()
+
+
+class BigEnvironment(ScriptedEnvironment):
+    """Shows 100 000 doubles."""
+
+    def env_start(self) -> Observation:
+        self._note("env_start")
+        return Observation(doubles=np.zeros(100_000))
+
+
+def test_a_hub_that_ends_lets_an_agent_finish_its_thought() -> None:
+    begun, ended = threading.Event(), threading.Event()
+
+    class Thinker(MirrorAgent):
+        def start(self, observation: Numbers) -> Numbers:
+            begun.set()
+            assert ended.wait(TIMEOUT)
+            return observation
+
+    def ask(glue: RemoteExperiment) -> None:
+        with glue, suppress(HubClosed):
+            glue.rl_agent_start(Observation())
+        ended.set()
+
+    with gateway() as rig:
+        rig.agent(Thinker())
+        asking = threading.Thread(target=ask, args=(rig.native(),))
+        asking.start()
+        assert begun.wait(TIMEOUT)
+    asking.join(TIMEOUT)
+
+
+def test_a_hub_that_ends_does_not_wait_for_ever() -> None:
+    with gateway() as rig:
+        agent, silent = join(rig, Id.AGENT_CONNECTION), rig.connect()
+        glue = rig.experiment()
+        glue.connection.send(Id.RL_AGENT_START, EMPTY)
+        agent.receive()
+    assert ending(agent) == TERMINATE
+    assert ending(silent) == b""
+    assert_reset(glue.connection)
+
+
+def test_a_hub_that_ends_says_goodbye_to_originals_that_wait(rig: Rig) -> None:
+    rig.agent(MirrorAgent())
+    rig.environment(FiveStepEnvironment())
+    glue = rig.experiment()
+    rig.settle()
+    rig.hub.stop("enough")
+    rig.join()
+    assert_reset(glue.connection)
+
+
+def test_last_words_in_every_style_are_heard_to_the_end(rig: Rig) -> None:
+    for style in STYLES.values():
+        rig.agent(MirrorAgent(), style)
+        rig.environment(FiveStepEnvironment(), style)
+        glue = rig.experiment(style)
+        glue.init()
+        glue.close()
+        rig.join()
+    assert "malformed" not in str(rig.log)

@@ -1,0 +1,258 @@
+"""Whatever bytes come, from whomever and when: the hub lives, others play on, and memory stays bounded."""
+
+from __future__ import annotations
+
+import struct
+import tracemalloc
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.system.legacy.legacy_client import Connection, Id, Numbers, pack_numbers
+from tests.system.legacy.legacy_programs import FiveStepEnvironment, MirrorAgent
+from tests.system.legacy.legacy_rig import Rig, gateway
+
+ATTACKED = "attacked"
+EMPTY = pack_numbers(Numbers())
+TEXT = struct.pack(">I", 2) + b"hi"
+
+unhurried = settings(
+    deadline=None,
+    max_examples=60,
+    suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
+)
+
+
+class Arena:
+    """A hub that lives through all attacks, and an undisturbed session on it."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.attacked = ATTACKED
+        rig.agent(MirrorAgent())
+        rig.environment(FiveStepEnvironment())
+        self._bystander = rig.experiment()
+        self._episodes = 0
+        self._open: list[Connection] = []
+        self._bystander.init()
+
+    def connect(self) -> Connection:
+        connection = self.rig.connect(session=self.attacked)
+        self._open.append(connection)
+        return connection
+
+    def join(self, role: Id) -> Connection:
+        connection = self.connect()
+        connection.send(role)
+        return connection
+
+    def check(self) -> None:
+        """Check that the undisturbed session is undisturbed, and clear away what is left of the attack."""
+        self._episodes += 1
+        assert self._bystander.episode(0) == 1
+        assert self._bystander.num_steps() == 5
+        assert self._bystander.num_episodes() == self._episodes
+        for connection in self._open:
+            with suppress(OSError):  # closed in the attack
+                connection.reset()
+        self._open.clear()
+
+    def close(self) -> None:
+        self._bystander.close()
+
+
+@pytest.fixture(scope="module")
+def arena() -> Iterator[Arena]:
+    with gateway("default", ATTACKED, *FLOODS) as rig:
+        arena = Arena(rig)
+        yield arena
+        arena.close()
+
+
+# Each returns the connection that is attacked from, in a certain state.
+
+Scene = Callable[[Arena], Connection]
+
+
+def stranger(arena: Arena) -> Connection:
+    return arena.connect()
+
+
+def idle(role: Id) -> Scene:
+    return lambda arena: arena.join(role)
+
+
+def asked(role: Id, request: Id, payload: bytes, call: Id) -> Scene:
+    """A player that is at work on `call`, since an experiment made `request`."""
+
+    def scene(arena: Arena) -> Connection:
+        player = arena.join(role)
+        arena.join(Id.EXPERIMENT_CONNECTION).send(request, payload)
+        assert player.receive()[0] == call
+        return player
+
+    return scene
+
+
+def asked_after_environment(request: Id, before: Id, payload: bytes, call: Id) -> Scene:
+    """An agent that is at work on `call`, which comes after one to the environment."""
+
+    def scene(arena: Arena) -> Connection:
+        agent, environment = arena.join(Id.AGENT_CONNECTION), arena.join(Id.ENVIRONMENT_CONNECTION)
+        arena.join(Id.EXPERIMENT_CONNECTION).send(request)
+        assert environment.receive()[0] == before
+        environment.send(before, payload)
+        assert agent.receive()[0] == call
+        return agent
+
+    return scene
+
+
+def dismissed(arena: Arena) -> Connection:
+    """An agent at work for nobody."""
+    agent, glue = arena.join(Id.AGENT_CONNECTION), arena.join(Id.EXPERIMENT_CONNECTION)
+    glue.send(Id.RL_AGENT_START, EMPTY)
+    agent.receive()
+    glue.reset()
+    return agent
+
+
+def sent_off(arena: Arena) -> Connection:
+    agent, glue = arena.join(Id.AGENT_CONNECTION), arena.join(Id.EXPERIMENT_CONNECTION)
+    glue.close()
+    assert agent.receive() == (Id.RL_TERM, b"")
+    return agent
+
+
+def waiting(arena: Arena) -> Connection:
+    """An experiment whose call is under way."""
+    agent, glue = arena.join(Id.AGENT_CONNECTION), arena.join(Id.EXPERIMENT_CONNECTION)
+    glue.send(Id.RL_AGENT_START, EMPTY)
+    agent.receive()
+    return glue
+
+
+def waiting_for_a_player(arena: Arena) -> Connection:
+    """An experiment whose call nobody is there to answer."""
+    glue = arena.join(Id.EXPERIMENT_CONNECTION)
+    glue.send(Id.RL_EPISODE, bytes(4))
+    return glue
+
+
+AGENT, ENVIRONMENT, EXPERIMENT = Id.AGENT_CONNECTION, Id.ENVIRONMENT_CONNECTION, Id.EXPERIMENT_CONNECTION
+SCENES: dict[str, Scene] = {
+    "stranger": stranger,
+    "agent, idle": idle(AGENT),
+    "agent, init": asked_after_environment(Id.RL_INIT, Id.ENV_INIT, TEXT, Id.AGENT_INIT),
+    "agent, start": asked(AGENT, Id.RL_AGENT_START, EMPTY, Id.AGENT_START),
+    "agent, step": asked(AGENT, Id.RL_AGENT_STEP, bytes(8) + EMPTY, Id.AGENT_STEP),
+    "agent, end": asked(AGENT, Id.RL_AGENT_END, bytes(8), Id.AGENT_END),
+    "agent, cleanup": asked_after_environment(Id.RL_CLEANUP, Id.ENV_CLEANUP, b"", Id.AGENT_CLEANUP),
+    "agent, message": asked(AGENT, Id.RL_AGENT_MESSAGE, TEXT, Id.AGENT_MESSAGE),
+    "agent, dismissed": dismissed,
+    "agent, sent off": sent_off,
+    "environment, idle": idle(ENVIRONMENT),
+    "environment, init": asked(ENVIRONMENT, Id.RL_INIT, b"", Id.ENV_INIT),
+    "environment, start": asked(ENVIRONMENT, Id.RL_START, b"", Id.ENV_START),
+    "environment, step": asked(ENVIRONMENT, Id.RL_STEP, b"", Id.ENV_STEP),
+    "environment, cleanup": asked(ENVIRONMENT, Id.RL_CLEANUP, b"", Id.ENV_CLEANUP),
+    "environment, message": asked(ENVIRONMENT, Id.RL_ENV_MESSAGE, TEXT, Id.ENV_MESSAGE),
+    "experiment, idle": idle(EXPERIMENT),
+    "experiment, waiting": waiting,
+    "experiment, alone": waiting_for_a_player,
+}
+
+int32 = st.integers(-(2**31), 2**31 - 1)
+ids = st.sampled_from([*Id]) | st.sampled_from([0, 9, 15, 18, 28, 31, 32, 64, 69]) | int32
+counts = st.sampled_from([0, 1, 2, 3, 1_000_000, 1_000_001, 2**31, 2**32 - 1])
+numbers = st.builds(
+    lambda ints, doubles, chars, rest: struct.pack(">3I", ints, doubles, chars) + rest,
+    counts,
+    counts,
+    counts,
+    st.binary(max_size=64),
+)
+sound_numbers = st.builds(
+    lambda ints, chars: pack_numbers(Numbers(tuple(ints), (), chars)),
+    st.lists(int32, max_size=4),
+    st.binary(max_size=8),
+)
+payloads = st.one_of(
+    st.just(b""),
+    st.binary(max_size=32),
+    numbers,
+    sound_numbers,
+    sound_numbers.map(lambda payload: struct.pack(">id", 0, 1.0) + payload),
+    sound_numbers.map(lambda payload: bytes(8) + payload),
+    st.binary(max_size=32).map(lambda text: struct.pack(">I", len(text)) + text),
+)
+frames = st.builds(
+    lambda message_id, payload, size: (
+        struct.pack(">iI", message_id, len(payload) if size is None else size) + payload
+    ),
+    ids,
+    payloads,
+    st.none() | st.none() | st.sampled_from([0, 1, 65_535, 65_537, 2**20, 2**31, 2**32 - 1]),
+)
+attacks = st.lists(frames | st.binary(max_size=40), max_size=6)
+
+
+@pytest.mark.parametrize("scene", SCENES)
+@given(
+    attack=attacks,
+    cut=st.integers(0, 8),
+    end=st.sampled_from(["stay", "close", "close_writing", "reset"]),
+)
+@unhurried
+def test_whatever_comes_the_hub_lives_and_others_play_on(
+    arena: Arena, scene: str, attack: list[bytes], cut: int, end: str
+) -> None:
+    connection = SCENES[scene](arena)
+    data = b"".join(attack)
+    with suppress(OSError):  # it may be dropped in the middle of it
+        connection.send_raw(data[:-cut] if cut else data)
+        if end != "stay":
+            getattr(connection, end)()
+    arena.check()
+
+
+LONGEST = 12 + 13 * 1_000_000
+"""The longest abstract type that an original program may send, in bytes."""
+
+FLOODS = {
+    "agent, step": (struct.pack(">iI", Id.AGENT_STEP, LONGEST), LONGEST),
+    "environment, step": (struct.pack(">iI", Id.ENV_STEP, LONGEST + 12), LONGEST),
+    "experiment, idle": (struct.pack(">iI", Id.RL_ENV_STEP, LONGEST), LONGEST),
+    "experiment, waiting": (struct.pack(">iI", Id.RL_NUM_STEPS, 0) * 8192, 2**20),
+    "stranger": (struct.pack(">iI", AGENT, 65_536), 65_536),
+    "agent, sent off": (b"\1" * 65_536, 0),
+    "agent, idle": (struct.pack(">iI", Id.AGENT_STEP, LONGEST), LONGEST),
+}
+"""What is sent over and over, or before endless zeros, and how many bytes of it may be held."""
+
+
+@pytest.mark.parametrize("scene", FLOODS)
+def test_a_flood_takes_no_more_memory_than_the_longest_legal_message(arena: Arena, scene: str) -> None:
+    data, held = FLOODS[scene]
+    data += data * 400 if len(data) > 8 else bytes(2 * LONGEST)
+    # The hub reads what a flood has left behind before it takes it for gone: each needs a session of its own.
+    arena.attacked = scene
+    connection = SCENES[scene](arena)
+    arena.rig.settle()
+    tracemalloc.start()
+    try:
+        sent = 0
+        with suppress(OSError):  # it is dropped when it goes too far
+            while more := connection.flood(data[sent : sent + 2**20]):
+                sent += more
+                arena.rig.settle()
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert sent > 2**16
+    # A whole message is copied twice while it is read; then there is what the test itself takes.
+    assert peak < 3.5 * held + 4 * 2**20
+    arena.check()

@@ -1,0 +1,410 @@
+"""Original programs join: every case of the original suites, in every language, mixture and order."""
+
+from __future__ import annotations
+
+import itertools
+import struct
+from collections.abc import Iterator
+
+import pytest
+
+from agents.tabular import SarsaAgent
+from env_server.toys import MinesEnvironment
+from glue.core.experiment import Experiment
+from glue.core.local import local
+from glue.errors import PeerFailed
+from glue.types import Action, Observation
+from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.system.conformance import SCENARIOS, Scenario, Seen
+from tests.system.legacy.legacy_client import STYLES, Connection, Id, Numbers, pack_numbers
+from tests.system.legacy.legacy_programs import (
+    AGENTS,
+    CASES,
+    ENVIRONMENTS,
+    EXPERIMENTS,
+    FiveStepEnvironment,
+    MirrorAgent,
+    SpeedEnvironment,
+)
+from tests.system.legacy.legacy_rig import (
+    DisguisedAgent,
+    DisguisedEnvironment,
+    DisguisedExperiment,
+    Rig,
+    gateway,
+)
+
+LANGUAGES = ("c", "java", "python")
+CHECKED = sorted(CASES.keys() - {"test_speed"})
+EMPTY = pack_numbers(Numbers())
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    with gateway() as rig:
+        yield rig
+
+
+def run_case(rig: Rig, case: str, agent: str, environment: str, experiment: str) -> int:
+    """Run a case with programs of the given styles; return the number of checks that passed."""
+    names = CASES[case]
+    rig.agent(AGENTS[names[0]](), STYLES[agent])
+    rig.environment(ENVIRONMENTS[names[1]](), STYLES[environment])
+    glue = rig.experiment(STYLES[experiment])
+    checks = len(EXPERIMENTS[case](glue))
+    glue.close()
+    rig.join()
+    return checks
+
+
+@pytest.mark.parametrize("case", CHECKED)
+@pytest.mark.parametrize("style", STYLES)
+def test_a_case_of_the_original_suites_passes_in_every_style(rig: Rig, style: str, case: str) -> None:
+    assert run_case(rig, case, style, style, style) > 0
+
+
+@pytest.mark.parametrize("case", ["test_sanity", "test_1", "test_empty", "test_message", "test_rl_episode"])
+def test_a_case_passes_in_all_mixtures_of_languages(rig: Rig, case: str) -> None:
+    for styles in itertools.product(LANGUAGES, repeat=3):
+        assert run_case(rig, case, *styles) > 0
+
+
+def test_large_observations_arrive_whole(rig: Rig) -> None:
+    rig.agent(MirrorAgent())
+    rig.environment(SpeedEnvironment(small_steps=50, large_steps=20))
+    glue = rig.experiment()
+    glue.init()
+    assert (glue.episode(5), glue.num_steps()) == (0, 5)
+    assert (glue.episode(0), glue.num_steps()) == (1, 20)
+    glue.start()
+    glue.start()
+    _, observation, _, action = glue.step()
+    assert observation == action
+    assert observation.counts == (50_000, 50_000, 0)
+    glue.close()
+
+
+def learn(glue: Experiment) -> Seen:
+    """An agent learns; what it does depends on every number that it was ever shown."""
+    glue.rl_init()
+    seen: Seen = []
+    for _ in range(40):
+        seen += [glue.rl_episode(200), glue.rl_num_steps(), glue.rl_return()]
+    glue.rl_cleanup()
+    return seen
+
+
+MIXED = {
+    **{name: SCENARIOS[name] for name in SCENARIOS.keys() - {"test_speed", "skeleton"}},
+    "learning": Scenario(
+        lambda: SarsaAgent(seed=1), lambda: MinesEnvironment(random_start=True, seed=2), learn
+    ),
+}
+"""Scenarios without a seed from the experiment, which does not reach original programs."""
+
+
+@pytest.mark.parametrize("name", sorted(MIXED))
+@pytest.mark.parametrize("originals", range(8), ids=lambda bits: f"{bits:03b}")
+def test_a_mixture_of_ours_and_originals_gives_the_numbers_of_ours(
+    rig: Rig, originals: int, name: str
+) -> None:
+    scenario = MIXED[name]
+    if originals & 1:
+        rig.agent(DisguisedAgent(scenario.agent()), STYLES["java"])
+    else:
+        rig.native_agent(scenario.agent())
+    if originals & 2:
+        rig.environment(DisguisedEnvironment(scenario.environment()), STYLES["python"])
+    else:
+        rig.native_environment(scenario.environment())
+    with DisguisedExperiment(rig.experiment()) if originals & 4 else rig.native() as glue:
+        seen = scenario.run(glue)
+    with local(scenario.agent(), scenario.environment()) as glue:
+        assert seen == scenario.run(glue)
+
+
+def test_one_hub_serves_a_session_for_each_port() -> None:
+    sessions = [f"s{number}" for number in range(8)]
+    with gateway(*sessions) as rig:
+        glues = []
+        for session in sessions:
+            rig.agent(MirrorAgent(), session=session)
+            rig.environment(FiveStepEnvironment(), session=session)
+            glues.append(rig.experiment(session=session))
+        for glue in glues:
+            glue.connection.send(Id.RL_INIT)
+        for limit, glue in enumerate(glues):
+            assert glue.connection.receive()[0] == Id.RL_INIT
+            glue.episode(limit)
+            glue.env_message("interleaved")
+        assert [glue.num_steps() for glue in glues] == [5, 1, 2, 3, 4, 5, 5, 5]
+        for glue in glues:
+            glue.close()
+        rig.join()
+
+
+def test_every_order_of_joining_works_and_an_experiment_may_ask_before_the_others_come(rig: Rig) -> None:
+    for order in itertools.permutations(("agent", "environment", "experiment")):
+        for role in order:
+            if role == "agent":
+                rig.agent(MirrorAgent())
+            elif role == "environment":
+                rig.environment(FiveStepEnvironment())
+            else:
+                glue = rig.experiment()
+                glue.connection.send(Id.RL_INIT)
+        assert glue.connection.receive() == (Id.RL_INIT, struct.pack(">I", 16) + b"sample task spec")
+        assert glue.episode(0) == 1
+        glue.close()
+        rig.join()
+
+
+def ask(*ids: Id) -> bytes:
+    """The bytes of requests without a payload."""
+    return b"".join(struct.pack(">iI", message_id, 0) for message_id in ids)
+
+
+def test_pipelined_requests_are_answered_in_their_order(rig: Rig) -> None:
+    rig.agent(MirrorAgent())
+    rig.environment(FiveStepEnvironment())
+    glue = rig.connect()
+    count = 300
+    steps = ask(*[Id.RL_STEP, Id.RL_NUM_STEPS] * count)
+    glue.send_raw(ask(Id.EXPERIMENT_CONNECTION, Id.RL_INIT, Id.RL_START) + steps + ask(Id.RL_CLEANUP))
+    asked = [Id.RL_INIT, Id.RL_START, *[Id.RL_STEP, Id.RL_NUM_STEPS] * count, Id.RL_CLEANUP]
+    replies = [glue.receive() for _ in asked]
+    assert [message_id for message_id, _ in replies] == asked
+    # The fifth step is terminal and not counted; the environment goes on beyond it.
+    assert replies[-2] == (Id.RL_NUM_STEPS, struct.pack(">i", count))
+    glue.close()
+
+
+def test_half_steps_go_to_one_side_alone_and_leave_the_last_action_as_it_was(rig: Rig) -> None:
+    calls: list[str] = []
+    rig.native_agent(ScriptedAgent(calls))
+    rig.native_environment(ScriptedEnvironment(calls=calls))
+    glue = rig.experiment()
+    assert glue.init() == "a task"
+    assert glue.env_start() == Numbers((0,))
+    assert glue.agent_start(Numbers((5,))) == Numbers((105,))
+    assert glue.env_step(Numbers((7,), (0.5,), b"x")) == (1.0, Numbers((1,)), 0)
+    assert (glue.num_steps(), glue.episode_return(), glue.num_episodes()) == (2, 1.0, 0)
+    assert glue.agent_step(-0.0, Numbers((6,))) == Numbers((106,))
+    assert glue.step() == (1.0, Numbers((2,)), 0, Numbers((102,)))
+    assert glue.env_step(Numbers((8,))) == (1.0, Numbers((3,)), 1)
+    glue.agent_end(2.5)
+    assert (glue.num_steps(), glue.episode_return(), glue.num_episodes()) == (3, 3.0, 1)
+    assert calls[2:] == [
+        "env_start",
+        "agent_start [5]",
+        "env_step [7]",
+        "agent_step -0 [6]",
+        "env_step []",
+        "agent_step 1 [2]",
+        "env_step [8]",
+        "agent_end 2.5",
+    ]
+    glue.close()
+
+
+def test_nothing_is_refused_before_init(rig: Rig) -> None:
+    calls: list[str] = []
+    rig.native_agent(ScriptedAgent(calls))
+    rig.native_environment(ScriptedEnvironment(calls=calls))
+    glue = rig.experiment()
+    assert (glue.num_steps(), glue.num_episodes(), glue.episode_return()) == (0, 0, 0.0)
+    assert glue.agent_message("early") == "agent heard early"
+    assert glue.step()[:3] == (1.0, Numbers((1,)), 0)
+    assert glue.num_steps() == 1
+    glue.start()
+    glue.cleanup()
+    glue.cleanup()
+    assert calls == [
+        "agent_message early",
+        "env_step []",
+        "agent_step 1 [1]",
+        "env_start",
+        "agent_start [0]",
+        *["env_cleanup", "agent_cleanup"] * 2,
+    ]
+    glue.close()
+
+
+def test_message_35_of_an_experiment_is_echoed_and_ends_the_run(rig: Rig) -> None:
+    rig.agent(MirrorAgent())
+    rig.environment(FiveStepEnvironment())
+    glue = rig.experiment()
+    glue.init()
+    glue.terminate()
+    glue.close()
+    rig.join()
+    # The port stays open for the next three.
+    assert run_case(rig, "test_1", "c", "java", "python") == 56
+
+
+def test_the_experiment_that_leaves_in_mid_episode_has_ended_its_run(rig: Rig) -> None:
+    for style in LANGUAGES:
+        rig.agent(MirrorAgent(), STYLES[style])
+        rig.environment(FiveStepEnvironment(), STYLES[style])
+        glue = rig.experiment(STYLES[style])
+        glue.init()
+        glue.start()
+        glue.step()
+        glue.close()
+        rig.join()
+
+
+def test_players_of_ours_stay_when_an_original_experiment_leaves(rig: Rig) -> None:
+    calls: list[str] = []
+    rig.native_agent(ScriptedAgent(calls))
+    rig.environment(FiveStepEnvironment())
+    glue = rig.experiment()
+    glue.init()
+    glue.close()
+    rig.log.wait_for("was sent off")
+    rig.environment(FiveStepEnvironment())
+    glue = rig.experiment()
+    glue.init()
+    glue.close()
+    assert calls == ["agent_init sample task spec"] * 2
+
+
+def player(rig: Rig, role: Id, payload: bytes = b"") -> Connection:
+    """An original player that a test drives by hand."""
+    connection = rig.connect(STYLES["python"])
+    connection.send(role, payload)
+    return connection
+
+
+def step_reply(terminal: int, observation: Numbers) -> bytes:
+    """The payload of an environment's answer to a step; the reward is 1."""
+    return struct.pack(">id", terminal, 1.0) + pack_numbers(observation)
+
+
+def test_the_very_first_step_shows_no_action_if_it_is_terminal_and_later_ones_the_last(rig: Rig) -> None:
+    rig.native_agent(ScriptedAgent())
+    rig.native_environment(ScriptedEnvironment(length=1))
+    glue = rig.experiment()
+    for expected in (Numbers(), Numbers()):
+        glue.init()
+        glue.start()
+        assert glue.step() == (1.0, Numbers((1,)), 1, expected)
+        assert glue.step()[3] == expected
+    glue.close()
+
+
+def test_an_episode_counts_as_steps_only_if_it_went_on_after_one(rig: Rig) -> None:
+    environment = ScriptedEnvironment(length=1)
+    rig.native_agent(ScriptedAgent())
+    rig.native_environment(environment)
+    glue = rig.experiment()
+    glue.init()
+    for length, max_steps, expected in ((1, 0, Numbers()), (2, 1, Numbers()), (2, 2, Numbers((100,)))):
+        environment.length = length
+        glue.episode(max_steps)
+        environment.length = 1
+        glue.start()
+        assert glue.step()[3] == expected
+    glue.close()
+
+
+def test_a_later_terminal_step_shows_the_last_action(rig: Rig) -> None:
+    environment = ScriptedEnvironment(length=2)
+    rig.native_agent(ScriptedAgent())
+    rig.native_environment(environment)
+    glue = rig.experiment()
+    glue.init()
+    glue.start()
+    glue.step()
+    assert glue.step() == (1.0, Numbers((2,)), 1, Numbers((101,)))
+    environment.length = 1
+    glue.start()
+    assert glue.step() == (1.0, Numbers((1,)), 1, Numbers((100,)))
+    glue.close()
+
+
+@pytest.mark.parametrize("terminal", [2, -1, 256])
+def test_any_terminal_but_zero_is_a_one(rig: Rig, terminal: int) -> None:
+    calls: list[str] = []
+    rig.native_agent(ScriptedAgent(calls))
+    environment = player(rig, Id.ENVIRONMENT_CONNECTION)
+    glue = rig.experiment()
+    glue.connection.send(Id.RL_EPISODE, struct.pack(">I", 0))
+    assert environment.receive() == (Id.ENV_START, b"")
+    environment.send(Id.ENV_START, EMPTY)
+    assert environment.receive()[0] == Id.ENV_STEP
+    environment.send(Id.ENV_STEP, step_reply(terminal, Numbers()))
+    assert glue.connection.receive() == (Id.RL_EPISODE, struct.pack(">i", 1))
+    assert glue.num_episodes() == 1
+    assert calls == ["agent_start []", "agent_end 1"]
+    glue.close()
+    environment.close()
+
+
+def test_surplus_bytes_are_ignored_everywhere(rig: Rig) -> None:
+    agent = player(rig, Id.AGENT_CONNECTION, b"RL-Glue 9")
+    rig.native_environment(ScriptedEnvironment())
+    glue = rig.experiment()
+    glue.connection.send(Id.RL_START, b"please")
+    assert agent.receive() == (Id.AGENT_START, pack_numbers(Numbers((0,))))
+    agent.send(Id.AGENT_START, pack_numbers(Numbers((7,))) + b"surplus")
+    both = pack_numbers(Numbers((0,))) + pack_numbers(Numbers((7,)))
+    assert glue.connection.receive() == (Id.RL_START, both)
+    glue.close()
+    assert agent.receive() == (Id.RL_TERM, b"")
+    agent.close()
+
+
+def test_a_zero_byte_ends_a_text_in_both_directions(rig: Rig) -> None:
+    agent = player(rig, Id.AGENT_CONNECTION)
+    glue = rig.experiment()
+    glue.connection.send_text(Id.RL_AGENT_MESSAGE, "one\0two")
+    assert agent.receive() == (Id.AGENT_MESSAGE, struct.pack(">I", 3) + b"one")
+    agent.send_text(Id.AGENT_MESSAGE, "three\0four")
+    assert glue.connection.receive() == (Id.RL_AGENT_MESSAGE, struct.pack(">I", 5) + b"three")
+    glue.close()
+    agent.close()
+
+
+@pytest.mark.parametrize("text", ["é", "grüße", "日本語", "🎲🎲", "x\u00e9"])
+@pytest.mark.parametrize("style", ["c", "java", "python"])
+def test_a_text_beyond_ascii_survives_every_way(rig: Rig, style: str, text: str) -> None:
+    rig.agent(DisguisedAgent(SCENARIOS["test_message"].agent()), STYLES[style])
+    rig.environment(DisguisedEnvironment(SCENARIOS["test_message"].environment()), STYLES[style])
+    glue = rig.experiment(STYLES[style])
+    glue.init()
+    assert glue.agent_message(text) == text
+    assert glue.env_message(text) == text
+    assert glue.agent_message("1") == "1"
+    glue.close()
+
+
+def test_bytes_that_are_no_utf8_pass_unchanged(rig: Rig) -> None:
+    rig.native_agent(SCENARIOS["test_message"].agent())
+    glue = rig.experiment()
+    assert glue.agent_message("\udcff\udc80") == "\udcff\udc80"
+    glue.close()
+
+
+def test_every_bit_of_the_numbers_passes_between_ours_and_originals(rig: Rig) -> None:
+    (nan,) = struct.unpack(">d", bytes.fromhex("7ff8dead0000beef"))
+    extreme = Observation(
+        ints=[-(2**31), 2**31 - 1], doubles=[nan, -0.0, float("-inf"), 5e-324], chars=bytes(range(256))
+    )
+    rig.agent(MirrorAgent())
+    with rig.native() as glue:
+        assert glue.rl_agent_start(extreme).body == extreme.body
+
+
+def test_a_million_of_each_is_the_most_an_original_is_sent(rig: Rig) -> None:
+    count = 1_000_000
+    numbers = Numbers((1,) * count, (), b"c" * count)
+    rig.agent(MirrorAgent())
+    rig.native_environment(ScriptedEnvironment())
+    with rig.native() as glue:
+        action = glue.rl_agent_start(Observation(*numbers))
+        assert action.counts == (count, 0, count)
+        with pytest.raises(PeerFailed, match="at most 1000000 of each"):
+            glue.rl_agent_start(Observation(chars=bytes(count + 1)))
+        # It was not the agent's fault: it stays.
+        assert glue.rl_agent_start(Observation(ints=[3])) == Action(ints=[3])
