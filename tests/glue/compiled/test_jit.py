@@ -86,7 +86,7 @@ def test_bounds_check_has_code_of_its_own(program: Path) -> None:
 
 
 def test_without_a_folder_to_write_to_it_still_runs(program: Path, tmp_path: Path) -> None:
-    (tmp_path / "__pycache__").write_text("a file, so that no folder can be made")
+    (tmp_path / "rules" / "__pycache__").write_text("a file, so that no folder can be made")
     nowhere = {"HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null", "NUMBA_CACHE_DIR": ""}
     assert "compiling" in run(program, environment=nowhere)
     assert "compiling" in run(program, environment=nowhere)
