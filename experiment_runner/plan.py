@@ -10,11 +10,10 @@ nor the machine matters, and a plan that gains an agent or a value keeps the tri
 
 from __future__ import annotations
 
-import difflib
 import hashlib
 import itertools
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -22,6 +21,7 @@ import numpy as np
 
 from glue.errors import ConfigError, ExperimentError
 from glue.options import Value, parameters
+from glue.suggestions import did_you_mean
 
 __all__ = [
     "COUNTS",
@@ -33,7 +33,6 @@ __all__ = [
     "check_options",
     "describe",
     "differences",
-    "near_misses",
     "plain",
     "trial_seed",
 ]
@@ -257,22 +256,13 @@ def _check_sweep(sweep: RoleSweep, factory: type) -> RoleSweep:
     options: dict[str, Value | tuple[Value, ...]] = {}
     for name, value in sweep.options.items():
         if name not in known:
-            raise ConfigError(f"{sweep.label} has no option {name}{near_misses(name, known)}")
+            raise ConfigError(f"{sweep.label} has no option {name}{did_you_mean(name, known)}")
         check = known[name].check
         try:
             options[name] = tuple(map(check, value)) if isinstance(value, tuple) else check(value)
         except ConfigError as error:
             raise ConfigError(f"{sweep.label}: {error}") from None
     return replace(sweep, options=options)
-
-
-def near_misses(word: str, known: Iterable[str]) -> str:
-    """Return the rest of a message about an unknown word: what may have been meant, or what there is."""
-    known = list(known)
-    near = difflib.get_close_matches(word, known, n=3)
-    if near:
-        return f"; did you mean {' or '.join(near)}?"
-    return f" (it has {', '.join(known)})" if known else ""
 
 
 def _default_label(name: str) -> str:

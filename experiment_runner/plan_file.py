@@ -32,9 +32,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from experiment_runner.plan import COUNTS, ROLES, Plan, RoleSweep, near_misses, plain
+from experiment_runner.plan import COUNTS, ROLES, Plan, RoleSweep, plain
 from glue.errors import ExperimentError
 from glue.options import Value
+from glue.suggestions import did_you_mean
 
 __all__ = ["dump_plan", "load_plan", "parse_plan"]
 
@@ -68,7 +69,7 @@ def parse_plan(text: str) -> Plan:
     known = (*COUNTS, *ROLES)
     for key in document:
         if key not in known:
-            raise ExperimentError(f"a plan has no {key!r}{near_misses(key, known)}")
+            raise ExperimentError(f"a plan has no {key!r}{did_you_mean(key, known)}")
     if "episodes" not in document:
         raise ExperimentError("a plan says how many episodes a trial has, as in: episodes = 1000")
     counts = {name: document[name] for name in COUNTS if name in document}

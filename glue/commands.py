@@ -19,6 +19,7 @@ import click
 
 from glue import __version__
 from glue.config import DEFAULT_HUB, DEFAULT_SESSION
+from glue.console import say
 from glue.errors import ConfigError, GlueError
 from glue.options import Parameter, Value, build, parameters
 from glue.players.loading import find, names
@@ -58,7 +59,7 @@ def run(command: click.Command) -> NoReturn:
         cause = error if isinstance(error, Terminated) else error.__cause__ or error.__context__
         sys.exit(_EXIT_TERMINATED if isinstance(cause, Terminated) else EXIT_INTERRUPTED)
     except GlueError as error:
-        print(f"Error: {error}", file=sys.stderr)
+        say(f"Error: {error}")
         sys.exit(2 if isinstance(error, ConfigError) else 1)
     except BrokenPipeError:
         # Whoever read our output has seen enough. Python would complain once more at exit.
@@ -67,7 +68,7 @@ def run(command: click.Command) -> NoReturn:
     except OSError as error:
         if error.errno != errno.ENOSPC:
             raise
-        print(f"Error: cannot write what there is to show: {error.strerror}", file=sys.stderr)
+        say(f"Error: cannot write the output: {error.strerror}")
         # Python would try once more at exit, and complain.
         os._exit(1)
     sys.exit(code if isinstance(code, int) else 0)
@@ -140,7 +141,7 @@ def _serving(role: Role, command: str, name: str, factory: type, serve: Serve, e
         players = {one: build(factory, given) for one in _session}
         if added:
             players = {one: extra.apply(player, added) for one, player in players.items()}
-        log = _silent if _quiet else _say
+        log = _silent if _quiet else say
         log(f"the hub said goodbye: {serve(players, _hub, log)}")
 
     summary = (factory.__doc__ or f"The {role} {name}.").strip()
@@ -167,10 +168,6 @@ def _examples(command: str, name: str, known: Mapping[str, Parameter]) -> str:
     option = next((f"{own.name}={own.shown}" for own in known.values() if own.default is not None), None)
     given = "" if option is None else f" --{flag}-option {option}"
     return f"  {command} {name} --hub {DEFAULT_HUB}\n  glue-experiment --{flag} {name}{given} --episodes 100"
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 def _silent(line: str) -> None:

@@ -11,7 +11,6 @@ what it means, and its bounds, where it is declared:
 from __future__ import annotations
 
 import contextlib
-import difflib
 import inspect
 import math
 import types
@@ -21,6 +20,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from glue.errors import ConfigError
+from glue.suggestions import did_you_mean
 
 __all__ = ["Option", "Parameter", "build", "parameters", "parse_assignments"]
 
@@ -204,7 +204,4 @@ def _number(bound: float | None) -> str:
 
 
 def _unknown(factory: type, name: str, known: Mapping[str, Parameter]) -> str:
-    near = difflib.get_close_matches(name, known, n=3)
-    hint = f"; did you mean {' or '.join(near)}?" if near else ""
-    listed = f" (it has {', '.join(known)})" if known and not near else ""
-    return f"{factory.__name__} has no option {name}{hint}{listed}"
+    return f"{factory.__name__} has no option {name}{did_you_mean(name, known)}"

@@ -25,6 +25,7 @@ from env_server.replay.episodes import (
 from env_server.replay.golden import GoldenReader
 from glue import __version__
 from glue.commands import run
+from glue.console import say
 from glue.errors import ConfigError
 from glue.options import parse_assignments
 from glue.players.loading import find
@@ -119,7 +120,7 @@ def replay(
         if not (counted.episodes or counted.levels):
             raise TrajectoryError(f"{file} holds no whole episode")
         if isinstance(reader, TrajectoryReader) and reader.torn:
-            print(f"{file} was not closed: an episode that it ends in is left out", file=sys.stderr)
+            say(f"{file} was not closed: an episode that it ends in is left out")
         print(f"{file}: {counted}: {'not compared' if check is False else 'no difference'}")
 
 

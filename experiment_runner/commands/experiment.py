@@ -21,6 +21,7 @@ from experiment_runner.run import Engine, RunConfig, run_trials
 from glue import __version__
 from glue.commands import legacy_port_option, run
 from glue.config import DEFAULT_HUB, DEFAULT_SESSION, LegacyPort, check_session, check_url
+from glue.console import say
 from glue.errors import ConfigError, ExperimentError
 from glue.options import parse_assignments
 from glue.players.loading import find, names
@@ -273,7 +274,7 @@ def _run(directory: Path, plan: Plan, config: RunConfig, record: Path | None, as
         else:
             click.echo(tabulate(store, seconds))
     if record is not None and not record.exists():
-        click.echo(f"no episode was begun, so there is no {record}", err=True)
+        say(f"no episode was begun, so there is no {record}")
     return 1 if failed else 0
 
 

@@ -22,7 +22,6 @@ from experiment_runner.analysis.stats import (
     mean,
     mean_of_last,
 )
-from experiment_runner.plan import near_misses
 from experiment_runner.report.tables import format_table
 from experiment_runner.store.database import DATABASE_FILES, reported
 from experiment_runner.store.directory import Results, TrialRecord
@@ -32,7 +31,9 @@ from experiment_runner.store.merge import merge as merge_runs
 from experiment_runner.store.output import written
 from glue import __version__
 from glue.commands import run
+from glue.console import say
 from glue.errors import ConfigError, ExperimentError
+from glue.suggestions import did_you_mean
 
 __all__ = ["main", "results"]
 
@@ -95,9 +96,9 @@ def list_runs(folder: Path) -> int:
     if rows:
         click.echo(format_table(("run", "started", "trials", "episodes", "state"), rows))
     elif not unreadable:
-        click.echo(f"there are no runs in {folder}", err=True)
+        say(f"there are no runs in {folder}")
     for line in unreadable:
-        click.echo(f"Error: {line}", err=True)
+        say(f"Error: {line}")
     return 1 if unreadable else 0
 
 
@@ -211,7 +212,7 @@ def agent(directory: Path, trial_id: str | None, out: Path) -> None:
     episode, saved = checkpoint
     with written(out) as partial:
         partial.write_bytes(saved.agent)
-    click.echo(f"{out}: the agent of {trial.spec.id} after {episode} episodes", err=True)
+    say(f"{out}: the agent of {trial.spec.id} after {episode} episodes")
 
 
 def _trial(found: Results, trial_id: str | None) -> TrialRecord:
@@ -223,7 +224,7 @@ def _trial(found: Results, trial_id: str | None) -> TrialRecord:
             )
         return next(iter(trials.values()))
     if trial_id not in trials:
-        raise ConfigError(f"{found.directory} has no trial {trial_id}{near_misses(trial_id, trials)}")
+        raise ConfigError(f"{found.directory} has no trial {trial_id}{did_you_mean(trial_id, trials)}")
     return trials[trial_id]
 
 

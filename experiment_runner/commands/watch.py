@@ -13,6 +13,7 @@ import click
 from env_server.render.text import TerminalScreen
 from glue import __version__
 from glue.commands import run
+from glue.console import say
 from glue.core.experiment import Experiment
 from glue.core.local import local
 from glue.options import build, parse_assignments
@@ -99,7 +100,7 @@ def watch(
         for number in range(after + 1, after + episodes + 1):
             title = f"{agent} in {environment}, episode {number}"
             episode_return, steps = play(glue, sys.stdout, title, max_steps, speed)
-            print(f"episode {number}: return {episode_return:.2f} in {steps} steps", file=sys.stderr)
+            say(f"episode {number}: return {episode_return:.2f} in {steps} steps")
 
 
 def play(

@@ -17,6 +17,7 @@ from experiment_runner.resume import open_run
 from experiment_runner.run import RunConfig, run_trials
 from glue import __version__
 from glue.commands import run
+from glue.console import say
 from glue.players.loading import find
 from glue.protocol.messages import Role
 
@@ -86,7 +87,7 @@ def paper(
     }
     failed = 0
     for name, plan in plans.items():
-        click.echo(f"{name}: {EXPERIMENTS[name].title}", err=True)
+        say(f"{name}: {EXPERIMENTS[name].title}")
         failed += _run(out / name, plan, workers)
     click.echo(write_report(out, docs), nl=False)
     return 1 if failed else 0

@@ -13,9 +13,10 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from glue.client.bodies import READ, write
-from glue.client.link import Link, Log, to_stderr
+from glue.client.link import Link, Log
 from glue.client.transport import Context
 from glue.config import DEFAULT_HUB, DEFAULT_SESSION
+from glue.console import say
 from glue.core.experiment import Experiment
 from glue.errors import GlueError, HubClosed, LocalProtocolError, PeerFailed, PeerLost, Unsupported
 from glue.protocol.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value
@@ -46,7 +47,7 @@ def connect(
         ConfigError: an address or a session name is malformed.
         Refused: the hub does not let it in.
     """
-    return RemoteExperiment(hub, session, name, context, log or to_stderr, on_notice)
+    return RemoteExperiment(hub, session, name, context, log or say, on_notice)
 
 
 class RemoteExperiment(Experiment):

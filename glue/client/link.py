@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-import sys
 import time
 from collections.abc import Callable, Mapping
 from typing import Final
@@ -18,18 +17,13 @@ from glue.errors import HubClosed, LocalProtocolError, Refused
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 from glue.protocol.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, UnknownKind, clip, decode, encode
 
-__all__ = ["Link", "Log", "to_stderr"]
+__all__ = ["Link", "Log"]
 
 Log = Callable[[str], None]
 
 _CODEC: Final = f"Python {platform.python_version()}"
 _HEARTBEAT: Final = 1.0
 _PATIENCE: Final = 5.0
-
-
-def to_stderr(line: str) -> None:
-    """Print a line for people."""
-    print(line, file=sys.stderr, flush=True)
 
 
 class Link:

@@ -20,9 +20,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from glue.client.bodies import READ, write
-from glue.client.link import Link, Log, to_stderr
+from glue.client.link import Link, Log
 from glue.client.transport import Context
 from glue.config import DEFAULT_HUB, DEFAULT_SESSION
+from glue.console import say
 from glue.core.calls import Handler, name_of, role_calls
 from glue.errors import GlueError, HubClosed, PeerFailed, RemoteProtocolError
 from glue.protocol.messages import CALLS, ErrorCode, Kind, Message, Role
@@ -96,7 +97,7 @@ def _serve(
     context: Context | None = None,
     log: Log | None = None,
 ) -> str:
-    log = log or to_stderr
+    log = log or say
     by_session = players if isinstance(players, Mapping) else {session: players}
     served = {name: _Player(role, player) for name, player in by_session.items()}
     abilities = {name: (served[name].name, capabilities(player)) for name, player in by_session.items()}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import resource
-import sys
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Final
@@ -13,6 +12,7 @@ import click
 from glue import __version__
 from glue.commands import Terminated, legacy_port_option, run
 from glue.config import DEFAULT_HUB, HubConfig, LegacyPort
+from glue.console import say
 from glue.hub.server import Hub
 from glue.legacy.gateway import Gateway
 
@@ -88,19 +88,19 @@ def hub(
 def serve_until_interrupted(config: HubConfig, ports: Sequence[LegacyPort] = ()) -> None:
     """Serve until Ctrl-C or SIGTERM; every peer is told."""
     _allow_many_connections()
-    running = Hub(config, log=_log)
-    gateway = Gateway(running, ports, _log)
+    running = Hub(config, log=say)
+    gateway = Gateway(running, ports, say)
     for endpoint in running.endpoints:
-        _log(f"listening on {endpoint}")
+        say(f"listening on {endpoint}")
     for port in gateway.ports:
-        _log(f"listening for original RL-Glue programs on {port}")
+        say(f"listening for original RL-Glue programs on {port}")
     with running.in_background():
         try:
             running.wait()
         except KeyboardInterrupt as interrupt:
             name = "SIGTERM" if isinstance(interrupt, Terminated) else "SIGINT"
             running.stop(f"the hub was stopped by {name}")
-            _log(f"stopped by {name}")
+            say(f"stopped by {name}")
 
 
 def _allow_many_connections() -> None:
@@ -108,10 +108,6 @@ def _allow_many_connections() -> None:
     _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
     with suppress(ValueError, OSError):  # macOS calls it infinite, and refuses that
         resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
-
-
-def _log(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 def main() -> None:

@@ -6,7 +6,6 @@ A name is one of three: that of an installed entry point (group `glue.agents` or
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import importlib.util
 import sys
@@ -17,6 +16,7 @@ from types import ModuleType
 
 from glue.errors import ConfigError
 from glue.protocol.messages import Role
+from glue.suggestions import did_you_mean
 
 __all__ = ["find", "names"]
 
@@ -49,10 +49,10 @@ def _installed(role: Role) -> dict[str, EntryPoint]:
 
 
 def _unknown(role: Role, name: str) -> str:
-    known = names(role)
-    near = difflib.get_close_matches(name, known, n=3)
-    hint = f"did you mean {' or '.join(near)}?" if near else f"there are {', '.join(known)}"
-    return f"no {role} is called {name!r}: {hint} (your own is named module:Class or path/to/file.py:Class)"
+    return (
+        f"no {role} is called {name!r}{did_you_mean(name, names(role))} "
+        "(your own is named module:Class or path/to/file.py:Class)"
+    )
 
 
 def _import(module: str) -> ModuleType:
@@ -102,8 +102,7 @@ def _broken(source: str, error: BaseException) -> str:
 def _class_of(module: ModuleType, attribute: str, source: str) -> type:
     found = getattr(module, attribute, None)
     if not isinstance(found, type):
-        classes = [key for key, value in vars(module).items() if isinstance(value, type)]
-        near = difflib.get_close_matches(attribute, classes, n=3)
-        hint = f"; did you mean {' or '.join(near)}?" if near else ""
-        raise ConfigError(f"{source} has no class {attribute!r}{hint}")
+        classes = [value for value in vars(module).values() if isinstance(value, type)]
+        own = [value.__name__ for value in classes if value.__module__ == module.__name__]
+        raise ConfigError(f"{source} has no class {attribute!r}{did_you_mean(attribute, own)}")
     return found

@@ -165,7 +165,7 @@ def test_int_is_widened_where_a_float_is_expected() -> None:
         ({"start": "left"}, "option start is one of middle, random, not 'left'"),
         ({"step-size": 0.1}, "Walk has no option step-size; did you mean step_size?"),
         ({"lenght": 3}, "Walk has no option lenght; did you mean length?"),
-        ({"colour": 3}, r"Walk has no option colour \(it has length, step_size, slip, name, "),
+        ({"colour": 3}, r"Walk has no option colour; choose from length, step_size, slip, name, "),
         ({"unlisted": 3}, "Walk has no option unlisted"),
     ],
 )

@@ -317,7 +317,7 @@ def test_full_disk_under_the_output_is_one_line(tmp_path: Path) -> None:
             command, cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60, check=False
         )
     assert shown.returncode == 1
-    assert "Error: cannot write what there is to show: No space left on device" in shown.stderr
+    assert "Error: cannot write the output: No space left on device" in shown.stderr
     assert "Traceback" not in shown.stderr
 
 

@@ -48,7 +48,7 @@ def test_file_may_import_what_is_beside_it(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "error"),
     [
-        ("minez", "no environment is called 'minez': did you mean mines?"),
+        ("minez", "no environment is called 'minez'; did you mean mines?"),
         ("", "no environment is called ''"),
         (":Mine", "no environment is called ':Mine'"),
         ("mine:", "no environment is called 'mine:'"),
