@@ -100,6 +100,8 @@ class Link:
         if kind is Kind.HEARTBEAT:
             return None
         if kind is Kind.GOODBYE:
+            # It has no answer; one to a hub that has gone would only keep this socket from closing.
+            self._welcomed.discard(session)
             raise HubClosed(str(scalars[0]))
         if kind is Kind.REFUSE:
             raise Refused(f"the hub at {self._hub} refused this {self._role}: {scalars[1]!s}")
