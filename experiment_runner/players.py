@@ -93,12 +93,8 @@ def check_addresses(plan: Plan, options: HubOptions) -> None:
     """
     outside = _outside(options, expected=not (plan.agents and plan.environments))
     if options.hub is None and (outside or options.legacy):
-        hub = Hub(HubConfig(bind=outside, insecure=options.insecure))
-        try:
+        with Hub(HubConfig(bind=outside, insecure=options.insecure)) as hub:
             Gateway(hub, options.legacy)
-        finally:
-            with hub.in_background():
-                pass  # so it closes what it has opened
 
 
 def _outside(options: HubOptions, expected: bool) -> tuple[str, ...]:
@@ -137,7 +133,7 @@ def _over_hub(
             inside = f"ipc://{folder}/hub"
             outside = _outside(options, expected=len(named) < len(players))
             config = HubConfig(bind=(inside, *outside), insecure=options.insecure)
-            hub = Hub(config)
+            hub = stack.enter_context(Hub(config))
             for port in Gateway(hub, options.legacy, say).ports:
                 say(f"original RL-Glue programs join on {port}")
             stack.enter_context(hub.in_background())

@@ -88,19 +88,19 @@ def hub(
 def serve_until_interrupted(config: HubConfig, ports: Sequence[LegacyPort] = ()) -> None:
     """Serve until Ctrl-C or SIGTERM; every peer is told."""
     _allow_many_connections()
-    running = Hub(config, log=say)
-    gateway = Gateway(running, ports, say)
-    for endpoint in running.endpoints:
-        say(f"listening on {endpoint}")
-    for port in gateway.ports:
-        say(f"listening for original RL-Glue programs on {port}")
-    with running.in_background():
-        try:
-            running.wait()
-        except KeyboardInterrupt as interrupt:
-            name = "SIGTERM" if isinstance(interrupt, Terminated) else "SIGINT"
-            running.stop(f"the hub was stopped by {name}")
-            say(f"stopped by {name}")
+    with Hub(config, say) as running:
+        gateway = Gateway(running, ports, say)
+        for endpoint in running.endpoints:
+            say(f"listening on {endpoint}")
+        for port in gateway.ports:
+            say(f"listening for original RL-Glue programs on {port}")
+        with running.in_background():
+            try:
+                running.wait()
+            except KeyboardInterrupt as interrupt:
+                name = "SIGTERM" if isinstance(interrupt, Terminated) else "SIGINT"
+                running.stop(f"the hub was stopped by {name}")
+                say(f"stopped by {name}")
 
 
 def _allow_many_connections() -> None:

@@ -1,4 +1,15 @@
-"""Where connections come in: a port or a path that is listened on, in the hub's loop."""
+"""Addresses that are listened on, and connections accepted from them in the hub's loop.
+
+A hub opens its addresses itself. A program that runs several hubs one after the other, or that wants to know
+early whether an address is free, opens it once and hands it to each hub:
+
+    with open_address("tcp://127.0.0.1:4097") as public:
+        for trial in trials:
+            with Hub(config, opened={public.url: public}).in_background():
+                ...
+
+Between two hubs the operating system keeps accepting connections; the next hub serves them.
+"""
 
 from __future__ import annotations
 
@@ -8,58 +19,125 @@ import socket
 import stat
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Final
+from types import TracebackType
+from typing import Final, Self
 
+from glue.errors import ConfigError
 from glue.hub.loop import FAILURE, READ, Loop
 
-__all__ = ["Accept", "Listener", "listen_on_path", "listen_on_port"]
+__all__ = ["Accept", "Listener", "OpenAddress", "open_address", "open_port"]
 
 Accept = Callable[[socket.socket, str, float], None]
-"""Takes a connection, the other side's address for people, and the time."""
+"""Takes a connection, the peer's address for people, and the time."""
 
 _BACKLOG: Final = 1024
-"""Connections that the system takes in before we do; Java programs try hundreds of times a second."""
+"""Connections that the system accepts before we do; Java programs try hundreds of times a second."""
 
-_BATCH: Final = 64
-"""Connections of one port that are accepted before the others get their turn."""
+_BATCH: Final = 16
+"""Connections of one address that are accepted in one turn of the loop."""
 
 
-class Listener:
-    """Accepts connections, from the moment it is made until it is closed.
+class OpenAddress:
+    """A socket that listens, until it is closed.
 
-    Args:
-        loop: where it waits; one that does not run yet.
-        listening: the socket; it is closed by `close`.
-        accept: takes each connection. It may raise OSError: the connection is gone again.
-        log: takes a line for people when connections cannot be accepted.
+    Attributes:
+        url: the address as it was given.
+        endpoint: the address, a free port resolved.
+        socket: the socket, which does not block.
     """
 
-    def __init__(
-        self, loop: Loop, listening: socket.socket, accept: Accept, log: Callable[[str], None]
-    ) -> None:
+    def __init__(self, url: str, listening: socket.socket) -> None:
         listening.setblocking(False)
-        self._loop = loop
-        self._socket = listening
-        self._accept = accept
-        self._log = log
-        self._listen(0.0)
-        # Again, if it was given up for want of descriptors.
-        loop.on_tick(self._listen)
+        self.url = url
+        self.socket = listening
+        name = listening.getsockname()
+        if listening.family == socket.AF_UNIX:
+            self.endpoint = url
+        else:
+            host = f"[{name[0]}]" if ":" in name[0] else name[0]
+            self.endpoint = f"tcp://{host}:{name[1]}"
+
+    @property
+    def port(self) -> int:
+        """The TCP port."""
+        return int(self.socket.getsockname()[1])
 
     def close(self) -> None:
-        """Stop listening."""
-        self._loop.unwatch(self._socket.fileno())
-        path = self._socket.getsockname() if self._socket.family == socket.AF_UNIX else b""
-        self._socket.close()
+        """Stop listening, and remove the path of a Unix socket."""
+        path = self.socket.getsockname() if self.socket.family == socket.AF_UNIX else b""
+        self.socket.close()
         # If it was removed meanwhile, another hub may listen there by now.
         if isinstance(path, str) and _is_left_over(path):
             with suppress(OSError):
                 os.unlink(path)
 
-    def _listen(self, now: float) -> None:
-        self._loop.watch(self._socket.fileno(), READ, self._take_in)
+    def __enter__(self) -> Self:
+        return self
 
-    def _take_in(self, now: float) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def open_address(url: str) -> OpenAddress:
+    """Listen on an address of `glue.config.check_url`; the port `*` takes any free one.
+
+    Raises:
+        ConfigError: the address is in use, or is not one of this machine.
+    """
+    scheme, _, rest = url.partition("://")
+    try:
+        if scheme == "ipc":
+            return OpenAddress(url, _listen_on_path(rest))
+        host, _, port = rest.rpartition(":")
+        return open_port(host.strip("[]"), 0 if port == "*" else int(port), url)
+    except OSError as error:
+        raise ConfigError(_cannot_listen(url, error)) from None
+
+
+def open_port(host: str, port: int, url: str = "") -> OpenAddress:
+    """Listen on a TCP port; 0 takes any free one, and the host `*` stands for every address.
+
+    A name, and `*`, resolve to IPv4 addresses only: peers and original programs look for no others.
+
+    Raises:
+        OSError: it cannot be listened on.
+    """
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    _, _, _, _, address = socket.getaddrinfo(
+        None if host == "*" else host, port, family, socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+    )[0]
+    return OpenAddress(url, socket.create_server(address[:2], family=family, backlog=_BACKLOG))
+
+
+class Listener:
+    """Accepts the connections of an open address, from the moment it is made until `stop`.
+
+    Args:
+        loop: the loop it runs in, not yet running.
+        address: where the connections arrive; whoever opened it closes it.
+        accept: takes each connection. It may raise OSError: the connection has gone already.
+        log: takes a line for people when connections cannot be accepted.
+    """
+
+    def __init__(self, loop: Loop, address: OpenAddress, accept: Accept, log: Callable[[str], None]) -> None:
+        self._loop = loop
+        self._socket = address.socket
+        self._accept = accept
+        self._log = log
+        self._watch(0.0)
+        # Again, if it was given up for want of descriptors.
+        loop.on_tick(self._watch)
+
+    def stop(self) -> None:
+        """Accept no more connections."""
+        self._loop.unwatch(self._socket.fileno())
+
+    def _watch(self, now: float) -> None:
+        self._loop.watch(self._socket.fileno(), READ, self._take)
+
+    def _take(self, now: float) -> None:
         for _ in range(_BATCH):
             try:
                 connected, address = self._socket.accept()
@@ -67,7 +145,7 @@ class Listener:
                 return
             except OSError as error:
                 self._log(f"cannot accept a connection for now: {error.strerror}")
-                self._loop.watch(self._socket.fileno(), FAILURE, self._take_in)
+                self._loop.watch(self._socket.fileno(), FAILURE, self._take)
                 return
             name = (
                 f"{address[0]}:{address[1]}"
@@ -81,28 +159,13 @@ class Listener:
                 connected.close()
 
 
-def listen_on_port(host: str, port: int) -> socket.socket:
-    """Return a socket that listens on a TCP port; 0 takes any free one, and `*` stands for every address.
-
-    Of a name, and of `*`, the addresses are those of IPv4: peers and original programs look for no others.
-
-    Raises:
-        OSError: it cannot.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    _, _, _, _, address = socket.getaddrinfo(
-        None if host == "*" else host, port, family, socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-    )[0]
-    return socket.create_server(address[:2], family=family, backlog=_BACKLOG)
-
-
-def listen_on_path(path: str) -> socket.socket:
+def _listen_on_path(path: str) -> socket.socket:
     """Return a Unix socket that listens on `path`; one that nobody listens on any more is replaced.
 
     A path that begins with `@` is Linux's abstract kind.
 
     Raises:
-        OSError: it cannot.
+        OSError: it cannot be listened on.
     """
     address = "\0" + path[1:] if path.startswith("@") else path
     listening = socket.socket(socket.AF_UNIX)
@@ -124,5 +187,16 @@ def _is_left_over(path: str) -> bool:
     except OSError:
         return False
     with socket.socket(socket.AF_UNIX) as probe:
-        probe.setblocking(False)  # whoever listens there may be too busy to take us in
+        probe.setblocking(False)  # whoever listens there may be too busy to accept
         return probe.connect_ex(path) == errno.ECONNREFUSED
+
+
+def _cannot_listen(url: str, error: OSError) -> str:
+    if error.errno == errno.EADDRINUSE:
+        return (
+            f"{url} is in use: is another hub or experiment running there? "
+            f"Stop it, or choose another address with --bind"
+        )
+    if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
+        return f"{url} is not an address of this machine"
+    return f"cannot listen on {url}: {os.strerror(error.errno or 0)}"

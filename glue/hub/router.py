@@ -9,17 +9,15 @@ reads what it is told.
 
 from __future__ import annotations
 
-import errno
-import os
 import socket
-from collections.abc import Callable, Set
+from collections.abc import Callable, Sequence, Set
 from typing import Final
 
 from glue.config import HubConfig
 from glue.core.sessions import Route
-from glue.errors import ConfigError, RemoteProtocolError
+from glue.errors import RemoteProtocolError
 from glue.hub.connection import Connection, limit_patience, take_leave
-from glue.hub.listener import Listener, listen_on_path, listen_on_port
+from glue.hub.listener import Listener, OpenAddress
 from glue.hub.loop import Loop
 from glue.protocol import zmtp
 from glue.protocol.messages import Message
@@ -47,29 +45,24 @@ class Router:
     """Listens, and passes on what peers say.
 
     Args:
-        loop: where everything waits; one that does not run yet.
-        config: addresses, times and limits.
+        loop: the loop it runs in, not yet running.
+        config: times and limits.
+        addresses: where peers connect; whoever opened them closes them.
         receive: takes what came: the route to answer by, the frames and the time.
         seated: returns the routes of all that take part in a session.
         log: takes a line for people about each connection that is dropped.
-
-    Attributes:
-        endpoints: the addresses listened on, free ports resolved.
-
-    Raises:
-        ConfigError: an address is taken, or cannot be listened on.
     """
 
     def __init__(
         self,
         loop: Loop,
         config: HubConfig,
+        addresses: Sequence[OpenAddress],
         receive: Callable[[Route, list[bytes], float], None],
         seated: Callable[[], Set[Route]],
         log: Callable[[str], None],
     ) -> None:
         self.receive = receive
-        self.endpoints: list[str] = []
         self._unfinished = 0
         self._loop = loop
         self._config = config
@@ -78,18 +71,13 @@ class Router:
         self._complaint = ""
         self._dealers: dict[_Dealer, float | None] = {}
         """Everybody connected, and since when without a seat."""
-        self._listeners: list[Listener] = []
-        try:
-            for url in config.bind:
-                self._listen(url)
-        except ConfigError:
-            self._stop_listening()
-            raise
+        self._listeners = [Listener(loop, address, self._accept, log) for address in addresses]
         loop.on_tick(self._tick)
 
     def close(self) -> None:
         """Close, giving the last messages a moment to leave."""
-        self._stop_listening()
+        for listener in self._listeners:
+            listener.stop()
         for dealer in self._dealers:
             dealer.connection.finish()
         take_leave(lambda: [dealer.connection for dealer in self._dealers], _FAREWELL_SECONDS)
@@ -117,23 +105,6 @@ class Router:
             holders = [dealer for dealer in self._dealers if dealer.held]
             greatest = max(holders, key=lambda dealer: (dealer not in seated, dealer.held))
             self.drop(greatest, "more large messages are under way than this hub has room for")
-
-    def _listen(self, url: str) -> None:
-        try:
-            listening = _open(url)
-        except OSError as error:
-            raise ConfigError(_cannot_listen(url, error)) from None
-        self._listeners.append(Listener(self._loop, listening, self._accept, self._log))
-        name = listening.getsockname()
-        if listening.family == socket.AF_UNIX:
-            self.endpoints.append(url)
-        else:
-            host = f"[{name[0]}]" if ":" in name[0] else name[0]
-            self.endpoints.append(f"tcp://{host}:{name[1]}")
-
-    def _stop_listening(self) -> None:
-        for listener in self._listeners:
-            listener.close()
 
     def _accept(self, connected: socket.socket, name: str, now: float) -> None:
         self._make_room()
@@ -222,22 +193,3 @@ class _Dealer:
         connection.read(False)
         connection.later()
         return False
-
-
-def _open(url: str) -> socket.socket:
-    scheme, _, rest = url.partition("://")
-    if scheme == "ipc":
-        return listen_on_path(rest)
-    host, _, port = rest.rpartition(":")
-    return listen_on_port(host.strip("[]"), 0 if port == "*" else int(port))
-
-
-def _cannot_listen(url: str, error: OSError) -> str:
-    if error.errno == errno.EADDRINUSE:
-        return (
-            f"{url} is in use: is another hub or experiment running there? "
-            f"Stop it, or choose another address with --bind"
-        )
-    if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
-        return f"{url} is not an address of this machine"
-    return f"cannot listen on {url}: {os.strerror(error.errno or 0)}"

@@ -4,25 +4,30 @@
         print(hub.endpoints)
 
 The loop receives, decodes a small header, lets the switchboard act, and sends. Nothing in it waits for a
-peer. Other sources of messages, such as the gateway for RL-Glue's original programs, wait in the same loop.
+peer. Other sources of messages, such as the gateway for RL-Glue's original programs, run in the same loop.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from typing import Protocol, cast
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from types import TracebackType
+from typing import Final, Protocol, Self, cast
 
 from glue.config import HubConfig
 from glue.core.sessions import Route, Switchboard
-from glue.errors import ConfigError, GlueError, RemoteProtocolError
+from glue.errors import GlueError, RemoteProtocolError
+from glue.hub.listener import OpenAddress, open_address
 from glue.hub.loop import Loop
 from glue.hub.router import Router
 from glue.protocol.messages import Message
 from glue.protocol.wire import TO_HUB, decode
 
 __all__ = ["Hub", "Reachable"]
+
+
+_NONE: Final[Mapping[str, OpenAddress]] = {}
 
 
 class Reachable(Protocol):
@@ -38,49 +43,62 @@ def _deliver(route: Route, message: Message) -> bool:
 
 
 class Hub:
-    """A hub, listening from the moment it is made.
+    """A hub, listening from the moment it is made until it is closed.
+
+    It closes when `run` ends; one that is never run is closed by `close`, or as a context manager.
 
     Args:
         config: addresses, times and limits.
-        log: takes a line for people about each coming and going.
+        log: takes a line for people about each peer that joins or leaves.
+        opened: addresses of `config.bind` that are open already; they stay open when the hub closes.
 
     Attributes:
         config: as given.
-        loop: what it waits in; a tick is a heartbeat.
+        loop: the loop it runs in; a tick is a heartbeat.
         switchboard: where messages go.
+        endpoints: the addresses listened on, free ports resolved.
 
     Raises:
-        ConfigError: an address is taken or cannot be listened on.
+        ConfigError: an address is in use or cannot be listened on.
     """
 
-    def __init__(self, config: HubConfig, log: Callable[[str], None] = lambda line: None) -> None:
+    def __init__(
+        self,
+        config: HubConfig,
+        log: Callable[[str], None] = lambda line: None,
+        opened: Mapping[str, OpenAddress] = _NONE,
+    ) -> None:
         self.config = config
-        self.loop = Loop(config.heartbeat)
-        self.switchboard = Switchboard(config, _deliver, log)
-        try:
-            self._router = Router(self.loop, config, self._receive, self.switchboard.routes, log)
-        except ConfigError:
-            self.loop.close()
-            raise
-        self._ended = threading.Event()
+        with ExitStack() as closing:
+            addresses = [opened.get(url) or closing.enter_context(open_address(url)) for url in config.bind]
+            self.endpoints = [address.endpoint for address in addresses]
+            self.loop = Loop(config.heartbeat)
+            closing.callback(self.loop.close)
+            self.switchboard = Switchboard(config, _deliver, log)
+            self._router = Router(self.loop, config, addresses, self._receive, self.switchboard.routes, log)
+            closing.callback(self._router.close)
+            self._closing = closing.pop_all()
+        self._closing.callback(self._take_leave)
         self._closers: list[Callable[[], None]] = []
-
-    @property
-    def endpoints(self) -> list[str]:
-        """The addresses listened on, free ports resolved."""
-        return self._router.endpoints
+        self._ended = threading.Event()
 
     def run(self) -> None:
-        """Serve until `stop` is called; then tell every peer, and close."""
+        """Serve until `stop` is called; then close."""
         self.loop.on_tick(self.switchboard.tick)
-        try:
+        with self:
             self.loop.run()
-        finally:
-            self.switchboard.close(self.loop.stopping or "the hub failed")
-            for close in self._closers:
-                close()
-            self._router.close()
-            self.loop.close()
+
+    def close(self) -> None:
+        """Say goodbye to every peer, and stop listening. A running hub is ended by `stop` instead."""
+        self._closing.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
 
     def wait(self) -> None:
         """Wait until a hub in the background ends.
@@ -93,7 +111,7 @@ class Hub:
             raise GlueError("the hub failed, by a mistake of its own; please report what is shown above")
 
     def stop(self, reason: str) -> None:
-        """Let `run` end; may be called from any thread or signal handler. Peers are told `reason`."""
+        """Let `run` end; may be called from any thread or signal handler. Peers are sent `reason`."""
         self.loop.stop(reason)
 
     @contextmanager
@@ -108,7 +126,7 @@ class Hub:
             thread.join()
 
     def on_close(self, close: Callable[[], None]) -> None:
-        """Call `close` when the hub ends, after its peers were told."""
+        """Call `close` when the hub closes, after its peers were sent a goodbye."""
         self._closers.append(close)
 
     def _run_in_background(self) -> None:
@@ -116,6 +134,11 @@ class Hub:
             self.run()
         finally:
             self._ended.set()
+
+    def _take_leave(self) -> None:
+        self.switchboard.close(self.loop.stopping or "the hub failed")
+        for close in self._closers:
+            close()
 
     def _receive(self, route: Route, frames: list[bytes], now: float) -> None:
         try:

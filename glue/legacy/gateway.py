@@ -22,13 +22,14 @@ import errno
 import os
 import socket
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import replace
 from typing import Final
 
 from glue.config import LegacyPort
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.hub.connection import Connection
-from glue.hub.listener import Listener, listen_on_port
+from glue.hub.listener import Listener, OpenAddress, open_port
 from glue.hub.server import Hub
 from glue.legacy.codec import (
     FROM_AGENT,
@@ -43,7 +44,7 @@ from glue.legacy.lobby import Lobby, Log
 from glue.legacy.peers import Experiment, Player
 from glue.protocol.messages import Kind, Role
 
-__all__ = ["Gateway"]
+__all__ = ["Gateway", "open_legacy_port"]
 
 _ROLES: Final[Mapping[Kind | Control, Role]] = {
     Control.CONNECT_AGENT: Role.AGENT,
@@ -57,6 +58,9 @@ _FROM: Final[Mapping[Role, Vocabulary]] = {
 }
 
 
+_NONE: Final[Mapping[LegacyPort, OpenAddress]] = {}
+
+
 class Gateway:
     """Lets original programs into the sessions of `hub`, from the moment it is made until the hub ends.
 
@@ -64,6 +68,8 @@ class Gateway:
         hub: a hub that does not run yet.
         ports: where to listen, and which session is joined there.
         log: takes a line for people about each connection that is refused, dropped or in trouble.
+        opened: those of `ports` that are open already, see `open_legacy_port`; they stay open when the hub
+            closes.
 
     Attributes:
         ports: the same, free ports resolved.
@@ -72,35 +78,51 @@ class Gateway:
         ConfigError: an address is taken, or cannot be listened on.
     """
 
-    def __init__(self, hub: Hub, ports: Sequence[LegacyPort], log: Log = lambda line: None) -> None:
+    def __init__(
+        self,
+        hub: Hub,
+        ports: Sequence[LegacyPort],
+        log: Log = lambda line: None,
+        opened: Mapping[LegacyPort, OpenAddress] = _NONE,
+    ) -> None:
         self.ports: list[LegacyPort] = []
         self._listeners: list[Listener] = []
         self._lobby = Lobby(hub, log)
-        try:
-            for port in ports:
-                self._listen(port)
-        except ConfigError:
-            self._stop_listening()
-            raise
+        with ExitStack() as closing:
+            addresses = [
+                (port, opened.get(port) or closing.enter_context(open_legacy_port(port))) for port in ports
+            ]
+            self._addresses = closing.pop_all()
+        for port, address in addresses:
+            self._listen(port, address)
         hub.on_close(self._stop_listening)
 
-    def _listen(self, port: LegacyPort) -> None:
+    def _listen(self, port: LegacyPort, address: OpenAddress) -> None:
         lobby, loop, heartbeat = self._lobby, self._lobby.hub.loop, self._lobby.hub.config.heartbeat
-        try:
-            listening = listen_on_port(port.host, port.port)
-        except OSError as error:
-            raise ConfigError(_cannot_listen(port, error)) from None
 
         def accept(connected: socket.socket, name: str, now: float) -> None:
             lobby.make_room(now)
             _Stranger(lobby, Connection(loop, connected, name, heartbeat), port.session)
 
-        self._listeners.append(Listener(loop, listening, accept, lobby.log))
-        self.ports.append(replace(port, port=listening.getsockname()[1]))
+        self._listeners.append(Listener(loop, address, accept, lobby.log))
+        self.ports.append(replace(port, port=address.port))
 
     def _stop_listening(self) -> None:
         for listener in self._listeners:
-            listener.close()
+            listener.stop()
+        self._addresses.close()
+
+
+def open_legacy_port(port: LegacyPort) -> OpenAddress:
+    """Listen on a port for original programs.
+
+    Raises:
+        ConfigError: it is in use, or its host is not one of this machine.
+    """
+    try:
+        return open_port(port.host, port.port)
+    except OSError as error:
+        raise ConfigError(_cannot_listen(port, error)) from None
 
 
 def _cannot_listen(port: LegacyPort, error: OSError) -> str:

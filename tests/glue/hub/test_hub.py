@@ -9,10 +9,12 @@ from pathlib import Path
 import pytest
 
 from glue.client.experiment import connect
-from glue.config import HubConfig
+from glue.config import HubConfig, LegacyPort
 from glue.core.sessions import INSTANCE_SIZE
 from glue.errors import ConfigError, GlueError, HubClosed
+from glue.hub.listener import open_address
 from glue.hub.server import Hub
+from glue.legacy.gateway import Gateway
 from glue.protocol import zmtp
 from glue.protocol.messages import Kind, Message, Value
 from glue.protocol.wire import TO_HUB, encode
@@ -25,9 +27,8 @@ def hub(*urls: str) -> Hub:
     return Hub(HubConfig(bind=urls, heartbeat=0.05))
 
 
-def close(listening: Hub) -> None:
-    with listening.in_background():
-        pass
+def port_of(listening: Hub) -> int:
+    return int(listening.endpoints[0].rpartition(":")[2])
 
 
 def test_a_free_port_is_named() -> None:
@@ -37,7 +38,7 @@ def test_a_free_port_is_named() -> None:
         assert address == f"tcp://{host}"
         with socket.create_connection((host.strip("[]"), int(port))):
             pass
-    close(listening)
+    listening.close()
 
 
 def test_an_address_in_use_is_an_error_that_says_what_to_do(tmp_path: Path) -> None:
@@ -45,7 +46,7 @@ def test_an_address_in_use_is_an_error_that_says_what_to_do(tmp_path: Path) -> N
     for url in first.endpoints:
         with pytest.raises(ConfigError, match=f"{url} is in use: is another hub .* running there"):
             hub("tcp://127.0.0.1:*", url)
-    close(first)
+    first.close()
 
 
 def test_an_address_of_another_machine_is_an_error() -> None:
@@ -60,7 +61,7 @@ def test_a_socket_that_a_killed_hub_left_is_replaced_and_a_file_is_not(tmp_path:
     with socket.socket(socket.AF_UNIX) as killed:
         killed.bind(str(left))
     listening = hub(f"ipc://{left}")
-    close(listening)
+    listening.close()
     assert not left.exists()
     left.write_text("something of mine")
     with pytest.raises(ConfigError, match="in use"):
@@ -73,10 +74,45 @@ def test_a_path_that_another_hub_has_taken_is_left_to_it(tmp_path: Path) -> None
     first = hub(f"ipc://{path}")
     path.unlink()
     second = hub(f"ipc://{path}")
-    close(first)
+    first.close()
     assert path.exists()
-    close(second)
+    second.close()
     assert not path.exists()
+
+
+def test_a_hub_that_never_ran_closes_with_its_context(tmp_path: Path) -> None:
+    taken = f"ipc://{tmp_path}/hub"
+    for _ in range(2):
+        with hub("tcp://127.0.0.1:*", taken) as listening, pytest.raises(ConfigError, match="in use"):
+            hub(taken)
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.1", port_of(listening)))
+
+
+def test_a_hub_whose_gateway_cannot_start_listens_no_longer() -> None:
+    with (
+        socket.create_server(("127.0.0.1", 0)) as other,
+        pytest.raises(ConfigError, match="the port is in use"),
+        hub("tcp://127.0.0.1:*") as listening,
+    ):
+        Gateway(listening, [LegacyPort(0), LegacyPort(other.getsockname()[1])])
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port_of(listening)))
+
+
+def test_an_address_opened_once_serves_one_hub_after_another_and_refuses_nobody_between() -> None:
+    with open_address("tcp://127.0.0.1:*") as address:
+        config = HubConfig(bind=(address.url,), heartbeat=0.05)
+        for _ in range(2):
+            with (
+                socket.create_connection(("127.0.0.1", address.port), TIMEOUT) as early,
+                Hub(config, opened={address.url: address}).in_background() as listening,
+            ):
+                assert listening.endpoints == [address.endpoint]
+                assert early.recv(64) == zmtp.GREETING
+        port = address.port
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port))
 
 
 def test_a_name_stands_for_its_ipv4_address(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -88,12 +124,12 @@ def test_a_name_stands_for_its_ipv4_address(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(socket, "getaddrinfo", prefer_ipv6)
     listening = hub("tcp://localhost:*")
     assert listening.endpoints[0].startswith("tcp://127.0.0.1:")
-    close(listening)
+    listening.close()
 
 
 def test_the_longest_heartbeat_lets_peers_in() -> None:
     listening = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=7 * 86400, patience=7 * 86400))
-    port = int(listening.endpoints[0].rpartition(":")[2])
+    port = port_of(listening)
     with listening.in_background(), socket.create_connection(("127.0.0.1", port)) as peer:
         assert peer.recv(64) == zmtp.GREETING
 
@@ -129,7 +165,7 @@ def test_all_that_a_peer_said_before_it_broke_off_is_heard() -> None:
         peer.sendall(b"".join(zmtp.encode(encode(message, TO_HUB)) for message in messages))
 
     with listening.in_background():
-        port = int(listening.endpoints[0].rpartition(":")[2])
+        port = port_of(listening)
         with socket.create_connection(("127.0.0.1", port)) as peer:
             peer.sendall(zmtp.GREETING + b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER")
             say(peer, Kind.HELLO, (1,), "agent", bytes(INSTANCE_SIZE), "many", "test", ())
