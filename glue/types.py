@@ -166,7 +166,7 @@ class Action(AbstractType):
     __slots__ = ()
 
 
-def body_size(buffer: bytes, offset: int = 0) -> int:
+def body_size(buffer: bytes | bytearray, offset: int = 0) -> int:
     """Return how many bytes the abstract type that starts at `offset` takes, by its own counts.
 
     Raises:

@@ -18,18 +18,20 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, Self
 
 from glue.errors import LocalProtocolError
 from glue.options import Value
+from glue.trajectory.steps import Step, Steps
 from glue.trajectory.unpacked import GZIP, Torn, TrajectoryError, Unpacked
 from glue.types import AbstractType, Action, Observation
 
@@ -53,10 +55,13 @@ MAX_BODY: Final = 16 * 2**20  # bytes of one observation or action
 MAX_TEXT: Final = 16 * 2**20  # bytes of one run's JSON, or of one message
 MAX_EPISODE: Final = 256 * 2**20  # bytes of all records of one episode and the messages before it, unpacked
 MAX_STEPS: Final = 1_000_000  # of one episode; and messages before it
+_MAX_RUN_SYNTAX: Final = 2**16  # characters of a run's JSON without the contents of its texts
 
 _RUN, _MESSAGE, _START, _STEP, _TERMINAL_STEP, _CUTOFF, _VOID = b"R", b"M", b"O", b"S", b"T", b"C", b"V"
 _LENGTH: Final = struct.Struct("<I")
 _REWARD: Final = struct.Struct("<d")
+# The closing quote may be missing: a text that never ends is looked at once, not once per quote inside it.
+_TEXT_IN_JSON: Final = re.compile(r'"(?:[^"\\]|\\.)*+"?', re.DOTALL)
 
 
 class Ending(Enum):
@@ -89,15 +94,6 @@ class Run:
     state: bytes = b""
 
 
-class Step(NamedTuple):
-    """An action, and what came of it."""
-
-    action: Action
-    reward: float
-    observation: Observation
-    terminal: bool
-
-
 @dataclass(frozen=True, slots=True)
 class Episode:
     """One episode: the first observation, then its steps.
@@ -108,7 +104,7 @@ class Episode:
     run: Run
     messages: tuple[str, ...]
     start: Observation
-    steps: tuple[Step, ...]
+    steps: Sequence[Step]
     ending: Ending
 
     @property
@@ -325,18 +321,17 @@ def _episodes(unpacked: Unpacked) -> Iterator[Episode]:
 def _episode(unpacked: Unpacked, run: Run, messages: tuple[str, ...], begin: int) -> Episode:
     """Read an episode from its first observation on; `begin` is where it or its first message begins."""
     start = Observation.from_body(unpacked.body(MAX_BODY))
-    steps: list[Step] = []
+    steps = Steps()
     while (kind := unpacked.take(1)) in (_STEP, _TERMINAL_STEP):
-        (reward,) = _REWARD.unpack(unpacked.take(_REWARD.size))
-        action = Action.from_body(unpacked.body(MAX_BODY))
-        observation = Observation.from_body(unpacked.body(MAX_BODY))
-        steps.append(Step(action, reward, observation, kind == _TERMINAL_STEP))
+        reward = unpacked.take(_REWARD.size)
+        action, observation = unpacked.body(MAX_BODY), unpacked.body(MAX_BODY)
+        steps.append(reward, action, observation, kind == _TERMINAL_STEP)
         _check_size(unpacked, begin, len(steps))
         if kind == _TERMINAL_STEP:
             break
     if kind not in _ENDINGS:
         raise unpacked.malformed(f"a record {kind!r} inside an episode")
-    return Episode(run, messages, start, tuple(steps), _ENDINGS[kind])
+    return Episode(run, messages, start, steps, _ENDINGS[kind])
 
 
 def _check_size(unpacked: Unpacked, begin: int, count: int) -> None:
@@ -382,6 +377,11 @@ def _run_to_json(run: Run) -> str:
 
 def _run_from_json(unpacked: Unpacked) -> Run:
     text = unpacked.text(MAX_TEXT)
+    # 16 MiB of "[]," would become half a gigabyte of lists; a run has few values, some of them long texts.
+    if len(_TEXT_IN_JSON.sub("", text)) > _MAX_RUN_SYNTAX:
+        raise unpacked.malformed(
+            f"a run whose JSON has more than {_MAX_RUN_SYNTAX} characters beside its texts"
+        )
     try:
         fields: Any = json.loads(text)
         run = Run(

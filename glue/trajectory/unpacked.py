@@ -61,22 +61,20 @@ class Unpacked:
             TrajectoryError: the member ends before.
             Torn: the file ends before.
         """
-        while len(self._bytes) - self._at < size:
-            if not self._unpack():
-                raise self.malformed("it ends inside a record")
+        self._fill(size)
         self._at += size
         return bytes(self._bytes[self._at - size : self._at])
 
     def body(self, limit: int) -> bytes:
         """Return the next abstract type's body, of at most `limit` bytes."""
-        prefix = self.take(PREFIX_SIZE)
+        self._fill(PREFIX_SIZE)
         try:
-            size = body_size(prefix)
+            size = body_size(self._bytes, self._at)
         except GlueError as error:
             raise self.malformed(str(error)) from None
         if size > limit:
             raise self.malformed(f"an observation or action of {size} bytes; {limit} are allowed")
-        return prefix + self.take(size - PREFIX_SIZE)
+        return self.take(size)
 
     def text(self, limit: int) -> str:
         """Return the next length and text, of at most `limit` bytes."""
@@ -96,8 +94,15 @@ class Unpacked:
     def malformed(self, what: str) -> TrajectoryError:
         """Return the error that says what is wrong, and where."""
         return TrajectoryError(
-            f"{self._name} is not a sound recording: {what} (before byte {self.offset} of what it unpacks to)"
+            f"{self._name} cannot be read as a recording: {what} "
+            f"(before byte {self.offset} of what it unpacks to)"
         )
+
+    def _fill(self, size: int) -> None:
+        """Have the next `size` bytes in memory."""
+        while len(self._bytes) - self._at < size:
+            if not self._unpack():
+                raise self.malformed("it ends inside a record")
 
     def _unpack(self) -> bool:
         """Unpack at least one byte more; False if the member has ended."""

@@ -348,7 +348,7 @@ BROKEN = {
     "huge text": (b"R" + struct.pack("<I", 2**32 - 1), "a text of 4294967295 bytes"),
     "not UTF-8": (b"R" + struct.pack("<I", 1) + b"\xff", "not UTF-8"),
     "not JSON": (text_record(b"R", "{"), "not the JSON"),
-    "deep JSON": (text_record(b"R", "[" * 100_000), "not the JSON"),
+    "deep JSON": (text_record(b"R", "[" * 50_000), "not the JSON"),
     "JSON of another kind": (text_record(b"R", "[1]"), "not the JSON"),
     "missing field": (text_record(b"R", "{}"), "not the JSON"),
     "endless number": (text_record(b"R", "1" * 10_000), "not the JSON"),
@@ -382,7 +382,7 @@ def test_malformed_file_is_one_clear_error(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("data", [b"", b"\x1f\x8b", b"not gzip at all", gzip.compress(b"GLUETRJ2", mtime=0)])
 def test_other_files_are_refused(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "a").write_bytes(data)
-    with pytest.raises(TrajectoryError, match="not a sound recording"):
+    with pytest.raises(TrajectoryError, match="cannot be read as a recording"):
         read(tmp_path / "a")
 
 
@@ -447,3 +447,36 @@ def test_programs_of_the_documentation_run(
     for program in programs:
         exec(compile(program, str(manual), "exec"), {})
     assert capsys.readouterr().out == "corridor 2 9.0 terminal\ncorridor 0 0.0 cutoff\nGROSTOC\n"
+
+
+def test_small_steps_take_little_more_memory_than_their_bytes(tmp_path: Path) -> None:
+    step = b"S" + b"\0" * 8 + EMPTY * 2
+    write_stream(tmp_path / "many", run_record(), b"O" + EMPTY, step * 50_000, b"V")
+    tracemalloc.start()
+    try:
+        (episode,) = read(tmp_path / "many")
+        assert episode.episode_return == 0.0
+        assert len(episode.steps) == 50_000
+        assert tracemalloc.get_traced_memory()[1] < 100 * 50_000
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("text", ["[" + "[]," * 10**6 + "[]]", '"' + '\\"' * 10**6], ids=["lists", "quotes"])
+def test_run_of_much_json_is_refused_before_it_is_parsed(tmp_path: Path, text: str) -> None:
+    write_stream(tmp_path / "run", text_record(b"R", text))
+    tracemalloc.start()
+    try:
+        with pytest.raises(TrajectoryError, match="JSON"):
+            read(tmp_path / "run")
+        assert tracemalloc.get_traced_memory()[1] < 8 * len(text)
+    finally:
+        tracemalloc.stop()
+
+
+def test_long_texts_of_a_run_are_read_back(tmp_path: Path) -> None:
+    run = Run("corridor", {"name": 'a "b" \\ [],' * 20_000}, "VERSION {}," * 20_000, 7, bytes(300_000))
+    with TrajectoryWriter(tmp_path / "run") as recording:
+        recording.run(run)
+        recording.start(observation(1))
+    assert read(tmp_path / "run")[0].run == run
