@@ -9,6 +9,8 @@ network drops:
 - A peer says who it is, in its HELLO, by a random number of its own: its instance. When the same
   instance comes back over a new connection, the outstanding call is sent again; the peer, if it has
   answered already, repeats its answer. In the same way an experiment is sent the last reply again.
+  Until an instance has sent a request or an answer it is told that it is unknown, as often as it comes:
+  the WELCOME that said so before may have been lost.
 - A peer that stays unreachable for longer than the hub's patience, or in whose place another appears,
   is lost: the episode under way is void, and the experiment is told.
 """
@@ -46,7 +48,16 @@ _MAX_LABEL: Final = 255
 class _Peer:
     """A role filled: who fills it, and the route to it."""
 
-    __slots__ = ("capabilities", "instance", "label", "role", "route", "session", "unreachable_since")
+    __slots__ = (
+        "capabilities",
+        "confirmed",
+        "instance",
+        "label",
+        "role",
+        "route",
+        "session",
+        "unreachable_since",
+    )
 
     def __init__(
         self,
@@ -56,6 +67,7 @@ class _Peer:
         instance: bytes,
         label: str,
         capabilities: frozenset[str],
+        confirmed: bool,
     ) -> None:
         self.session = session
         self.role = role
@@ -63,6 +75,7 @@ class _Peer:
         self.instance = instance
         self.label = label
         self.capabilities = capabilities
+        self.confirmed = confirmed
         self.unreachable_since: float | None = None
 
 
@@ -198,7 +211,9 @@ class Switchboard:
                 return ErrorCode.ROLE_TAKEN, text
             self._lose(current, "was replaced by another")
             current = None
-        resumed = session.knows(role, instance)
+        known = session.knows(role, instance)
+        # Over one connection nothing is lost: the sender has read, or will read, the WELCOME before this one.
+        resumed = known or (current is not None and current.route == route)
         config = self._config
         welcome = (PROTOCOL_VERSION, resumed, config.heartbeat, config.patience, config.max_body)
         self._send(route, Message(Kind.WELCOME, session.name, message.seq, welcome))
@@ -208,12 +223,12 @@ class Switchboard:
                 return None
             del self._peers[current.route, session.name]
         label = clip(f"{name} ({codec})", _MAX_LABEL)
-        peer = _Peer(session, role, route, instance, label, frozenset(map(str, capabilities)))
+        peer = _Peer(session, role, route, instance, label, frozenset(map(str, capabilities)), known)
         self._sessions[session.name] = session
         self._peers[route, session.name] = peer
         if current is None:
-            self._log(f"session {session.name!r}: {role} {label} {'returned' if resumed else 'joined'}")
-        session.join(peer, resumed, announce=current is None)
+            self._log(f"session {session.name!r}: {role} {label} {'returned' if known else 'joined'}")
+        session.join(peer, same=known or current is not None, announce=current is None)
         return None
 
     def _send_off(self, session: _Session) -> None:
@@ -253,8 +268,8 @@ class _Session:
 
     __slots__ = (
         "_board",
+        "_confirmed",
         "_engine",
-        "_former",
         "_outstanding",
         "_reply",
         "_request_seq",
@@ -268,7 +283,7 @@ class _Session:
         self.peers: dict[Role, _Peer] = {}
         self._board = board
         self._engine = Engine(Action().body)
-        self._former: dict[Role, bytes] = {}
+        self._confirmed: dict[Role, bytes] = {}
         self._seq = 0
         self._outstanding: Message | None = None
         self._request_seq = 0
@@ -280,27 +295,40 @@ class _Session:
         return self._engine.num_steps
 
     def knows(self, role: Role, instance: bytes) -> bool:
-        """Return whether `instance` is, or was last, in that role here."""
-        current = self.peers.get(role)
-        return instance == (current.instance if current else self._former.get(role))
+        """Return whether `instance` is, or was last, in that role, and has sent a request or an answer.
 
-    def join(self, peer: _Peer, resumed: bool, announce: bool) -> None:
-        """Take `peer` in, and send it whatever waits for it."""
+        Before that nobody can tell whether it has read its first WELCOME, which says that it has to forget
+        whatever it did at another hub: that WELCOME may have been lost with its connection.
+        """
+        return instance == self._confirmed.get(role)
+
+    def _confirm(self, peer: _Peer) -> None:
+        """Note that `peer` has sent a request or an answer, so it has read that it was unknown before."""
+        peer.confirmed = True
+        self._confirmed[peer.role] = peer.instance
+
+    def join(self, peer: _Peer, same: bool, announce: bool) -> None:
+        """Take `peer` in, and send it whatever waits for it.
+
+        `same` says that it goes on in its role, over a new connection or after it was lost; `announce`,
+        that the role was empty.
+        """
         role = peer.role
+        if not same:
+            self._confirmed.pop(role, None)
         self.peers[role] = peer
         if role is Role.EXPERIMENT:
             for player in self.peers.values():
                 if player is not peer:
                     self._notify(Event.JOINED, player)
-            if resumed:
+            if same:
                 self.repeat(peer)
             else:
                 self._forget_experiment()
             return
-        self._former[role] = peer.instance
         if announce:
-            self._notify(Event.RETURNED if resumed else Event.JOINED, peer)
-        if not resumed:
+            self._notify(Event.RETURNED if same else Event.JOINED, peer)
+        if not same:
             self._engine.replace(role)
         asked = self._engine.asked
         if asked is None or CALLS[asked.kind].callee is not role:
@@ -350,6 +378,8 @@ class _Session:
             text = f"{message.kind.name} is not for an experiment to send"
             self._error(peer, message, ErrorCode.NOT_ASKED, text)
             return
+        if not peer.confirmed:
+            self._confirm(peer)
         self._request_seq = message.seq
         self._reply = None
         try:
@@ -370,6 +400,8 @@ class _Session:
                 text = f"{message.kind.name} {seq} was never asked of this {peer.role}"
                 self._error(peer, message, ErrorCode.NOT_ASKED, text)
             return
+        if not peer.confirmed:
+            self._confirm(peer)
         if message.kind is Kind.ERROR:
             text = clip(str(message.scalars[1]))
             what = outstanding.kind.name.lower()
@@ -437,6 +469,7 @@ class _Session:
         self._board.deliver(peer, Message(Kind.ERROR, self.name, message.seq, (str(code), clip(text))))
 
     def _forget_experiment(self) -> None:
+        self._confirmed.pop(Role.EXPERIMENT, None)
         self._engine.abort()
         self._engine = Engine(Action().body)
         self._outstanding = None

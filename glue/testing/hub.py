@@ -61,6 +61,7 @@ _SCENES: Final[Mapping[HubRule, Callable[[Scene], None]]] = {
     HubRule.EXCEPTION: trouble.exception,
     HubRule.MALFORMED: trouble.malformed,
     HubRule.RESUMED: trouble.resumed,
+    HubRule.WELCOME_LOST: trouble.welcome_lost,
     HubRule.GOODBYE: play.goodbye,
     HubRule.LOST: trouble.lost,
     HubRule.SILENT: trouble.silent,

@@ -54,6 +54,7 @@ class HubRule(StrEnum):
     EXCEPTION = "a player's exception ends the request with peer-failed, and the player stays"
     MALFORMED = "what is malformed gets the error malformed, costs its sender its place, and nobody else's"
     RESUMED = "an instance that comes back over a new connection goes on where it was"
+    WELCOME_LOST = "an instance is told that it was unknown until it has sent a request or an answer"
     GOODBYE = "GOODBYE gives up a role at once, and sends those off who came for one run"
     LOST = "a player that leaves in mid-episode makes it void: NOTICE lost, error peer-lost"
     SILENT = "a player whose connection ended is lost when the patience is over"

@@ -139,6 +139,27 @@ def resumed(scene: Scene) -> None:
     scene.counted(reward(1) + reward(2), 3, 0)
 
 
+def welcome_lost(scene: Scene) -> None:
+    """Each peer's first connections end before it has sent anything with a number."""
+    for peer in (scene.experiment, scene.agent, scene.environment):
+        for _ in range(2):
+            peer.connect()
+            peer.join(resumed=False)
+            peer.join(resumed=True)
+    scene.experiment.ask(Kind.RL_INIT, None)
+    number = scene.environment.hears_call(Kind.ENV_INIT)
+    scene.environment.connect()
+    scene.environment.join(resumed=False)
+    again = scene.environment.hears(Kind.ENV_INIT)
+    scene.environment.check(again.seq == number, f"{shown(again)} came instead of call {number}")
+    scene.environment.send(Kind.ENV_INIT, seq=number, body=TASK_SPEC.encode())
+    scene.agent.answers(Kind.AGENT_INIT, body=TASK_SPEC.encode())
+    scene.experiment.hears_reply(Kind.RL_INIT, body=TASK_SPEC.encode())
+    for peer in (scene.experiment, scene.agent, scene.environment):
+        peer.connect()
+        peer.join(resumed=True)
+
+
 def lost(scene: Scene) -> None:
     """An agent leaves in the middle of a step, and comes back."""
     scene.init()

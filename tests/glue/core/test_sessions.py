@@ -316,6 +316,59 @@ def test_a_second_hello_over_the_same_connection_is_welcomed_and_nothing_else(pl
     assert playing.heard("x") == []
 
 
+def resumed(messages: list[Message]) -> bool:
+    """What the WELCOME that came first says."""
+    assert messages[0].kind is Kind.WELCOME
+    return bool(messages[0].scalars[1])
+
+
+@pytest.mark.parametrize("role", list(Role))
+def test_an_instance_is_unknown_until_it_has_sent_something_that_only_a_welcomed_peer_can(role: Role) -> None:
+    # Each WELCOME may have been lost with its connection.
+    rig = Rig()
+    assert not resumed(rig.hello("1", role, who="p"))
+    rig.cut("1")
+    assert not resumed(rig.hello("2", role, who="p"))
+    assert resumed(rig.hello("2", role, who="p")), "over one connection nothing is lost"
+    rig.put("2", Kind.HEARTBEAT, 5)
+    rig.put("2", Kind.AGENT_STEP, 2337, body=ACTION)  # An answer to a call of another hub.
+    rig.cut("2")
+    assert not resumed(rig.hello("3", role, who="p"))
+
+
+def test_a_request_shows_that_the_experiment_was_welcomed(rig: Rig) -> None:
+    rig.ask(Kind.RL_AGENT_MESSAGE, 1)
+    rig.cut("x")
+    assert resumed(rig.hello("x2", Role.EXPERIMENT, who="x"))
+    rig.serve()
+    assert [message.kind for message in rig.heard("x2")] == [Kind.RL_AGENT_MESSAGE]
+
+
+def test_a_player_whose_first_answer_was_lost_is_sent_the_same_call_and_not_known_before_it_answers(
+    rig: Rig,
+) -> None:
+    rig.ask(Kind.RL_INIT, 1, None)
+    (call,) = rig.heard("e")
+    rig.cut("e")
+    welcome, again = rig.hello("e2", Role.ENVIRONMENT, who="e")
+    assert not resumed([welcome])
+    assert again == call
+    assert rig.say("e2", Kind.ENV_INIT, call.seq, body=b"spec") == []
+    rig.cut("e2")
+    assert resumed(rig.hello("e3", Role.ENVIRONMENT, who="e"))
+    assert rig.serve("a") == [Kind.AGENT_INIT]
+    assert notices(rig.heard("x")) == [], "to the experiment it is one environment all the time"
+
+
+def test_a_player_that_never_answered_joins_anew_after_it_was_lost(playing: Rig) -> None:
+    playing.say("a", Kind.GOODBYE, 0, "enough")
+    playing.hello("new", Role.AGENT)
+    playing.lose("new")
+    playing.heard("x")
+    assert not resumed(playing.hello("new2", Role.AGENT, who="new"))
+    assert notices(playing.heard("x")) == [("joined", "agent")]
+
+
 def test_a_peer_whose_queue_was_full_gets_what_it_missed_when_there_is_room(playing: Rig) -> None:
     playing.full.add("a")
     assert playing.answer("e") is Kind.ENV_STEP

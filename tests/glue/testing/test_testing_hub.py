@@ -260,6 +260,25 @@ class CallsAgainWithANewNumber(Spoiled):
         return message
 
 
+class CountsAHelloForAnAnswer(Spoiled):
+    """It takes an instance for known from its first HELLO on, until it says goodbye."""
+
+    def heard(self, route: Route, message: Message) -> list[Message]:
+        if message.kind is Kind.HELLO:
+            self.seen[route, message.session] = message.session, message.scalars[2]
+        if message.kind is Kind.GOODBYE:
+            self.seen.pop(self.seen.get((route, message.session)), None)
+        return [message]
+
+    def out(self, route: Route, message: Message) -> list[tuple[Route, Message]]:
+        if message.kind is Kind.WELCOME:
+            peer = self.seen[route, message.session]
+            version, resumed, *rest = message.scalars
+            message = message._replace(scalars=(version, resumed or peer in self.seen, *rest))
+            self.seen[peer] = True
+        return [(route, message)]
+
+
 class SendsOffWithAnError(Spoiled):
     def says(self, message: Message) -> Message:
         if message.kind is Kind.GOODBYE:
@@ -307,6 +326,7 @@ BROKEN_HUBS: list[tuple[type[Spoiled], HubRule]] = [
     (DropsWhoFails, HubRule.EXCEPTION),
     (DoesNotSayMalformed, HubRule.MALFORMED),
     (CallsAgainWithANewNumber, HubRule.RESUMED),
+    (CountsAHelloForAnAnswer, HubRule.WELCOME_LOST),
     (SendsOffWithAnError, HubRule.GOODBYE),
     (DoesNotSayPeerLost, HubRule.LOST),
     (WaitsForEver, HubRule.SILENT),
