@@ -1,4 +1,16 @@
-"""How a hub and its peers are set up: frozen values, built by the command line or by a program."""
+"""How a hub and its peers are set up: frozen values, built by the command line or by a program.
+
+A hub can say which seats are open at which of its addresses. A program that starts some players itself keeps
+their roles for itself in this way, whatever a peer from outside says that it is:
+
+    inside = Bind(f"ipc://{folder}/hub", roles=frozenset({Role.EXPERIMENT, Role.ENVIRONMENT}))
+    outside = Bind("tcp://127.0.0.1:4097", roles=frozenset({Role.AGENT}))
+    Hub(HubConfig(bind=(inside, outside)))
+
+A socket that is bound to one role and one session can be nothing else:
+
+    Bind("ipc:///run/match-17/agent", frozenset({Role.AGENT}), frozenset({"match-17"}))
+"""
 
 from __future__ import annotations
 
@@ -8,9 +20,10 @@ from dataclasses import dataclass
 from typing import Final
 
 from glue.errors import ConfigError
+from glue.protocol.messages import Role
 from glue.protocol.wire import MAX_BODY, MAX_NAME
 
-__all__ = ["DEFAULT_HUB", "DEFAULT_SESSION", "HubConfig", "LegacyPort", "check_session", "check_url"]
+__all__ = ["DEFAULT_HUB", "DEFAULT_SESSION", "Bind", "HubConfig", "LegacyPort", "check_session", "check_url"]
 
 DEFAULT_HUB: Final = "tcp://127.0.0.1:4097"
 """Where a hub listens and its peers look for it. RL-Glue's own port, 4096, is left to its programs."""
@@ -28,11 +41,38 @@ _LEGACY: Final = re.compile(r"((?P<host>\[[0-9a-fA-F:]+\]|[^:/=\[\]]+):)?(?P<por
 
 
 @dataclass(frozen=True, slots=True)
+class Bind:
+    """An address of a hub, and which seats a peer can take that connects there.
+
+    Args:
+        url: where to listen: `tcp://host:port` or `ipc://path`; `tcp://host:*` takes any free port.
+        roles: the roles that are open there; all by default.
+        sessions: the sessions that are open there; None for every one.
+
+    Raises:
+        ConfigError: the URL is malformed, or nothing is open there.
+    """
+
+    url: str
+    roles: frozenset[Role] = frozenset(Role)
+    sessions: frozenset[str] | None = None
+
+    def __post_init__(self) -> None:
+        check_url(self.url)
+        if not self.roles or (self.sessions is not None and not self.sessions):
+            raise ConfigError(f"nobody could join at {self.url}: name at least one role and one session")
+
+    def admits(self, role: Role, session: str) -> bool:
+        """Return whether `role` of `session` can be taken from here."""
+        return role in self.roles and (self.sessions is None or session in self.sessions)
+
+
+@dataclass(frozen=True, slots=True)
 class HubConfig:
     """Settings of a hub.
 
     Args:
-        bind: URLs to listen on; `tcp://host:*` takes any free port.
+        bind: where to listen; a URL alone is open to every role of every session.
         heartbeat: seconds between signs of life, and so the time in which a cut connection is noticed.
         patience: seconds that a peer may be unreachable before it is given up and its episode is void.
         max_body: greatest observation, action or text, in bytes.
@@ -44,7 +84,7 @@ class HubConfig:
             out of range.
     """
 
-    bind: tuple[str, ...] = (DEFAULT_HUB,)
+    bind: tuple[str | Bind, ...] = (DEFAULT_HUB,)
     heartbeat: float = 1.0
     patience: float = 5.0
     max_body: int = MAX_BODY
@@ -52,11 +92,10 @@ class HubConfig:
     insecure: bool = False
 
     def __post_init__(self) -> None:
-        for url in self.bind:
-            check_url(url)
-            if not self.insecure and not _is_local(url):
+        for bind in self.binds:
+            if not self.insecure and not _is_local(bind.url):
                 raise ConfigError(
-                    f"{url} can be reached from other machines, and peers are not authenticated: "
+                    f"{bind.url} can be reached from other machines, and peers are not authenticated: "
                     f"bind tcp://127.0.0.1:PORT, or say --insecure if the network is your own"
                 )
         if not 0 < self.heartbeat <= self.patience <= _LONGEST_PATIENCE:
@@ -69,6 +108,16 @@ class HubConfig:
         if self.max_sessions < 1:
             raise ConfigError(f"a hub serves at least one session, not {self.max_sessions}")
 
+    @property
+    def binds(self) -> tuple[Bind, ...]:
+        """Where to listen, each with what is open there."""
+        return tuple(Bind(bind) if isinstance(bind, str) else bind for bind in self.bind)
+
+    @property
+    def max_seats(self) -> int:
+        """Sessions that one connection may take part in: a quarter of all, so that others find room."""
+        return max(1, self.max_sessions // 4)
+
 
 @dataclass(frozen=True, slots=True)
 class LegacyPort:
@@ -78,11 +127,13 @@ class LegacyPort:
         port: 1 to 65535; 0 takes any free one.
         session: the session's name.
         host: address to listen on.
+        roles: the roles that are open there; all by default.
     """
 
     port: int
     session: str = DEFAULT_SESSION
     host: str = "127.0.0.1"
+    roles: frozenset[Role] = frozenset(Role)
 
     def __str__(self) -> str:
         host = f"[{self.host}]" if ":" in self.host else self.host

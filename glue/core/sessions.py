@@ -1,6 +1,6 @@
 """The hub without its sockets: peers, sessions, and what happens when one goes away.
 
-A `Switchboard` takes messages and the time, and hands messages to the `send` it was given. A session
+A `Switchboard` takes messages and the time, and hands messages to the routes of the peers. A session
 is one engine and up to three peers. Three rules make a step happen exactly once however often the
 network drops:
 
@@ -17,8 +17,8 @@ network drops:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Set
-from typing import Any, Final
+from collections.abc import Callable, Set
+from typing import Any, Final, Protocol
 
 from glue.config import HubConfig
 from glue.core.calls import skippable, unsupported
@@ -30,11 +30,6 @@ from glue.types import Action
 
 __all__ = ["INSTANCE_SIZE", "ONE_RUN", "Route", "Switchboard"]
 
-Route = Hashable
-"""Where a message came from and an answer can go: a connection."""
-
-Send = Callable[[Route, Message], bool]
-
 INSTANCE_SIZE: Final = 16
 """Bytes of the random number by which a peer is known across connections."""
 
@@ -43,6 +38,18 @@ ONE_RUN: Final = "one-run"
 
 _MAX_LABEL: Final = 255
 """Bytes of a peer's name and codec that are kept."""
+
+
+class Route(Protocol):
+    """A connection: where messages come from, and where they can go."""
+
+    def deliver(self, message: Message) -> bool:
+        """Send `message`; return False, having sent nothing, if the other side is gone or does not read."""
+        ...
+
+    def admits(self, role: Role, session: str) -> bool:
+        """Return whether this role of this session can be taken from here; see `glue.config.Bind`."""
+        ...
 
 
 class _Peer:
@@ -84,21 +91,21 @@ class Switchboard:
 
     Args:
         config: limits and times.
-        send: hands a message to a route; False means that the route is gone.
-        log: takes one line for people about each coming and going.
+        log: takes one line for people about each peer that joins or leaves.
     """
 
-    def __init__(self, config: HubConfig, send: Send, log: Callable[[str], None]) -> None:
+    def __init__(self, config: HubConfig, log: Callable[[str], None]) -> None:
         self._config = config
-        self._send = send
         self._log = log
         self._now = 0.0
         self._sessions: dict[str, _Session] = {}
-        self._peers: dict[tuple[Route, str], _Peer] = {}
+        self._seats: dict[Route, dict[str, _Peer]] = {}
+        """The peers of each connection, by session."""
 
+    @property
     def routes(self) -> Set[Route]:
-        """Return the routes of all peers."""
-        return {route for route, _ in self._peers}
+        """The routes of all peers, as they are at any time."""
+        return self._seats.keys()
 
     def num_steps(self, session: str) -> int:
         """Return what RL_num_steps is at present in a session that has a peer."""
@@ -107,7 +114,8 @@ class Switchboard:
     def receive(self, route: Route, message: Message, now: float) -> None:
         """Act on a message from `route`."""
         self._now = now
-        peer = self._peers.get((route, message.session))
+        seats = self._seats.get(route)
+        peer = None if seats is None else seats.get(message.session)
         kind = message.kind
         if peer is None or kind is Kind.HELLO:
             self._receive_from_stranger(route, message)
@@ -117,7 +125,7 @@ class Switchboard:
             else:
                 peer.session.answer(peer, message)
         elif kind is Kind.HEARTBEAT:
-            self._send(route, Message(Kind.HEARTBEAT, message.session, message.seq))
+            self.send(route, Message(Kind.HEARTBEAT, message.session, message.seq))
         elif kind is Kind.GOODBYE:
             self._lose(peer, f"left: {clip(str(message.scalars[0]))}")
             if peer.role is Role.EXPERIMENT:
@@ -138,31 +146,31 @@ class Switchboard:
     def lose(self, route: Route, why: str, now: float, code: ErrorCode = ErrorCode.PEER_LOST) -> None:
         """Go on without whoever is reached by `route`; `why` completes a sentence about them."""
         self._now = now
-        for peer in [peer for (known, _), peer in self._peers.items() if known == route]:
+        for peer in list(self._seats.get(route, {}).values()):
             self._lose(peer, why, code)
 
     def tick(self, now: float) -> None:
         """Send every peer a sign of life, and give up those that stayed out of reach too long."""
         self._now = now
-        reached: dict[Route, bool] = {}
-        for (route, _), peer in list(self._peers.items()):
-            if route not in reached:
-                reached[route] = self._send(route, Message(Kind.HEARTBEAT, "", 0))
-            if not reached[route]:
-                self._out_of_reach(peer)
-            elif peer.unreachable_since is not None:
-                # Its connection holds, but its queue was full, and something was dropped.
-                peer.unreachable_since = None
-                peer.session.repeat(peer)
-            since = peer.unreachable_since
-            if since is not None and now - since >= self._config.patience:
-                self._lose(peer, f"was out of reach for {now - since:.1f} s")
+        for route, seats in list(self._seats.items()):
+            reached = self.send(route, Message(Kind.HEARTBEAT, "", 0))
+            for peer in list(seats.values()):
+                if not reached:
+                    self._out_of_reach(peer)
+                elif peer.unreachable_since is not None:
+                    # Its connection holds, but its queue was full, and something was dropped.
+                    peer.unreachable_since = None
+                    peer.session.repeat(peer)
+                since = peer.unreachable_since
+                if since is not None and now - since >= self._config.patience:
+                    self._lose(peer, f"was out of reach for {now - since:.1f} s")
 
     def close(self, reason: str) -> None:
         """Tell every peer that the hub ends."""
-        for peer in list(self._peers.values()):
-            self._send(peer.route, Message(Kind.GOODBYE, peer.session.name, 0, (reason,)))
-        self._peers.clear()
+        for route, seats in self._seats.items():
+            for session in seats:
+                self.send(route, Message(Kind.GOODBYE, session, 0, (reason,)))
+        self._seats.clear()
         self._sessions.clear()
 
     def _receive_from_stranger(self, route: Route, message: Message) -> None:
@@ -174,7 +182,7 @@ class Switchboard:
         if refusal is not None:
             code, text = refusal
             self._log(f"refused a peer of session {message.session!r}: {text}")
-            self._send(route, Message(Kind.REFUSE, message.session, message.seq, (str(code), clip(text))))
+            self.send(route, Message(Kind.REFUSE, message.session, message.seq, (str(code), clip(text))))
 
     def _greet(self, route: Route, message: Message) -> tuple[ErrorCode, str] | None:
         """Let the sender of a HELLO in, or return why not."""
@@ -195,13 +203,20 @@ class Switchboard:
             return ErrorCode.MALFORMED, f"an instance is {INSTANCE_SIZE} bytes, not {len(instance)}"
         if not message.session or not message.session.isprintable():
             return ErrorCode.MALFORMED, "a session has a name of printable characters"
+        if not route.admits(role, message.session):
+            text = f"no {role} of session {message.session!r} can join at this address of the hub"
+            return ErrorCode.NOT_ADMITTED, text
+        seats = self._seats.get(route, {})
+        if message.session not in seats and len(seats) >= self._config.max_seats:
+            text = f"this connection takes part in {len(seats)} sessions, the maximum; open another one"
+            return ErrorCode.FULL, text
         session = self._sessions.get(message.session)
         if session is None:
             if len(self._sessions) >= self._config.max_sessions:
                 text = f"this hub serves {self._config.max_sessions} sessions at once, and all are in use"
                 return ErrorCode.FULL, text
             session = self._sessions[message.session] = _Session(self, message.session)
-        other = self._peers.get((route, message.session))
+        other = seats.get(message.session)
         if other is not None and other.role is not role:
             return ErrorCode.MALFORMED, f"this connection is the {other.role} of the session already"
         current = session.peers.get(role)
@@ -216,16 +231,16 @@ class Switchboard:
         resumed = known or (current is not None and current.route == route)
         config = self._config
         welcome = (PROTOCOL_VERSION, resumed, config.heartbeat, config.patience, config.max_body)
-        self._send(route, Message(Kind.WELCOME, session.name, message.seq, welcome))
+        self.send(route, Message(Kind.WELCOME, session.name, message.seq, welcome))
         if current is not None:
             if current.route == route:
                 # It has missed nothing. To send more again would let it fill the hub's memory.
                 return None
-            del self._peers[current.route, session.name]
+            self._unseat(current)
         label = clip(f"{name} ({codec})", _MAX_LABEL)
         peer = _Peer(session, role, route, instance, label, frozenset(map(str, capabilities)), known)
         self._sessions[session.name] = session
-        self._peers[route, session.name] = peer
+        self._seats.setdefault(route, {})[session.name] = peer
         if current is None:
             self._log(f"session {session.name!r}: {role} {label} {'returned' if known else 'joined'}")
         session.join(peer, same=known or current is not None, announce=current is None)
@@ -236,15 +251,25 @@ class Switchboard:
         for player in list(session.peers.values()):
             if ONE_RUN in player.capabilities:
                 goodbye = Message(Kind.GOODBYE, session.name, 0, ("the experiment is over",))
-                self._send(player.route, goodbye)
+                self.send(player.route, goodbye)
                 self._lose(player, "was sent off: the experiment is over")
 
+    def _unseat(self, peer: _Peer) -> None:
+        seats = self._seats[peer.route]
+        del seats[peer.session.name]
+        if not seats:
+            del self._seats[peer.route]
+
+    def send(self, route: Route, message: Message) -> bool:
+        """Send `message`; return False, having sent nothing, if the other side is gone or does not read."""
+        return route.deliver(message)
+
     def _reach(self, peer: _Peer) -> bool:
-        return self._send(peer.route, Message(Kind.HEARTBEAT, "", 0))
+        return self.send(peer.route, Message(Kind.HEARTBEAT, "", 0))
 
     def _lose(self, peer: _Peer, why: str, code: ErrorCode = ErrorCode.PEER_LOST) -> None:
         session = peer.session
-        del self._peers[peer.route, session.name]
+        self._unseat(peer)
         self._log(f"session {session.name!r}: {peer.role} {peer.label} {why}")
         session.lose(peer, why, code)
         if not session.peers:
@@ -255,11 +280,11 @@ class Switchboard:
             peer.unreachable_since = self._now
 
     def _error(self, route: Route, message: Message, code: ErrorCode, text: str) -> None:
-        self._send(route, Message(Kind.ERROR, message.session, message.seq, (str(code), clip(text))))
+        self.send(route, Message(Kind.ERROR, message.session, message.seq, (str(code), clip(text))))
 
     def deliver(self, peer: _Peer, message: Message) -> None:
         """Send `message` to `peer`; if it is out of reach, its patience starts to run."""
-        if not self._send(peer.route, message):
+        if not self.send(peer.route, message):
             self._out_of_reach(peer)
 
 

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable, Sequence, Set
+from functools import partial
 from typing import Final
 
-from glue.config import HubConfig
+from glue.config import Bind, HubConfig
 from glue.core.sessions import Route
 from glue.errors import RemoteProtocolError
 from glue.hub.connection import Connection, limit_patience, take_leave
@@ -49,7 +50,7 @@ class Router:
         config: times and limits.
         addresses: where peers connect; whoever opened them closes them.
         receive: takes what came: the route to answer by, the frames and the time.
-        seated: returns the routes of all that take part in a session.
+        seated: the routes of all that take part in a session, as they are at any time.
         log: takes a line for people about each connection that is dropped.
     """
 
@@ -57,9 +58,9 @@ class Router:
         self,
         loop: Loop,
         config: HubConfig,
-        addresses: Sequence[OpenAddress],
+        addresses: Sequence[tuple[Bind, OpenAddress]],
         receive: Callable[[Route, list[bytes], float], None],
-        seated: Callable[[], Set[Route]],
+        seated: Set[Route],
         log: Callable[[str], None],
     ) -> None:
         self.receive = receive
@@ -71,7 +72,9 @@ class Router:
         self._complaint = ""
         self._dealers: dict[_Dealer, float | None] = {}
         """Everybody connected, and since when without a seat."""
-        self._listeners = [Listener(loop, address, self._accept, log) for address in addresses]
+        self._listeners = [
+            Listener(loop, address, partial(self._accept, bind), log) for bind, address in addresses
+        ]
         loop.on_tick(self._tick)
 
     def close(self) -> None:
@@ -101,31 +104,29 @@ class Router:
         """
         self._unfinished += change
         while self._unfinished > MAX_UNFINISHED:
-            seated = self._seated()
+            seated = self._seated
             holders = [dealer for dealer in self._dealers if dealer.held]
             greatest = max(holders, key=lambda dealer: (dealer not in seated, dealer.held))
             self.drop(greatest, "more large messages are under way than this hub has room for")
 
-    def _accept(self, connected: socket.socket, name: str, now: float) -> None:
+    def _accept(self, bind: Bind, connected: socket.socket, name: str, now: float) -> None:
         self._make_room()
         limit_patience(connected, self._config.patience)
         connection = Connection(self._loop, connected, name, self._config.heartbeat)
         # What is only a little too long is read, and answered with an error that says so.
-        self._dealers[_Dealer(self, connection, self._config.max_body + MAX_HEADER)] = now
+        self._dealers[_Dealer(self, connection, bind, self._config.max_body + MAX_HEADER)] = now
         connection.send(zmtp.GREETING)
 
     def _make_room(self) -> None:
         strangers = [dealer for dealer, since in self._dealers.items() if since is not None]
         if len(strangers) >= MAX_STRANGERS:
-            seated = self._seated()
-            strangers = [dealer for dealer in strangers if dealer not in seated]
+            strangers = [dealer for dealer in strangers if dealer not in self._seated]
         for oldest in strangers[: max(0, len(strangers) - MAX_STRANGERS + 1)]:
             self.drop(oldest, f"{MAX_STRANGERS} others without a seat are there already")
 
     def _tick(self, now: float) -> None:
-        seated = self._seated()
         for dealer, since in list(self._dealers.items()):
-            if dealer in seated:
+            if dealer in self._seated:
                 self._dealers[dealer] = None
             elif since is None:
                 self._dealers[dealer] = now
@@ -141,8 +142,9 @@ class _Dealer:
         held: bytes kept of what has not come to its end.
     """
 
-    def __init__(self, router: Router, connection: Connection, max_frame: int) -> None:
+    def __init__(self, router: Router, connection: Connection, bind: Bind, max_frame: int) -> None:
         self.connection = connection
+        self.admits = bind.admits
         self._router = router
         self._decoder = zmtp.Decoder(max_frame)
         self.held = 0

@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from types import TracebackType
-from typing import Final, Protocol, Self, cast
+from typing import Final, Self
 
 from glue.config import HubConfig
 from glue.core.sessions import Route, Switchboard
@@ -21,25 +21,12 @@ from glue.errors import GlueError, RemoteProtocolError
 from glue.hub.listener import OpenAddress, open_address
 from glue.hub.loop import Loop
 from glue.hub.router import Router
-from glue.protocol.messages import Message
 from glue.protocol.wire import TO_HUB, decode
 
-__all__ = ["Hub", "Reachable"]
+__all__ = ["Hub"]
 
 
 _NONE: Final[Mapping[str, OpenAddress]] = {}
-
-
-class Reachable(Protocol):
-    """What the switchboard's routes are here: somebody at the other end of a connection."""
-
-    def deliver(self, message: Message) -> bool:
-        """Pass `message` on; return False if whoever it is for is gone."""
-        ...
-
-
-def _deliver(route: Route, message: Message) -> bool:
-    return cast(Reachable, route).deliver(message)
 
 
 class Hub:
@@ -50,7 +37,7 @@ class Hub:
     Args:
         config: addresses, times and limits.
         log: takes a line for people about each peer that joins or leaves.
-        opened: addresses of `config.bind` that are open already; they stay open when the hub closes.
+        opened: addresses of `config.bind`, by URL, that are open already; they stay open when the hub closes.
 
     Attributes:
         config: as given.
@@ -70,11 +57,14 @@ class Hub:
     ) -> None:
         self.config = config
         with ExitStack() as closing:
-            addresses = [opened.get(url) or closing.enter_context(open_address(url)) for url in config.bind]
-            self.endpoints = [address.endpoint for address in addresses]
+            addresses = [
+                (bind, opened.get(bind.url) or closing.enter_context(open_address(bind.url)))
+                for bind in config.binds
+            ]
+            self.endpoints = [address.endpoint for _, address in addresses]
             self.loop = Loop(config.heartbeat)
             closing.callback(self.loop.close)
-            self.switchboard = Switchboard(config, _deliver, log)
+            self.switchboard = Switchboard(config, log)
             self._router = Router(self.loop, config, addresses, self._receive, self.switchboard.routes, log)
             closing.callback(self._router.close)
             self._closing = closing.pop_all()

@@ -102,7 +102,7 @@ class Gateway:
 
         def accept(connected: socket.socket, name: str, now: float) -> None:
             lobby.make_room(now)
-            _Stranger(lobby, Connection(loop, connected, name, heartbeat), port.session)
+            _Stranger(lobby, Connection(loop, connected, name, heartbeat), port)
 
         self._listeners.append(Listener(loop, address, accept, lobby.log))
         self.ports.append(replace(port, port=address.port))
@@ -140,10 +140,10 @@ def _cannot_listen(port: LegacyPort, error: OSError) -> str:
 class _Stranger:
     """A connection that has not said what it is."""
 
-    def __init__(self, lobby: Lobby, connection: Connection, session: str) -> None:
+    def __init__(self, lobby: Lobby, connection: Connection, port: LegacyPort) -> None:
         self._lobby = lobby
         self._connection = connection
-        self._session = session
+        self._port = port
         self._decoder = Decoder(FROM_STRANGER)
         connection.ready = self._ready
         lobby.host(connection, self._expire)
@@ -169,7 +169,7 @@ class _Stranger:
             role = _ROLES[hello.kind]
             decoder.expect(_FROM[role])
             made = Experiment if role is Role.EXPERIMENT else Player
-            made(self._lobby, connection, decoder, role, self._session).join(now)
+            made(self._lobby, connection, decoder, role, self._port).join(now)
 
     def _expire(self, now: float) -> None:
         self._lobby.log(f"{self._connection.name} has not said what it is; it is dropped")

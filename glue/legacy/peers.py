@@ -9,6 +9,7 @@ import os
 from collections.abc import Mapping
 from typing import Final
 
+from glue.config import LegacyPort
 from glue.core.engine import EPISODE_VERBS
 from glue.core.sessions import INSTANCE_SIZE, ONE_RUN
 from glue.errors import LocalProtocolError, RemoteProtocolError
@@ -44,13 +45,14 @@ class Peer:
     """An original program in its role; a route of the switchboard."""
 
     def __init__(
-        self, lobby: Lobby, connection: Connection, decoder: Decoder, role: Role, session: str
+        self, lobby: Lobby, connection: Connection, decoder: Decoder, role: Role, port: LegacyPort
     ) -> None:
         self._lobby = lobby
         self._connection = connection
         self._decoder = decoder
         self._role = role
-        self._session = session
+        self._session = port.session
+        self._port = port
         connection.ready = self._ready
 
     def join(self, now: float) -> None:
@@ -65,6 +67,10 @@ class Peer:
     def deliver(self, message: Message) -> bool:
         """Take a message from the switchboard; return False if the program is gone."""
         raise NotImplementedError
+
+    def admits(self, role: Role, session: str) -> bool:
+        """Return whether `role` of `session` can be taken from here."""
+        return role in self._port.roles and session == self._port.session
 
     def _ready(self, now: float) -> None:
         """Something has come, or can be done."""

@@ -166,6 +166,7 @@ class ErrorCode(StrEnum):
     VERSION = "version"
     ROLE_TAKEN = "role-taken"
     FULL = "full"
+    NOT_ADMITTED = "not-admitted"
 
 
 class Event(StrEnum):

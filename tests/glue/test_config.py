@@ -6,8 +6,9 @@ from typing import Any
 
 import pytest
 
-from glue.config import DEFAULT_HUB, HubConfig, check_session, check_url
+from glue.config import DEFAULT_HUB, Bind, HubConfig, check_session, check_url
 from glue.errors import ConfigError
+from glue.protocol.messages import Role
 from glue.protocol.wire import MAX_BODY, MAX_NAME
 
 
@@ -109,3 +110,23 @@ def test_times_and_limits_out_of_range_are_refused(settings: dict[str, Any], com
     with pytest.raises(ConfigError) as caught:
         HubConfig(**settings)
     assert complaint in str(caught.value)
+
+
+def test_an_address_admits_the_roles_and_sessions_that_it_names() -> None:
+    one = Bind("ipc:///tmp/hub", frozenset({Role.AGENT}), frozenset({"a"}))
+    assert one.admits(Role.AGENT, "a")
+    assert not one.admits(Role.AGENT, "b")
+    assert not one.admits(Role.EXPERIMENT, "a")
+    (everything,) = HubConfig(bind=("tcp://127.0.0.1:*",)).binds
+    assert all(everything.admits(role, "any") for role in Role)
+
+
+@pytest.mark.parametrize("closed", [{"roles": frozenset()}, {"sessions": frozenset()}])
+def test_an_address_at_which_nobody_could_join_is_an_error(closed: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match="nobody could join at ipc:///tmp/hub"):
+        Bind("ipc:///tmp/hub", **closed)
+
+
+def test_an_address_with_roles_is_checked_as_any_other() -> None:
+    with pytest.raises(ConfigError, match="can be reached from other machines"):
+        HubConfig(bind=(Bind("tcp://*:4097", frozenset({Role.AGENT})),))

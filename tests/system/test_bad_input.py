@@ -507,21 +507,35 @@ def test_a_routing_id_of_ones_own_is_of_no_account(hub: Target) -> None:
 # Floods
 
 
-def test_a_flood_of_hellos_fills_no_more_than_the_sessions_there_are(hub: Target) -> None:
-    with Stranger(hub.url) as flood:
+def test_a_flood_of_hellos_leaves_room_for_others(hub: Target) -> None:
+    with Stranger(hub.url) as flood, Stranger(hub.url) as late:
         outcomes = []
         for number in range(2000):
             flood.hello("agent", session=f"flood {number}")
             outcomes.append(flood.hear())
-        assert sum(message.kind is Kind.WELCOME for message in outcomes) < SESSIONS
+        assert sum(message.kind is Kind.WELCOME for message in outcomes) == SESSIONS // 4
+        code, text = map(str, outcomes[-1].scalars)
+        assert (code, f"{SESSIONS // 4} sessions" in text) == (ErrorCode.FULL, True)
+        late.join("agent", session="late")
+
+
+def test_floods_of_hellos_from_many_connections_fill_no_more_than_the_sessions_there_are(
+    hub: Target,
+) -> None:
+    with ExitStack() as stack:
+        floods = [stack.enter_context(Stranger(hub.url)) for _ in range(4)]
+        outcomes = []
+        for number in range(SESSIONS):
+            flood = floods[number % len(floods)]
+            flood.hello("agent", session=f"flood {number}")
+            outcomes.append(flood.hear())
         assert outcomes[-1].scalars == (
             ErrorCode.FULL,
             f"this hub serves {SESSIONS} sessions at once, and all are in use",
         )
-        hub.healthy.goes_on()
-    # Once the flood has gone its seats are free again.
+    # Once the floods have gone their seats are free again.
     with Stranger(hub.url) as late:
-        for number in range(SESSIONS // 2):
+        for number in range(SESSIONS // 4):
             late.hello("agent", session=f"late {number}")
             while late.hear().kind is Kind.REFUSE:
                 late.hello("agent", session=f"late {number}")

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glue.config import HubConfig
+from glue.config import Bind, HubConfig
 from glue.core.sessions import INSTANCE_SIZE, Switchboard
 from glue.errors import RemoteProtocolError
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
@@ -35,14 +35,30 @@ ANSWERS: dict[Kind, tuple[tuple[Any, ...], bytes]] = {
 }
 
 
+class Named:
+    """A route of a rig."""
+
+    def __init__(self, rig: Rig, name: str) -> None:
+        self._rig = rig
+        self._name = name
+
+    def deliver(self, message: Message) -> bool:
+        return self._rig.deliver(self._name, message)
+
+    def admits(self, role: Role, session: str) -> bool:
+        return self._rig.admits(self._name, role, session)
+
+
 class Rig:
-    """A switchboard whose routes are names; what it sends waits in `inbox` until it is read.
+    """A switchboard whose routes have names; what it sends waits in `inbox` until it is read.
 
     Everything goes through the frames of the wire, both ways, so nothing impossible can be said.
     """
 
     def __init__(self, config: HubConfig = CONFIG) -> None:
-        self.board = Switchboard(config, self._send, self._log)
+        self.board = Switchboard(config, self._log)
+        self.routes: dict[str, Named] = {}
+        self.binds: dict[str, Bind] = {}
         self.inbox: dict[str, list[Message]] = {}
         self.gone: set[str] = set()
         self.full: set[str] = set()
@@ -52,7 +68,16 @@ class Rig:
     def _log(self, line: str) -> None:
         self.logged.append(line)
 
-    def _send(self, route: Any, message: Message) -> bool:
+    def route(self, name: str) -> Named:
+        """The route of that name."""
+        return self.routes.setdefault(name, Named(self, name))
+
+    def admits(self, route: str, role: Role, session: str) -> bool:
+        """What the route's address admits; all, if it has none."""
+        return route not in self.binds or self.binds[route].admits(role, session)
+
+    def deliver(self, route: str, message: Message) -> bool:
+        """Put `message` into the route's inbox."""
         frames = encode(message, FROM_HUB)
         if route in self.gone or route in self.full:
             return False
@@ -64,7 +89,7 @@ class Rig:
     ) -> None:
         """Let `route` say something."""
         message = decode(encode(Message(kind, session, seq, scalars, body), TO_HUB), TO_HUB)
-        self.board.receive(route, message, self.now)
+        self.board.receive(self.route(route), message, self.now)
 
     def say(
         self, route: str, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "s"
@@ -242,6 +267,37 @@ def test_sessions_are_limited_and_a_freed_one_is_given_to_the_next() -> None:
     assert (code, text) == (ErrorCode.FULL, "this hub serves 8 sessions at once, and all are in use")
     rig.say("r3", Kind.GOODBYE, 0, "enough", session="s3")
     assert rig.hello("late", Role.AGENT, session="late")[0].kind is Kind.WELCOME
+
+
+def test_a_connection_leaves_three_quarters_of_the_sessions_to_others(rig: Rig) -> None:
+    assert CONFIG.max_seats == 2
+    rig.hello("a", Role.AGENT, session="t")
+    for _ in range(2):
+        code, text = error(rig.hello("a", Role.AGENT, session="u"))
+        assert (code, "2 sessions" in text) == (ErrorCode.FULL, True)
+    assert rig.hello("a", Role.AGENT, session="t")[0].kind is Kind.WELCOME, "it is in already"
+    rig.say("a", Kind.GOODBYE, 0, "enough", session="t")
+    assert rig.hello("a", Role.AGENT, session="u")[0].kind is Kind.WELCOME
+    assert rig.hello("b", Role.AGENT, session="v")[0].kind is Kind.WELCOME
+
+
+def test_a_seat_that_is_not_open_at_an_address_cannot_be_taken_there(rig: Rig) -> None:
+    rig.binds["b"] = Bind("tcp://127.0.0.1:*", frozenset({Role.AGENT}), frozenset({"s", "t"}))
+    rig.say("a", Kind.GOODBYE, 0, "bye")
+    for role, session in ((Role.ENVIRONMENT, "s"), (Role.EXPERIMENT, "t"), (Role.AGENT, "u")):
+        code, text = error(rig.hello("b", role, session=session))
+        assert code == ErrorCode.NOT_ADMITTED
+        assert f"no {role} of session {session!r}" in text
+    for session in ("s", "t"):
+        assert rig.hello("b", Role.AGENT, session=session)[0].kind is Kind.WELCOME
+
+
+def test_who_knows_the_instance_of_a_peer_cannot_take_its_seat_from_an_address_that_is_not_open_to_it(
+    playing: Rig,
+) -> None:
+    playing.binds["b"] = Bind("tcp://127.0.0.1:*", frozenset({Role.AGENT}))
+    assert error(playing.hello("b", Role.ENVIRONMENT, who="e"))[0] == ErrorCode.NOT_ADMITTED
+    assert playing.answer("e") is Kind.ENV_STEP
 
 
 def test_the_longest_names_and_texts_still_fit_into_every_header() -> None:
@@ -619,7 +675,7 @@ def test_what_only_the_hub_says_is_an_error_from_a_peer(rig: Rig, message: tuple
 
 
 def test_an_unknown_kind_is_an_error_and_costs_no_seat(playing: Rig) -> None:
-    playing.board.malformed("e", UnknownKind(999, "s", 7), playing.now)
+    playing.board.malformed(playing.route("e"), UnknownKind(999, "s", 7), playing.now)
     *_, answer = playing.heard("e")
     assert (answer.seq, answer.scalars[0]) == (7, ErrorCode.UNKNOWN_KIND)
     assert playing.heard("x") == []
@@ -627,7 +683,7 @@ def test_an_unknown_kind_is_an_error_and_costs_no_seat(playing: Rig) -> None:
 
 def test_a_malformed_message_costs_its_sender_its_seat_and_fails_what_waits_for_it(playing: Rig) -> None:
     playing.heard("e")
-    playing.board.malformed("e", RemoteProtocolError("no sense in it"), playing.now)
+    playing.board.malformed(playing.route("e"), RemoteProtocolError("no sense in it"), playing.now)
     assert error(playing.heard("e")) == (ErrorCode.MALFORMED, "no sense in it")
     lost, failed = playing.heard("x")
     assert notices([lost]) == [("lost", "environment")]
@@ -696,23 +752,23 @@ def events(draw: st.DrawFn) -> tuple[Any, ...]:
 def test_whatever_peers_do_the_switchboard_goes_on_and_says_only_what_can_be_sent(
     story: list[tuple[Any, ...]],
 ) -> None:
-    rig = Rig(HubConfig(max_sessions=3))
+    rig = Rig(HubConfig(max_sessions=8))
     for what, *details in story:
         if what == "say":
             route, message = details
-            rig.board.receive(route, decode(encode(message, TO_HUB), TO_HUB), rig.now)
+            rig.board.receive(rig.route(route), decode(encode(message, TO_HUB), TO_HUB), rig.now)
         elif what == "answer":
             (route,) = details
             calls = [m for m in rig.inbox.get(route, []) if m.kind in CALLS and CALLS[m.kind].callee]
             if calls:
                 scalars, body = ANSWERS.get(calls[-1].kind, ((), b""))
                 answer = Message(calls[-1].kind, calls[-1].session, calls[-1].seq, scalars, body)
-                rig.board.receive(route, decode(encode(answer, TO_HUB), TO_HUB), rig.now)
+                rig.board.receive(rig.route(route), decode(encode(answer, TO_HUB), TO_HUB), rig.now)
         elif what == "cut":
             route, cut = details
             (rig.gone.add if cut else rig.gone.discard)(route)
         elif what == "time":
             rig.tick(details[0])
         else:
-            rig.board.malformed(details[0], RemoteProtocolError("noise"), rig.now)
+            rig.board.malformed(rig.route(details[0]), RemoteProtocolError("noise"), rig.now)
     rig.board.close("over")

@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from glue.client.experiment import connect
-from glue.config import HubConfig, LegacyPort
+from glue.config import Bind, HubConfig, LegacyPort
 from glue.core.sessions import INSTANCE_SIZE
-from glue.errors import ConfigError, GlueError, HubClosed
+from glue.errors import ConfigError, GlueError, HubClosed, Refused
 from glue.hub.listener import open_address
 from glue.hub.server import Hub
 from glue.legacy.gateway import Gateway
 from glue.protocol import zmtp
-from glue.protocol.messages import Kind, Message, Value
+from glue.protocol.messages import Kind, Message, Role, Value
 from glue.protocol.wire import TO_HUB, encode
 
 TIMEOUT = 20.0
@@ -115,6 +115,17 @@ def test_an_address_opened_once_serves_one_hub_after_another_and_refuses_nobody_
         socket.create_connection(("127.0.0.1", port))
 
 
+def test_an_address_is_open_to_its_roles_alone(tmp_path: Path) -> None:
+    inside = Bind(f"ipc://{tmp_path}/hub", frozenset({Role.EXPERIMENT}))
+    outside = Bind("tcp://127.0.0.1:*", frozenset({Role.AGENT, Role.ENVIRONMENT}))
+    with Hub(HubConfig(bind=(inside, outside))).in_background() as listening:
+        first, second = listening.endpoints
+        with pytest.raises(Refused, match="no experiment of session 'default' can join at this address"):
+            connect(second)
+        with connect(first) as glue:
+            assert glue.rl_num_episodes() == 0
+
+
 def test_a_name_stands_for_its_ipv4_address(monkeypatch: pytest.MonkeyPatch) -> None:
     resolve = socket.getaddrinfo
 
@@ -158,7 +169,7 @@ def test_all_that_a_peer_said_before_it_broke_off_is_heard() -> None:
                 semaphore.release()
 
     listening = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, patience=60.0), log)
-    sessions = [f"{number}" for number in range(200)]
+    sessions = [f"{number}" for number in range(listening.config.max_seats)]
 
     def say(peer: socket.socket, kind: Kind, *scalars: Value) -> None:
         messages = [Message(kind, session, 0, scalars) for session in sessions]

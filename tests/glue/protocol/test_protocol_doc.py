@@ -244,29 +244,32 @@ def test_table_of_control_messages_is_that_of_the_program() -> None:
     assert {shape.body for shape in CONTROL.values()} == {Body.NONE}
 
 
-def switchboard() -> tuple[Switchboard, list[Message]]:
-    """Return a switchboard, and the list that all it sends goes to."""
-    sent: list[Message] = []
+class Sent:
+    """A route that keeps what is sent."""
 
-    def send(_: object, message: Message) -> bool:
-        sent.append(message)
+    def __init__(self) -> None:
+        self.messages: list[Message] = []
+
+    def deliver(self, message: Message) -> bool:
+        self.messages.append(message)
         return True
 
-    return Switchboard(HubConfig(), send, lambda line: None), sent
+    def admits(self, role: Role, session: str) -> bool:
+        return True
 
 
 def test_what_only_the_hub_sends_is_refused_from_a_peer() -> None:
     for example in EXAMPLES:
         if example.kind not in CONTROL or example.sender != "hub":
             continue
-        board, answers = switchboard()
+        board, answers = Switchboard(HubConfig(), lambda line: None), Sent()
         hello = next(decode(e.frames, TO_HUB) for e in EXAMPLES if e.kind is Kind.HELLO)
-        board.receive("route", hello, 0.0)
-        del answers[:]
-        board.receive("route", decode(example.frames, TO_HUB)._replace(session=hello.session), 0.0)
+        board.receive(answers, hello, 0.0)
+        answers.messages.clear()
+        board.receive(answers, decode(example.frames, TO_HUB)._replace(session=hello.session), 0.0)
 
         direction = next(row[2] for row in table(*CONTROL_HEAD) if row[1] == example.kind.name)
-        refused = [m.scalars[0] for m in answers if m.kind is Kind.ERROR] == [ErrorCode.NOT_ASKED]
+        refused = [m.scalars[0] for m in answers.messages if m.kind is Kind.ERROR] == [ErrorCode.NOT_ASKED]
         # An ERROR may be sent by either, but here it is the answer to a call that was not made.
         assert refused == (direction.startswith("hub") or example.kind is Kind.ERROR)
 

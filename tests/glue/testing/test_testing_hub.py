@@ -50,15 +50,13 @@ def test_hub_that_is_not_there_is_no_hub() -> None:
 class Spoiled(Switchboard):
     """Ours, but for what is changed on its way out and on its way in."""
 
-    def __init__(
-        self, config: HubConfig, send: Callable[[Route, Message], bool], log: Callable[[str], None]
-    ) -> None:
-        def spoiled(route: Route, message: Message) -> bool:
-            arrived = [send(*sent) for sent in self.out(route, message)]
-            return all(arrived)
-
-        super().__init__(config, spoiled, log)
+    def __init__(self, config: HubConfig, log: Callable[[str], None]) -> None:
+        super().__init__(config, log)
         self.seen: dict[Any, Any] = {}
+
+    def send(self, route: Route, message: Message) -> bool:
+        arrived = [to.deliver(sent) for to, sent in self.out(route, message)]
+        return all(arrived)
 
     def receive(self, route: Route, message: Message, now: float) -> None:
         for heard in self.heard(route, message):
