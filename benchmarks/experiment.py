@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from benchmarks.measure import REPEATS, Table, count
-from experiment_runner.store.directory import Results
+from experiment_runner.store.results import Results
 
 __all__ = ["run"]
 

@@ -17,7 +17,9 @@ from experiment_runner.plan import Plan, differences
 from experiment_runner.plan_file import dump_plan, load_plan
 from experiment_runner.provenance import about, program
 from experiment_runner.store.database import holds_run, reported
-from experiment_runner.store.directory import ABOUT_FILE, PLAN_FILE, Results, Store
+from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
+from experiment_runner.store.results import Results
+from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 
 __all__ = ["Remaining", "create_run", "go_back", "open_run", "recorded_plan", "remaining", "resume_run"]

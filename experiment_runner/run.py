@@ -14,7 +14,7 @@ from experiment_runner.plan import Plan
 from experiment_runner.players import HubOptions, Meeting
 from experiment_runner.report.progress import Reporter
 from experiment_runner.resume import remaining
-from experiment_runner.store.directory import Store
+from experiment_runner.store.store import Store
 from experiment_runner.store.writer import Writer
 from glue.errors import ConfigError
 from glue.trajectory import TrajectoryWriter

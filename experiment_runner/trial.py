@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 
 from experiment_runner.plan import TrialSpec
 from experiment_runner.recording import Recorder
-from experiment_runner.store.directory import Checkpoint, EpisodeResult
+from experiment_runner.store.records import Checkpoint, EpisodeResult
 from glue.core.experiment import Experiment
 from glue.errors import PeerLost, Unsupported
 

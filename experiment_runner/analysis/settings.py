@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from experiment_runner.plan import RoleSpec, TrialSpec
-from experiment_runner.store.directory import Results, TrialRecord
+from experiment_runner.store.records import TrialRecord
+from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 
 __all__ = ["Setting", "collect"]

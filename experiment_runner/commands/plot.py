@@ -12,7 +12,7 @@ import numpy as np
 
 from experiment_runner.analysis.settings import collect
 from experiment_runner.report.plots import comparison, learning_curves, save, scatter
-from experiment_runner.store.directory import Results
+from experiment_runner.store.results import Results
 from glue import __version__
 from glue.commands import run
 

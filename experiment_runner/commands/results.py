@@ -24,11 +24,12 @@ from experiment_runner.analysis.stats import (
 )
 from experiment_runner.report.tables import format_table
 from experiment_runner.store.database import DATABASE_FILES, reported
-from experiment_runner.store.directory import Results, TrialRecord
 from experiment_runner.store.export import write_csv, write_json, write_parquet
 from experiment_runner.store.lock import lock_holder
 from experiment_runner.store.merge import merge as merge_runs
 from experiment_runner.store.output import written
+from experiment_runner.store.records import TrialRecord
+from experiment_runner.store.results import Results
 from glue import __version__
 from glue.commands import run
 from glue.console import say

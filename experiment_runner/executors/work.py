@@ -14,7 +14,7 @@ from experiment_runner.plan import TrialSpec
 from experiment_runner.players import Meeting, open_experiment
 from experiment_runner.recording import Recorder
 from experiment_runner.store.database import StorageError
-from experiment_runner.store.directory import Checkpoint, EpisodeResult
+from experiment_runner.store.records import Checkpoint, EpisodeResult
 from experiment_runner.trial import BEGINNING, Start, run_trial
 from glue.errors import GlueError, PeerFailed
 from glue.trajectory import TrajectoryWriter

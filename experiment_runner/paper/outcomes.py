@@ -22,7 +22,7 @@ from experiment_runner.analysis.stats import (
 from experiment_runner.paper.experiments import EXPERIMENTS, Level, PaperExperiment, Published, level_of
 from experiment_runner.plan import RoleSpec
 from experiment_runner.store.database import holds_run, reported
-from experiment_runner.store.directory import Results
+from experiment_runner.store.results import Results
 from glue.core.local import local
 from glue.errors import ExperimentError
 from glue.options import build

@@ -15,8 +15,8 @@ from typing import Any, Final, Protocol, TextIO
 
 from experiment_runner.plan import TrialSpec
 from experiment_runner.report.tables import format_table
-from experiment_runner.store.directory import EpisodeResult, TrialRecord
 from experiment_runner.store.output import finite
+from experiment_runner.store.records import EpisodeResult, TrialRecord
 
 __all__ = ["JsonLines", "Progress", "Reporter"]
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from experiment_runner.report.tables import format_table
-from experiment_runner.store.directory import Results, Totals
+from experiment_runner.store.records import Totals
+from experiment_runner.store.results import Results
 
 __all__ = ["summarize", "tabulate"]
 

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Final, TextIO
 
 from experiment_runner.plan import RoleSpec, TrialSpec
-from experiment_runner.store.directory import Results
 from experiment_runner.store.output import finite, written
+from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 from glue.options import Value
 

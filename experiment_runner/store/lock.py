@@ -8,19 +8,21 @@ from __future__ import annotations
 import fcntl
 import os
 import platform
+import re
 import time
 from pathlib import Path
 from typing import Final
 
 from glue.errors import ExperimentError
 
-__all__ = ["RunLock", "lock_holder"]
+__all__ = ["LOCK_FILE", "RunLock", "is_lock", "lock_holder"]
 
 LOCK_FILE: Final = "lock"
 
 # `lock_holder` takes the lock for an instant in order to see whether it is free.
 _ATTEMPTS: Final = 5
 _PAUSE: Final = 0.05
+_LONGEST: Final = 200  # bytes of the file that are read
 
 
 class RunLock:
@@ -32,9 +34,11 @@ class RunLock:
     """
 
     def __init__(self, directory: Path) -> None:
-        self._file = os.open(directory / LOCK_FILE, os.O_RDWR | os.O_CREAT, 0o644)
+        path = directory / LOCK_FILE
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
-            if not _try_lock(self._file, _ATTEMPTS):
+            # A file that its last holder removed meanwhile locks nothing.
+            if not _try_lock(self._file, _ATTEMPTS) or not _is_open_as(self._file, path):
                 raise ExperimentError(
                     f"{directory} is in use by {_name_in(self._file)}: wait for it, stop it, "
                     "or choose another directory with --out"
@@ -42,7 +46,7 @@ class RunLock:
             os.truncate(self._file, 0)
             os.pwrite(self._file, f"process {os.getpid()} on {platform.node()}".encode(), 0)
         except BaseException:
-            os.close(self._file)
+            self.release()
             raise
 
     def release(self) -> None:
@@ -64,6 +68,19 @@ def lock_holder(directory: Path) -> str | None:
         os.close(file)
 
 
+def is_lock(path: Path) -> bool:
+    """Return whether a file is what `RunLock` writes, or empty, as on a disk that was full."""
+    with path.open("rb") as file:
+        return re.fullmatch(rb"(process \d+ on .*)?", file.read(_LONGEST)) is not None
+
+
+def _is_open_as(file: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file), path.stat())
+    except FileNotFoundError:
+        return False
+
+
 def _try_lock(file: int, attempts: int, kind: int = fcntl.LOCK_EX) -> bool:
     for attempt in range(attempts):
         if attempt:
@@ -77,4 +94,4 @@ def _try_lock(file: int, attempts: int, kind: int = fcntl.LOCK_EX) -> bool:
 
 
 def _name_in(file: int) -> str:
-    return os.pread(file, 200, 0).decode(errors="replace") or "another process"
+    return os.pread(file, _LONGEST, 0).decode(errors="replace") or "another process"

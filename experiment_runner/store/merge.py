@@ -8,7 +8,6 @@ of one id that are not the same get their run's name in front.
 from __future__ import annotations
 
 import json
-import shutil
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,7 +15,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from experiment_runner.store.database import reported
-from experiment_runner.store.directory import ABOUT_FILE, PLAN_FILE, Results, Store, TrialRecord
+from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
+from experiment_runner.store.records import TrialRecord
+from experiment_runner.store.results import Results
+from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 
 __all__ = ["merge"]
@@ -32,7 +34,7 @@ def merge(runs: Sequence[Results], directory: Path) -> None:
 
     Raises:
         ExperimentError: a trial came out differently in two runs, two trials would have one name, or
-            the directory cannot be made; then nothing is left of it.
+            the directory cannot be made; then nothing of it is left, and what was there stays.
     """
     sources = _choose(runs)
     plans = {_text(run.directory / PLAN_FILE) for run in runs}
@@ -41,14 +43,12 @@ def merge(runs: Sequence[Results], directory: Path) -> None:
     if len(plans) == 1 and all(plans):
         files[PLAN_FILE] = plans.pop()
     specs = [replace(source.record.spec, id=name) for name, source in sources.items()]
-    store = Store.create(directory, specs, files)
-    try:
-        with store:
-            for name, source in sources.items():
-                store.adopt(source.run, source.record.spec.id, name)
-    except BaseException:
-        shutil.rmtree(directory)
-        raise
+
+    def fill(store: Store) -> None:
+        for name, source in sources.items():
+            store.adopt(source.run, source.record.spec.id, name)
+
+    Store.create(directory, specs, files, fill=fill).close()
 
 
 def _about(run: Results) -> object:
@@ -56,7 +56,7 @@ def _about(run: Results) -> object:
     text = _text(run.directory / ABOUT_FILE)
     try:
         return json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return text
 
 
@@ -100,4 +100,4 @@ def _longest(sources: Sequence[_Source]) -> _Source:
 
 def _text(path: Path) -> str:
     with reported(f"cannot read {path}"):
-        return path.read_text(encoding="utf-8") if path.exists() else ""
+        return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""

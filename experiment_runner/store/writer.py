@@ -6,7 +6,7 @@ from experiment_runner.executors.work import Ended, Happened, Job, Lost, Recorde
 from experiment_runner.players import Meeting
 from experiment_runner.report.progress import Reporter
 from experiment_runner.resume import Remaining, go_back, remaining
-from experiment_runner.store.directory import Store
+from experiment_runner.store.store import Store
 from experiment_runner.trial import BEGINNING, Start
 
 __all__ = ["Writer"]

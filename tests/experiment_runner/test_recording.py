@@ -22,7 +22,8 @@ from experiment_runner.executors.work import Ended, Job, Report, work
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.players import Meeting
 from experiment_runner.recording import Recorder, recorded
-from experiment_runner.store.directory import Checkpoint, EpisodeResult, Results
+from experiment_runner.store.records import Checkpoint, EpisodeResult
+from experiment_runner.store.results import Results
 from experiment_runner.trial import BEGINNING, Start, run_trial
 from glue.core.experiment import Experiment
 from glue.core.local import LocalExperiment, local

@@ -10,7 +10,10 @@ from experiment_runner.plan import Plan, RoleSweep
 from experiment_runner.plan_file import load_plan
 from experiment_runner.provenance import program
 from experiment_runner.resume import Remaining, create_run, remaining, resume_run
-from experiment_runner.store.directory import ABOUT_FILE, PLAN_FILE, Checkpoint, EpisodeResult, Results, Store
+from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
+from experiment_runner.store.records import Checkpoint, EpisodeResult
+from experiment_runner.store.results import Results
+from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 
 PLAN = Plan(episodes=5, trials=4, agents=(RoleSweep("sarsa", {"step_size": 0.5}),))

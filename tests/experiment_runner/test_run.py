@@ -12,7 +12,8 @@ from experiment_runner.plan import Plan, RoleSweep, TrialSpec
 from experiment_runner.players import HubOptions, Meeting
 from experiment_runner.resume import create_run, open_run, remaining
 from experiment_runner.run import Engine, RunConfig, run_trials
-from experiment_runner.store.directory import EpisodeResult, Store, TrialRecord
+from experiment_runner.store.records import EpisodeResult, TrialRecord
+from experiment_runner.store.store import Store
 from experiment_runner.store.writer import Writer
 from glue.errors import ConfigError
 from tests.system.runs import contents

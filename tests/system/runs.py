@@ -8,7 +8,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from experiment_runner.store.directory import Checkpoint, Results
+from experiment_runner.store.records import Checkpoint
+from experiment_runner.store.results import Results
 
 __all__ = ["COMMAND", "alive", "children", "contents", "run", "start", "wait_until"]
 

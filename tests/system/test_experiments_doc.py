@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.plan_file import load_plan
-from experiment_runner.store.directory import Results
+from experiment_runner.store.results import Results
 from tests.system.runs import contents
 
 ROOT = Path(__file__).parents[2]

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
-from experiment_runner.store.directory import Results
+from experiment_runner.store.results import Results
 from tests.system.runs import contents, run
 from tests.system.test_experiments_doc import BLOCK, TEXT
 from tests.system.test_workers import FAULTY, MINES, SARSA

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.store.directory import Results
+from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 from tests.system.runs import alive, children, contents, run, start, wait_until
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.store.directory import Results
+from experiment_runner.store.results import Results
 from tests.system.runs import COMMAND, alive, children, contents, run, start, wait_until
 
 FAULTY = '''

@@ -7,7 +7,9 @@ import pytest
 from experiment_runner.analysis.settings import Setting, collect
 from experiment_runner.plan_file import parse_plan
 from experiment_runner.resume import create_run
-from experiment_runner.store.directory import EpisodeResult, Results, Store
+from experiment_runner.store.records import EpisodeResult
+from experiment_runner.store.results import Results
+from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 
 

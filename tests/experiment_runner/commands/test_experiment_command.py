@@ -9,7 +9,7 @@ from click.testing import CliRunner, Result
 
 from experiment_runner.commands.experiment import experiment
 from experiment_runner.plan_file import load_plan
-from experiment_runner.store.directory import Results
+from experiment_runner.store.results import Results
 from glue.errors import ConfigError, ExperimentError
 
 PLAN = """episodes = 3

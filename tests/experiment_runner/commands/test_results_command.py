@@ -22,7 +22,9 @@ from experiment_runner.commands.plot import plot
 from experiment_runner.commands.results import results
 from experiment_runner.plan import Plan, RoleSweep
 from experiment_runner.resume import create_run, resume_run
-from experiment_runner.store.directory import ABOUT_FILE, PLAN_FILE, Checkpoint, EpisodeResult, Results
+from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
+from experiment_runner.store.records import Checkpoint, EpisodeResult
+from experiment_runner.store.results import Results
 from glue.core.local import local
 from glue.errors import ConfigError, ExperimentError
 from glue.players.trained import load_trained

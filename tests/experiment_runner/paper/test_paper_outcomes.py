@@ -12,7 +12,7 @@ from experiment_runner.paper.goals import verdicts
 from experiment_runner.paper.outcomes import Outcome, load
 from experiment_runner.plan import Plan, RoleSweep
 from experiment_runner.resume import create_run
-from experiment_runner.store.directory import EpisodeResult
+from experiment_runner.store.records import EpisodeResult
 from glue.errors import ExperimentError
 
 FloatArray = npt.NDArray[np.float64]

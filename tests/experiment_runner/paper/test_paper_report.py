@@ -12,7 +12,8 @@ from experiment_runner.paper.command import paper
 from experiment_runner.paper.experiments import EXPERIMENTS, plan_of
 from experiment_runner.paper.report import BEGIN, END, REPORT, write_report
 from experiment_runner.resume import create_run
-from experiment_runner.store.directory import EpisodeResult, Results
+from experiment_runner.store.records import EpisodeResult
+from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 
 FIGURES = ("figure-2", "figure-8", "figure-13", "figure-13-nearest", "curves-0", "curves-1")

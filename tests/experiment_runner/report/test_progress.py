@@ -10,7 +10,7 @@ import pytest
 
 from experiment_runner.plan import Plan, RoleSweep, TrialSpec
 from experiment_runner.report.progress import JsonLines, Progress
-from experiment_runner.store.directory import EpisodeResult, TrialRecord
+from experiment_runner.store.records import EpisodeResult, TrialRecord
 
 PLAN = Plan(episodes=50, trials=3, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))
 FIRST, SECOND, THIRD = PLAN.expand()

@@ -13,7 +13,8 @@ import pytest
 from experiment_runner.plan import Plan, RoleSweep
 from experiment_runner.report.summary import summarize, tabulate
 from experiment_runner.resume import create_run
-from experiment_runner.store.directory import EpisodeResult, Store
+from experiment_runner.store.records import EpisodeResult
+from experiment_runner.store.store import Store
 
 PLAN = Plan(episodes=20_000, trials=3, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))
 FIRST, SECOND, THIRD = (spec.id for spec in PLAN.expand())

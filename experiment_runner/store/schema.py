@@ -1,0 +1,118 @@
+"""The tables of a run's database, and how older ones become today's."""
+
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+from functools import lru_cache
+from typing import Final
+
+from glue.errors import ExperimentError
+
+__all__ = ["MIGRATIONS", "check", "migrate"]
+
+_APPLICATION_ID: Final = int.from_bytes(b"GLUE", "big")
+
+Migration = tuple[str, ...]
+
+# Entry n makes version n + 1 out of version n. Never change one that was released: add another.
+MIGRATIONS: tuple[Migration, ...] = (
+    (
+        f"PRAGMA application_id = {_APPLICATION_ID}",
+        # agent and environment: JSON of name, options and label; NULL when it connects from outside.
+        """CREATE TABLE trials (
+            key INTEGER PRIMARY KEY,
+            id TEXT NOT NULL UNIQUE,
+            agent TEXT,
+            environment TEXT,
+            episodes INTEGER NOT NULL,
+            max_steps INTEGER NOT NULL,
+            seed INTEGER NOT NULL,
+            failure TEXT)""",
+        # episode counts from 1; SQLite has no NaN, so a return that is not a number is NULL;
+        # terminal is 0 when the step limit truncated the episode; wall_time is in seconds.
+        """CREATE TABLE episodes (
+            trial INTEGER NOT NULL REFERENCES trials,
+            episode INTEGER NOT NULL CHECK (episode >= 1),
+            episode_return REAL,
+            steps INTEGER NOT NULL,
+            terminal INTEGER NOT NULL CHECK (terminal IN (0, 1)),
+            wall_time REAL NOT NULL,
+            PRIMARY KEY (trial, episode)) WITHOUT ROWID""",
+        # The newest checkpoint of each trial: what agent and environment were after `episode`.
+        """CREATE TABLE checkpoints (
+            trial INTEGER PRIMARY KEY REFERENCES trials,
+            episode INTEGER NOT NULL,
+            agent BLOB NOT NULL,
+            environment BLOB NOT NULL)""",
+        # time: seconds since 1970, UTC.
+        """CREATE TABLE voids (
+            time REAL NOT NULL,
+            trial INTEGER NOT NULL REFERENCES trials,
+            episode INTEGER NOT NULL,
+            why TEXT NOT NULL)""",
+        """CREATE TABLE events (
+            time REAL NOT NULL,
+            trial INTEGER REFERENCES trials,
+            kind TEXT NOT NULL,
+            text TEXT NOT NULL)""",
+    ),
+)
+
+
+def check(connection: sqlite3.Connection) -> int:
+    """Return the version of a database; 0 for one that is empty.
+
+    A run directory may come from anybody, and SQL that reads a table also runs what a view in its place
+    computes. So nothing but the tables of that version may be there.
+
+    Raises:
+        ExperimentError: it is not a run's, was written by a newer release, or holds anything else.
+        sqlite3.Error: it cannot be read.
+    """
+    version = int(connection.execute("PRAGMA user_version").fetchone()[0])
+    application = int(connection.execute("PRAGMA application_id").fetchone()[0])
+    found = _objects(connection)
+    if application != _APPLICATION_ID and (application or version or found):
+        raise ExperimentError("results.sqlite was not written by glue-experiment")
+    if version > len(MIGRATIONS):
+        raise ExperimentError(
+            f"results.sqlite has version {version} and this program knows versions up to {len(MIGRATIONS)}: "
+            "a newer release wrote it; install that one"
+        )
+    expected = _expected(MIGRATIONS[: max(version, 0)])
+    for kind, name, _ in sorted(found ^ expected):
+        raise ExperimentError(
+            f"results.sqlite was changed by another program: {kind} {name!r} is not glue-experiment's"
+        )
+    return version
+
+
+def migrate(connection: sqlite3.Connection) -> None:
+    """Bring a database, empty or old, to the newest version. To be called within a transaction.
+
+    Raises:
+        ExperimentError: as `check`.
+        sqlite3.Error: it cannot be written.
+    """
+    _apply(connection, MIGRATIONS[check(connection) :])
+    connection.execute(f"PRAGMA user_version = {len(MIGRATIONS)}")
+
+
+def _apply(connection: sqlite3.Connection, migrations: tuple[Migration, ...]) -> None:
+    for statements in migrations:
+        for statement in statements:
+            connection.execute(statement)
+
+
+@lru_cache
+def _expected(migrations: tuple[Migration, ...]) -> frozenset[tuple[str, str, str]]:
+    with contextlib.closing(sqlite3.connect(":memory:", isolation_level=None)) as connection:
+        _apply(connection, migrations)
+        return _objects(connection)
+
+
+def _objects(connection: sqlite3.Connection) -> frozenset[tuple[str, str, str]]:
+    """Return the kind, the name and the definition of all that a database holds."""
+    rows = connection.execute("SELECT type, name, sql FROM sqlite_master LIMIT 1000").fetchall()
+    return frozenset((str(kind), str(name), " ".join(str(sql).split())) for kind, name, sql in rows)
