@@ -14,7 +14,7 @@ from benchmarks.players import SIZES, Still, Walk, serving
 from benchmarks.raw import tcp_round_trips, zmq_round_trips
 from glue.client.experiment import connect
 from glue.client.players import serve_environment
-from glue.config import HubConfig
+from glue.core.config import HubConfig
 from glue.core.experiment import Experiment
 from glue.core.local import local
 from glue.hub.server import Hub

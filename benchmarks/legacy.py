@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from benchmarks.measure import Table, count, interleaved, ratio
 from benchmarks.players import SIZES, serving
 from glue.client.experiment import connect
-from glue.config import HubConfig, LegacyPort
+from glue.core.config import HubConfig, LegacyPort
 from glue.hub.server import Hub
 from glue.legacy.gateway import Gateway
 from tests.system.legacy.legacy_client import Connection, Experiment, Numbers, serve_agent, serve_environment

@@ -17,7 +17,7 @@ import zmq
 from experiment_runner.executors.children import KeptAlive, Say
 from experiment_runner.plan import Plan, TrialSpec
 from glue.client.experiment import connect
-from glue.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig, LegacyPort
+from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig, LegacyPort
 from glue.core.experiment import Experiment
 from glue.core.local import local
 from glue.errors import ExperimentError

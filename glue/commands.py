@@ -18,8 +18,8 @@ from typing import Any, Final, NoReturn
 import click
 
 from glue import __version__
-from glue.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.console import say
+from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.errors import ConfigError, GlueError
 from glue.options import Parameter, Value, build, parameters
 from glue.players.loading import find, names
@@ -36,7 +36,7 @@ legacy_port_option: Final = click.option(
     metavar="[HOST:]PORT[=SESSION]",
     help="Port at which original RL-Glue programs join a session; they look for 4096. Repeat it for several.",
 )
-"""The option of all commands that bring a hub; see `glue.config.LegacyPort.parse`."""
+"""The option of all commands that bring a hub; see `glue.core.config.LegacyPort.parse`."""
 
 
 class Terminated(KeyboardInterrupt):

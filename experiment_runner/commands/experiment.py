@@ -20,8 +20,8 @@ from experiment_runner.resume import open_run, recorded_plan
 from experiment_runner.run import Engine, RunConfig, run_trials
 from glue import __version__
 from glue.commands import legacy_port_option, run
-from glue.config import DEFAULT_HUB, DEFAULT_SESSION, LegacyPort, check_session, check_url
 from glue.console import say
+from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, LegacyPort, check_session, check_url
 from glue.errors import ConfigError, ExperimentError
 from glue.options import parse_assignments
 from glue.players.loading import find, names

@@ -15,8 +15,8 @@ from typing import Any, Final
 from glue.client.bodies import READ, write
 from glue.client.link import Link, Log
 from glue.client.transport import Context
-from glue.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.console import say
+from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.core.experiment import Experiment
 from glue.errors import GlueError, HubClosed, LocalProtocolError, PeerFailed, PeerLost, Unsupported
 from glue.protocol.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value

@@ -11,7 +11,7 @@ from typing import Final
 import zmq
 
 from glue.client.transport import Context, DealerTransport
-from glue.config import check_session, check_url
+from glue.core.config import check_session, check_url
 from glue.core.sessions import INSTANCE_SIZE
 from glue.errors import HubClosed, LocalProtocolError, Refused
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role

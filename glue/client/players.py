@@ -22,9 +22,9 @@ from typing import Any
 from glue.client.bodies import READ, write
 from glue.client.link import Link, Log
 from glue.client.transport import Context
-from glue.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.console import say
 from glue.core.calls import Handler, name_of, role_calls
+from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.errors import GlueError, HubClosed, PeerFailed, RemoteProtocolError
 from glue.protocol.messages import CALLS, ErrorCode, Kind, Message, Role
 from glue.protocol.wire import clip

@@ -20,8 +20,8 @@ from __future__ import annotations
 from collections.abc import Callable, Set
 from typing import Any, Final, Protocol
 
-from glue.config import HubConfig
 from glue.core.calls import skippable, unsupported
+from glue.core.config import HubConfig
 from glue.core.engine import Engine, Step
 from glue.errors import PeerLost, RemoteProtocolError
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
@@ -48,7 +48,7 @@ class Route(Protocol):
         ...
 
     def admits(self, role: Role, session: str) -> bool:
-        """Return whether this role of this session can be taken from here; see `glue.config.Bind`."""
+        """Return whether this role of this session can be taken from here; see `glue.core.config.Bind`."""
         ...
 
 

@@ -11,8 +11,8 @@ import click
 
 from glue import __version__
 from glue.commands import Terminated, legacy_port_option, run
-from glue.config import DEFAULT_HUB, HubConfig, LegacyPort
 from glue.console import say
+from glue.core.config import DEFAULT_HUB, HubConfig, LegacyPort
 from glue.hub.server import Hub
 from glue.legacy.gateway import Gateway
 

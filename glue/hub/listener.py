@@ -81,7 +81,7 @@ class OpenAddress:
 
 
 def open_address(url: str) -> OpenAddress:
-    """Listen on an address of `glue.config.check_url`; the port `*` takes any free one.
+    """Listen on an address of `glue.core.config.check_url`; the port `*` takes any free one.
 
     Raises:
         ConfigError: the address is in use, or is not one of this machine.

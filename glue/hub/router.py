@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence, Set
 from functools import partial
 from typing import Final
 
-from glue.config import Bind, HubConfig
+from glue.core.config import Bind, HubConfig
 from glue.core.sessions import Route
 from glue.errors import RemoteProtocolError
 from glue.hub.connection import Connection, limit_patience, take_leave

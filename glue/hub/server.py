@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from types import TracebackType
 from typing import Final, Self
 
-from glue.config import HubConfig
+from glue.core.config import HubConfig
 from glue.core.sessions import Route, Switchboard
 from glue.errors import GlueError, RemoteProtocolError
 from glue.hub.listener import OpenAddress, open_address

@@ -26,7 +26,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from typing import Final
 
-from glue.config import LegacyPort
+from glue.core.config import LegacyPort
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.hub.connection import Connection
 from glue.hub.listener import Listener, OpenAddress, open_port

@@ -9,7 +9,7 @@ import os
 from collections.abc import Mapping
 from typing import Final
 
-from glue.config import LegacyPort
+from glue.core.config import LegacyPort
 from glue.core.engine import EPISODE_VERBS
 from glue.core.sessions import INSTANCE_SIZE, ONE_RUN
 from glue.errors import LocalProtocolError, RemoteProtocolError

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from glue.client.transport import Context
-from glue.config import check_url
+from glue.core.config import check_url
 from glue.testing import play, trouble
 from glue.testing.puppets import Scene
 from glue.testing.rules import HubRule

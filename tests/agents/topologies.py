@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from glue.client.experiment import connect
 from glue.client.players import serve_agent, serve_environment
-from glue.config import HubConfig
+from glue.core.config import HubConfig
 from glue.core.experiment import Experiment
 from glue.core.local import local
 from glue.hub.server import Hub

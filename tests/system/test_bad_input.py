@@ -23,7 +23,7 @@ import pytest
 import zmq
 
 from glue.client.experiment import connect
-from glue.config import HubConfig
+from glue.core.config import HubConfig
 from glue.core.local import local
 from glue.core.sessions import INSTANCE_SIZE
 from glue.hub.router import MAX_STRANGERS

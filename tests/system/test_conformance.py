@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from glue.client.experiment import connect
-from glue.config import HubConfig
+from glue.core.config import HubConfig
 from glue.core.local import local
 from glue.hub.server import Hub
 from tests.system.conformance import SCENARIOS, Seen

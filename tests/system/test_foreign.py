@@ -18,7 +18,7 @@ import zmq
 from env_server.toys import SkeletonEnvironment
 from glue.client.experiment import connect
 from glue.client.players import serve_environment
-from glue.config import HubConfig
+from glue.core.config import HubConfig
 from glue.core.experiment import Experiment
 from glue.hub.server import Hub
 from glue.types import Action, Observation

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from glue.config import Bind, HubConfig
+from glue.core.config import Bind, HubConfig
 from glue.core.sessions import INSTANCE_SIZE, Switchboard
 from glue.errors import RemoteProtocolError
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from glue.client.experiment import connect
-from glue.config import Bind, HubConfig, LegacyPort
+from glue.core.config import Bind, HubConfig, LegacyPort
 from glue.core.sessions import INSTANCE_SIZE
 from glue.errors import ConfigError, GlueError, HubClosed, Refused
 from glue.hub.listener import open_address

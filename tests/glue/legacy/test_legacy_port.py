@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from glue.config import LegacyPort
+from glue.core.config import LegacyPort
 from glue.errors import ConfigError
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 import msgpack
 import pytest
 
-from glue.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
+from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
 from glue.core.local import local
 from glue.core.sessions import INSTANCE_SIZE, ONE_RUN, Switchboard
 from glue.errors import LocalProtocolError, RemoteProtocolError

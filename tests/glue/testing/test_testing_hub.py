@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from glue.client.experiment import connect
-from glue.config import HubConfig
+from glue.core.config import HubConfig
 from glue.core.sessions import Route, Switchboard
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.hub.server import Hub

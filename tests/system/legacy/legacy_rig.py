@@ -12,7 +12,7 @@ import zmq
 from glue.client.experiment import RemoteExperiment, connect
 from glue.client.players import serve_agent, serve_environment
 from glue.client.transport import Context
-from glue.config import HubConfig, LegacyPort
+from glue.core.config import HubConfig, LegacyPort
 from glue.core.experiment import Experiment
 from glue.hub.server import Hub
 from glue.legacy.gateway import Gateway

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from glue.config import DEFAULT_HUB, Bind, HubConfig, check_session, check_url
+from glue.core.config import DEFAULT_HUB, Bind, HubConfig, check_session, check_url
 from glue.errors import ConfigError
 from glue.protocol.messages import Role
 from glue.protocol.wire import MAX_BODY, MAX_NAME
