@@ -1,15 +1,19 @@
 """Bring agent, environment and experiment together: in this process, or over a hub.
 
 Roles that a trial names are made here, as objects or as child processes; roles that it leaves out are
-waited for, and whoever is looking is told which command starts them.
+waited for, and the user is shown which command starts them.
+
+The addresses at which players join from outside are opened once for a whole run, by `listening`, and
+handed to the hub of each trial. None is opened only to be tried: an original RL-Glue program that waits for
+its port connects as soon as it is open, and ends when it is closed again.
 """
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import zmq
@@ -21,13 +25,14 @@ from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig, LegacyPort
 from glue.core.experiment import Experiment
 from glue.core.local import local
 from glue.errors import ExperimentError
+from glue.hub.listener import OpenAddress, open_address
 from glue.hub.server import Hub
-from glue.legacy.gateway import Gateway
+from glue.legacy.gateway import Gateway, open_legacy_port
 from glue.options import Value, build, parameters
 from glue.players.loading import find
 from glue.protocol.messages import Event, Role
 
-__all__ = ["HubOptions", "Meeting", "check_addresses", "open_experiment", "player_arguments"]
+__all__ = ["HubOptions", "Meeting", "listening", "open_experiment", "player_arguments"]
 
 _MODULES: Final = {Role.AGENT: "agents.command", Role.ENVIRONMENT: "env_server.command"}
 _COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
@@ -60,10 +65,14 @@ class Meeting:
     Args:
         in_process: as objects of one process; otherwise as processes, over a hub.
         hub: where, when they are processes.
+        opened: those of the hub's addresses that are open already, by URL.
+        opened_legacy: those of its ports for original RL-Glue programs that are open already.
     """
 
     in_process: bool = False
     hub: HubOptions = field(default_factory=HubOptions)
+    opened: Mapping[str, OpenAddress] = field(default_factory=dict)
+    opened_legacy: Mapping[LegacyPort, OpenAddress] = field(default_factory=dict)
 
 
 def open_experiment(
@@ -82,19 +91,24 @@ def open_experiment(
         ConfigError: a name, an option or an address is wrong, or an address is in use.
         ExperimentError: a child process cannot be started, or in one process a role is left out.
     """
-    return _in_process(spec) if meeting.in_process else _over_hub(spec, meeting.hub, say, progress)
+    return _in_process(spec) if meeting.in_process else _over_hub(spec, meeting, say, progress)
 
 
-def check_addresses(plan: Plan, options: HubOptions) -> None:
-    """Check that our own hub, if there is to be one, can listen for players from outside.
+@contextmanager
+def listening(plan: Plan, meeting: Meeting) -> Iterator[Meeting]:
+    """Listen for players from outside, for all trials of a run; yield `meeting` with what was opened.
 
     Raises:
-        ConfigError: an address is taken, or is none of this machine.
+        ConfigError: an address is in use, or is not one of this machine.
     """
-    outside = _outside(options, expected=not (plan.agents and plan.environments))
-    if options.hub is None and (outside or options.legacy):
-        with Hub(HubConfig(bind=outside, insecure=options.insecure)) as hub:
-            Gateway(hub, options.legacy)
+    options = meeting.hub
+    expected = options.hub is None and not (plan.agents and plan.environments)
+    outside = _outside(options, expected)
+    HubConfig(bind=outside, insecure=options.insecure)  # which refuses addresses open to other machines
+    with ExitStack() as stack:
+        opened = {url: stack.enter_context(open_address(url)) for url in outside}
+        legacy = {port: stack.enter_context(open_legacy_port(port)) for port in options.legacy}
+        yield replace(meeting, opened=opened, opened_legacy=legacy)
 
 
 def _outside(options: HubOptions, expected: bool) -> tuple[str, ...]:
@@ -115,8 +129,9 @@ def _in_process(spec: TrialSpec) -> Iterator[Experiment]:
 
 @contextmanager
 def _over_hub(
-    spec: TrialSpec, options: HubOptions, say: Say, progress: Callable[[], int]
+    spec: TrialSpec, meeting: Meeting, say: Say, progress: Callable[[], int]
 ) -> Iterator[Experiment]:
+    options = meeting.hub
     players = {Role.ENVIRONMENT: spec.environment, Role.AGENT: spec.agent}
     named = {role: player for role, player in players.items() if player is not None}
 
@@ -133,19 +148,21 @@ def _over_hub(
             inside = f"ipc://{folder}/hub"
             outside = _outside(options, expected=len(named) < len(players))
             config = HubConfig(bind=(inside, *outside), insecure=options.insecure)
-            hub = stack.enter_context(Hub(config))
-            for port in Gateway(hub, options.legacy, say).ports:
+            hub = stack.enter_context(Hub(config, opened=meeting.opened))
+            ports = Gateway(hub, options.legacy, say, opened=meeting.opened_legacy).ports
+            for port in ports:
                 say(f"original RL-Glue programs join on {port}")
             stack.enter_context(hub.in_background())
             public = _from_outside(hub.endpoints[1]) if outside else inside
         else:
             inside = public = options.hub
+            ports = list[LegacyPort]()
         glue = connect(inside, options.session, context=context, log=say, on_notice=notice)
         stack.enter_context(glue)
         for role, player in named.items():
             arguments = player_arguments(role, player.name, player.options, inside, options.session)
             children.start(f"{role} {player.name}", _MODULES[role], [*arguments, "--quiet"], glue.give_up)
-        glue.wait_for_players(lambda missing: say(_missing(missing, named, public, options.session)))
+        glue.wait_for_players(lambda missing: say(_missing(missing, named, public, options.session, ports)))
         yield glue
 
 
@@ -176,12 +193,20 @@ def _from_outside(endpoint: str) -> str:
     return endpoint
 
 
-def _missing(missing: frozenset[Role], named: Mapping[Role, object], hub: str, session: str) -> str:
+def _missing(
+    missing: frozenset[Role],
+    named: Mapping[Role, object],
+    hub: str,
+    session: str,
+    ports: Sequence[LegacyPort],
+) -> str:
+    legacy = [f"{port.host}:{port.port}" for port in ports if port.session == session]
     lines = []
     for role in sorted(missing):
         if role in named:
             lines.append(f"waiting for the {role} to start")
         else:
             arguments = " ".join(player_arguments(role, _EXAMPLES[role], {}, hub, session))
-            lines.append(f"waiting for an {role}; in another terminal: {_COMMANDS[role]} {arguments}")
+            line = f"waiting for an {role}; in another terminal: {_COMMANDS[role]} {arguments}"
+            lines.append(f"{line}; or an original one on {' or '.join(legacy)}" if legacy else line)
     return "\n".join(lines)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -12,7 +13,7 @@ import click
 
 from experiment_runner.plan import Plan, RoleSweep, check_options, describe
 from experiment_runner.plan_file import load_plan
-from experiment_runner.players import HubOptions, Meeting, check_addresses
+from experiment_runner.players import HubOptions, Meeting, listening
 from experiment_runner.recording import recorded
 from experiment_runner.report.progress import JsonLines, Progress
 from experiment_runner.report.summary import summarize, tabulate
@@ -202,7 +203,6 @@ def experiment(
     if dry_run:
         click.echo(describe(plan))
         return 0
-    check_addresses(plan, meeting.hub)
     return _run(directory, plan, config, record, as_json)
 
 
@@ -248,8 +248,10 @@ def _meeting(
     for url in (*bind, *([hub] if hub else [])):
         check_url(url)
     check_session(session)
-    legacy = tuple(LegacyPort.parse(text, session, insecure) for text in legacy_port)
-    return Meeting(in_process, HubOptions(hub, bind, session, insecure, legacy))
+    # Each is opened once, also if it is given twice.
+    legacy = dict.fromkeys(LegacyPort.parse(text, session, insecure) for text in legacy_port)
+    bind = tuple(dict.fromkeys(bind))
+    return Meeting(in_process, HubOptions(hub, bind, session, insecure, tuple(legacy)))
 
 
 def _labels(plan: Plan) -> str:
@@ -266,8 +268,14 @@ def _run(directory: Path, plan: Plan, config: RunConfig, record: Path | None, as
     progress = Progress()
     lines = JsonLines(progress) if as_json else None
     began = time.monotonic()
-    with recorded(record) as recording, open_run(directory, plan) as store:
-        failed = run_trials(store, config, lines or progress, recording)
+    with ExitStack() as stack:
+        # Before anything is written: an address may be in use.
+        addresses = stack.enter_context(ExitStack())
+        meeting = addresses.enter_context(listening(plan, config.meeting))
+        recording = stack.enter_context(recorded(record))
+        store = stack.enter_context(open_run(directory, plan))
+        failed = run_trials(store, replace(config, meeting=meeting), lines or progress, recording)
+        addresses.close()  # nobody would serve who joins from here on
         seconds = time.monotonic() - began
         if lines is not None:
             lines.write(summarize(store, seconds))

@@ -68,6 +68,7 @@ class Style:
         farewell: what answers the server's last message.
         cleans_up: its test experiments call RL_cleanup before they leave.
         byte_at_a_time: sends every byte on its own.
+        retry: seconds between two attempts to connect; C and Python programs wait for two seconds.
     """
 
     split: bool = False
@@ -77,11 +78,14 @@ class Style:
     farewell: str = "echo"
     cleans_up: bool = True
     byte_at_a_time: bool = False
+    retry: float = 0.02
 
 
 STYLES = {
     "c": Style(split=True),
-    "java": Style(nodelay=False, greedy=True, utf16_counts=True, farewell="repeat", cleans_up=False),
+    "java": Style(
+        nodelay=False, greedy=True, utf16_counts=True, farewell="repeat", cleans_up=False, retry=0.002
+    ),
     "python": Style(farewell="repeat", cleans_up=False),
     "lisp": Style(farewell="nothing"),
     "drip": Style(byte_at_a_time=True),
@@ -153,7 +157,7 @@ class Connection:
             except ConnectionRefusedError:
                 if time.monotonic() > deadline:
                     raise
-                time.sleep(0.02)
+                time.sleep(style.retry)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, style.nodelay)
 
     def send(self, message_id: int, payload: bytes = b"") -> None:

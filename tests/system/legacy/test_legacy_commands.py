@@ -10,12 +10,17 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from tests.system.legacy.legacy_client import TIMEOUT
+from experiment_runner.plan import Plan, RoleSweep
+from experiment_runner.players import HubOptions, Meeting, listening, open_experiment
+from glue.core.config import LegacyPort
+from tests.system.legacy.legacy_client import STYLES, TIMEOUT, Connection, serve_agent
+from tests.system.legacy.legacy_programs import AGENTS
 
 BIN = Path(sys.executable).parent
 ROOT = Path(__file__).parents[3]
@@ -110,7 +115,49 @@ def test_an_experiment_waits_for_an_original_agent(tmp_path: Path) -> None:
     assert json.loads(out.splitlines()[-1])["episodes"] == 5
 
 
-EXPERIMENT = ["glue-experiment", "--episodes", "1"]
+def free_port() -> int:
+    """A port that nobody listens on."""
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        return int(listener.getsockname()[1])
+
+
+def play_skeleton(port: int, style: str) -> None:
+    """Connect as an original agent as soon as the port is open, and play until the goodbye."""
+    serve_agent(AGENTS["skeleton"](), Connection(port, STYLES[style]))
+
+
+@pytest.mark.parametrize("style", ["c", "java", "python"])
+def test_an_original_agent_that_waits_for_its_port_is_never_cut_off(style: str, tmp_path: Path) -> None:
+    for attempt in range(3):
+        port = free_port()
+        play = ["--env", "skeleton", "--episodes", "2", "--max-steps", "9", "--out", f"run-{attempt}"]
+        meet = ["--bind", "tcp://127.0.0.1:*", "--legacy-port", str(port)]
+        with ThreadPoolExecutor() as pool:
+            agent = pool.submit(play_skeleton, port, style)
+            done = subprocess.run(
+                [BIN / "glue-experiment", *play, *meet],
+                cwd=tmp_path,
+                capture_output=True,
+                text=True,
+                timeout=TIMEOUT,
+            )
+            agent.result(TIMEOUT)
+        assert done.returncode == 0, done.stderr
+
+
+def test_an_original_agent_that_connects_before_there_is_a_hub_joins_the_first_trial() -> None:
+    port = LegacyPort(0)
+    options = HubOptions(bind=("tcp://127.0.0.1:*",), legacy=(port,))
+    plan = Plan(episodes=1, trials=2, environments=(RoleSweep("skeleton"),))
+    lines: list[str] = []
+    with listening(plan, Meeting(hub=options)) as meeting, ThreadPoolExecutor() as pool:
+        number = meeting.opened_legacy[port].port
+        for spec in plan.expand():
+            agent = pool.submit(play_skeleton, number, "c")
+            with open_experiment(spec, meeting, lines.append, lambda: 0) as glue:
+                glue.rl_init()
+                assert glue.rl_episode(9) in (True, False)
+            agent.result(TIMEOUT)
 
 
 @pytest.mark.parametrize(
