@@ -1,4 +1,4 @@
-"""Numbers drawn from episode returns. Pure functions; chance comes from a generator handed over.
+"""Statistics of episode returns. Pure functions; random numbers come from a generator handed over.
 
 Intervals are percentile bootstrap intervals over trials, stratified: trials are drawn again within
 each setting (a level, say), never across. Resampling and trimming are SciPy's (extra `plot`).
@@ -19,6 +19,7 @@ from glue.errors import ExperimentError
 
 __all__ = [
     "Estimate",
+    "bootstrap_rng",
     "convergence_episode",
     "estimate",
     "has_scipy",
@@ -41,6 +42,11 @@ class Estimate(NamedTuple):
     value: FloatArray
     low: FloatArray
     high: FloatArray
+
+
+def bootstrap_rng() -> np.random.Generator:
+    """Return the generator that tables and figures draw resamples from: the same runs, the same interval."""
+    return np.random.default_rng(0)
 
 
 def mean_of_last(returns: FloatArray, window: int = 100) -> float:

@@ -16,7 +16,7 @@ from experiment_runner.plan_file import load_plan
 from experiment_runner.players import HubOptions, Meeting, listening
 from experiment_runner.recording import recorded
 from experiment_runner.report.progress import JsonLines, Progress
-from experiment_runner.report.summary import summarize, tabulate
+from experiment_runner.report.tables import summarize, tabulate, terminal_width
 from experiment_runner.resume import open_run, recorded_plan
 from experiment_runner.run import Engine, RunConfig, run_trials
 from glue import __version__
@@ -280,7 +280,7 @@ def _run(directory: Path, plan: Plan, config: RunConfig, record: Path | None, as
         if lines is not None:
             lines.write(summarize(store, seconds))
         else:
-            click.echo(tabulate(store, seconds))
+            click.echo(tabulate(store, seconds, terminal_width()))
     if record is not None and not record.exists():
         say(f"no episode was begun, so there is no {record}")
     return 1 if failed else 0

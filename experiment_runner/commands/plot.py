@@ -5,20 +5,18 @@ from __future__ import annotations
 from collections import defaultdict
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Final
 
 import click
-import numpy as np
 
 from experiment_runner.analysis.settings import collect
+from experiment_runner.analysis.stats import bootstrap_rng
 from experiment_runner.report.plots import comparison, learning_curves, save, scatter
 from experiment_runner.store.results import Results
 from glue import __version__
 from glue.commands import run
+from glue.console import say
 
 __all__ = ["main", "plot"]
-
-_SEED: Final = 0  # of the bootstrap: the same runs always make the same figure
 
 
 @click.command()
@@ -51,7 +49,7 @@ def plot(directories: tuple[Path, ...], out: Path, kind: str, window: int) -> No
     with ExitStack() as stack:
         found = collect([stack.enter_context(Results.open(directory)) for directory in directories])
     settings = [setting for setting in found if setting.curves().size]
-    rng = np.random.default_rng(_SEED)
+    rng = bootstrap_rng()
     if kind == "comparison":
         agents = defaultdict(list)
         for setting in settings:
@@ -64,6 +62,7 @@ def plot(directories: tuple[Path, ...], out: Path, kind: str, window: int) -> No
         else:
             figure = scatter(curves, window=window)
     save(figure, out)
+    say(f"wrote {out}")
 
 
 def main() -> None:

@@ -1,31 +1,21 @@
-"""`glue-results`: list runs, show one, export and merge them, take an agent out."""
+"""`glue-results`: list runs, show one, export, merge and remove them, take an agent out."""
 
 from __future__ import annotations
 
+import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack
-from datetime import UTC, datetime
 from pathlib import Path
-from typing import Final
 
 import click
-import numpy as np
 
-from experiment_runner.analysis.settings import Setting, collect
-from experiment_runner.analysis.stats import (
-    convergence_episode,
-    estimate,
-    has_scipy,
-    interquartile_mean,
-    mean,
-    mean_of_last,
-)
-from experiment_runner.report.tables import format_table
+from experiment_runner.report.overview import Overview, as_object, as_text, overview
+from experiment_runner.report.tables import counted, format_table, one_line, terminal_width
 from experiment_runner.store.database import DATABASE_FILES, reported
 from experiment_runner.store.export import write_csv, write_json, write_parquet
-from experiment_runner.store.lock import lock_holder
+from experiment_runner.store.layout import UNFINISHED, remove_run
 from experiment_runner.store.merge import merge as merge_runs
 from experiment_runner.store.output import written
 from experiment_runner.store.records import TrialRecord
@@ -38,16 +28,8 @@ from glue.suggestions import did_you_mean
 
 __all__ = ["main", "results"]
 
-_WINDOW: Final = 100
-_SEED: Final = 0  # of the bootstrap: the same run always shows the same interval
-
-_SETTING_COLUMNS: Final = ("setting", "finished", "episodes", "mean", "95 % interval", "IQM", "converged")
-_LEGEND: Final = f"""\
-mean, IQM  over trials, of the mean of their last {_WINDOW} episodes; IQM is the interquartile mean
-interval   of the mean, by bootstrap
-converged  the episode from which the mean of {_WINDOW}, over all trials, stays within 2 of its end"""
-
 _directory = click.Path(path_type=Path, file_okay=False)
+_as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON, for a script.")
 
 
 @click.group()
@@ -64,38 +46,35 @@ def results() -> None:
       glue-results export runs/mine --out mine.csv
       glue-results merge runs/lab1 runs/lab2 --out runs/both
       glue-results agent runs/mine --out mine.agent
+      glue-results remove runs/mistake
     """
 
 
 @results.command("list")
 @click.argument("folder", type=_directory, default="runs")
-def list_runs(folder: Path) -> int:
+@_as_json
+def list_runs(folder: Path, as_json: bool) -> int:
     """List the runs in FOLDER (by default runs) and the folders within.
 
     \b
     Examples:
       glue-results list
       glue-results list /data/mario
+      glue-results list --json | jq -r '.[] | select(.state == "failed") | .run'
     """
-    rows: list[tuple[str, ...]] = []
+    overviews: list[Overview] = []
     unreadable: list[str] = []
     for directory in _runs_under(folder):
         try:
             with Results.open(directory) as found:
-                trials = found.trials()
-                rows.append(
-                    (
-                        str(directory),
-                        _started(found),
-                        f"{sum(trial.finished for trial in trials)}/{len(trials)}",
-                        f"{sum(trial.done for trial in trials)}/{sum(t.spec.episodes for t in trials)}",
-                        _state(directory, trials),
-                    )
-                )
+                overviews.append(overview(found))
         except ExperimentError as error:
-            unreadable.append(str(error))
-    if rows:
-        click.echo(format_table(("run", "started", "trials", "episodes", "state"), rows))
+            unreadable.append(one_line(str(error)))
+    if as_json:
+        click.echo(json.dumps([one.as_json() for one in overviews], indent=2))
+    elif overviews:
+        rows = [one.cells() for one in overviews]
+        click.echo(format_table(Overview.COLUMNS, rows, width=terminal_width(), prose=True))
     elif not unreadable:
         say(f"there are no runs in {folder}")
     for line in unreadable:
@@ -105,32 +84,20 @@ def list_runs(folder: Path) -> int:
 
 @results.command()
 @click.argument("directory", metavar="RUN", type=_directory)
-def show(directory: Path) -> None:
+@_as_json
+def show(directory: Path, as_json: bool) -> None:
     """Show what a RUN has come to: a line for each setting, and what went wrong.
 
     \b
     Examples:
       glue-results show runs/mine
+      glue-results show runs/mine --json | jq '.settings[].mean'
     """
     with Results.open(directory) as found:
-        trials = found.trials()
-        click.echo(f"{directory}: {_state(directory, trials)}")
-        for name, text in (("started", _started(found)), ("program", _program(found))):
-            if text:
-                click.echo(f"{name}  {text}")
-        rng = np.random.default_rng(_SEED)
-        rows = [_setting_row(setting, rng) for setting in collect([found])]
-        click.echo("\n" + format_table(_SETTING_COLUMNS, rows) + "\n\n" + _LEGEND)
-        if not has_scipy():
-            click.echo("(intervals and IQM need SciPy: pip install 'glue-rl[plot]')")
-        for trial in trials:
-            if trial.failure is not None:
-                click.echo(f"failed: {trial.spec.id}: {trial.failure}")
-        for void in found.voids():
-            click.echo(f"void: episode {void.episode} of {void.trial_id}: {void.why}")
-        for event in found.events():
-            if event.trial_id is not None:
-                click.echo(f"{event.kind}: {event.trial_id}: {event.text}")
+        if as_json:
+            click.echo(json.dumps(as_object(found), indent=2))
+        else:
+            click.echo(as_text(found, terminal_width()))
 
 
 @results.command()
@@ -156,6 +123,7 @@ def export(directory: Path, kind: str, out: Path | None) -> None:
             if out is None:
                 raise ConfigError("a Parquet file is not for the terminal: say where with --out FILE")
             write_parquet(found, out)
+            say(f"wrote {out}")
             return
         write = write_csv if kind == "csv" else write_json
         if out is None:
@@ -165,6 +133,7 @@ def export(directory: Path, kind: str, out: Path | None) -> None:
             return
         with written(out) as partial, partial.open("w", encoding="utf-8", newline="") as file:
             write(found, file)
+    say(f"wrote {out}")
 
 
 @results.command()
@@ -182,6 +151,7 @@ def merge(directories: tuple[Path, ...], out: Path) -> None:
     """
     with ExitStack() as stack:
         merge_runs([stack.enter_context(Results.open(directory)) for directory in directories], out)
+    say(f"wrote {out}")
 
 
 @results.command()
@@ -213,7 +183,31 @@ def agent(directory: Path, trial_id: str | None, out: Path) -> None:
     episode, saved = checkpoint
     with written(out) as partial:
         partial.write_bytes(saved.agent)
-    say(f"{out}: the agent of {trial.spec.id} after {episode} episodes")
+    say(f"wrote {out}: the agent of {trial.spec.id} after {counted(episode, 'episode')}")
+
+
+@results.command()
+@click.argument("directories", metavar="RUN...", nargs=-1, required=True, type=_directory)
+@click.option("--yes", "-y", is_flag=True, help="Do not ask.")
+def remove(directories: tuple[Path, ...], yes: bool) -> None:
+    """Remove each RUN, which asks first.
+
+    Only the files of the run are removed: what else its directory holds, a recording say, stays.
+
+    \b
+    Examples:
+      glue-results remove runs/mistake
+      glue-results remove runs/20260101-120000-jumper-mines --yes
+    """
+    for directory in directories:
+        if not yes:
+            with Results.open(directory) as found:
+                trials = found.trials()
+            amount = f"{counted(len(trials), 'trial')}, {counted(sum(t.done for t in trials), 'episode')}"
+            click.confirm(f"remove {directory} ({amount})?", abort=True, err=True)
+        with reported(f"cannot remove {directory}"):
+            left = remove_run(directory)
+        say(f"removed {directory}" + (f", except what is not the run's: {', '.join(left)}" if left else ""))
 
 
 def _trial(found: Results, trial_id: str | None) -> TrialRecord:
@@ -243,49 +237,10 @@ def _runs_under(folder: Path) -> Iterator[Path]:
     if not folder.is_dir():
         raise ConfigError(f"there is no folder {folder}")
     for path, folders, files in os.walk(folder):
-        folders.sort()
+        folders[:] = sorted(name for name in folders if name != UNFINISHED)
         if DATABASE_FILES[0] in files:
             folders.clear()
             yield Path(path)
-
-
-def _state(directory: Path, trials: Sequence[TrialRecord]) -> str:
-    holder = lock_holder(directory)
-    if holder is not None:
-        return f"under way in {holder}"
-    failed = sum(trial.failure is not None for trial in trials)
-    if failed:
-        return f"{failed} failed"
-    return "finished" if all(trial.finished for trial in trials) else "interrupted"
-
-
-def _started(found: Results) -> str:
-    for event in found.events():
-        if event.kind == "start":
-            return datetime.fromtimestamp(event.time, UTC).strftime("%Y-%m-%d %H:%M UTC")
-    return ""
-
-
-def _program(found: Results) -> str:
-    starts = [event.text for event in found.events() if event.kind in ("start", "resume")]
-    return ", then ".join(dict.fromkeys(starts))
-
-
-def _setting_row(setting: Setting, rng: np.random.Generator) -> tuple[str, ...]:
-    begun = [returns for returns in setting.returns if returns.size]
-    cells = [setting.label, f"{sum(t.finished for t in setting.trials)}/{len(setting.trials)}"]
-    cells.append(str(sum(map(len, begun))))
-    if not begun:
-        return (*cells, "-", "-", "-", "-")
-    reached = np.array([mean_of_last(returns, _WINDOW) for returns in begun])
-    converged = convergence_episode(mean(setting.curves()), _WINDOW)
-    interval = middle = "-"
-    if has_scipy():
-        _, low, high = estimate([reached], mean, rng)
-        interval = interval if np.isnan(low) else f"{low:.2f} to {high:.2f}"
-        middle = f"{interquartile_mean(reached):.2f}"
-    cells += [f"{mean(reached):.2f}", interval, middle]
-    return (*cells, "-" if converged is None else str(converged))
 
 
 def main() -> None:

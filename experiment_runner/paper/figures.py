@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
+from experiment_runner.analysis.stats import bootstrap_rng
 from experiment_runner.paper.experiments import EXPERIMENTS, PAPER_LEVEL, Level
 from experiment_runner.paper.outcomes import WINDOW, FloatArray, Outcome
 from experiment_runner.report.plots import learning_curves, scatter
@@ -16,7 +15,6 @@ if TYPE_CHECKING:
 
 __all__ = ["figures"]
 
-_SEED: Final = 0  # of the bootstrap: the same runs always make the same figures
 _SAMPLE: Final = "sample"
 _BEST: Final = "best"
 _IN_CURVES: Final = (_SAMPLE, "4", "5", "6", "7", "8", _BEST)
@@ -49,8 +47,7 @@ def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
         level = Level(PAPER_LEVEL.seed, difficulty)
         curves = {o.agent: o.curves for o in outcomes if o.experiment.name in _IN_CURVES and o.level == level}
         if curves:
-            rng = np.random.default_rng(_SEED)
-            drawn[f"curves-{difficulty}"] = learning_curves(curves, rng, window=WINDOW)
+            drawn[f"curves-{difficulty}"] = learning_curves(curves, bootstrap_rng(), window=WINDOW)
     best = {
         f"difficulty {o.level.difficulty}": o.curves
         for o in outcomes

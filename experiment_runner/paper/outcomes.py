@@ -13,6 +13,7 @@ import numpy.typing as npt
 from experiment_runner.analysis.settings import Setting, collect
 from experiment_runner.analysis.stats import (
     Estimate,
+    bootstrap_rng,
     convergence_episode,
     estimate,
     mean,
@@ -41,7 +42,6 @@ FINISHED: Final = 90.0
 
 No level has so many coins and monsters that an episode which ends in death comes near it.
 """
-_SEED: Final = 0  # of the bootstrap: the same runs always show the same interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class Outcome:
     @property
     def reward(self) -> Estimate:
         """The mean of `rewards`, with its 95 % bootstrap interval."""
-        return estimate([self.rewards], mean, np.random.default_rng(_SEED))
+        return estimate([self.rewards], mean, bootstrap_rng())
 
     @property
     def reached(self) -> int | None:

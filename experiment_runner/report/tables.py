@@ -1,20 +1,131 @@
-"""Tables of text for a terminal."""
+"""Tables for people: of anything, and of what a run has come to."""
 
 from __future__ import annotations
 
+import re
+import shutil
+import sys
+import textwrap
 from collections.abc import Sequence
+from typing import Final
 
-__all__ = ["format_table"]
+from experiment_runner.store.records import Totals
+from experiment_runner.store.results import Results
+
+__all__ = ["counted", "format_table", "one_line", "summarize", "tabulate", "terminal_width"]
+
+_LAST: Final = 100
+_COLUMNS: Final = ("trial", "episodes", "steps", "mean return", f"mean of last {_LAST}", "cut off", "void")
+_GAP: Final = "  "
+_LEAST_PROSE: Final = 30  # characters that a wrapped column has at least
 
 
-def format_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return lines of columns under their names: the first to the left, the others to the right."""
-    lines = [header, *rows]
-    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-    return "\n".join(
-        "  ".join(
-            cell.rjust(width) if number else cell.ljust(width)
-            for number, (cell, width) in enumerate(zip(line, widths, strict=True))
-        ).rstrip()
-        for line in lines
-    )
+def terminal_width() -> int | None:
+    """Return how many characters fit on a line of standard output; None when it is not a terminal."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
+
+
+def counted(number: int, thing: str) -> str:
+    """Return a number and its noun, as in `1 trial` and `2 trials`."""
+    return f"{number:,} {thing}" if number == 1 else f"{number:,} {thing}s"
+
+
+def one_line(text: str) -> str:
+    """Return a text from a run in one line that a terminal shows as it is, without control characters."""
+    return re.sub(r"[\x00-\x1f\x7f-\x9f]+", " ", text).strip()
+
+
+def format_table(
+    header: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    width: int | None = None,
+    prose: bool = False,
+) -> str:
+    """Return lines of columns under their names, the first to the left and the others to the right.
+
+    Args:
+        header: the names of the columns.
+        rows: a text for each column.
+        width: characters in a line. A table that is wider becomes a paragraph for each row, with a line
+            for each column, so that no word is broken. None for a table of any width.
+        prose: whether the last column is text, which is aligned to the left and may be wrapped.
+    """
+    cells = [[one_line(cell) for cell in row] for row in (header, *rows)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    if width is not None and sum(widths) + len(_GAP) * (len(widths) - 1) > width:
+        room = width - sum(widths[:-1]) - len(_GAP) * (len(widths) - 1)
+        if not prose or room < _LEAST_PROSE:
+            return "\n\n".join(_paragraph(cells[0], row, width) for row in cells[1:])
+        widths[-1] = room
+    return "\n".join(_line(row, widths, prose) for row in cells)
+
+
+def _line(row: Sequence[str], widths: Sequence[int], prose: bool) -> str:
+    numbers = row[1:-1] if prose else row[1:]
+    parts = [row[0].ljust(widths[0])]
+    parts += [cell.rjust(width) for cell, width in zip(numbers, widths[1:], strict=False)]
+    if prose:
+        indent = sum(widths[:-1]) + len(_GAP) * (len(widths) - 1)
+        parts.append(_wrap(row[-1], widths[-1]).replace("\n", "\n" + " " * indent))
+    return _GAP.join(parts).rstrip()
+
+
+def _paragraph(header: Sequence[str], row: Sequence[str], width: int) -> str:
+    name = max(map(len, header[1:]), default=0)
+    lines = [row[0]]
+    for label, cell in zip(header[1:], row[1:], strict=True):
+        indent = len(_GAP) + name + len(_GAP)
+        text = _wrap(cell, max(width - indent, 1)).replace("\n", "\n" + " " * indent)
+        lines.append(f"{_GAP}{label.ljust(name)}{_GAP}{text}".rstrip())
+    return "\n".join(lines)
+
+
+def _wrap(text: str, width: int) -> str:
+    return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False)
+
+
+def tabulate(results: Results, seconds: float, width: int | None = None) -> str:
+    """Return a table with a line for each trial, and why it failed if it did."""
+    rows, failures = [], []
+    for record in results.trials():
+        totals = results.totals(record.spec.id)
+        means = [_mean([part]) for part in (totals, results.totals(record.spec.id, _LAST))]
+        rows.append(
+            (
+                record.spec.id,
+                f"{record.done}/{record.spec.episodes}",
+                f"{totals.steps:,}",
+                *("-" if mean is None else f"{mean:.2f}" for mean in means),
+                f"{totals.cut_off}",
+                f"{record.voids}",
+            )
+        )
+        if record.failure is not None:
+            failures.append(f"failed: {record.spec.id}: {record.failure}")
+    lines = [format_table(_COLUMNS, rows, width=width), "", *failures]
+    return "\n".join([*lines, f"{seconds:.1f} s; results in {results.directory}"])
+
+
+def summarize(results: Results, seconds: float) -> dict[str, object]:
+    """Return the last line of `--json`; means are None when there are no episodes."""
+    trials = results.trials()
+    totals = [results.totals(trial.spec.id) for trial in trials]
+    return {
+        "summary": True,
+        "episodes": sum(trial.episodes for trial in totals),
+        "steps": sum(trial.steps for trial in totals),
+        "mean_return": _mean(totals),
+        f"mean_last_{_LAST}": _mean([results.totals(trial.spec.id, _LAST) for trial in trials]),
+        "cut_off": sum(trial.cut_off for trial in totals),
+        "voids": sum(trial.voids for trial in trials),
+        "failed_trials": sum(trial.failure is not None for trial in trials),
+        "seconds": seconds,
+        "out": str(results.directory),
+    }
+
+
+def _mean(totals: Sequence[Totals]) -> float | None:
+    """Return the mean return of all episodes in `totals`; None when there are none."""
+    episodes = sum(trial.episodes for trial in totals)
+    return sum(trial.sum_of_returns for trial in totals) / episodes if episodes else None

@@ -70,7 +70,7 @@ def call(*arguments: object) -> str:
 def test_list_shows_every_run_below(tmp_path: Path, run: Path) -> None:
     make(tmp_path / "deep" / "er" / "done", [4, 4, 4, 4])
     header, done, ours = call("list", tmp_path).splitlines()
-    assert header.split() == ["run", "started", "trials", "episodes", "state"]
+    assert header.split() == ["run", "started", "trials", "episodes", "state", "reason"]
     assert done.split() == [
         str(tmp_path / "deep" / "er" / "done"),
         *("2001-09-09", "01:46", "UTC", "4/4", "16/16", "finished"),
@@ -81,13 +81,14 @@ def test_list_shows_every_run_below(tmp_path: Path, run: Path) -> None:
 def test_list_and_show_tell_a_run_under_way_and_a_failure(tmp_path: Path, run: Path) -> None:
     store, _ = resume_run(run)
     with store:
-        assert "under way in process" in call("list", tmp_path)
-        assert "under way in process" in call("show", run).splitlines()[0]
+        assert f"running  process {os.getpid()} on" in call("list", tmp_path)
+        assert f"running (process {os.getpid()} on" in call("show", run).splitlines()[0]
         store.record_failure(TRIALS[3], "the agent raised ValueError: no")
         store.record_void(TRIALS[3], 4, "the agent was lost")
-    assert call("list", tmp_path).splitlines()[1].endswith("1 failed")
+    listed = call("list", tmp_path).splitlines()[1]
+    assert listed.endswith(f"failed  {TRIALS[3]}: the agent raised ValueError: no")
     shown = call("show", run).splitlines()
-    assert shown[0] == f"{run}: 1 failed"
+    assert shown[0] == f"{run}: failed"
     assert f"failed: {TRIALS[3]}: the agent raised ValueError: no" in shown
     assert f"void: episode 4 of {TRIALS[3]}: the agent was lost" in shown
     assert f"rewind: {TRIALS[3]}: goes on after episode 2; 1 recorded episodes are run again" in shown
@@ -152,6 +153,63 @@ EXPECTED = [
     for trial in range(4)
     for episode in range(1, 4 if trial == 3 else 5)
 ]
+
+
+def test_list_and_show_as_json_are_for_scripts(run: Path, tmp_path: Path) -> None:
+    store, _ = resume_run(run)
+    with store:
+        store.record_failure(TRIALS[3], "no")
+        store.record(TRIALS[3], EpisodeResult(3, math.inf, 3, True, 1.0))
+    (listed,) = json.loads(call("list", tmp_path, "--json"))
+    assert listed == {
+        "run": str(run),
+        "started": 1_000_000_000.0,
+        "finished_trials": 3,
+        "trials": 4,
+        "episodes": 15,
+        "planned_episodes": 16,
+        "state": "failed",
+        "reason": f"{TRIALS[3]}: no",
+    }
+    shown = json.loads(call("show", run, "--json"))
+    assert listed.items() <= shown.items()
+    assert [(s["setting"], s["finished_trials"], s["mean"]) for s in shown["settings"]] == [
+        ("random", 2, 5.3125),
+        ("sarsa", 1, None),  # JSON has no infinity
+    ]
+    assert shown["settings"][0]["low"] == 0.3125
+    assert [t["failure"] for t in shown["trial_records"]] == [None, None, None, "no"]
+    assert [event["kind"] for event in shown["events"]] == ["start", "resume", "rewind"]
+    with pytest.raises(ConfigError, match="no folder"):
+        call("list", tmp_path / "absent", "--json")
+
+
+# remove
+
+
+def test_removed_run_is_gone_with_its_directory(run: Path) -> None:
+    call("remove", run, "--yes")
+    assert not run.exists()
+
+
+def test_remove_leaves_what_is_not_the_runs(run: Path) -> None:
+    (run / "notes.txt").write_text("mine")
+    done = CliRunner().invoke(results, ["remove", str(run), "--yes"])
+    assert (done.exit_code, [path.name for path in run.iterdir()]) == (0, ["notes.txt"])
+    assert "notes.txt" in done.stderr
+
+
+def test_remove_asks_first_and_refuses_a_run_under_way(run: Path, tmp_path: Path) -> None:
+    done = CliRunner().invoke(results, ["remove", str(run)], input="n\n")
+    assert done.exit_code != 0
+    assert f"remove {run} (4 trials, 15 episodes)?" in done.stderr
+    store, _ = resume_run(run)
+    with store, pytest.raises(ExperimentError, match=f"in use by process {os.getpid()}"):
+        call("remove", run, "--yes")
+    with Results.open(run) as found:
+        assert len(found.trials()) == 4
+    with pytest.raises(ExperimentError, match="holds no run"):
+        call("remove", tmp_path, "--yes")
 
 
 def test_export_to_csv(run: Path) -> None:
@@ -367,7 +425,7 @@ def test_agent_is_what_the_newest_checkpoint_of_the_trial_has(run: Path, tmp_pat
     out.write_text("an older one, which is longer")
     done = CliRunner().invoke(results, ["agent", str(run), "--trial", TRIALS[3], "-o", str(out)])
     assert (done.exit_code, done.stdout) == (0, "")
-    assert done.stderr == f"{out}: the agent of {TRIALS[3]} after 2 episodes\n"
+    assert done.stderr == f"wrote {out}: the agent of {TRIALS[3]} after 2 episodes\n"
     assert out.read_bytes() == b"2"
 
 

@@ -1,0 +1,213 @@
+"""What a run has come to, in one line and in full: for people, and as JSON for scripts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import ClassVar, Final
+
+import numpy as np
+
+from experiment_runner.analysis.settings import Setting, collect
+from experiment_runner.analysis.stats import (
+    bootstrap_rng,
+    convergence_episode,
+    estimate,
+    has_scipy,
+    interquartile_mean,
+    mean,
+    mean_of_last,
+)
+from experiment_runner.report.tables import format_table, one_line
+from experiment_runner.store.lock import lock_holder
+from experiment_runner.store.output import finite
+from experiment_runner.store.records import TrialRecord
+from experiment_runner.store.results import Results
+
+__all__ = ["Overview", "as_object", "as_text", "overview"]
+
+_WINDOW: Final = 100
+_SETTING_COLUMNS: Final = ("setting", "finished", "episodes", "mean", "95 % interval", "IQM", "converged")
+_LEGEND: Final = f"""\
+mean, IQM  over trials, of the mean of their last {_WINDOW} episodes; IQM is the interquartile mean
+interval   of the mean, by bootstrap
+converged  the episode from which the mean of {_WINDOW}, over all trials, stays within 2 of its end"""
+
+
+@dataclass(frozen=True, slots=True)
+class Overview:
+    """A run in one line.
+
+    directory  of the run
+    started    seconds since 1970; None if nothing says
+    trials     how many are finished, and how many there are
+    episodes   how many are recorded, and how many there are to be
+    state      running, failed, finished or interrupted
+    reason     who runs it, or why the first trial that failed did; empty if there is nothing to say
+    """
+
+    COLUMNS: ClassVar = ("run", "started", "trials", "episodes", "state", "reason")
+
+    directory: Path
+    started: float | None
+    trials: tuple[int, int]
+    episodes: tuple[int, int]
+    state: str
+    reason: str
+
+    def cells(self) -> tuple[str, ...]:
+        """Return a text for each of `COLUMNS`."""
+        counts = ("{}/{}".format(*self.trials), "{}/{}".format(*self.episodes))
+        return (str(self.directory), _date(self.started), *counts, self.state, self.reason)
+
+    def as_json(self) -> dict[str, object]:
+        """Return the same for a script."""
+        return {
+            "run": str(self.directory),
+            "started": self.started,
+            "finished_trials": self.trials[0],
+            "trials": self.trials[1],
+            "episodes": self.episodes[0],
+            "planned_episodes": self.episodes[1],
+            "state": self.state,
+            "reason": self.reason,
+        }
+
+
+def overview(results: Results) -> Overview:
+    """Return a run in one line.
+
+    Raises:
+        ExperimentError: it cannot be read.
+    """
+    trials = results.trials()
+    starts = [event.time for event in results.events() if event.kind == "start"]
+    return Overview(
+        results.directory,
+        starts[0] if starts else None,
+        (sum(trial.finished for trial in trials), len(trials)),
+        (sum(trial.done for trial in trials), sum(trial.spec.episodes for trial in trials)),
+        *_state(results.directory, trials),
+    )
+
+
+def as_text(results: Results, width: int | None = None) -> str:
+    """Return what a run has come to: a line for each setting, and what went wrong.
+
+    Args:
+        results: of the run.
+        width: as in `format_table`.
+
+    Raises:
+        ExperimentError: it cannot be read.
+    """
+    run = overview(results)
+    lines = [f"{run.directory}: {run.state}" + (f" ({run.reason})" if run.state == "running" else "")]
+    if run.started is not None:
+        lines.append(f"started  {_date(run.started)}")
+    programs = ", then ".join(_programs(results))
+    if programs:
+        lines.append(f"program  {one_line(programs)}")
+    rows = [_cells(numbers) for numbers in _settings(results)]
+    lines += ["", format_table(_SETTING_COLUMNS, rows, width=width), "", _LEGEND]
+    if not has_scipy():
+        lines.append("(intervals and IQM need SciPy: pip install 'glue-rl[plot]')")
+    failed = [trial for trial in results.trials() if trial.failure is not None]
+    notes = [f"failed: {trial.spec.id}: {trial.failure}" for trial in failed]
+    notes += [f"void: episode {void.episode} of {void.trial_id}: {void.why}" for void in results.voids()]
+    notes += [f"{event.kind}: {event.trial_id}: {event.text}" for event in results.events() if event.trial_id]
+    return "\n".join([*lines, *map(one_line, notes)])
+
+
+def as_object(results: Results) -> dict[str, object]:
+    """Return the same for a script; a number that there is none of is None.
+
+    Raises:
+        ExperimentError: it cannot be read.
+    """
+    return {
+        **overview(results).as_json(),
+        "programs": _programs(results),
+        "settings": [{k: finite(v) for k, v in setting.items()} for setting in _settings(results)],
+        "trial_records": [
+            {
+                "trial": trial.spec.id,
+                "seed": trial.spec.seed,
+                "episodes": trial.done,
+                "planned_episodes": trial.spec.episodes,
+                "voids": trial.voids,
+                "failure": trial.failure,
+            }
+            for trial in results.trials()
+        ],
+        "voids": [void._asdict() for void in results.voids()],
+        "events": [event._asdict() for event in results.events()],
+    }
+
+
+def _state(directory: Path, trials: list[TrialRecord]) -> tuple[str, str]:
+    holder = lock_holder(directory)
+    if holder is not None:
+        return "running", holder
+    failures = [f"{trial.spec.id}: {trial.failure}" for trial in trials if trial.failure is not None]
+    if failures:
+        more = f" (and {len(failures) - 1} more)" if len(failures) > 1 else ""
+        return "failed", failures[0] + more
+    return "finished" if all(trial.finished for trial in trials) else "interrupted", ""
+
+
+def _date(time: float | None) -> str:
+    return "" if time is None else datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def _programs(results: Results) -> list[str]:
+    """Return the versions of the program that ran a run, each once."""
+    return list(dict.fromkeys(e.text for e in results.events() if e.kind in ("start", "resume")))
+
+
+def _settings(results: Results) -> list[dict[str, object]]:
+    rng = bootstrap_rng()
+    return [_numbers(setting, rng) for setting in collect([results])]
+
+
+def _numbers(setting: Setting, rng: np.random.Generator) -> dict[str, object]:
+    begun = [returns for returns in setting.returns if returns.size]
+    numbers: dict[str, object] = {
+        "setting": setting.label,
+        "finished_trials": sum(trial.finished for trial in setting.trials),
+        "trials": len(setting.trials),
+        "episodes": sum(map(len, begun)),
+        "mean": None,
+        "low": None,
+        "high": None,
+        "interquartile_mean": None,
+        "converged": None,
+    }
+    if begun:
+        reached = np.array([mean_of_last(returns, _WINDOW) for returns in begun])
+        numbers["mean"] = float(mean(reached))
+        numbers["converged"] = convergence_episode(mean(setting.curves()), _WINDOW)
+        if has_scipy():
+            _, low, high = estimate([reached], mean, rng)
+            if not np.isnan(low):
+                numbers |= {"low": float(low), "high": float(high)}
+            numbers["interquartile_mean"] = float(interquartile_mean(reached))
+    return numbers
+
+
+def _cells(numbers: dict[str, object]) -> tuple[str, ...]:
+    low, high = numbers["low"], numbers["high"]
+    return (
+        str(numbers["setting"]),
+        f"{numbers['finished_trials']}/{numbers['trials']}",
+        str(numbers["episodes"]),
+        _number(numbers["mean"]),
+        "-" if low is None or high is None else f"{low:.2f} to {high:.2f}",
+        _number(numbers["interquartile_mean"]),
+        "-" if numbers["converged"] is None else str(numbers["converged"]),
+    )
+
+
+def _number(value: object) -> str:
+    return "-" if value is None else f"{value:.2f}"
