@@ -18,7 +18,7 @@ from typing import Final
 
 import zmq
 
-from experiment_runner.executors.children import KeptAlive, Say
+from experiment_runner.children import KeptAlive, Say
 from experiment_runner.plan import Plan, TrialSpec
 from glue.client.experiment import connect
 from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig, LegacyPort
@@ -141,7 +141,7 @@ def _over_hub(
 
     with ExitStack() as stack:
         # Entered first, so left last: the children go when our hub has said goodbye to them.
-        children = stack.enter_context(KeptAlive(say, progress, sent_off=options.hub is None))
+        children = stack.enter_context(KeptAlive(say, progress, dismissed=options.hub is None))
         context = stack.enter_context(zmq.Context())
         if options.hub is None:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="glue-"))

@@ -29,13 +29,19 @@ class Remaining(NamedTuple):
     """A trial that is not finished.
 
     trial_id  of the trial
-    after     it goes on after this episode, with `Store.checkpoint`; 0 when from the start
+    after     it goes on after this episode, from `Store.checkpoint`; 0 if from the beginning
     dropped   how many episodes recorded past that are run again
     """
 
     trial_id: str
     after: int
     dropped: int
+
+    @property
+    def course(self) -> str:
+        """What becomes of it, for people, as in `goes on after episode 200; 7 recorded episodes ...`."""
+        where = f"goes on after episode {self.after}" if self.after else "starts over"
+        return f"{where}; {self.dropped} recorded episodes are run again" if self.dropped else where
 
 
 def create_run(directory: Path, plan: Plan, *, clock: Callable[[], float] = time.time) -> Store:
@@ -115,11 +121,9 @@ def remaining(results: Results) -> list[Remaining]:
 
 
 def go_back(store: Store, trial: Remaining) -> None:
-    """Make a trial ready to go on: forget what it recorded past that point, and that it failed."""
+    """Make a trial ready to go on: remove what it recorded past that point, and its failure."""
     if trial.dropped:
-        again = f"{trial.dropped} recorded episodes are run again"
-        where = f"goes on after episode {trial.after}" if trial.after else "starts over"
-        store.record_event("rewind", f"{where}; {again}", trial.trial_id)
+        store.record_event("rewind", trial.course, trial.trial_id)
     store.rewind(trial.trial_id, trial.after)
 
 

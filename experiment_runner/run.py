@@ -4,26 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from functools import partial
 
-from experiment_runner.executors.distribute import Pool, distribute
-from experiment_runner.executors.ray_cluster import RayCluster
-from experiment_runner.executors.work import work
-from experiment_runner.executors.workers import Workers
-from experiment_runner.plan import Plan
+from experiment_runner.executors.dispatch import Dispatcher, Executor
+from experiment_runner.executors.job import Job
+from experiment_runner.executors.local import LocalExecutor
+from experiment_runner.executors.ray_cluster import RayExecutor
+from experiment_runner.interrupts import GRACE_SECONDS, Interrupts
+from experiment_runner.plan import Plan, TrialSpec
 from experiment_runner.players import HubOptions, Meeting
 from experiment_runner.report.progress import Reporter
 from experiment_runner.resume import remaining
 from experiment_runner.store.store import Store
-from experiment_runner.store.writer import Writer
+from experiment_runner.trial import Start
 from glue.errors import ConfigError
 from glue.trajectory import TrajectoryWriter
 
-__all__ = ["Engine", "RunConfig", "run_trials"]
+__all__ = ["Place", "RunConfig", "run_trials"]
 
 
-class Engine(StrEnum):
-    """Where trials run."""
+class Place(StrEnum):
+    """Where trials run: on this machine, or on a Ray cluster."""
 
     LOCAL = "local"
     RAY = "ray"
@@ -35,8 +35,8 @@ class RunConfig:
 
     Args:
         meeting: how the players of each trial meet.
-        checkpoint_every: episodes between checkpoints of what the players know; 0 for none.
-        engine: where trials run.
+        checkpoint_every: episodes between checkpoints of what the players have learned; 0 for none.
+        place: where trials run.
         workers: trials at a time, each in a process of its own. None: one after the other in this
             process, or as many as a cluster has processors.
         address: of the Ray cluster; None for the one that Ray finds, or one on this machine.
@@ -44,7 +44,7 @@ class RunConfig:
 
     meeting: Meeting = field(default_factory=Meeting)
     checkpoint_every: int = 100
-    engine: Engine = Engine.LOCAL
+    place: Place = Place.LOCAL
     workers: int | None = None
     address: str | None = None
 
@@ -54,9 +54,9 @@ class RunConfig:
         Raises:
             ConfigError: it cannot; the message says why.
         """
-        if self.address is not None and self.engine is not Engine.RAY:
+        if self.address is not None and self.place is not Place.RAY:
             raise ConfigError("--address is that of a Ray cluster: say --engine ray")
-        parallel = self.engine is Engine.RAY or self.workers is not None
+        parallel = self.place is Place.RAY or self.workers is not None
         if (parallel or self.meeting.in_process) and self.meeting.hub != HubOptions():
             why = "every worker brings its own hub" if parallel else "with --in-process there is no hub"
             raise ConfigError(f"{why}: leave out --hub, --bind, --session and --legacy-port")
@@ -78,28 +78,37 @@ def run_trials(
 ) -> int:
     """Run what remains of a run; return how many of its trials have failed.
 
-    A trial that fails is recorded, with the reason, and the others go on.
+    A trial that fails is recorded, with the reason, and the others go on. After Ctrl-C the episodes under
+    way may end, for half a second, and are stored with a checkpoint.
 
     Args:
         store: of the run.
         config: how it is carried out.
-        reporter: is told what happens.
+        reporter: shows what happens.
         recording: is written every step, if `config` was checked for that; None for none.
 
     Raises:
         StorageError: the store cannot be written.
         ExperimentError: workers or cluster cannot be started.
+        KeyboardInterrupt: Ctrl-C, or SIGTERM.
     """
+
+    def make_job(spec: TrialSpec, start: Start) -> Job:
+        return Job(spec, config.meeting, start, config.checkpoint_every)
+
     reporter.start(store.trials())
-    writer = Writer(store, reporter, config.meeting, config.checkpoint_every)
+    executor = _executor(config)
     try:
-        pool = _pool(config)
-        if pool is None:
-            for trial in remaining(store):
-                work(writer.job(trial), partial(writer.take, trial.trial_id), recording)
-        else:
-            distribute(remaining(store), pool, writer)
+        # Workers defer Ctrl-C themselves; so their reports are waited for a little longer.
+        with Interrupts(GRACE_SECONDS if executor is None else GRACE_SECONDS + 0.3) as interrupts:
+            dispatcher = Dispatcher(store, reporter, make_job, interrupts)
+            if executor is None:
+                dispatcher.run_here(remaining(store), recording)
+            else:
+                dispatcher.run_on(executor, remaining(store))
     except KeyboardInterrupt:
+        if again := sum(trial.dropped for trial in remaining(store)):
+            reporter.say(f"{again} episodes have no checkpoint after them, and will be run again")
         reporter.say(f"interrupted; go on with: glue-experiment --resume {store.directory}")
         raise
     finally:
@@ -107,7 +116,7 @@ def run_trials(
     return sum(trial.failure is not None for trial in store.trials())
 
 
-def _pool(config: RunConfig) -> Pool | None:
-    if config.engine is Engine.RAY:
-        return RayCluster(config.address, config.workers)
-    return None if config.workers is None else Workers(config.workers)
+def _executor(config: RunConfig) -> Executor | None:
+    if config.place is Place.RAY:
+        return RayExecutor(config.address, config.workers)
+    return None if config.workers is None else LocalExecutor(config.workers)

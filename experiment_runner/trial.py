@@ -1,4 +1,4 @@
-"""One trial: a spec and an experiment's verbs to a stream of episode results.
+"""One trial: from a spec and an experiment's verbs to a stream of episode results.
 
 It does not know whether agent and environment are in this process, in others, or on other machines;
 nor what becomes of the results.
@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from contextlib import nullcontext
+from typing import Final, NamedTuple, Protocol
 
+from experiment_runner.interrupts import Interrupts
 from experiment_runner.plan import TrialSpec
 from experiment_runner.recording import Recorder
 from experiment_runner.store.records import Checkpoint, EpisodeResult
 from glue.core.experiment import Experiment
-from glue.errors import PeerLost, Unsupported
+from glue.errors import GlueError, PeerLost, Unsupported
 
 __all__ = ["BEGINNING", "Sink", "Start", "run_trial"]
 
@@ -23,7 +25,7 @@ class Sink(Protocol):
     """Where the results of a trial go. What is handed over is kept when the call returns."""
 
     def record(self, result: EpisodeResult, checkpoint: Checkpoint | None) -> None:
-        """Take a finished episode, and what a later run can continue from after it."""
+        """Take a finished episode, and the checkpoint after it, from which a later run can continue."""
         ...
 
     def void(self, episode: int, why: str) -> None:
@@ -32,6 +34,10 @@ class Sink(Protocol):
 
     def event(self, kind: str, text: str) -> None:
         """Take note of anything else that a reader of the results should know."""
+        ...
+
+    def say(self, line: str) -> None:
+        """Show a line to the person who watches the run."""
         ...
 
 
@@ -44,6 +50,8 @@ class Start(NamedTuple):
 
 BEGINNING = Start()
 
+_PROGRESS_SECONDS: Final = 5.0
+
 
 def run_trial(
     glue: Experiment,
@@ -53,12 +61,15 @@ def run_trial(
     start: Start = BEGINNING,
     checkpoint_every: int = 0,
     recorder: Recorder | None = None,
+    interrupts: Interrupts | None = None,
 ) -> None:
     """Run the episodes of `spec` that come after `start`.
 
-    When a player is lost, its episode is void and is run again. If both players can save themselves
-    (capability `save`), they are first brought back to the newest checkpoint, or the beginning, and repeat
-    in silence what came since, so that the results are those of a trial without the loss.
+    When a player is lost, its episode is void and is run again. If both players offer the capability
+    `save`, they are first brought back to the newest checkpoint, or the beginning, and repeat the episodes
+    since, so that the results are those of a trial without the loss.
+
+    Once all episodes are recorded the trial is finished, whatever happens in its cleanup.
 
     Args:
         glue: the verbs; connected.
@@ -67,11 +78,14 @@ def run_trial(
         start: where to begin.
         checkpoint_every: episodes between checkpoints; 0 for none.
         recorder: writes down every step of the episodes that count, and of those that are void.
+        interrupts: lets the episode under way end, and takes a checkpoint after it, before Ctrl-C has its
+            effect; None if nothing is deferred.
 
     Raises:
         GlueError: the trial cannot go on. What the sink was given stays true.
+        KeyboardInterrupt: as `Interrupts.deferred`.
     """
-    _Trial(glue, spec, sink, start, checkpoint_every, recorder).run()
+    _Trial(glue, spec, sink, start, checkpoint_every, recorder, interrupts or Interrupts()).run()
 
 
 class _Trial:
@@ -83,6 +97,7 @@ class _Trial:
         start: Start,
         checkpoint_every: int,
         recorder: Recorder | None,
+        interrupts: Interrupts,
     ) -> None:
         self._glue = glue
         self._spec = spec
@@ -90,10 +105,13 @@ class _Trial:
         self._start = start
         self._every = checkpoint_every
         self._recorder = recorder
+        self._interrupts = interrupts
         self._play = glue.rl_episode if recorder is None else recorder.rl_episode
         self._done = start.after
         self._since: list[EpisodeResult] = []  # what was run after `start`, oldest first
         self._can_save: bool | None = None
+        self._unsaved = ""  # why no checkpoint can be taken
+        self._warned = False
 
     def run(self) -> None:
         ready = False
@@ -102,16 +120,24 @@ class _Trial:
                 if not ready:
                     self._make_ready()
                     ready = True
-                result = self._episode(self._done + 1, self._play)
+                # Without a checkpoint after it, there is no sense in letting an episode end.
+                with self._interrupts.deferred() if self._can_save else nullcontext():
+                    ready = self._keep(self._episode(self._done + 1, self._play))
             except PeerLost as error:
                 self._sink.void(self._done + 1, str(error))
                 # Those who cannot be brought back go on as they are; the hub initialises newcomers.
                 ready = ready and not self._can_save
                 if ready:
                     self._sink.event("replaced", "what the lost player had learned is lost with it")
-                continue
-            ready = self._keep(result)
-        self._glue.rl_cleanup()
+        self._clean_up()
+
+    def _clean_up(self) -> None:
+        """Clean up; what goes wrong there is noted, and takes nothing from the results."""
+        try:
+            self._glue.rl_cleanup()
+        except (GlueError, SystemExit) as error:
+            why = str(error) if isinstance(error, GlueError) else f"SystemExit: {error}"
+            self._sink.event("cleanup", f"all episodes are stored, but cleaning up failed: {why}")
 
     def _make_ready(self) -> None:
         """Bring both players to where this trial stands."""
@@ -122,12 +148,26 @@ class _Trial:
             self._glue.rl_agent_load(checkpoint.agent)
         if self._can_save is None:
             self._can_save = self._save() is not None
-        for before in self._since:
-            again = self._episode(before.episode, self._glue.rl_episode)
-            if again[:4] != before[:4]:
-                self._sink.event("differs", f"episode {before.episode} came out otherwise when repeated")
+        self._repeat()
         if self._recorder is not None:
             self._recorder.begin(task_spec, goes_on=checkpoint is not None or bool(self._since))
+
+    def _repeat(self) -> None:
+        """Repeat the episodes since the newest checkpoint, which brings new players to where the old were."""
+        total = len(self._since)
+        if total:
+            where = (
+                f"the checkpoint after episode {self._start.after}" if self._start.after else "the beginning"
+            )
+            self._sink.say(f"bringing the players back: repeating {total} episodes since {where}")
+        shown = time.perf_counter()
+        for number, before in enumerate(self._since, 1):
+            again = self._episode(before.episode, self._glue.rl_episode)
+            if again[:4] != before[:4]:
+                self._sink.event("differs", f"episode {before.episode} had another result when repeated")
+            if time.perf_counter() - shown >= _PROGRESS_SECONDS:
+                shown = time.perf_counter()
+                self._sink.say(f"repeated {number} of {total} episodes")
 
     def _episode(self, number: int, play: Callable[[int], bool]) -> EpisodeResult:
         began = time.perf_counter()
@@ -139,7 +179,10 @@ class _Trial:
         """Hand a result over, with a checkpoint if one is due; return whether the players are still there."""
         checkpoint, lost = None, False
         due = self._every > 0 and result.episode % self._every == 0
-        if self._can_save and (due or result.episode == self._spec.episodes):
+        if not self._can_save:
+            if due:
+                self._warn()
+        elif due or result.episode == self._spec.episodes or self._interrupts.requested:
             try:
                 checkpoint = self._save()
             except PeerLost as error:
@@ -160,5 +203,13 @@ class _Trial:
             environment = self._glue.rl_env_save()
             return Checkpoint(self._glue.rl_agent_save(), environment)
         except Unsupported as error:
-            self._sink.event("unsaved", f"{error}; interrupted, this trial starts over")
+            self._unsaved = str(error)
             return None
+
+    def _warn(self) -> None:
+        """Say, where the first checkpoint would have been, that there is none."""
+        if not self._warned:
+            self._warned = True
+            self._sink.event(
+                "unsaved", f"no checkpoints: {self._unsaved}; should the run be interrupted, it starts over"
+            )

@@ -18,7 +18,7 @@ from experiment_runner.recording import recorded
 from experiment_runner.report.progress import JsonLines, Progress
 from experiment_runner.report.tables import summarize, tabulate, terminal_width
 from experiment_runner.resume import open_run, recorded_plan
-from experiment_runner.run import Engine, RunConfig, run_trials
+from experiment_runner.run import Place, RunConfig, run_trials
 from glue import __version__
 from glue.commands import legacy_port_option, run
 from glue.console import say
@@ -80,8 +80,8 @@ _MAX_SEED: Final = 2**63 - 1
 )
 @click.option(
     "--engine",
-    type=click.Choice([engine.value for engine in Engine]),
-    default=Engine.LOCAL.value,
+    type=click.Choice([place.value for place in Place]),
+    default=Place.LOCAL.value,
     show_default=True,
     help="Where trials run: on this machine, or on a Ray cluster.",
 )
@@ -198,7 +198,7 @@ def experiment(
             raise ConfigError(str(error)) from error
         directory = out or _new_directory(plan_file.stem if plan_file else _labels(plan))
     meeting = _meeting(in_process, hub, bind, session, legacy_port, insecure)
-    config = RunConfig(meeting, checkpoint_every, Engine(engine), workers, address)
+    config = RunConfig(meeting, checkpoint_every, Place(engine), workers, address)
     config.check(plan, recording=record is not None)
     if dry_run:
         click.echo(describe(plan))

@@ -1,1 +1,1 @@
-"""Where trials run: in processes of this machine, or on a Ray cluster."""
+"""Where trials run: in this process, in worker processes of this machine, or on a Ray cluster."""

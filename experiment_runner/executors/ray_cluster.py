@@ -1,14 +1,15 @@
 """Trials on a Ray cluster (extra `ray`). Ray runs them; this process alone writes the store.
 
 Ray's own retries are off: it would repeat a trial from its start, and the episodes that are stored
-already would come a second time. What is lost goes on from its checkpoint instead, see
-`experiment_runner.executors.distribute`.
+already would be reported a second time. A lost trial goes on from its checkpoint instead, see
+`experiment_runner.executors.dispatch`.
 """
 
 from __future__ import annotations
 
 import contextlib
 import logging
+import re
 import socket
 import time
 from collections.abc import Iterator
@@ -16,17 +17,18 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import Any, Final, Self
 
-from experiment_runner.executors.work import Ended, Job, Lost, Report, work
+from experiment_runner.executors.job import Ended, Job, Lost, Report, run_job
 from glue.errors import ConfigError, ExperimentError
 
-__all__ = ["RayCluster"]
+__all__ = ["RayExecutor"]
 
 _BATCH_SECONDS: Final = 0.1
-_KNOCK_SECONDS: Final = 5.0
+_CONNECT_SECONDS: Final = 5.0
+_ADDRESS: Final = re.compile(r"(?P<host>.+):(?P<port>\d{1,5})")
 
 
-class RayCluster:
-    """A pool of a cluster's processors; see `experiment_runner.executors.distribute.Pool`.
+class RayExecutor:
+    """The processors of a cluster; see `experiment_runner.executors.dispatch.Executor`.
 
     Args:
         address: of the cluster; None for the one that Ray finds, or else one on this machine.
@@ -48,9 +50,9 @@ class RayCluster:
         task = self._ray.remote(num_cpus=1, max_retries=0)(_run)
         self._running[task.remote(job)] = job.spec.id
 
-    def receive(self) -> list[tuple[str, Report]]:
-        """Wait for reports; return them with the id of their trial."""
-        ready, _ = self._ray.wait(list(self._running), num_returns=1)
+    def receive(self, seconds: float) -> list[tuple[str, Report]]:
+        """Return reports with the id of their trial; wait `seconds` at most."""
+        ready, _ = self._ray.wait(list(self._running), num_returns=1, timeout=seconds)
         received: list[tuple[str, Report]] = []
         for stream in ready:
             trial_id = self._running[stream]
@@ -60,11 +62,14 @@ class RayCluster:
                 del self._running[stream]
         return received
 
+    def stop(self) -> None:
+        """Do nothing: a cluster is not waited for, and its trials go on from their newest checkpoints."""
+
     def _read(self, stream: Any) -> list[Report]:
         try:
             reports: list[Report] = self._ray.get(next(stream))
         except (self._ray.exceptions.RayError, StopIteration) as error:
-            self._cancel(stream)  # should it run on somewhere, out of our sight
+            self._cancel(stream)  # in case it still runs somewhere
             why = str(error).strip().partition("\n")[0]
             return [Lost(f"its Ray worker was lost: {type(error).__name__}: {why}")]
         return reports
@@ -75,7 +80,7 @@ class RayCluster:
 
     def __enter__(self) -> Self:
         if self._address is not None:
-            _knock(self._address)
+            _check_address(self._address)
         try:
             self._ray.init(address=self._address, logging_level=logging.ERROR)
         except (ConnectionError, ValueError, RuntimeError) as error:
@@ -91,12 +96,12 @@ class RayCluster:
 
 
 def _run(job: Job) -> Iterator[list[Report]]:
-    """Run a trial in a worker of Ray's, giving back its reports a batch at a time.
+    """Run a trial in a worker of Ray's, yielding its reports in batches.
 
-    A thread does the work, so that an object of Ray's is made ten times a second, not for every episode.
+    A thread runs it, so that Ray makes an object ten times a second and not for every episode.
     """
     reports: SimpleQueue[Report] = SimpleQueue()
-    Thread(target=work, args=(job, reports.put), daemon=True).start()
+    Thread(target=run_job, args=(job, reports.put), daemon=True).start()
     ended = False
     while not ended:
         batch = [reports.get()]
@@ -107,13 +112,13 @@ def _run(job: Job) -> Iterator[list[Report]]:
         yield batch
 
 
-def _knock(address: str) -> None:
-    """See that somebody is there: Ray itself tries for minutes."""
-    host, colon, port = address.rpartition(":")
-    if not colon or not port.isdecimal():
-        raise ConfigError(f"{address!r} is no address of a Ray cluster: write HOST:PORT")
+def _check_address(address: str) -> None:
+    """Check that a cluster listens there: Ray itself would try for minutes."""
+    match = _ADDRESS.fullmatch(address)
+    if match is None or not 1 <= int(match["port"]) <= 65535:
+        raise ConfigError(f"{address!r:.80} is not the address of a Ray cluster: write HOST:PORT")
     try:
-        socket.create_connection((host.strip("[]"), int(port)), _KNOCK_SECONDS).close()
+        socket.create_connection((match["host"].strip("[]"), int(match["port"])), _CONNECT_SECONDS).close()
     except OSError as error:
         reason = error.strerror or str(error)
         raise ExperimentError(f"there is no Ray cluster at {address}: {reason}") from error

@@ -18,7 +18,7 @@ from agents.tabular import SarsaAgent
 from env_server.replay.episodes import build_environment, open_recording, replayed_moments
 from env_server.toys import MinesEnvironment
 from experiment_runner.commands.experiment import experiment
-from experiment_runner.executors.work import Ended, Job, Report, work
+from experiment_runner.executors.job import Ended, Job, Report, run_job
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.players import Meeting
 from experiment_runner.recording import Recorder, recorded
@@ -174,6 +174,8 @@ class Kept:
         self.voids.append(episode)
 
     def event(self, kind: str, text: str) -> None: ...
+
+    def say(self, line: str) -> None: ...
 
     @property
     def numbers(self) -> list[tuple[float, int, bool]]:
@@ -372,7 +374,7 @@ def test_full_disk_fails_the_trial_in_one_line_and_leaves_what_was_stored(
     resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, hard))
     try:
         with recorded(Path("run.traj")) as recording:
-            work(Job(spec, Meeting(in_process=True)), reports.append, recording)
+            run_job(Job(spec, Meeting(in_process=True)), reports.append, recording=recording)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert reports[-1] == Ended("cannot write run.traj: File too large")

@@ -6,15 +6,16 @@ from typing import Self
 
 import pytest
 
-from experiment_runner.executors.distribute import distribute
-from experiment_runner.executors.work import Job, Lost, Recorded, Report, work
+from experiment_runner.executors.dispatch import Dispatcher
+from experiment_runner.executors.job import Job, Lost, Recorded, Report, run_job
+from experiment_runner.interrupts import Interrupts
 from experiment_runner.plan import Plan, RoleSweep, TrialSpec
 from experiment_runner.players import HubOptions, Meeting
 from experiment_runner.resume import create_run, open_run, remaining
-from experiment_runner.run import Engine, RunConfig, run_trials
+from experiment_runner.run import Place, RunConfig, run_trials
 from experiment_runner.store.records import EpisodeResult, TrialRecord
 from experiment_runner.store.store import Store
-from experiment_runner.store.writer import Writer
+from experiment_runner.trial import Start
 from glue.errors import ConfigError
 from tests.system.runs import contents
 
@@ -52,7 +53,7 @@ class Silent:
 
 
 class Unreliable:
-    """A pool that runs one report after another, and loses trials where it is told to.
+    """An executor that runs one report after another, and loses trials where it is told to.
 
     Args:
         losses: per trial, how many reports each attempt gets to make; more attempts are not lost.
@@ -66,22 +67,31 @@ class Unreliable:
 
     def start(self, job: Job) -> None:
         reports: list[Report] = []
-        work(job, reports.append)
+        run_job(job, reports.append)
         losses = self._losses.get(job.spec.id)
         if losses:
             reports[losses.pop(0) :] = [Lost("its worker was lost")]
         self._running[job.spec.id] = reports
         self.most_at_a_time = max(self.most_at_a_time, len(self._running))
 
-    def receive(self) -> list[tuple[str, Report]]:
+    def receive(self, seconds: float) -> list[tuple[str, Report]]:
         received = [(trial_id, reports.pop(0)) for trial_id, reports in self._running.items()]
         self._running = {trial_id: reports for trial_id, reports in self._running.items() if reports}
         return received
+
+    def stop(self) -> None: ...
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None: ...
+
+
+def dispatcher(store: Store, reporter: Silent | None = None) -> Dispatcher:
+    def make_job(spec: TrialSpec, start: Start) -> Job:
+        return Job(spec, HERE, start, checkpoint_every=5)
+
+    return Dispatcher(store, reporter or Silent(), make_job, Interrupts())
 
 
 @pytest.fixture(scope="module")
@@ -93,7 +103,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def hand_out(store: Store, pool: Unreliable) -> None:
-    distribute(remaining(store), pool, Writer(store, Silent(), HERE, checkpoint_every=5))
+    dispatcher(store).run_on(pool, remaining(store))
 
 
 @pytest.mark.parametrize("size", [1, 2, 5])
@@ -157,7 +167,7 @@ def test_interrupted_learning_in_mario_goes_on_as_if_nothing_had_happened(tmp_pa
     [
         (RunConfig(address="head:6379"), PLAN, "--engine ray"),
         (RunConfig(workers=2, meeting=Meeting(hub=HubOptions(session="a"))), PLAN, "its own hub"),
-        (RunConfig(engine=Engine.RAY, meeting=Meeting(hub=HubOptions(hub="tcp://h:1"))), PLAN, "its own hub"),
+        (RunConfig(place=Place.RAY, meeting=Meeting(hub=HubOptions(hub="tcp://h:1"))), PLAN, "its own hub"),
         (RunConfig(Meeting(True, HubOptions(bind=("ipc://x",)))), PLAN, "with --in-process there is no hub"),
         (RunConfig(workers=2), Plan(episodes=1, agents=PLAN.agents), "--env NAME is missing"),
         (RunConfig(HERE), Plan(episodes=1, environments=PLAN.environments), "--agent NAME is missing"),
@@ -176,7 +186,7 @@ def test_report_of_a_recorded_episode_is_stored_before_anybody_hears_of_it(tmp_p
             heard.append(len(store.episodes(spec.id)))
 
     with create_run(tmp_path / "run", PLAN) as store:
-        writer = Writer(store, Listening(), HERE, checkpoint_every=0)
+        listened_to = dispatcher(store, Listening())
         for episode in (1, 2):
-            writer.take(FIRST, Recorded(EpisodeResult(episode, 1.0, 2, True, 0.5), None))
+            listened_to.take(FIRST, Recorded(EpisodeResult(episode, 1.0, 2, True, 0.5), None))
     assert heard == [1, 2]

@@ -28,6 +28,7 @@ class Kept:
         self.checkpoints: dict[int, Checkpoint] = {}
         self.voids: list[int] = []
         self.events: list[str] = []
+        self.said: list[str] = []
 
     def record(self, result: EpisodeResult, checkpoint: Checkpoint | None) -> None:
         assert result.episode == len(self.results) + 1
@@ -40,6 +41,9 @@ class Kept:
 
     def event(self, kind: str, text: str) -> None:
         self.events.append(kind)
+
+    def say(self, line: str) -> None:
+        self.said.append(line)
 
     @property
     def numbers(self) -> list[tuple[float, ...]]:
@@ -137,7 +141,7 @@ def test_player_that_cannot_save_is_replaced_and_the_trial_goes_on() -> None:
     run_trial(Lossy({Kind.RL_EPISODE: {4}}, Forgetful), SPEC, kept, checkpoint_every=10)
     assert len(kept.results) == SPEC.episodes
     assert kept.voids == [4]
-    assert kept.events == ["unsaved", "replaced"]
+    assert kept.events == ["replaced", "unsaved"]
     assert not kept.checkpoints
 
 

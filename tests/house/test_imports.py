@@ -23,7 +23,7 @@ MODULES_IN_A_FOLDER = 16
 
 HOMES: Mapping[str, Sequence[str]] = {
     "zmq": ["glue/client/transport.py", "glue/client/link.py", "experiment_runner/players.py"],
-    "msgpack": ["glue/protocol/wire.py"],
+    "msgpack": ["glue/protocol/wire.py", "experiment_runner/executors/job.py"],
     "numba": ["glue/compiled/jit.py"],
     "click": ["*command.py", "*/commands/*", "glue/commands.py", "glue/console.py"],
     "matplotlib": ["experiment_runner/report/*", "experiment_runner/paper/figures.py"],

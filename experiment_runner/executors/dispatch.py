@@ -1,0 +1,191 @@
+"""Dispatch jobs to an executor, store what they report, and start a lost one again.
+
+This is the one end at which the store of a run is written.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from functools import partial
+from types import TracebackType
+from typing import Final, Protocol, Self
+
+from experiment_runner.executors.job import (
+    Ended,
+    Happened,
+    Job,
+    Lost,
+    Recorded,
+    Report,
+    Said,
+    Voided,
+    run_job,
+)
+from experiment_runner.interrupts import Interrupts
+from experiment_runner.plan import TrialSpec
+from experiment_runner.report.progress import Reporter
+from experiment_runner.resume import Remaining, go_back, remaining
+from experiment_runner.store.store import Store
+from experiment_runner.trial import BEGINNING, Start
+from glue.trajectory import TrajectoryWriter
+
+__all__ = ["Dispatcher", "Executor"]
+
+_MAX_LOSSES: Final = 3
+_WAIT_SECONDS: Final = 0.1
+
+
+class Executor(Protocol):
+    """Runs trials somewhere. When its context is left, none of them runs any more.
+
+    Attributes:
+        size: how many trials at a time.
+    """
+
+    size: int
+
+    def start(self, job: Job) -> None:
+        """Run a trial. It is over when `receive` returns `Ended` or `Lost` for it."""
+        ...
+
+    def receive(self, seconds: float) -> list[tuple[str, Report]]:
+        """Return reports with the id of their trial, those of one trial in order; wait `seconds` at most."""
+        ...
+
+    def stop(self) -> None:
+        """Ask all trials to end soon: the run is interrupted."""
+        ...
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class Dispatcher:
+    """Puts what trials report into the store, and then passes it to the reporter.
+
+    Args:
+        store: open for writing.
+        reporter: shows what happens.
+        make_job: returns the job for a trial and where it begins.
+        interrupts: lets episodes under way end before Ctrl-C has its effect.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        reporter: Reporter,
+        make_job: Callable[[TrialSpec, Start], Job],
+        interrupts: Interrupts,
+    ) -> None:
+        self._store = store
+        self._reporter = reporter
+        self._make_job = make_job
+        self._interrupts = interrupts
+        self._specs = {record.spec.id: record.spec for record in store.trials()}
+        self._losses: dict[str, tuple[int, int]] = {}
+        """How far each lost trial was, and how often it was lost without getting further."""
+
+    def run_here(self, trials: Iterable[Remaining], recording: TrajectoryWriter | None = None) -> None:
+        """Run trials in this process, one after the other.
+
+        Args:
+            trials: what remains of them.
+            recording: is written every step; None for none.
+
+        Raises:
+            StorageError: a report cannot be stored.
+        """
+        for trial in trials:
+            send = partial(self.take, trial.trial_id)
+            run_job(self._job(trial), send, interrupts=self._interrupts, recording=recording)
+
+    def run_on(self, executor: Executor, trials: Iterable[Remaining]) -> None:
+        """Run trials on an executor.
+
+        A trial that is lost goes on from its newest checkpoint, unless it is lost three times in a row
+        without getting any further: then it has failed.
+
+        Raises:
+            StorageError: a report cannot be stored.
+            ExperimentError: the executor cannot run anything.
+        """
+        with executor, self._interrupts.deferred():
+            waiting = deque(trials)
+            running: set[str] = set()
+            stopped = False
+            while running or (waiting and not stopped):
+                while waiting and len(running) < executor.size and not stopped:
+                    job = self._job(waiting.popleft())
+                    running.add(job.spec.id)
+                    executor.start(job)
+                for trial_id, report in executor.receive(_WAIT_SECONDS):
+                    if isinstance(report, (Ended, Lost)):
+                        running.remove(trial_id)
+                    if stopped and isinstance(report, Lost):
+                        continue  # as it was asked to be
+                    self.take(trial_id, report)
+                    if isinstance(report, Lost):
+                        waiting.extendleft(self._after_loss(trial_id, report))
+                if self._interrupts.requested and not stopped:
+                    stopped = True
+                    executor.stop()
+
+    def take(self, trial_id: str, report: Report) -> None:
+        """Store a report.
+
+        Raises:
+            StorageError: it cannot be stored.
+        """
+        store, reporter, spec = self._store, self._reporter, self._specs[trial_id]
+        match report:
+            case Recorded(result, checkpoint):
+                store.record(trial_id, result, checkpoint)
+                reporter.episode(spec, result)
+            case Voided(episode, why):
+                store.record_void(trial_id, episode, why)
+                self._say(trial_id, f"episode {episode} is void: {why}")
+            case Happened(kind, text):
+                store.record_event(kind, text, trial_id)
+                self._say(trial_id, text)
+            case Said(line):
+                self._say(trial_id, line)
+            case Lost(why):
+                store.record_event("lost", why, trial_id)
+                self._say(trial_id, why)
+            case Ended(failure):
+                if failure is not None:
+                    store.record_failure(trial_id, failure)
+                    self._say(trial_id, f"Error: {failure}")
+                reporter.end(spec)
+
+    def _job(self, trial: Remaining) -> Job:
+        spec = self._specs[trial.trial_id]
+        self._reporter.begin(spec, trial.after)
+        found = self._store.checkpoint(spec.id) if trial.after else None
+        return self._make_job(spec, Start(*found) if found else BEGINNING)
+
+    def _after_loss(self, trial_id: str, loss: Lost) -> list[Remaining]:
+        """Return what remains to be run of a trial that was lost, made ready to go on."""
+        done = self._store.done(trial_id)
+        furthest, count = self._losses.get(trial_id, (-1, 0))
+        count = 1 if done > furthest else count + 1
+        if count == _MAX_LOSSES:
+            why = f"{loss.why}, {count} times without getting past episode {furthest}"
+            self.take(trial_id, Ended(why))
+            return []
+        self._losses[trial_id] = (max(done, furthest), count)
+        left = [trial for trial in remaining(self._store) if trial.trial_id == trial_id]
+        for trial in left:
+            go_back(self._store, trial)
+            self._say(trial_id, f"it {trial.course}")
+        if not left:
+            self.take(trial_id, Ended(None))
+        return left
+
+    def _say(self, trial_id: str, text: str) -> None:
+        for line in text.splitlines():
+            self._reporter.say(line if len(self._specs) == 1 else f"{trial_id}: {line}")

@@ -1,0 +1,239 @@
+"""One trial as a job: what an executor is given, and what it reports back.
+
+Reports go, in order, to the one process that writes the store, see `experiment_runner.executors.dispatch`.
+Between processes both travel as msgpack, one value after the other.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import traceback
+from collections.abc import Callable
+from dataclasses import asdict
+from typing import Any, Final, NamedTuple
+
+import msgpack
+
+from experiment_runner.interrupts import Interrupts
+from experiment_runner.plan import RoleSpec, TrialSpec
+from experiment_runner.players import Meeting, open_experiment
+from experiment_runner.recording import Recorder
+from experiment_runner.store.database import StorageError
+from experiment_runner.store.records import Checkpoint, EpisodeResult
+from experiment_runner.trial import BEGINNING, Start, run_trial
+from glue.errors import ExperimentError, GlueError, PeerFailed
+from glue.trajectory import TrajectoryWriter
+
+__all__ = [
+    "Ended",
+    "Happened",
+    "Job",
+    "Lost",
+    "Recorded",
+    "Report",
+    "Said",
+    "Voided",
+    "decode_job",
+    "decode_report",
+    "encode_job",
+    "encode_report",
+    "run_job",
+    "unpacker",
+]
+
+_MAX_MESSAGE: Final = 2**31 - 1
+"""Bytes of one job or report; a checkpoint is most of it."""
+
+
+class Job(NamedTuple):
+    """A trial to run, or to go on with.
+
+    spec              the trial
+    meeting           how its players meet
+    start             where it begins
+    checkpoint_every  episodes between checkpoints; 0 for none
+    """
+
+    spec: TrialSpec
+    meeting: Meeting
+    start: Start = BEGINNING
+    checkpoint_every: int = 0
+
+
+class Recorded(NamedTuple):
+    """An episode is finished, and this can be continued from after it."""
+
+    result: EpisodeResult
+    checkpoint: Checkpoint | None
+
+
+class Voided(NamedTuple):
+    """An attempt at an episode does not count."""
+
+    episode: int
+    why: str
+
+
+class Happened(NamedTuple):
+    """Something that a reader of the results should know."""
+
+    kind: str
+    text: str
+
+
+class Said(NamedTuple):
+    """A line for the person who watches the run."""
+
+    line: str
+
+
+class Ended(NamedTuple):
+    """The trial is over; `failure` is the reason if it could not be finished, or None."""
+
+    failure: str | None
+
+
+class Lost(NamedTuple):
+    """The process that ran the trial is gone, without having reported its end; `why` is what is known."""
+
+    why: str
+
+
+Report = Recorded | Voided | Happened | Said | Ended | Lost
+
+
+def run_job(
+    job: Job,
+    send: Callable[[Report], None],
+    *,
+    interrupts: Interrupts | None = None,
+    recording: TrajectoryWriter | None = None,
+) -> None:
+    """Run a trial and send its reports, the last of which is `Ended`.
+
+    Args:
+        job: what to run.
+        send: takes reports, never two at once.
+        interrupts: lets the episode under way end before Ctrl-C has its effect; None if nothing does.
+        recording: is written every step of the trial; None for none.
+
+    Raises:
+        StorageError: what `send` raises when a report cannot be stored.
+        BrokenPipeError: what `send` raises when nobody reads its output any more.
+    """
+    lock = threading.Lock()  # players are watched by threads, which report as well
+
+    def send_alone(report: Report) -> None:
+        with lock:
+            send(report)
+
+    failure = None
+    sender = _Sender(send_alone, job.start.after)
+    try:
+        with open_experiment(
+            job.spec, job.meeting, lambda line: send_alone(Said(line)), lambda: sender.done
+        ) as glue:
+            run_trial(
+                glue,
+                job.spec,
+                sender,
+                start=job.start,
+                checkpoint_every=job.checkpoint_every,
+                interrupts=interrupts,
+                recorder=None if recording is None else Recorder(recording, job.spec, glue),
+            )
+    except (StorageError, BrokenPipeError):
+        raise
+    except GlueError as error:
+        if isinstance(error, PeerFailed) and not isinstance(error.__cause__, GlueError | None):
+            traceback.print_exception(error.__cause__)  # the user's own mistake, where it happened
+        failure = str(error)
+    except (Exception, SystemExit) as error:
+        traceback.print_exception(error)
+        failure = f"{type(error).__name__}: {error}"
+    send_alone(Ended(failure))
+
+
+class _Sender:
+    """Turns what a trial hands over into reports.
+
+    Attributes:
+        done: the newest episode; at first the one after which the trial begins.
+    """
+
+    def __init__(self, send: Callable[[Report], None], done: int) -> None:
+        self._send = send
+        self.done = done
+
+    def record(self, result: EpisodeResult, checkpoint: Checkpoint | None) -> None:
+        self._send(Recorded(result, checkpoint))
+        self.done = result.episode
+
+    def void(self, episode: int, why: str) -> None:
+        self._send(Voided(episode, why))
+
+    def event(self, kind: str, text: str) -> None:
+        self._send(Happened(kind, text))
+
+    def say(self, line: str) -> None:
+        self._send(Said(line))
+
+
+_REPORTS: Final = {kind.__name__: kind for kind in (Recorded, Voided, Happened, Said, Ended, Lost)}
+
+
+def unpacker() -> Any:
+    """Return msgpack's unpacker for a stream of jobs or reports."""
+    return msgpack.Unpacker(max_buffer_size=_MAX_MESSAGE)
+
+
+def encode_job(job: Job) -> bytes:
+    """Return a job as bytes. Its players meet in one process, or over a hub of the executor's own."""
+    header = [
+        json.dumps(asdict(job.spec)),
+        job.meeting.in_process,
+        job.checkpoint_every,
+        job.start.after,
+    ]
+    return bytes(msgpack.packb([*header, _saved(job.start.checkpoint)]))
+
+
+def decode_job(value: Any) -> Job:
+    """Return the job that an unpacked value of `encode_job` stands for."""
+    trial, in_process, checkpoint_every, after, saved = value
+    fields = json.loads(trial)
+    for role in ("agent", "environment"):
+        if fields[role] is not None:
+            fields[role] = RoleSpec(**fields[role])
+    checkpoint = None if saved is None else Checkpoint(*saved)
+    return Job(TrialSpec(**fields), Meeting(in_process), Start(after, checkpoint), checkpoint_every)
+
+
+def encode_report(report: Report) -> bytes:
+    """Return a report as bytes."""
+    fields = [*report]
+    if isinstance(report, Recorded):
+        fields[1] = _saved(report.checkpoint)
+    return bytes(msgpack.packb([type(report).__name__, *fields]))
+
+
+def decode_report(value: Any) -> Report:
+    """Return the report that an unpacked value of `encode_report` stands for.
+
+    Raises:
+        ExperimentError: it is none.
+    """
+    try:
+        kind, *fields = value
+        report = _REPORTS[kind](*fields)
+        if isinstance(report, Recorded):
+            result, saved = fields
+            return Recorded(EpisodeResult(*result), None if saved is None else Checkpoint(*saved))
+    except (TypeError, ValueError, KeyError) as error:
+        raise ExperimentError(f"this is not a report: {value!r:.80}") from error
+    return report
+
+
+def _saved(checkpoint: Checkpoint | None) -> list[bytes] | None:
+    return None if checkpoint is None else [checkpoint.agent, checkpoint.environment]
