@@ -253,7 +253,7 @@ def test_full_disk_is_named_and_what_was_stored_is_readable(tmp_path: Path) -> N
     assert trial == "sarsa/mines/0"
     assert done.stderr.strip().splitlines()[-1] == (
         f"Error: episode {int(last) + 1} of {trial} is not recorded: the disk is full; "
-        "the episodes before it are. Mend that, and continue with --resume run"
+        "the episodes before it are. Solve that, and continue with --resume run"
     )
     assert "Traceback" not in done.stderr
 
@@ -270,7 +270,7 @@ def test_file_that_may_not_grow_ends_the_run_and_what_was_stored_is_readable(
     last = json.loads(done.stdout.splitlines()[-1])["episode"]
     assert (
         f"Error: episode {last + 1} of sarsa/mines/0 is not recorded: disk I/O error; "
-        "the episodes before it are. Mend that, and continue with --resume run\n"
+        "the episodes before it are. Solve that, and continue with --resume run\n"
     ) in done.stderr
     assert "Traceback" not in done.stderr
     [(episodes, _)] = contents(tmp_path / "run").values()
