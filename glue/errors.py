@@ -31,6 +31,10 @@ class Refused(GlueError):
     """The hub will not let this peer in; the message says why."""
 
 
+class SaveError(GlueError):
+    """A saved agent or environment is damaged, or was saved by another one; the message says which."""
+
+
 class PeerLost(GlueError):
     """An agent or environment went away during an episode; that episode is void.
 
