@@ -35,6 +35,10 @@ class SaveError(GlueError):
     """A saved agent or environment is damaged, or was saved by another one; the message says which."""
 
 
+class HubUnreachable(GlueError):
+    """No hub has answered in the time allowed; the message gives the address."""
+
+
 class PeerLost(GlueError):
     """An agent or environment went away during an episode; that episode is void.
 
