@@ -17,8 +17,8 @@ from click.shell_completion import CompletionItem
 
 from glue import __version__
 from glue.commands import HUB_VARIABLE, SESSION_VARIABLE
-from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.console import say
+from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.options import Parameter, Value, build, parameters
 from glue.players.loading import find, names, summaries
 from glue.protocol.messages import Role
