@@ -1,4 +1,4 @@
-"""Every installed player refuses a damaged save, survives a forged one, and reads those of earlier versions."""
+"""Every installed player refuses a damaged save, survives a forged one, and reads those of older versions."""
 
 from __future__ import annotations
 
