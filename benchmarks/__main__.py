@@ -15,7 +15,7 @@ import zmq
 
 from benchmarks.measure import REPEATS, Table
 
-_MODULES = ("hub", "legacy", "mario", "agents", "experiment")
+_MODULES = ("hub", "attacks", "legacy", "mario", "agents", "experiment")
 _FILE = Path(__file__).parent.parent / "docs" / "performance.md"
 
 

@@ -8,10 +8,9 @@ Source of names and meaning: RL-Glue 3.0.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Final, Protocol, TypeGuard, TypeVar
+from typing import Final, Protocol, TypeGuard, TypeVar
 
-if TYPE_CHECKING:
-    from glue.types import Action, Observation
+from glue.types import Action, Observation
 
 __all__ = ["CAPABILITIES", "Agent", "Environment", "capabilities", "offers"]
 

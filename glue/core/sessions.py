@@ -17,8 +17,8 @@ network drops:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Set
-from typing import Final, Protocol
+from collections.abc import Callable
+from typing import Any, Final, Protocol
 
 from glue.core.calls import skippable, unsupported
 from glue.core.config import HubConfig
@@ -35,12 +35,6 @@ INSTANCE_SIZE: Final = 16
 
 ONE_RUN: Final = "one-run"
 """Capability of a player that takes part in one run alone: it is sent off when the experiment leaves."""
-
-_SLOW_SECONDS: Final = 5.0
-"""How long a player may take for an answer before it is mentioned."""
-
-_RARER: Final = 6.0
-"""Each mention comes after so many times as long as the one before: after 5 s, 30 s, 180 s, ..."""
 
 _MAX_LABEL: Final = 255
 """Bytes of a peer's name and codec that are kept."""
@@ -97,28 +91,31 @@ class Switchboard:
 
     Args:
         config: limits and times.
-        log: takes one line for people about each peer that joins, leaves or is slow to answer.
+        log: takes one line for people about each peer that joins or leaves.
     """
 
     def __init__(self, config: HubConfig, log: Callable[[str], None]) -> None:
         self._config = config
-        self.log = log
+        self._log = log
         self._now = 0.0
         self._sessions: dict[str, _Session] = {}
         self._seats: dict[Route, dict[str, _Peer]] = {}
         """The peers of each connection, by session."""
 
-    @property
-    def routes(self) -> Set[Route]:
-        """The routes of all peers, as they are at any time."""
-        return self._seats.keys()
+    def num_seats(self, route: Route) -> int:
+        """Return in how many sessions a route takes part."""
+        seats = self._seats.get(route)
+        return 0 if seats is None else len(seats)
 
     def num_steps(self, session: str) -> int:
         """Return what RL_num_steps is at present in a session that has a peer."""
         return self._sessions[session].num_steps
 
-    def receive(self, route: Route, message: Message, now: float) -> None:
-        """Act on a message from `route`."""
+    def receive(self, route: Route, message: Message, now: float) -> bool:
+        """Act on a message from `route`; return whether it was in turn.
+
+        In turn are the answer to the outstanding call, and a request while none is being carried out.
+        """
         self._now = now
         seats = self._seats.get(route)
         peer = None if seats is None else seats.get(message.session)
@@ -127,9 +124,8 @@ class Switchboard:
             self._receive_from_stranger(route, message)
         elif kind in CALLS or kind is Kind.ERROR:
             if peer.role is Role.EXPERIMENT:
-                peer.session.request(peer, message)
-            else:
-                peer.session.answer(peer, message)
+                return peer.session.request(peer, message)
+            return peer.session.answer(peer, message)
         elif kind is Kind.HEARTBEAT:
             self.send(route, Message(Kind.HEARTBEAT, message.session, message.seq))
         elif kind is Kind.GOODBYE:
@@ -138,6 +134,7 @@ class Switchboard:
                 self._send_off(peer.session)
         else:
             self._error(route, message, ErrorCode.NOT_ASKED, f"{kind.name} is for the hub to send")
+        return False
 
     def malformed(self, route: Route, error: RemoteProtocolError, now: float) -> None:
         """Act on bytes from `route` that are no message: whoever sent them loses its place."""
@@ -170,8 +167,6 @@ class Switchboard:
                 since = peer.unreachable_since
                 if since is not None and now - since >= self._config.patience:
                     self._lose(peer, f"was out of reach for {now - since:.1f} s")
-        for session in self._sessions.values():
-            session.report_if_slow(now)
 
     def close(self, reason: str) -> None:
         """Tell every peer that the hub ends."""
@@ -189,7 +184,7 @@ class Switchboard:
         refusal = self._greet(route, message)
         if refusal is not None:
             code, text = refusal
-            self.log(f"refused a peer of session {message.session!r}: {text}")
+            self._log(f"refused a peer of session {message.session!r}: {text}")
             self.send(route, Message(Kind.REFUSE, message.session, message.seq, (str(code), clip(text))))
 
     def _greet(self, route: Route, message: Message) -> tuple[ErrorCode, str] | None:
@@ -250,7 +245,7 @@ class Switchboard:
         self._sessions[session.name] = session
         self._seats.setdefault(route, {})[session.name] = peer
         if current is None:
-            self.log(f"session {session.name!r}: {role} {label} {'returned' if known else 'joined'}")
+            self._log(f"session {session.name!r}: {role} {label} {'returned' if known else 'joined'}")
         session.join(peer, same=known or current is not None, announce=current is None)
         return None
 
@@ -278,7 +273,7 @@ class Switchboard:
     def _lose(self, peer: _Peer, why: str, code: ErrorCode = ErrorCode.PEER_LOST) -> None:
         session = peer.session
         self._unseat(peer)
-        self.log(f"session {session.name!r}: {peer.role} {peer.label} {why}")
+        self._log(f"session {session.name!r}: {peer.role} {peer.label} {why}")
         session.lose(peer, why, code)
         if not session.peers:
             self._sessions.pop(session.name, None)
@@ -307,9 +302,6 @@ class _Session:
         "_reply",
         "_request_seq",
         "_seq",
-        "_slow_after",
-        "_watched",
-        "_watched_since",
         "name",
         "peers",
     )
@@ -324,9 +316,6 @@ class _Session:
         self._outstanding: Message | None = None
         self._request_seq = 0
         self._reply: Message | None = None
-        self._watched: Message | None = None
-        self._watched_since = 0.0
-        self._slow_after = _SLOW_SECONDS
 
     @property
     def num_steps(self) -> int:
@@ -359,14 +348,14 @@ class _Session:
         if role is Role.EXPERIMENT:
             for player in self.peers.values():
                 if player is not peer:
-                    self._notify(Event.JOINED, player.role, player.label)
+                    self._notify(Event.JOINED, player)
             if same:
                 self.repeat(peer)
             else:
                 self._forget_experiment()
             return
         if announce:
-            self._notify(Event.RETURNED if same else Event.JOINED, role, peer.label)
+            self._notify(Event.RETURNED if same else Event.JOINED, peer)
         if not same:
             self._engine.replace(role)
         asked = self._engine.asked
@@ -392,7 +381,7 @@ class _Session:
             self._forget_experiment()
             return
         engine = self._engine
-        self._notify(Event.LOST, role, peer.label)
+        self._notify(Event.LOST, peer)
         awaited = engine.awaiting is not None and CALLS[engine.awaiting].callee is role
         reason = f"the {role} {peer.label} {why}"
         stranded = engine.verb is not None and (engine.in_episode or awaited)
@@ -400,38 +389,23 @@ class _Session:
         if stranded:
             self._fail(code, reason)
 
-    def report_if_slow(self, now: float) -> None:
-        """Mention, now and then, a player that has been asked and has not answered."""
-        asked = self._outstanding
-        role = None if asked is None else CALLS[asked.kind].callee
-        player = None if role is None else self.peers.get(role)
-        if asked is None or player is None:
-            self._watched = None
-        elif asked is not self._watched:
-            self._watched, self._watched_since, self._slow_after = asked, now, _SLOW_SECONDS
-        elif now - self._watched_since >= self._slow_after:
-            text = f"{player.label} has not answered {asked.kind.name.lower()} for {self._slow_after:.0f} s"
-            self._slow_after *= _RARER
-            self._board.log(f"session {self.name!r}: {player.role} {text}")
-            self._notify(Event.SLOW, player.role, text)
-
-    def request(self, peer: _Peer, message: Message) -> None:
-        """Begin on a verb of the experiment."""
+    def request(self, peer: _Peer, message: Message) -> bool:
+        """Begin on a verb of the experiment; return whether it was in turn."""
         if message.seq <= self._request_seq:
             if message.seq != self._request_seq or message.seq == 0:
                 text = f"a request {message.seq} came after {self._request_seq}; sequence numbers grow from 1"
                 self._error(peer, message, ErrorCode.NOT_ASKED, text)
             # Otherwise it was heard; if its reply was missed, the HELLO of the new connection brought it.
-            return
+            return False
         engine = self._engine
         if engine.verb is not None:
             text = f"{message.kind.name} came while {engine.verb.name} is still being carried out"
             self._error(peer, message, ErrorCode.BUSY, text)
-            return
+            return False
         if message.kind not in CALLS or CALLS[message.kind].callee is not None:
             text = f"{message.kind.name} is not for an experiment to send"
             self._error(peer, message, ErrorCode.NOT_ASKED, text)
-            return
+            return False
         if not peer.confirmed:
             self._confirm(peer)
         self._request_seq = message.seq
@@ -440,11 +414,12 @@ class _Session:
             step = engine.begin(message.kind, message.scalars, message.body)
         except PeerLost as error:
             self._fail(ErrorCode.PEER_LOST, str(error))
-            return
+            return True
         self._advance(step)
+        return True
 
-    def answer(self, peer: _Peer, message: Message) -> None:
-        """Take a player's answer to the outstanding call, and make the next one."""
+    def answer(self, peer: _Peer, message: Message) -> bool:
+        """Take an answer to the outstanding call, and make the next one; return whether it was in turn."""
         outstanding = self._outstanding
         seq = message.seq
         if outstanding is None or seq != outstanding.seq or CALLS[outstanding.kind].callee is not peer.role:
@@ -453,21 +428,22 @@ class _Session:
             if never or (message.kind in CALLS and CALLS[message.kind].callee is not peer.role):
                 text = f"{message.kind.name} {seq} was never asked of this {peer.role}"
                 self._error(peer, message, ErrorCode.NOT_ASKED, text)
-            return
+            return False
         if not peer.confirmed:
             self._confirm(peer)
         if message.kind is Kind.ERROR:
             text = clip(str(message.scalars[1]))
             what = outstanding.kind.name.lower()
             self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.label} raised in {what}: {text}")
-            return
+            return True
         try:
             step = self._engine.resume(message.kind, message.scalars, message.body)
         except RemoteProtocolError as error:
             self._error(peer, message, ErrorCode.NOT_ASKED, str(error))
             self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.label} broke the protocol: {error}")
-            return
+            return True
         self._advance(step)
+        return True
 
     def _advance(self, step: Step) -> None:
         """Make the call that the engine asks for, or send the experiment its reply."""
@@ -513,10 +489,11 @@ class _Session:
         if experiment is not None:
             self._board.deliver(experiment, reply)
 
-    def _notify(self, event: Event, role: Role, text: str) -> None:
+    def _notify(self, event: Event, player: _Peer) -> None:
         experiment = self.peers.get(Role.EXPERIMENT)
         if experiment is not None:
-            self._board.deliver(experiment, Message(Kind.NOTICE, self.name, 0, (str(event), str(role), text)))
+            scalars: tuple[Any, ...] = (str(event), str(player.role), player.label)
+            self._board.deliver(experiment, Message(Kind.NOTICE, self.name, 0, scalars))
 
     def _error(self, peer: _Peer, message: Message, code: ErrorCode, text: str) -> None:
         self._board.deliver(peer, Message(Kind.ERROR, self.name, message.seq, (str(code), clip(text))))

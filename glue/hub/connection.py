@@ -1,4 +1,8 @@
-"""A connection in the hub's loop: it never waits, and keeps only what it was given to send."""
+"""A connection in the hub's loop: it never waits, and keeps only what it was given to send.
+
+A connection that is `in_turn` is served as soon as it is ready. Any other waits in the loop's queue, and is
+not even watched meanwhile, so that its system holds the sender back.
+"""
 
 from __future__ import annotations
 
@@ -6,21 +10,22 @@ import select
 import socket
 import struct
 import time
+import traceback
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import Final
 
 from glue.hub.loop import FAILURE, READ, WRITE, Loop
 
-__all__ = ["Connection", "limit_patience", "take_leave"]
+__all__ = ["Connection", "limit_silence", "take_leave"]
 
 _CHUNK: Final = 65_536
-"""The most bytes that are read at once; beyond it, memory for a short message would cost a system call."""
+"""Maximum bytes to read at once; memory for more costs a system call, even if the message is short."""
 
 _PROBES: Final = 3
-"""Unanswered probes, one a heartbeat, after which a host that fell silent is taken for gone."""
+"""Unanswered probes, one per heartbeat, after which a silent host is considered gone."""
 
-_LONGEST_SILENCE: Final = 32_767
+_MAX_SILENCE: Final = 32_767
 """Seconds; Linux, MAX_TCP_KEEPIDLE."""
 
 _AT_ONCE: Final = struct.pack("ii", 1, 0)
@@ -33,11 +38,14 @@ class Connection:
     Args:
         loop: where it waits.
         connected: the socket, TCP or Unix; it is closed by `close` or `reset`.
-        name: the other side's address, for people.
-        silence: seconds after which a silent host is asked whether it is still there.
+        name: the address of the other side, for people.
+        silence: seconds after which the system probes a silent host.
 
     Attributes:
-        ready: called with the time when something has come, when all has been sent, and after `later`.
+        ready: called with the time when there is something to receive, when all has been sent, and after
+            `later`. Should it raise, the connection is reset, with a report to the log.
+        failed: called with the time after that.
+        in_turn: whether the peer last sent what it was to send; set by the owner.
         closed: nothing can be sent or received any more.
     """
 
@@ -45,15 +53,18 @@ class Connection:
         connected.setblocking(False)
         if connected.family != socket.AF_UNIX:
             connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            _probe_when_silent(connected, min(max(1, round(silence)), _LONGEST_SILENCE))
+            _probe_when_silent(connected, min(max(1, round(silence)), _MAX_SILENCE))
         self.name = name
         self.ready: Callable[[float], None] = _nothing
+        self.failed: Callable[[float], None] = _nothing
+        self.in_turn = False
         self.closed = False
         self._loop = loop
         self._socket = connected
         self._unsent = bytearray()
         self._reading = True
         self._later = False
+        self._queued = False
         self._finishing = False
         self._gone = False
         self._watched = READ
@@ -70,23 +81,23 @@ class Connection:
 
     @property
     def unsent(self) -> int:
-        """Bytes that were sent and are still here, since the other side does not read."""
+        """Bytes that are still to be sent, since the peer does not read."""
         return len(self._unsent)
 
     def read(self, wanted: bool) -> None:
-        """Say whether what comes is to be received, or left where it holds the other side back."""
+        """Set whether to receive data, or to leave it where it holds the peer back."""
         if wanted != self._reading:
             self._reading = wanted
             self._watch()
 
     def later(self) -> None:
-        """Have `ready` called in the next turn of the loop."""
+        """Have `ready` called again, although nothing need happen."""
         self._later = True
         self._watch()
 
     def receive(self) -> bytes | None:
-        """Return what has come: None if nothing did, or is wanted; no bytes if nothing will any more."""
-        # Whoever is gone may have said something before, which is still here.
+        """Return the data received: None if none is available or wanted, empty at the end."""
+        # What the peer sent before it went is still here.
         if not self._reading and not self._gone:
             return None
         try:
@@ -107,32 +118,56 @@ class Connection:
         self._watch()
 
     def finish(self) -> None:
-        """Close as soon as everything is sent and the other side has closed; drop what it still says."""
+        """Close once everything is sent and the other side has closed; ignore what it still sends."""
         self._finishing = True
         self.ready = self._discard
         self.read(True)
         self._end_if_sent()
 
     def close(self) -> None:
-        """Close in the orderly way, whatever is still unsent."""
+        """Close, even if something is unsent."""
         if not self.closed:
             self.closed = True
-            # Whoever was called keeps this connection, and would be kept by it.
-            self.ready = _nothing
+            # The owner refers to this connection; break the cycle.
+            self.ready = self.failed = _nothing
             self._loop.unwatch(self._socket.fileno())
             self._socket.close()
 
     def reset(self) -> None:
-        """Close so that the other side's next call fails, whatever it was going to do."""
+        """Close so that the next system call of the other side fails."""
         if not self.closed:
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
             self.close()
 
     def turn(self, now: float) -> None:
-        """Send what is left, and call `ready`: something has happened, or `later` was called."""
+        """Something has happened, or `later` was called: serve it, or let it wait in the queue."""
+        if self.in_turn:
+            self.serve(now)
+        elif not self._queued:
+            self._queued = True
+            self._loop.unwatch(self._socket.fileno())
+            self._loop.queue(self._serve_from_queue)
+
+    def serve(self, now: float) -> None:
+        """Send what is left, and call `ready`."""
         if self._watched != READ:
             self._catch_up()
-        self.ready(now)
+        try:
+            self.ready(now)
+        except Exception:
+            self._loop.log(
+                f"{self.name} was dropped after an error of the hub; please report this:\n"
+                f"{traceback.format_exc()}"
+            )
+            failed = self.failed
+            self.reset()
+            failed(now)
+
+    def _serve_from_queue(self, now: float) -> None:
+        self._queued = False
+        if not self.closed:
+            self._loop.watch(self._socket.fileno(), self._watched, self.turn)
+            self.serve(now)
 
     def _catch_up(self) -> None:
         self._later = False
@@ -150,7 +185,7 @@ class Connection:
         except BlockingIOError:
             return 0
         except OSError:
-            # Nothing may follow what is missing now. The loop hears of the end.
+            # Nothing may follow what is missing now. The loop reports the end.
             self._gone = True
             with suppress(OSError):  # it may have ended already
                 self._socket.shutdown(socket.SHUT_RDWR)
@@ -160,7 +195,8 @@ class Connection:
         events = self.events
         if events != self._watched and not self.closed:
             self._watched = events
-            self._loop.watch(self._socket.fileno(), events, self.turn)
+            if not self._queued:
+                self._loop.watch(self._socket.fileno(), events, self.turn)
 
     def _end_if_sent(self) -> None:
         if not self._unsent:
@@ -173,11 +209,11 @@ class Connection:
 
 
 def _nothing(now: float) -> None:
-    """Do nothing, when nobody waits for a connection."""
+    """Do nothing."""
 
 
 def take_leave(leaving: Callable[[], Iterable[Connection]], seconds: float) -> None:
-    """Wait until none of `leaving` is left open, at most so many seconds: last words should be read."""
+    """Wait until all of `leaving` are closed, at most so many seconds: a goodbye should be read."""
     deadline = time.monotonic() + seconds
     while (now := time.monotonic()) < deadline:
         left = {connection.fileno(): connection for connection in leaving() if not connection.closed}
@@ -187,11 +223,11 @@ def take_leave(leaving: Callable[[], Iterable[Connection]], seconds: float) -> N
         for fd, connection in left.items():
             poller.register(fd, connection.events)
         for fd, _ in poller.poll(int((deadline - now) * 1000) + 1):
-            left[fd].turn(now)
+            left[fd].serve(now)
 
 
-def limit_patience(connected: socket.socket, seconds: float) -> None:
-    """Take the other side for gone when what was sent to it stays unacknowledged for so many seconds."""
+def limit_silence(connected: socket.socket, seconds: float) -> None:
+    """Consider the other side gone when what was sent to it stays unacknowledged for so many seconds."""
     if connected.family != socket.AF_UNIX and hasattr(socket, "TCP_USER_TIMEOUT"):  # not everywhere
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, max(1, int(seconds * 1000)))
 

@@ -23,7 +23,7 @@ from types import TracebackType
 from typing import Final, Self
 
 from glue.errors import ConfigError
-from glue.hub.loop import FAILURE, READ, Loop
+from glue.hub.loop import READ, Loop
 
 __all__ = ["Accept", "Listener", "OpenAddress", "open_address", "open_port"]
 
@@ -32,9 +32,6 @@ Accept = Callable[[socket.socket, str, float], None]
 
 _BACKLOG: Final = 1024
 """Connections that the system accepts before we do; Java programs try hundreds of times a second."""
-
-_BATCH: Final = 16
-"""Connections of one address that are accepted in one turn of the loop."""
 
 
 class OpenAddress:
@@ -126,37 +123,49 @@ class Listener:
         self._socket = address.socket
         self._accept = accept
         self._log = log
+        self._queued = False
+        self._stopped = False
         self._watch(0.0)
-        # Again, if it was given up for want of descriptors.
+        # Again, if there was no descriptor for a connection.
         loop.on_tick(self._watch)
 
     def stop(self) -> None:
         """Accept no more connections."""
+        self._stopped = True
         self._loop.unwatch(self._socket.fileno())
 
     def _watch(self, now: float) -> None:
-        self._loop.watch(self._socket.fileno(), READ, self._take)
+        if not self._queued and not self._stopped:
+            self._loop.watch(self._socket.fileno(), READ, self._turn)
+
+    def _turn(self, now: float) -> None:
+        """A connection has arrived: its turn comes when the queue's does."""
+        self._queued = True
+        self._loop.unwatch(self._socket.fileno())
+        self._loop.queue(self._take)
 
     def _take(self, now: float) -> None:
-        for _ in range(_BATCH):
-            try:
-                connected, address = self._socket.accept()
-            except BlockingIOError:
-                return
-            except OSError as error:
-                self._log(f"cannot accept a connection for now: {error.strerror}")
-                self._loop.watch(self._socket.fileno(), FAILURE, self._take)
-                return
-            name = (
-                f"{address[0]}:{address[1]}"
-                if isinstance(address, tuple)
-                else f"descriptor {connected.fileno()}"
-            )
-            try:
-                self._accept(connected, name, now)
-            except OSError:
-                # Gone already.
-                connected.close()
+        self._queued = False
+        if self._stopped:
+            return
+        try:
+            connected, address = self._socket.accept()
+        except BlockingIOError:
+            self._watch(now)
+            return
+        except OSError as error:
+            # Until the next tick.
+            self._log(f"cannot accept a connection for now: {error.strerror}")
+            return
+        self._watch(now)
+        name = (
+            f"{address[0]}:{address[1]}" if isinstance(address, tuple) else f"descriptor {connected.fileno()}"
+        )
+        try:
+            self._accept(connected, name, now)
+        except OSError:
+            # Gone already.
+            connected.close()
 
 
 def _listen_on_path(path: str) -> socket.socket:

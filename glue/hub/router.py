@@ -3,34 +3,35 @@
 libzmq's own ROUTER is not used: it keeps all of a message that never ends, it aborts the process when a
 connection breaks in the middle of a flood (its issue 4364), and its threads double the time of a step.
 
-A connection that holds no seat in any session does not stay for long, and a peer is read no faster than it
-reads what it is told.
+A connection has to take a seat in a session soon after it is made. In a turn of the loop, one message is read
+from it for each of its seats: so sessions share the hub fairly. If what it sent was out of turn, its next
+message waits in the loop's queue. A peer is read no faster than it reads what it is sent.
 """
 
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Final
 
 from glue.core.config import Bind, HubConfig
 from glue.core.sessions import Route
 from glue.errors import RemoteProtocolError
-from glue.hub.connection import Connection, limit_patience, take_leave
+from glue.hub.connection import Connection, limit_silence, take_leave
 from glue.hub.listener import Listener, OpenAddress
 from glue.hub.loop import Loop
 from glue.protocol import zmtp
 from glue.protocol.messages import Message
 from glue.protocol.wire import FROM_HUB, MAX_HEADER, encode
 
-__all__ = ["MAX_STRANGERS", "MAX_UNFINISHED", "MAX_UNSENT", "Router"]
+__all__ = ["MAX_UNFINISHED", "MAX_UNSEATED", "MAX_UNSENT", "Router"]
 
-_BATCH: Final = 64
-"""Messages of one peer that are acted on before the others get their turn."""
+MAX_UNSEATED: Final = 256
+"""Connections without a seat that are kept at once; one more and the oldest is dropped."""
 
-MAX_STRANGERS: Final = 256
-"""Connections without a seat that are kept at once; one more costs the oldest its place."""
+GREETING_SECONDS: Final = 1.0
+"""How long a connection may be without a seat before it is dropped, at the next tick."""
 
 MAX_UNFINISHED: Final = 64 * 2**20
 """Bytes of messages that have not come to their end, of all peers together."""
@@ -49,8 +50,10 @@ class Router:
         loop: the loop it runs in, not yet running.
         config: times and limits.
         addresses: where peers connect; whoever opened them closes them.
-        receive: takes what came: the route to answer by, the frames and the time.
-        seated: the routes of all that take part in a session, as they are at any time.
+        receive: takes the route to answer by, the frames received and the time; returns whether the message
+            was in turn. RemoteProtocolError ends the connection.
+        failed: takes the route of a connection that was dropped after an error of the hub, and the time.
+        num_seats: returns in how many sessions a route takes part.
         log: takes a line for people about each connection that is dropped.
     """
 
@@ -59,19 +62,22 @@ class Router:
         loop: Loop,
         config: HubConfig,
         addresses: Sequence[tuple[Bind, OpenAddress]],
-        receive: Callable[[Route, list[bytes], float], None],
-        seated: Set[Route],
+        receive: Callable[[Route, list[bytes], float], bool],
+        failed: Callable[[Route, float], None],
+        num_seats: Callable[[Route], int],
         log: Callable[[str], None],
     ) -> None:
         self.receive = receive
+        self.failed = failed
         self._unfinished = 0
         self._loop = loop
         self._config = config
-        self._seated = seated
+        self.num_seats = num_seats
         self._log = log
         self._complaint = ""
-        self._dealers: dict[_Dealer, float | None] = {}
-        """Everybody connected, and since when without a seat."""
+        self._dealers: set[_Dealer] = set()
+        self._unseated: dict[_Dealer, float] = {}
+        """Those without a seat, the oldest first, and since when."""
         self._listeners = [
             Listener(loop, address, partial(self._accept, bind), log) for bind, address in addresses
         ]
@@ -89,48 +95,55 @@ class Router:
 
     def drop(self, dealer: _Dealer, why: str | None) -> None:
         """End a connection; `why`, if it is news, completes a sentence about it."""
+        if why is not None:
+            self.complain(dealer, why)
+        self._unfinished -= dealer.held
+        self._dealers.discard(dealer)
+        self._unseated.pop(dealer, None)
+        dealer.connection.close()
+
+    def complain(self, dealer: _Dealer, why: str) -> None:
+        """Log why a connection is dropped, unless it was the last reason, too."""
         # A peer with the wrong kind of socket connects again and again.
-        if why is not None and why != self._complaint:
+        if why != self._complaint:
             self._complaint = why
             self._log(f"{dealer.connection.name} was dropped: {why}")
-        self._unfinished -= dealer.held
-        del self._dealers[dealer]
-        dealer.connection.close()
 
     def hold(self, change: int) -> None:
         """Take note that more, or less, is kept of messages that have not come to their end.
 
-        If it is too much, whoever sends most of it must go, those without a seat before the others.
+        If it is too much, the one that holds most of it is dropped, those without a seat first.
         """
         self._unfinished += change
         while self._unfinished > MAX_UNFINISHED:
-            seated = self._seated
             holders = [dealer for dealer in self._dealers if dealer.held]
-            greatest = max(holders, key=lambda dealer: (dealer not in seated, dealer.held))
+            greatest = max(holders, key=lambda dealer: (not self.num_seats(dealer), dealer.held))
             self.drop(greatest, "more large messages are under way than this hub has room for")
 
     def _accept(self, bind: Bind, connected: socket.socket, name: str, now: float) -> None:
         self._make_room()
-        limit_patience(connected, self._config.patience)
+        limit_silence(connected, self._config.patience)
         connection = Connection(self._loop, connected, name, self._config.heartbeat)
         # What is only a little too long is read, and answered with an error that says so.
-        self._dealers[_Dealer(self, connection, bind, self._config.max_body + MAX_HEADER)] = now
+        dealer = _Dealer(self, connection, bind, self._config.max_body + MAX_HEADER)
+        self._dealers.add(dealer)
+        self._unseated[dealer] = now
         connection.send(zmtp.GREETING)
 
+    def seated(self, dealer: _Dealer) -> None:
+        """Note that a connection has a seat."""
+        self._unseated.pop(dealer, None)
+
     def _make_room(self) -> None:
-        strangers = [dealer for dealer, since in self._dealers.items() if since is not None]
-        if len(strangers) >= MAX_STRANGERS:
-            strangers = [dealer for dealer in strangers if dealer not in self._seated]
-        for oldest in strangers[: max(0, len(strangers) - MAX_STRANGERS + 1)]:
-            self.drop(oldest, f"{MAX_STRANGERS} others without a seat are there already")
+        while len(self._unseated) >= MAX_UNSEATED:
+            oldest = next(iter(self._unseated))
+            self.drop(oldest, f"{MAX_UNSEATED} others without a seat are there already")
 
     def _tick(self, now: float) -> None:
-        for dealer, since in list(self._dealers.items()):
-            if dealer in self._seated:
-                self._dealers[dealer] = None
-            elif since is None:
-                self._dealers[dealer] = now
-            elif now - since >= self._config.patience:
+        for dealer in list(self._dealers):
+            if self.num_seats(dealer):
+                self.seated(dealer)
+            elif now - self._unseated.setdefault(dealer, now) >= GREETING_SECONDS:
                 self.drop(dealer, None)
 
 
@@ -148,12 +161,14 @@ class _Dealer:
         self._router = router
         self._decoder = zmtp.Decoder(max_frame)
         self.held = 0
+        self._dismissed = False
         connection.ready = self._ready
+        connection.failed = self._failed
 
     def deliver(self, message: Message) -> bool:
         """Pass `message` on; return False, having sent nothing, if the peer is gone or does not read."""
         connection = self.connection
-        if connection.closed or connection.unsent > MAX_UNSENT:
+        if connection.closed or self._dismissed or connection.unsent > MAX_UNSENT:
             return False
         connection.send(zmtp.encode(encode(message, FROM_HUB)))
         return True
@@ -165,7 +180,7 @@ class _Dealer:
         try:
             done = self._work(now)
         except RemoteProtocolError as error:
-            self._router.drop(self, str(error))
+            self._dismiss(str(error))
             return
         if data == b"" and done:
             self._router.drop(self, None)
@@ -177,9 +192,10 @@ class _Dealer:
             self._router.hold(change)
 
     def _work(self, now: float) -> bool:
-        """Act on what has come, one message after the other; return whether more must come."""
-        connection, decoder, receive = self.connection, self._decoder, self._router.receive
-        for _ in range(_BATCH):
+        """Act on messages received, one for each seat; return whether more must arrive first."""
+        connection, decoder, router = self.connection, self._decoder, self._router
+        seats = router.num_seats(self)
+        for _ in range(seats or 1):
             if connection.unsent:
                 # The turn after everything was sent comes back to this.
                 connection.read(False)
@@ -189,9 +205,31 @@ class _Dealer:
                 connection.read(True)
                 return True
             if isinstance(event, bytes):
+                connection.in_turn = False
                 connection.send(event)
             else:
-                receive(self, event, now)
+                connection.in_turn = router.receive(self, event, now)
+                if not seats and router.num_seats(self):
+                    router.seated(self)
+            if not connection.in_turn:
+                break
+        if not decoder.buffered:
+            connection.read(True)
+            return True
         connection.read(False)
         connection.later()
         return False
+
+    def _dismiss(self, why: str) -> None:
+        """End the connection, once what it was sent has arrived; from now on it is sent nothing."""
+        self._dismissed = True
+        self._decoder = zmtp.Decoder(0)
+        self._router.hold(-self.held)
+        self.held = 0
+        self._router.complain(self, why)
+        self.connection.in_turn = False
+        self.connection.finish()
+
+    def _failed(self, now: float) -> None:
+        self._router.drop(self, None)
+        self._router.failed(self, now)

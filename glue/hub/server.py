@@ -19,9 +19,10 @@ from glue.core.config import HubConfig
 from glue.core.sessions import Route, Switchboard
 from glue.errors import GlueError, RemoteProtocolError
 from glue.hub.listener import OpenAddress, open_address
+from glue.hub.log import Log
 from glue.hub.loop import Loop
 from glue.hub.router import Router
-from glue.protocol.wire import TO_HUB, decode
+from glue.protocol.wire import TO_HUB, UnknownKind, decode
 
 __all__ = ["Hub"]
 
@@ -36,11 +37,13 @@ class Hub:
 
     Args:
         config: addresses, times and limits.
-        log: takes a line for people about each peer that joins or leaves.
+        log: takes a line for people about each peer that joins or leaves, in a thread of its own: nothing in
+            the hub waits for it.
         opened: addresses of `config.bind`, by URL, that are open already; they stay open when the hub closes.
 
     Attributes:
         config: as given.
+        log: passes lines on to the log that was given.
         loop: the loop it runs in; a tick is a heartbeat.
         switchboard: where messages go.
         endpoints: the addresses listened on, free ports resolved.
@@ -56,16 +59,26 @@ class Hub:
         opened: Mapping[str, OpenAddress] = _NONE,
     ) -> None:
         self.config = config
+        self.log = Log(log)
         with ExitStack() as closing:
+            closing.callback(self.log.close)
             addresses = [
                 (bind, opened.get(bind.url) or closing.enter_context(open_address(bind.url)))
                 for bind in config.binds
             ]
             self.endpoints = [address.endpoint for _, address in addresses]
-            self.loop = Loop(config.heartbeat)
+            self.loop = Loop(config.heartbeat, self.log)
             closing.callback(self.loop.close)
-            self.switchboard = Switchboard(config, log)
-            self._router = Router(self.loop, config, addresses, self._receive, self.switchboard.routes, log)
+            self.switchboard = Switchboard(config, self.log)
+            self._router = Router(
+                self.loop,
+                config,
+                addresses,
+                self._receive,
+                self._failed,
+                self.switchboard.num_seats,
+                self.log,
+            )
             closing.callback(self._router.close)
             self._closing = closing.pop_all()
         self._closing.callback(self._take_leave)
@@ -130,10 +143,16 @@ class Hub:
         for close in self._closers:
             close()
 
-    def _receive(self, route: Route, frames: list[bytes], now: float) -> None:
+    def _receive(self, route: Route, frames: list[bytes], now: float) -> bool:
         try:
             message = decode(frames, TO_HUB, self.config.max_body)
         except RemoteProtocolError as error:
+            had_seats = self.switchboard.num_seats(route)
             self.switchboard.malformed(route, error, now)
-        else:
-            self.switchboard.receive(route, message, now)
+            if not had_seats and not isinstance(error, UnknownKind):
+                raise
+            return False
+        return self.switchboard.receive(route, message, now)
+
+    def _failed(self, route: Route, now: float) -> None:
+        self.switchboard.lose(route, "was dropped after an error of the hub", now)

@@ -54,6 +54,7 @@ class Peer:
         self._session = port.session
         self._port = port
         connection.ready = self._ready
+        connection.in_turn = True
 
     def join(self, now: float) -> None:
         """Ask to be let in."""

@@ -175,7 +175,6 @@ class Event(StrEnum):
     JOINED = "joined"
     LOST = "lost"
     RETURNED = "returned"
-    SLOW = "slow"
 
 
 _REWARD = Scalar("reward", float)

@@ -67,7 +67,7 @@ def unit(file: Path) -> str:
         return package
     if file.parts[1] == "paper":
         return str(file.parent)
-    if file.parent.name == "commands" or file.stem in ("command", "commands", "entry"):
+    if file.parent.name == "commands" or file.stem in ("command", "commands"):
         return f"{package}/commands"
     return str(file.parent)
 

@@ -26,7 +26,7 @@ from glue.client.experiment import connect
 from glue.core.config import HubConfig
 from glue.core.local import local
 from glue.core.sessions import INSTANCE_SIZE
-from glue.hub.router import MAX_STRANGERS
+from glue.hub.router import MAX_UNSEATED
 from glue.hub.server import Hub
 from glue.protocol.messages import ErrorCode, Kind, Message
 from glue.protocol.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, decode, encode
@@ -239,6 +239,20 @@ def zmtp(hub: Target) -> Iterator[socket.socket]:
         yield connection
 
 
+def say(connection: socket.socket, message: Message) -> None:
+    """Send a message."""
+    connection.sendall(encode_frames(encode(message, TO_HUB)))
+
+
+@contextmanager
+def seated(hub: Target, session: str) -> Iterator[socket.socket]:
+    """A connection that is the agent of a session."""
+    with zmtp(hub) as connection:
+        scalars = ((1,), "agent", os.urandom(INSTANCE_SIZE), "", "", ())
+        say(connection, Message(Kind.HELLO, session, 0, scalars))
+        yield connection
+
+
 def test_random_bytes(hub: Target) -> None:
     noise = random.Random(1)
     for start in (b"", b"\xff", GREETING[:10], GREETING) * 20:
@@ -297,7 +311,7 @@ def test_floods_with_heartbeats_in_them_that_break_off(hub: Target) -> None:
 
 
 def test_a_message_without_an_end_is_not_kept(hub: Target) -> None:
-    with zmtp(hub) as connection:
+    with seated(hub, "endless") as connection:
         for _ in range(2 * ROOM):
             connection.sendall(b"\x03" + struct.pack(">Q", 2**20) + bytes(2**20))
 
@@ -313,20 +327,11 @@ def test_messages_that_do_not_come_to_their_end_are_dropped_when_they_are_too_ma
 
 
 def test_whoever_sends_a_little_may_finish_while_others_fill_the_room(hub: Target) -> None:
-    def say(connection: socket.socket, message: Message) -> None:
-        connection.sendall(encode_frames(encode(message, TO_HUB)))
-
-    def seated(session: str) -> socket.socket:
-        connection = stack.enter_context(zmtp(hub))
-        scalars = ((1,), "agent", os.urandom(INSTANCE_SIZE), "", "", ())
-        say(connection, Message(Kind.HELLO, session, 0, scalars))
-        return connection
-
     with ExitStack() as stack:
-        modest = seated("modest")
+        modest = stack.enter_context(seated(hub, "modest"))
         for number in range(4):
             frame = b"\x02" + struct.pack(">Q", MAX_BODY) + bytes(MAX_BODY - 100)
-            seated(f"greedy {number}").sendall(frame)
+            stack.enter_context(seated(hub, f"greedy {number}")).sendall(frame)
         hub.healthy.goes_on()
         say(modest, Message(Kind.AGENT_MESSAGE, "modest", 9, (), bytes(2**20)))
         heard = b""
@@ -342,14 +347,14 @@ def test_of_connections_without_a_seat_the_oldest_make_room() -> None:
         connections = [
             stack.enter_context(socket.create_connection(("127.0.0.1", port), TIMEOUT)) for _ in range(300)
         ]
-        for connection in connections[300 - MAX_STRANGERS :]:
+        for connection in connections[300 - MAX_UNSEATED :]:
             assert connection.recv(64) == GREETING
-        for connection in connections[: 300 - MAX_STRANGERS]:
+        for connection in connections[: 300 - MAX_UNSEATED]:
             while connection.recv(64):
                 pass
-        connections[-MAX_STRANGERS].settimeout(0.01)
+        connections[-MAX_UNSEATED].settimeout(0.01)
         with pytest.raises(TimeoutError):
-            connections[-MAX_STRANGERS].recv(1)
+            connections[-MAX_UNSEATED].recv(1)
 
 
 def test_a_connection_without_a_seat_does_not_stay(hub: Target) -> None:
@@ -395,11 +400,22 @@ def test_whoever_is_no_dealer_is_dropped(hub: Target, start: bytes) -> None:
 # Frames
 
 
-def test_random_frames_are_answered_with_an_error(stranger: Stranger) -> None:
+def test_random_frames_are_answered_with_an_error(hub: Target) -> None:
     noise = random.Random(3)
-    for _ in range(200):
-        stranger.send(*[noise.randbytes(noise.randint(0, 60)) for _ in range(noise.randint(1, 4))])
-        assert stranger.error()[0] in (ErrorCode.MALFORMED, ErrorCode.UNKNOWN_KIND)
+    for _ in range(50):
+        with Stranger(hub.url) as stranger:
+            stranger.send(*[noise.randbytes(noise.randint(0, 60)) for _ in range(noise.randint(1, 4))])
+            assert stranger.error()[0] in (ErrorCode.MALFORMED, ErrorCode.UNKNOWN_KIND)
+
+
+def test_a_connection_without_a_seat_ends_at_its_first_malformed_message(hub: Target) -> None:
+    with zmtp(hub) as connection:
+        connection.sendall(NOISE * 1000)
+        answers = b""
+        with suppress(ConnectionResetError):
+            while data := connection.recv(2**16):
+                answers += data
+        assert answers.count(ErrorCode.MALFORMED.encode()) == 1
 
 
 BOMBS = {
@@ -421,6 +437,7 @@ def test_a_msgpack_bomb_is_answered_with_an_error(stranger: Stranger, name: str)
 
 @pytest.mark.parametrize("count", [3, 1000, 100_000])
 def test_a_message_of_many_frames_is_answered_with_an_error(stranger: Stranger, count: int) -> None:
+    stranger.join("agent", session=f"{count} frames")
     stranger.send(*[b"frame"] * count)
     assert stranger.error() == (ErrorCode.MALFORMED, "a message has one or two frames; 3 came")
 
@@ -440,9 +457,10 @@ def test_counts_that_do_not_add_up_are_answered_with_an_error(stranger: Stranger
 
 
 def test_the_largest_bodies_leave_no_trace(hub: Target, stranger: Stranger) -> None:
+    stranger.join("environment")
     for _ in range(20):
         stranger.send(msgpack.packb([19, "bad", 1]), bytes(MAX_BODY))
-        assert stranger.error()[0] == ErrorCode.UNKNOWN_PEER
+        assert stranger.error()[0] == ErrorCode.NOT_ASKED
 
 
 # Messages out of place
@@ -547,10 +565,25 @@ def test_a_flood_of_hellos_and_goodbyes(hub: Target, stranger: Stranger) -> None
         stranger.say(Kind.GOODBYE, 0, "x" * 3000, session=f"{number}")
 
 
-def test_a_flood_of_noise_from_one_that_never_reads(hub: Target) -> None:
+def test_a_flood_of_heartbeats_from_one_that_never_reads(hub: Target) -> None:
     with Stranger(hub.url, RCVHWM=1) as stranger:
+        stranger.join("agent", session="never read")
         for _ in range(50_000):
-            stranger.send(b"noise")
+            stranger.say(Kind.HEARTBEAT, 1, session="never read")
+
+
+def test_a_hub_whose_log_nobody_reads_goes_on() -> None:
+    program = "from glue.hub.command import main; main()"
+    with running("-c", program, "--bind", "tcp://127.0.0.1:*") as process:
+        assert process.stderr is not None
+        url = process.stderr.readline().split()[-1]
+        with connect(url, "s", log=quiet) as glue, Stranger(url) as refused:
+            for _ in range(3000):
+                refused.hello("experiment", session="s")
+                assert refused.error()[0] == ErrorCode.ROLE_TAKEN
+            assert glue.rl_num_episodes() == 0
+        process.terminate()
+        assert process.wait(TIMEOUT) == 0
 
 
 def test_an_experiment_that_never_reads_its_replies(hub: Target) -> None:
@@ -559,14 +592,14 @@ def test_an_experiment_that_never_reads_its_replies(hub: Target) -> None:
         Stranger(hub.url) as agent,
         Stranger(hub.url, RCVHWM=1, RCVBUF=4096) as experiment,
     ):
-        agent.join("agent")
-        experiment.hello("experiment")
-        experiment.say(Kind.RL_AGENT_MESSAGE, 1)
+        agent.join("agent", session="unread")
+        experiment.hello("experiment", session="unread")
+        experiment.say(Kind.RL_AGENT_MESSAGE, 1, session="unread")
         call = agent.hear()
-        agent.say(Kind.AGENT_MESSAGE, call.seq, body=large)
+        agent.say(Kind.AGENT_MESSAGE, call.seq, body=large, session="unread")
         for _ in range(5000):
-            experiment.say(Kind.RL_AGENT_MESSAGE, 1)
-            experiment.hello("experiment")
+            experiment.say(Kind.RL_AGENT_MESSAGE, 1, session="unread")
+            experiment.hello("experiment", session="unread")
 
 
 def test_a_player_that_answers_everything_with_the_largest_body(hub: Target) -> None:

@@ -15,7 +15,7 @@ from glue.hub.loop import Loop
 @contextmanager
 def connected() -> Iterator[tuple[Connection, socket.socket]]:
     """A connection, and the other side of it."""
-    loop = Loop(1.0)
+    loop = Loop(1.0, print)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         other = socket.create_connection(listening.getsockname())
         accepted, _ = listening.accept()

@@ -10,7 +10,7 @@ import pytest
 
 from glue.client.experiment import connect
 from glue.core.config import Bind, HubConfig, LegacyPort
-from glue.core.sessions import INSTANCE_SIZE
+from glue.core.sessions import INSTANCE_SIZE, Route, Switchboard
 from glue.errors import ConfigError, GlueError, HubClosed, Refused
 from glue.hub.listener import open_address
 from glue.hub.server import Hub
@@ -158,6 +158,30 @@ def test_a_hub_that_fails_tells_its_peers_and_whoever_waits_for_it() -> None:
             failing.wait()
         with pytest.raises(HubClosed, match="the hub failed"):
             glue.rl_init()
+
+
+def test_an_error_of_the_hub_costs_one_connection_and_is_reported() -> None:
+    class Faulty(Switchboard):
+        def receive(self, route: Route, message: Message, now: float) -> bool:
+            if message.kind is Kind.RL_RETURN:
+                raise ZeroDivisionError("a fault of the hub")
+            return super().receive(route, message, now)
+
+    lines: list[str] = []
+    config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)
+    listening = Hub(config, lines.append)
+    listening.switchboard.__class__ = Faulty
+    with listening.in_background(), connect(listening.endpoints[0], "other") as other:
+        with (
+            connect(listening.endpoints[0], "one") as one,
+            pytest.raises(HubClosed, match="knows nothing of this experiment"),
+        ):
+            one.rl_return()
+        assert other.rl_num_episodes() == 0
+    (report,) = [line for line in lines if "please report" in line]
+    assert "ZeroDivisionError: a fault of the hub" in report
+    assert "Traceback" in report
+    assert any("'one': experiment" in line and "after an error of the hub" in line for line in lines)
 
 
 def test_all_that_a_peer_said_before_it_broke_off_is_heard() -> None:

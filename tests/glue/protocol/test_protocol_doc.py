@@ -16,7 +16,7 @@ from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
 from glue.core.local import local
 from glue.core.sessions import INSTANCE_SIZE, ONE_RUN, Switchboard
 from glue.errors import LocalProtocolError, RemoteProtocolError
-from glue.hub.router import MAX_STRANGERS, MAX_UNFINISHED, MAX_UNSENT
+from glue.hub.router import GREETING_SECONDS, MAX_UNFINISHED, MAX_UNSEATED, MAX_UNSENT
 from glue.hub.server import Hub
 from glue.protocol.messages import (
     CALLS,
@@ -314,7 +314,13 @@ def test_limits_and_defaults_are_those_of_the_program() -> None:
     ]
     assert config.max_body == MAX_BODY
     room = [row[1] for row in table("room", "value", "beyond it")]
-    assert room[1:] == ["`patience`", f"{MAX_STRANGERS}", f"{MAX_UNFINISHED} bytes", f"{MAX_UNSENT} bytes"]
+    assert room == [
+        "a quarter of those of the hub",
+        f"{GREETING_SECONDS:g} s",
+        f"{MAX_UNSEATED}",
+        f"{MAX_UNFINISHED} bytes",
+        f"{MAX_UNSENT} bytes",
+    ]
     defaults = [row[1] for row in table("default", "value")]
     assert defaults == [
         f"`{DEFAULT_HUB}`",

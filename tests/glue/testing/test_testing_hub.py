@@ -58,9 +58,9 @@ class Spoiled(Switchboard):
         arrived = [to.deliver(sent) for to, sent in self.out(route, message)]
         return all(arrived)
 
-    def receive(self, route: Route, message: Message, now: float) -> None:
-        for heard in self.heard(route, message):
-            super().receive(route, heard, now)
+    def receive(self, route: Route, message: Message, now: float) -> bool:
+        in_turn = [super(Spoiled, self).receive(route, heard, now) for heard in self.heard(route, message)]
+        return all(in_turn)
 
     def out(self, route: Route, message: Message) -> list[tuple[Route, Message]]:
         return [(route, self.says(message))]

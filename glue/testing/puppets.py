@@ -20,7 +20,7 @@ from glue.protocol.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, decode, e
 from glue.testing.rules import ContractBroken, HubRule
 from glue.types import Action, Observation
 
-__all__ = ["TASK_SPEC", "Scene", "ScriptedPeer", "did", "number", "reward", "saw", "shown"]
+__all__ = ["TASK_SPEC", "Puppet", "Scene", "did", "number", "reward", "saw", "shown"]
 
 TASK_SPEC: Final = "a task for a hub, with ümlauts"
 
@@ -53,7 +53,7 @@ def shown(message: Message) -> str:
     return f"{message.kind.name} {message.seq}{scalars}{body}"
 
 
-class ScriptedPeer:
+class Puppet:
     """A peer of a hub: an instance, and one connection after the other."""
 
     def __init__(self, scene: Scene, role: Role, capabilities: tuple[str, ...] = ()) -> None:
@@ -81,13 +81,7 @@ class ScriptedPeer:
             self._connection = None
 
     def hello(self, versions: tuple[int, ...] = (PROTOCOL_VERSION,), seq: int = 0) -> None:
-        """Greet the hub, over a connection that is there: a hub may end one that greets it late."""
-        assert self._connection is not None
-        deadline = time.monotonic() + self._scene.wait
-        self._connection.notice_connections()
-        self._connection.wait_at_most(self._scene.wait)
-        while not self._connection.connected and time.monotonic() < deadline:
-            self._connection.receive()
+        """Greet the hub."""
         name, codec = f"a test's {self.role}", "glue.testing"
         self.send(
             Kind.HELLO, versions, str(self.role), self._instance, name, codec, self._capabilities, seq=seq
@@ -211,13 +205,10 @@ class ScriptedPeer:
 
     def _receive(self, deadline: float) -> Message | None:
         assert self._connection is not None
-        while True:
-            self._connection.wait_at_most(max(0.0, deadline - time.monotonic()))
-            frames = self._connection.receive()
-            if frames is not None:
-                break
-            if time.monotonic() >= deadline:
-                return None
+        self._connection.wait_at_most(max(0.0, deadline - time.monotonic()))
+        frames = self._connection.receive()
+        if frames is None:
+            return None
         try:
             return decode(frames, FROM_HUB)
         except RemoteProtocolError as error:
@@ -241,20 +232,20 @@ class Scene:
         self.wait = wait
         self.session = f"{rule.name.lower()}-{secrets.token_hex(8)}"
         self._number = 0
-        self._peers: list[ScriptedPeer] = []
-        self.experiment = self.peer(Role.EXPERIMENT)
-        self.agent = self.peer(Role.AGENT)
-        self.environment = self.peer(Role.ENVIRONMENT)
+        self._puppets: list[Puppet] = []
+        self.experiment = self.puppet(Role.EXPERIMENT)
+        self.agent = self.puppet(Role.AGENT)
+        self.environment = self.puppet(Role.ENVIRONMENT)
 
-    def peer(self, role: Role, *capabilities: str) -> ScriptedPeer:
+    def puppet(self, role: Role, *capabilities: str) -> Puppet:
         """Return one more peer, which has not greeted the hub."""
-        self._peers.append(ScriptedPeer(self, role, capabilities))
-        return self._peers[-1]
+        self._puppets.append(Puppet(self, role, capabilities))
+        return self._puppets[-1]
 
     def gather(self) -> None:
         """Let all three join."""
-        for peer in (self.experiment, self.agent, self.environment):
-            peer.join()
+        for puppet in (self.experiment, self.agent, self.environment):
+            puppet.join()
 
     def init(self) -> None:
         """Let all three join, and the experiment begin."""
@@ -315,5 +306,5 @@ class Scene:
 
     def close(self) -> None:
         """Let everybody leave."""
-        for peer in self._peers:
-            peer.part()
+        for puppet in self._puppets:
+            puppet.part()

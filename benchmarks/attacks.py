@@ -1,0 +1,175 @@
+"""Steps per second of a session while other connections do what they should not."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from typing import Final
+
+from benchmarks.measure import Table, count, interleaved, ratio
+from benchmarks.players import SIZES, serving
+from glue.client.experiment import connect
+from glue.core.sessions import INSTANCE_SIZE
+from glue.protocol import zmtp
+from glue.protocol.messages import PROTOCOL_VERSION, Kind, Message
+from glue.protocol.wire import TO_HUB, encode
+
+__all__ = ["run"]
+
+_STEPS: Final = 500
+_READY: Final = b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER"
+_MALFORMED: Final = zmtp.encode([b"nonsense"])
+_ENDLESS: Final = b"\x01\x00"
+_CHUNK: Final = 1000
+"""Messages that are sent by one system call."""
+
+_CASES: Final = {
+    "malformed messages": ("malformed", (1, 6, 60)),
+    "a message without an end": ("endless", (4,)),
+    "heartbeats from a seat": ("heartbeats", (1,)),
+    "connections opened and closed": ("connects", (1,)),
+}
+
+
+def run() -> list[Table]:
+    """Measure a session undisturbed and beside each attack."""
+    with ExitStack() as stack:
+        hub = stack.enter_context(_hub())
+        size = next(iter(SIZES))
+        for role in ("environment", "agent"):
+            stack.enter_context(serving(role, size, hub))
+        glue = stack.enter_context(connect(hub, "0", log=lambda line: None))
+        glue.rl_init()
+
+        def undisturbed() -> float:
+            began = time.perf_counter()
+            glue.rl_episode(_STEPS)
+            return _STEPS / (time.perf_counter() - began)
+
+        def beside(attack: str, number: int) -> Callable[[], float]:
+            attacker = stack.enter_context(_attacker(attack, hub, number))
+
+            def measure() -> float:
+                with _running(attacker):
+                    return undisturbed()
+
+            return measure
+
+        cases = [
+            (f"{name}, {number} of them", beside(attack, number))
+            for name, (attack, numbers) in _CASES.items()
+            for number in numbers
+        ]
+        alone, *results = interleaved([undisturbed, *(measure for _, measure in cases)])
+    rows = [("undisturbed", count(alone), ratio(1.0))]
+    rows += [
+        (name, count(value), ratio(value / alone)) for (name, _), value in zip(cases, results, strict=True)
+    ]
+    return [
+        Table(
+            "A session beside connections that misbehave",
+            "Over tcp: hub, agent, environment, experiment and the attacker are a process each. The attacker "
+            "sends as fast as the hub takes it, and connects again when dropped. The aim is half of what "
+            "the session makes undisturbed.",
+            ("beside", "steps per second", "of undisturbed"),
+            rows,
+        )
+    ]
+
+
+@contextmanager
+def _hub() -> Iterator[str]:
+    command = [
+        sys.executable,
+        "-c",
+        "from glue.hub.command import main; main()",
+        "--bind",
+        "tcp://127.0.0.1:*",
+    ]
+    # Its log is read by nobody, so that a hub that waits for that would stand still.
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    try:
+        yield process.stderr.readline().split()[-1]
+    finally:
+        process.kill()
+        process.wait()
+        process.stderr.close()
+
+
+@contextmanager
+def _attacker(attack: str, url: str, number: int) -> Iterator[subprocess.Popen[bytes]]:
+    """An attacker that is stopped, ready to go on."""
+    process = subprocess.Popen([sys.executable, "-m", "benchmarks.attacks", attack, url, str(number)])
+    try:
+        os.waitid(os.P_PID, process.pid, os.WSTOPPED)
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+@contextmanager
+def _running(attacker: subprocess.Popen[bytes]) -> Iterator[None]:
+    attacker.send_signal(signal.SIGCONT)
+    try:
+        yield
+    finally:
+        attacker.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, attacker.pid, os.WSTOPPED)
+
+
+def _attack(attack: str, url: str, number: int) -> None:
+    """Do it forever, over `number` connections; stop before the first time.
+
+    It waits as long as the hub takes nothing from it: not its own use of the processor is measured.
+    """
+    host, _, port = url.removeprefix("tcp://").rpartition(":")
+    address = (host, int(port))
+    os.kill(os.getpid(), signal.SIGSTOP)
+    while attack == "connects":
+        with suppress(OSError):
+            socket.create_connection(address).close()
+    connections: list[socket.socket] = []
+    while True:
+        while len(connections) < number:
+            connections.append(_connect(address, attack))
+        _, writable, _ = select.select([], connections, [])
+        for connection in writable:
+            try:
+                connection.send(_FLOODS[attack] * _CHUNK)
+                with suppress(BlockingIOError):
+                    connection.recv(65_536)
+            except BlockingIOError:
+                continue
+            except OSError:
+                connection.close()
+                connections.remove(connection)
+
+
+_FLOODS: Final = {
+    "malformed": _MALFORMED,
+    "endless": _ENDLESS,
+    "heartbeats": zmtp.encode(encode(Message(Kind.HEARTBEAT, "1", 1), TO_HUB)),
+}
+
+
+def _connect(address: tuple[str, int], attack: str) -> socket.socket:
+    connection = socket.create_connection(address)
+    connection.sendall(zmtp.GREETING + _READY)
+    if attack == "heartbeats":
+        scalars = ((PROTOCOL_VERSION,), "agent", os.urandom(INSTANCE_SIZE), "attacker", "benchmark", ())
+        connection.sendall(zmtp.encode(encode(Message(Kind.HELLO, "1", 0, scalars), TO_HUB)))
+    connection.setblocking(False)
+    return connection
+
+
+if __name__ == "__main__":
+    _attack(sys.argv[1], sys.argv[2], int(sys.argv[3]))

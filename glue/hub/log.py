@@ -1,0 +1,70 @@
+"""Lines for people that nothing waits for: whoever prints them may be slow, or stuck.
+
+The hub's loop must not wait for a terminal or a pipe that nobody reads. A `Log` keeps lines in a queue of
+limited length, from which a thread writes them. Lines that find the queue full are counted, and dropped.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Final
+
+__all__ = ["Log"]
+
+_CAPACITY: Final = 1000
+"""Lines that wait to be written."""
+
+_FLUSH_SECONDS: Final = 1.0
+"""How long `close` waits for the last lines to be written."""
+
+
+class Log:
+    """A function that takes lines from any thread, and never waits.
+
+    Args:
+        write: writes a line, in a thread of the log's own; it may take as long as it likes.
+    """
+
+    def __init__(self, write: Callable[[str], None]) -> None:
+        self._write = write
+        self._lines: deque[str] = deque()
+        self._dropped = 0
+        self._closed = False
+        self._changed = threading.Condition()
+        self._thread: threading.Thread | None = None
+
+    def __call__(self, line: str) -> None:
+        """Have `line` written, or dropped if too many wait already."""
+        with self._changed:
+            if len(self._lines) >= _CAPACITY or self._closed:
+                self._dropped += 1
+                return
+            self._lines.append(line)
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="log", daemon=True)
+                self._thread.start()
+            self._changed.notify()
+
+    def close(self) -> None:
+        """Wait until all lines are written, but not for long; later ones are dropped."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        if self._thread is not None:
+            self._thread.join(_FLUSH_SECONDS)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._lines or self._dropped or self._closed)
+                lines = list(self._lines)
+                self._lines.clear()
+                dropped, self._dropped = self._dropped, 0
+                if not lines and not dropped:
+                    return
+            for line in lines:
+                self._write(line)
+            if dropped:
+                self._write(f"{dropped} more lines were dropped: they came faster than they could be written")

@@ -1,0 +1,143 @@
+"""A session that plays has its turn, whatever other connections send: counted in turns of the hub's loop."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+
+import pytest
+
+from glue.core.config import HubConfig
+from glue.core.sessions import INSTANCE_SIZE
+from glue.hub.server import Hub
+from glue.protocol import zmtp
+from glue.protocol.messages import Kind, Message, Role, Value
+from glue.protocol.wire import TO_HUB, encode
+from tests.glue.hub.test_hub import TIMEOUT, port_of
+
+READY = b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER"
+REQUESTS = 20
+
+
+class Rig:
+    """A hub whose turns are taken one by one, and connections to it."""
+
+    def __init__(self, stack: ExitStack) -> None:
+        self.hub = stack.enter_context(Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)))
+        self._stack = stack
+
+    def connect(self, *sent: bytes) -> socket.socket:
+        """Return a connection that has sent its greeting and `sent`, of which the hub has read nothing."""
+        connection = socket.create_connection(("127.0.0.1", port_of(self.hub)), TIMEOUT)
+        self._stack.enter_context(connection)
+        connection.setblocking(False)
+        connection.send(b"".join((zmtp.GREETING, READY, *sent)))
+        return connection
+
+    def turns_until(self, happened: Callable[[], bool]) -> int:
+        """Take turns until something has happened; return how many."""
+        for turn in range(10_000):
+            if happened():
+                return turn
+            self.hub.loop.turn()
+        raise AssertionError("it does not happen")
+
+    def join(self, role: Role, session: str) -> socket.socket:
+        """Return a connection that has a seat."""
+        scalars = ((1,), str(role), os.urandom(INSTANCE_SIZE), "", "", ())
+        connection = self.connect(frame(Kind.HELLO, session, 0, *scalars))
+        self.turns_until(lambda: b"\x93\x41" in received(connection) or has_seat(self.hub, session))
+        return connection
+
+
+def has_seat(hub: Hub, session: str) -> bool:
+    try:
+        return hub.switchboard.num_steps(session) == 0
+    except KeyError:
+        return False
+
+
+def frame(kind: Kind, session: str, seq: int, *scalars: Value) -> bytes:
+    return zmtp.encode(encode(Message(kind, session, seq, scalars), TO_HUB))
+
+
+def received(connection: socket.socket) -> bytes:
+    """What has arrived."""
+    try:
+        return connection.recv(2**20)
+    except BlockingIOError:
+        return b""
+
+
+@pytest.fixture
+def rig() -> Iterator[Rig]:
+    with ExitStack() as stack:
+        yield Rig(stack)
+
+
+def play(rig: Rig, victim: socket.socket) -> list[int]:
+    """Let a session make its requests; return how many turns each took."""
+    turns = []
+    for seq in range(1, REQUESTS + 1):
+        received(victim)
+        victim.send(frame(Kind.RL_NUM_STEPS, "victim", seq))
+        turns.append(rig.turns_until(lambda: b"victim" in received(victim)))
+    return turns
+
+
+def malformed(rig: Rig) -> None:
+    for _ in range(60):
+        rig.connect(zmtp.encode([b"noise"]) * 1000)
+
+
+def endless(rig: Rig) -> None:
+    for _ in range(4):
+        rig.connect(b"\x01\x00" * 20_000)
+
+
+def heartbeats(rig: Rig) -> None:
+    rig.join(Role.AGENT, "other").send(frame(Kind.HEARTBEAT, "other", 1) * 2000)
+
+
+def hellos(rig: Rig) -> None:
+    hello = ((1,), "agent", os.urandom(INSTANCE_SIZE), "", "", ())
+    rig.join(Role.EXPERIMENT, "other").send(frame(Kind.HELLO, "another", 0, *hello) * 500)
+
+
+def requests_ahead(rig: Rig) -> None:
+    requests = [frame(Kind.RL_RETURN, "other", seq) for seq in range(1, 2000)]
+    rig.join(Role.EXPERIMENT, "other").send(b"".join(requests))
+
+
+def connections(rig: Rig) -> None:
+    for _ in range(200):
+        rig.connect().close()
+
+
+@pytest.mark.parametrize(
+    "attack", [malformed, endless, heartbeats, hellos, requests_ahead, connections], ids=lambda f: f.__name__
+)
+def test_a_request_is_answered_in_the_first_turn_beside_any_flood(
+    rig: Rig, attack: Callable[[Rig], None]
+) -> None:
+    victim = rig.join(Role.EXPERIMENT, "victim")
+    play_first = rig.turns_until(lambda: not received(victim))
+    assert play_first == 0
+    victim.send(frame(Kind.RL_INIT, "nowhere", 1, None))
+    attack(rig)
+    turns = play(rig, victim)
+    # The first request comes from one that has sent nothing in turn yet, and waits in the queue.
+    assert turns[1:] == [1] * (REQUESTS - 1)
+
+
+@pytest.mark.parametrize(("kind", "scalars"), [(Kind.HEARTBEAT, ()), (Kind.RL_RETURN, ())])
+def test_a_turn_takes_one_message_of_a_session(rig: Rig, kind: Kind, scalars: tuple[Value, ...]) -> None:
+    peer = rig.join(Role.EXPERIMENT, "s")
+    received(peer)
+    peer.send(b"".join(frame(kind, "s", seq, *scalars) for seq in range(1, 101)))
+    answer = frame(kind, "s", 1)[2:5]
+    for turn in range(1, 51):
+        rig.hub.loop.turn()
+        assert received(peer).count(answer) <= 1, f"turn {turn}"
