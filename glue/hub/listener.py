@@ -25,7 +25,7 @@ from typing import Final, Self
 from glue.errors import ConfigError
 from glue.hub.loop import READ, Loop
 
-__all__ = ["Accept", "Listener", "OpenAddress", "open_address", "open_port"]
+__all__ = ["Accept", "Listener", "OpenAddress", "open_address"]
 
 Accept = Callable[[socket.socket, str, float], None]
 """Takes a connection, the peer's address for people, and the time."""
@@ -77,35 +77,24 @@ class OpenAddress:
         self.close()
 
 
-def open_address(url: str) -> OpenAddress:
+def open_address(url: str, option: str = "--bind") -> OpenAddress:
     """Listen on an address of `glue.core.config.check_url`; the port `*` takes any free one.
+
+    A name, and the host `*`, resolve to IPv4 addresses only: peers and original programs look for no others.
+
+    Args:
+        url: the address.
+        option: the command-line option that chooses another one, for the message.
 
     Raises:
         ConfigError: the address is in use, or is not one of this machine.
     """
     scheme, _, rest = url.partition("://")
     try:
-        if scheme == "ipc":
-            return OpenAddress(url, _listen_on_path(rest))
-        host, _, port = rest.rpartition(":")
-        return open_port(host.strip("[]"), 0 if port == "*" else int(port), url)
+        listening = _listen_on_path(rest) if scheme == "ipc" else _listen_on_port(rest)
     except OSError as error:
-        raise ConfigError(_cannot_listen(url, error)) from None
-
-
-def open_port(host: str, port: int, url: str = "") -> OpenAddress:
-    """Listen on a TCP port; 0 takes any free one, and the host `*` stands for every address.
-
-    A name, and `*`, resolve to IPv4 addresses only: peers and original programs look for no others.
-
-    Raises:
-        OSError: it cannot be listened on.
-    """
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    _, _, _, _, address = socket.getaddrinfo(
-        None if host == "*" else host, port, family, socket.SOCK_STREAM, flags=socket.AI_PASSIVE
-    )[0]
-    return OpenAddress(url, socket.create_server(address[:2], family=family, backlog=_BACKLOG))
+        raise ConfigError(_cannot_listen(url, option, error)) from None
+    return OpenAddress(url, listening)
 
 
 class Listener:
@@ -168,6 +157,20 @@ class Listener:
             connected.close()
 
 
+def _listen_on_port(address: str) -> socket.socket:
+    host, _, port = address.rpartition(":")
+    host = host.strip("[]")
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    _, _, _, _, resolved = socket.getaddrinfo(
+        None if host == "*" else host,
+        0 if port == "*" else int(port),
+        family,
+        socket.SOCK_STREAM,
+        flags=socket.AI_PASSIVE,
+    )[0]
+    return socket.create_server(resolved[:2], family=family, backlog=_BACKLOG)
+
+
 def _listen_on_path(path: str) -> socket.socket:
     """Return a Unix socket that listens on `path`; one that nobody listens on any more is replaced.
 
@@ -200,11 +203,11 @@ def _is_left_over(path: str) -> bool:
         return probe.connect_ex(path) == errno.ECONNREFUSED
 
 
-def _cannot_listen(url: str, error: OSError) -> str:
+def _cannot_listen(url: str, option: str, error: OSError) -> str:
     if error.errno == errno.EADDRINUSE:
         return (
-            f"{url} is in use: is another hub or experiment running there? "
-            f"Stop it, or choose another address with --bind"
+            f"{url} is in use: is another hub, experiment or rl_glue server running there? "
+            f"Stop it, or choose another address with {option}"
         )
     if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
         return f"{url} is not an address of this machine"

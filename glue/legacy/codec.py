@@ -45,7 +45,7 @@ __all__ = [
     "FROM_AGENT",
     "FROM_ENVIRONMENT",
     "FROM_EXPERIMENT",
-    "FROM_STRANGER",
+    "HANDSHAKE",
     "MAX_COUNT",
     "MAX_TEXT",
     "SURPLUS",
@@ -372,9 +372,7 @@ def _replies(callee: Role | None) -> Vocabulary:
     return _controls(Control.TERMINATE) | {k: _layout(k, call.reply) for k, call in _calls(callee).items()}
 
 
-FROM_STRANGER: Final = _controls(
-    Control.CONNECT_EXPERIMENT, Control.CONNECT_AGENT, Control.CONNECT_ENVIRONMENT
-)
+HANDSHAKE: Final = _controls(Control.CONNECT_EXPERIMENT, Control.CONNECT_AGENT, Control.CONNECT_ENVIRONMENT)
 FROM_AGENT: Final = _replies(Role.AGENT)
 FROM_ENVIRONMENT: Final = _replies(Role.ENVIRONMENT)
 FROM_EXPERIMENT: Final = _requests(None)

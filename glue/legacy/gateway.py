@@ -1,25 +1,25 @@
 """Original RL-Glue programs as peers of the hub: listeners in the hub's own loop.
 
-To a session an original program is a peer like any other. What it sends becomes messages for the
-switchboard, and what the switchboard has for it becomes frames, one at a time:
+To a session an original program is a peer like any other. What it sends becomes messages to the switchboard,
+and what the switchboard has for it becomes frames, one at a time:
 
-- A player, that is an agent or environment, is sent a call only after it has answered the one before,
-  even if nobody waits for that answer any more: a Java program loses what comes with something else.
+- A player, that is an agent or environment, is sent a call only after it has answered the one before, even
+  if nobody waits for that answer any more: a Java program loses a frame that arrives together with another.
 - An experiment's next request is taken up only after the reply to the one before has been sent.
-- A player takes part in one run, as originals do. It is sent off with message 35, on which it ends:
-  when the experiment leaves, when the hub ends, when its role is taken, and when it breaks the
-  protocol. A bare end of connection would make C programs run wild and Python ones hang.
-- An experiment cannot be told that a call failed. If a player was lost, and the call can be made from
-  its beginning with another, it is made again. If not, the connection is reset: after a mere end of
-  connection C programs would go on with old numbers, and Python ones hang.
+- A player takes part in one run, as the originals do. It is sent message 35, on which it ends, when the
+  experiment leaves, when the hub closes, when its role is taken, and when it breaks the protocol. If the
+  connection were merely closed, C programs would go on with stale data and Python programs would hang.
+- An experiment cannot be told that a call failed. If a player was lost, and the call can be carried out from
+  its beginning with another, it is made again. If not, the connection is reset: if it were merely closed,
+  C programs would go on with old numbers, and Python programs would hang.
+
+The first two rules, and what follows when a player is lost, are the tables of `glue.legacy.states`.
 
 Source: RL-Glue core 3.04, RL_network_glue.c; rl-glue-ext, the C, Java and Python codecs.
 """
 
 from __future__ import annotations
 
-import errno
-import os
 import socket
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -27,21 +27,21 @@ from dataclasses import replace
 from typing import Final
 
 from glue.core.config import LegacyPort
-from glue.errors import ConfigError, RemoteProtocolError
+from glue.errors import RemoteProtocolError
 from glue.hub.connection import Connection
-from glue.hub.listener import Listener, OpenAddress, open_port
+from glue.hub.listener import Listener, OpenAddress, open_address
 from glue.hub.server import Hub
 from glue.legacy.codec import (
     FROM_AGENT,
     FROM_ENVIRONMENT,
     FROM_EXPERIMENT,
-    FROM_STRANGER,
+    HANDSHAKE,
     Control,
     Decoder,
     Vocabulary,
 )
-from glue.legacy.lobby import Lobby, Log
 from glue.legacy.peers import Experiment, Player
+from glue.legacy.pending import Log, Pending
 from glue.protocol.messages import Kind, Role
 
 __all__ = ["Gateway", "open_legacy_port"]
@@ -62,7 +62,7 @@ _NONE: Final[Mapping[LegacyPort, OpenAddress]] = {}
 
 
 class Gateway:
-    """Lets original programs into the sessions of `hub`, from the moment it is made until the hub ends.
+    """Lets original programs into the sessions of `hub`, from the moment it is made until the hub closes.
 
     Args:
         hub: a hub that does not run yet.
@@ -75,7 +75,7 @@ class Gateway:
         ports: the same, free ports resolved.
 
     Raises:
-        ConfigError: an address is taken, or cannot be listened on.
+        ConfigError: an address is in use, or cannot be listened on.
     """
 
     def __init__(
@@ -87,7 +87,7 @@ class Gateway:
     ) -> None:
         self.ports: list[LegacyPort] = []
         self._listeners: list[Listener] = []
-        self._lobby = Lobby(hub, log)
+        self._pending = Pending(hub, log)
         with ExitStack() as closing:
             addresses = [
                 (port, opened.get(port) or closing.enter_context(open_legacy_port(port))) for port in ports
@@ -98,13 +98,13 @@ class Gateway:
         hub.on_close(self._stop_listening)
 
     def _listen(self, port: LegacyPort, address: OpenAddress) -> None:
-        lobby, loop, heartbeat = self._lobby, self._lobby.hub.loop, self._lobby.hub.config.heartbeat
+        pending, hub = self._pending, self._pending.hub
 
         def accept(connected: socket.socket, name: str, now: float) -> None:
-            lobby.make_room(now)
-            _Stranger(lobby, Connection(loop, connected, name, heartbeat), port)
+            pending.make_room(now)
+            _Handshake(pending, Connection(hub.loop, connected, name, hub.config.heartbeat), port)
 
-        self._listeners.append(Listener(loop, address, accept, lobby.log))
+        self._listeners.append(Listener(hub.loop, address, accept, pending.log))
         self.ports.append(replace(port, port=address.port))
 
     def _stop_listening(self) -> None:
@@ -119,34 +119,20 @@ def open_legacy_port(port: LegacyPort) -> OpenAddress:
     Raises:
         ConfigError: it is in use, or its host is not one of this machine.
     """
-    try:
-        return open_port(port.host, port.port)
-    except OSError as error:
-        raise ConfigError(_cannot_listen(port, error)) from None
+    host = f"[{port.host}]" if ":" in port.host else port.host
+    return open_address(f"tcp://{host}:{port.port or '*'}", "--legacy-port")
 
 
-def _cannot_listen(port: LegacyPort, error: OSError) -> str:
-    if error.errno == errno.EADDRINUSE:
-        return (
-            f"cannot listen for original RL-Glue programs on {port}: the port is in use; is the rl_glue "
-            f"server or another hub running? Stop it, or choose another port with --legacy-port"
-        )
-    # Python adds the address to the text of the system's own errors; those of names are negative.
-    number = error.errno or 0
-    reason = os.strerror(number) if number > 0 else error.strerror
-    return f"cannot listen for original RL-Glue programs on {port}: {reason}"
+class _Handshake:
+    """A connection that has not said which role it is to have."""
 
-
-class _Stranger:
-    """A connection that has not said what it is."""
-
-    def __init__(self, lobby: Lobby, connection: Connection, port: LegacyPort) -> None:
-        self._lobby = lobby
+    def __init__(self, pending: Pending, connection: Connection, port: LegacyPort) -> None:
+        self._pending = pending
         self._connection = connection
         self._port = port
-        self._decoder = Decoder(FROM_STRANGER)
+        self._decoder = Decoder(HANDSHAKE)
         connection.ready = self._ready
-        lobby.host(connection, self._expire)
+        pending.add(connection, self._time_out)
 
     def _ready(self, now: float) -> None:
         connection, decoder = self._connection, self._decoder
@@ -159,18 +145,16 @@ class _Stranger:
             return
         decoder.receive_data(data)
         try:
-            hello = decoder.next_event()
+            frame = decoder.next_event()
         except RemoteProtocolError as error:
-            self._lobby.log(f"{connection.name} is no RL-Glue program: {error}")
-            connection.close()
+            self._pending.drop(connection, "it is not an RL-Glue program", f": {error}", now)
             return
-        if hello is not None:
-            self._lobby.release(connection)
-            role = _ROLES[hello.kind]
+        if frame is not None:
+            self._pending.remove(connection)
+            role = _ROLES[frame.kind]
             decoder.expect(_FROM[role])
-            made = Experiment if role is Role.EXPERIMENT else Player
-            made(self._lobby, connection, decoder, role, self._port).join(now)
+            peer = Experiment if role is Role.EXPERIMENT else Player
+            peer(self._pending, connection, decoder, role, self._port).join(now)
 
-    def _expire(self, now: float) -> None:
-        self._lobby.log(f"{self._connection.name} has not said what it is; it is dropped")
-        self._connection.close()
+    def _time_out(self, now: float) -> None:
+        self._pending.drop(self._connection, "it did not say which role it is to have", "", now)

@@ -1,6 +1,7 @@
 """Original programs in their roles: between the frames of their protocol and the hub's messages.
 
-What the two sides may count on, since original clients break without it, is in `glue.legacy.gateway`.
+The two sides' rules about each other, and why original clients need them, are in `glue.legacy.gateway`; those
+about states in `glue.legacy.states`.
 """
 
 from __future__ import annotations
@@ -24,19 +25,25 @@ from glue.legacy.codec import (
     Vocabulary,
     encode,
 )
-from glue.legacy.lobby import Lobby
+from glue.legacy.pending import Pending
+from glue.legacy.states import (
+    EXPERIMENT,
+    PLAYER,
+    ExperimentEvent,
+    ExperimentState,
+    PlayerEvent,
+    PlayerState,
+    after,
+)
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
 from glue.types import Action, body_size
 
-__all__ = ["Experiment", "Player"]
+__all__ = ["READ_AHEAD", "Experiment", "Player"]
 
 _CODEC: Final = "RL-Glue 3.x"
 
-_BATCH: Final = 64
-"""Requests of one experiment that are carried out before the others get their turn."""
-
-_READ_AHEAD: Final = 2**20
-"""Bytes of requests that are taken in before it is their turn; more is left to hold back the sender."""
+READ_AHEAD: Final = 2**20
+"""Bytes of requests that are received before it is their turn; the rest stays in the network."""
 
 _TO_PLAYER: Final[Mapping[Role, Vocabulary]] = {Role.AGENT: TO_AGENT, Role.ENVIRONMENT: TO_ENVIRONMENT}
 
@@ -45,9 +52,9 @@ class Peer:
     """An original program in its role; a route of the switchboard."""
 
     def __init__(
-        self, lobby: Lobby, connection: Connection, decoder: Decoder, role: Role, port: LegacyPort
+        self, pending: Pending, connection: Connection, decoder: Decoder, role: Role, port: LegacyPort
     ) -> None:
-        self._lobby = lobby
+        self._pending = pending
         self._connection = connection
         self._decoder = decoder
         self._role = role
@@ -57,11 +64,12 @@ class Peer:
         connection.in_turn = True
 
     def join(self, now: float) -> None:
-        """Ask to be let in."""
-        abilities = () if self._role is Role.EXPERIMENT else (ONE_RUN,)
+        """Ask the switchboard for the role."""
+        capabilities = () if self._role is Role.EXPERIMENT else (ONE_RUN,)
         instance = os.urandom(INSTANCE_SIZE)
-        scalars = ((PROTOCOL_VERSION,), str(self._role), instance, self._connection.name, _CODEC, abilities)
-        self._say(Message(Kind.HELLO, self._session, 0, scalars), now)
+        name = self._connection.name
+        scalars = ((PROTOCOL_VERSION,), str(self._role), instance, name, _CODEC, capabilities)
+        self._send(Message(Kind.HELLO, self._session, 0, scalars), now)
         if self._decoder.buffered:
             self._connection.later()
 
@@ -74,235 +82,268 @@ class Peer:
         return role in self._port.roles and session == self._port.session
 
     def _ready(self, now: float) -> None:
-        """Something has come, or can be done."""
+        """Receive, and act on what was received."""
         raise NotImplementedError
 
     def _next_frame(self) -> Frame | None:
-        """Return what it has said next, if it is all there.
+        """Return the next frame, or None until more bytes are received.
 
         Raises:
-            RemoteProtocolError: it is none that may come, or too long for this hub.
+            RemoteProtocolError: it is malformed, not one of this role, or too long for this hub.
         """
         frame = self._decoder.next_event()
-        limit = self._lobby.hub.config.max_body
+        limit = self._pending.hub.config.max_body
         if frame is not None and len(frame.body) > limit:
             raise RemoteProtocolError(
                 f"{frame.kind.name} has a body of {len(frame.body)} bytes; this hub takes {limit}"
             )
         return frame
 
-    def _say(self, message: Message, now: float) -> None:
-        self._lobby.hub.switchboard.receive(self, message, now)
-
-    def _log(self, line: str) -> None:
-        self._lobby.log(f"session {self._session!r}: {self._role} {self._connection.name} {line}")
+    def _send(self, message: Message, now: float) -> None:
+        self._pending.hub.switchboard.receive(self, message, now)
 
 
 class Player(Peer):
-    """An agent or environment: it is asked, and answers."""
+    """An agent or environment, which answers calls."""
 
-    _asked: Message | None = None
-    """The call that it is at work on."""
+    _state = PlayerState.IDLE
+
+    _call: Message | None = None
+    """The call that it was sent."""
 
     _next: Message | None = None
-    """The call to make after that; what it is at work on is of no use to anybody then."""
+    """The call to send when it has answered."""
 
-    _failure: Message | None = None
-    """What to answer in its stead to a call that cannot be written in its format."""
-
-    _dismissed = False
-    """Whether it is to be sent off after its answer."""
+    _substitute: Message | None = None
+    """What answers in its stead a call that cannot be written in its format."""
 
     def deliver(self, message: Message) -> bool:
-        kind = message.kind
-        if kind in CALLS:
-            if self._asked is None:
-                self._ask(message)
-            elif message.seq != self._asked.seq:
-                self._next = message
-        elif kind is Kind.GOODBYE or kind is Kind.REFUSE:
+        if self._state is PlayerState.GONE:
+            return False
+        if message.kind in CALLS:
+            repeated = self._state is PlayerState.BUSY and self._call and message.seq == self._call.seq
+            if not repeated:
+                self._on(PlayerEvent.CALL)
+                if self._state is PlayerState.BUSY:
+                    self._ask(message)
+                else:
+                    self._next = message
+        elif message.kind is Kind.GOODBYE or message.kind is Kind.REFUSE:
             self._dismiss()
         return not self._connection.closed
 
+    def _on(self, event: PlayerEvent) -> None:
+        self._state = after(PLAYER, self._state, event)
+
     def _dismiss(self) -> None:
-        """Send it off, after its answer to whatever it is at work on; but do not wait for that for ever."""
-        lobby, connection = self._lobby, self._connection
-        if self._asked is None:
-            lobby.send_off(connection)
+        self._on(PlayerEvent.DISMISSED)
+        if self._state is PlayerState.LEAVING:
+            # It may never answer.
+            self._pending.add(self._connection, self._time_out, closing=True)
         else:
-            self._dismissed = True
-            self._next = None
-            lobby.host(connection, lambda now: lobby.send_off(connection), leaving=True)
+            self._pending.terminate(self._connection)
+
+    def _time_out(self, now: float) -> None:
+        self._on(PlayerEvent.LOST)
+        self._pending.terminate(self._connection)
 
     def _ask(self, call: Message) -> None:
+        self._call = call
         try:
             frame = encode(Frame(call.kind, call.scalars, call.body), _TO_PLAYER[self._role])
         except LocalProtocolError as error:
             scalars = (str(ErrorCode.EXCEPTION), str(error))
-            self._failure = Message(Kind.ERROR, self._session, call.seq, scalars)
+            self._substitute = Message(Kind.ERROR, self._session, call.seq, scalars)
             self._connection.later()
         else:
-            self._asked = call
             self._connection.send(frame)
 
     def _ready(self, now: float) -> None:
-        connection = self._connection
-        if self._failure is not None:
-            failure, self._failure = self._failure, None
-            self._say(failure, now)
+        connection, switchboard = self._connection, self._pending.hub.switchboard
+        if self._substitute is not None:
+            substitute, self._substitute = self._substitute, None
+            self._finish_call(substitute, now)
         data = connection.receive()
         if data:
             self._decoder.receive_data(data)
         try:
-            while (frame := self._next_frame()) is not None:
-                self._answer(frame, now)
-                if self._dismissed:
-                    self._lobby.send_off(connection)
-                    return
+            while self._state is not PlayerState.GONE and (frame := self._next_frame()) is not None:
+                self._finish_call(self._answer(frame), now)
         except RemoteProtocolError as error:
-            self._lobby.hub.switchboard.malformed(self, error, now)
-            self._lobby.send_off(connection)
+            self._on(PlayerEvent.LOST)
+            switchboard.malformed(self, error, now)
+            self._pending.terminate(connection)
             return
-        if data == b"":
+        if data == b"" and self._state is not PlayerState.GONE:
+            self._on(PlayerEvent.LOST)
             connection.close()
-            self._lobby.hub.switchboard.lose(self, "closed its connection", now)
+            switchboard.lose(self, "closed its connection", now)
 
-    def _answer(self, frame: Frame, now: float) -> None:
-        asked = self._asked
-        if asked is None:
-            raise RemoteProtocolError(f"{frame.kind.name} came; nothing was asked")
-        if frame.kind is not asked.kind:
-            raise RemoteProtocolError(f"{frame.kind.name} came; {asked.kind.name} was asked")
-        self._asked = None
-        if self._next is not None:
-            following, self._next = self._next, None
-            self._ask(following)
-        elif not self._dismissed:
-            self._say(Message(asked.kind, self._session, asked.seq, frame.scalars, frame.body), now)
+    def _answer(self, frame: Frame) -> Message:
+        """Return the answer that `frame` is to the call.
+
+        Raises:
+            RemoteProtocolError: it is not an answer to it.
+        """
+        call = self._call
+        if call is None or self._substitute or PlayerEvent.ANSWER not in PLAYER[self._state]:
+            raise RemoteProtocolError(f"received {frame.kind.name}; nothing was asked")
+        if frame.kind is not call.kind:
+            raise RemoteProtocolError(f"received {frame.kind.name}; {call.kind.name} was asked")
+        return Message(call.kind, self._session, call.seq, frame.scalars, frame.body)
+
+    def _finish_call(self, answer: Message, now: float) -> None:
+        self._on(PlayerEvent.ANSWER)
+        match self._state:
+            case PlayerState.IDLE:
+                self._send(answer, now)
+            case PlayerState.BUSY:
+                assert self._next is not None
+                self._ask(self._next)
+            case PlayerState.GONE:
+                self._pending.terminate(self._connection)
 
 
 class Experiment(Peer):
-    """An experiment: it asks, and is answered."""
+    """An experiment, which makes requests."""
+
+    _state = ExperimentState.IDLE
 
     _seq = 0
-    _asked: Message | None = None
-    """The request that is being carried out."""
 
-    _lost: str | None = None
-    """A player that was lost meanwhile."""
+    _request: Message | None = None
+    """The request that is being carried out, or is to be made again."""
 
-    _again: Frame | None = None
-    """The request to make once more."""
+    _lost_player = ""
+    """The player that was lost last, for people."""
 
-    _failure: str | None = None
-    """Why it must be cut off."""
+    _failure = ""
+    """Why the connection is to be reset."""
 
-    _stepped = False
-    """Whether a step has been made after which the episode went on."""
+    _has_stepped = False
+    """Whether a step was made after which the episode went on."""
 
     def deliver(self, message: Message) -> bool:
-        kind = message.kind
-        asked = self._asked
+        if self._state is ExperimentState.GONE:
+            return False
+        kind, request = message.kind, self._request
+        waiting = ExperimentEvent.REPLY in EXPERIMENT[self._state]
         if kind is Kind.NOTICE:
             event, role, name = message.scalars
             if event == Event.LOST:
-                self._lost = f"{role!s} {name!s}"
+                self._lost_player = f"{role!s} {name!s}"
+                self._on(ExperimentEvent.PLAYER_LOST)
         elif kind is Kind.GOODBYE or kind is Kind.REFUSE:
+            self._on(ExperimentEvent.LEFT)
             self._connection.reset()
-        elif asked is not None and message.seq == asked.seq:
-            self._asked = None
-            if kind is asked.kind:
-                self._reply(asked, message)
+        elif waiting and request is not None and message.seq == request.seq:
+            if kind is request.kind:
+                self._reply(message)
             else:
-                self._fail(asked, str(message.scalars[1]))
+                self._fail(request.kind, str(message.scalars[1]))
         return not self._connection.closed
 
-    def _reply(self, asked: Message, reply: Message) -> None:
+    def _on(self, event: ExperimentEvent) -> None:
+        self._state = after(EXPERIMENT, self._state, event)
+
+    def _reply(self, reply: Message) -> None:
         kind, _, _, scalars, body = reply
-        if kind is Kind.RL_STEP and scalars[1] and not self._stepped:
+        if kind is Kind.RL_STEP and scalars[1] and not self._has_stepped:
             # The original takes the action of a terminal step from the step before: so far there is none.
             body = body[: body_size(body)] + Action().body
         elif kind is Kind.RL_STEP or (kind is Kind.RL_EPISODE and self._num_steps() > 1):
-            self._stepped = True
+            self._has_stepped = True
         try:
             frame = encode(Frame(kind, scalars, body), TO_EXPERIMENT)
         except LocalProtocolError as error:
-            self._cut_off(str(error))
+            self._on(ExperimentEvent.FAILURE)
+            self._reset_later(str(error))
             return
+        self._on(ExperimentEvent.REPLY)
         self._connection.send(frame)
         if self._decoder.buffered:
             self._connection.later()
 
     def _num_steps(self) -> int:
-        return self._lobby.hub.switchboard.num_steps(self._session)
+        return self._pending.hub.switchboard.num_steps(self._session)
 
-    def _fail(self, asked: Message, why: str) -> None:
-        if self._lost is None or asked.kind in EPISODE_VERBS:
-            self._cut_off(f"its protocol cannot say that {asked.kind.name} failed: {why}")
-        else:
-            self._log(f"waits for another in place of the {self._lost}, to begin {asked.kind.name} again")
-            self._again = Frame(asked.kind, asked.scalars, asked.body)
-            self._connection.later()
+    def _fail(self, kind: Kind, why: str) -> None:
+        repeatable = kind not in EPISODE_VERBS
+        self._on(ExperimentEvent.REPEATABLE_FAILURE if repeatable else ExperimentEvent.FAILURE)
+        if self._state is ExperimentState.FAILED:
+            self._reset_later(f"its protocol cannot say that {kind.name} failed: {why}")
+            return
+        self._pending.log(
+            f"session {self._session!r}: {self._role} {self._connection.name} waits for another player in "
+            f"place of the {self._lost_player}, to begin {kind.name} again"
+        )
+        self._connection.later()
 
-    def _cut_off(self, why: str) -> None:
+    def _reset_later(self, why: str) -> None:
         self._failure = f"was cut off: {why}"
         self._connection.later()
 
     def _ready(self, now: float) -> None:
-        connection, switchboard = self._connection, self._lobby.hub.switchboard
-        if self._failure is not None:
+        connection, switchboard = self._connection, self._pending.hub.switchboard
+        if self._state is ExperimentState.FAILED:
+            self._on(ExperimentEvent.LEFT)
             connection.reset()
             switchboard.lose(self, self._failure, now)
             return
-        data = connection.receive()
-        if data == b"":
-            connection.close()
-            self._goodbye(now)
-            return
-        if data:
-            self._decoder.receive_data(data)
         try:
             self._work(now)
         except RemoteProtocolError as error:
+            self._on(ExperimentEvent.LEFT)
             connection.reset()
             switchboard.malformed(self, error, now)
 
-    @property
-    def _idle(self) -> bool:
-        """Whether everything taken up so far is done with."""
-        under_way = self._asked or self._again or self._failure
-        return not (under_way or self._connection.unsent)
-
     def _work(self, now: float) -> None:
-        """Take up what has come, one request after the other."""
+        """Take up at most one request, so that every session gets its turn, and receive more."""
         connection, decoder = self._connection, self._decoder
-        if self._again is not None:
-            again, self._again = self._again, None
-            self._ask(again, now)
-        wanted = False
-        for _ in range(_BATCH):
-            if not self._idle:
-                break
-            request = self._next_frame()
-            if request is None:
-                wanted = True
-                break
-            if request.kind is Control.TERMINATE:
-                self._lobby.send_off(connection)
-                self._goodbye(now)
+        if self._state is ExperimentState.RETRYING:
+            assert self._request is not None
+            self._carry_out(self._request, now)
+        request = self._next_request()
+        if request is None:
+            # Only now, so that what was requested before the connection was closed is carried out.
+            data = connection.receive()
+            if data == b"":
+                connection.close()
+                self._leave(now)
                 return
-            self._ask(request, now)
-        else:
-            connection.later()
-        connection.read(wanted or decoder.buffered < _READ_AHEAD)
+            if data:
+                decoder.receive_data(data)
+                request = self._next_request()
+        incomplete = request is None and self._is_free
+        if request is not None:
+            if request.kind is Control.TERMINATE:
+                self._pending.terminate(connection)
+                self._leave(now)
+                return
+            assert isinstance(request.kind, Kind)
+            self._carry_out(Message(request.kind, "", 0, request.scalars, request.body), now)
+            if self._is_free and decoder.buffered:
+                connection.later()
+        connection.read(incomplete or decoder.buffered < READ_AHEAD)
 
-    def _ask(self, request: Frame, now: float) -> None:
-        assert isinstance(request.kind, Kind)
+    @property
+    def _is_free(self) -> bool:
+        """Whether the next request can be taken up: the reply to the one before has left."""
+        return self._state is ExperimentState.IDLE and not self._connection.unsent
+
+    def _next_request(self) -> Frame | None:
+        return self._next_frame() if self._is_free else None
+
+    def _carry_out(self, request: Message, now: float) -> None:
+        self._on(ExperimentEvent.REQUEST)
         self._seq += 1
-        self._lost = None
-        self._asked = Message(request.kind, self._session, self._seq, request.scalars, request.body)
-        self._say(self._asked, now)
+        self._request = request._replace(session=self._session, seq=self._seq)
+        self._send(self._request, now)
 
-    def _goodbye(self, now: float) -> None:
-        why = "it has closed its connection" + (f" during {self._asked.kind.name}" if self._asked else "")
-        self._say(Message(Kind.GOODBYE, self._session, 0, (why,)), now)
+    def _leave(self, now: float) -> None:
+        """Give up the role."""
+        why = "it has closed its connection"
+        if ExperimentEvent.REPLY in EXPERIMENT[self._state] and self._request is not None:
+            why += f" during {self._request.kind.name}"
+        self._on(ExperimentEvent.LEFT)
+        self._send(Message(Kind.GOODBYE, self._session, 0, (why,)), now)

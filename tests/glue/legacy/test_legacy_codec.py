@@ -18,7 +18,7 @@ from glue.legacy.codec import (
     FROM_AGENT,
     FROM_ENVIRONMENT,
     FROM_EXPERIMENT,
-    FROM_STRANGER,
+    HANDSHAKE,
     MAX_COUNT,
     MAX_TEXT,
     SURPLUS,
@@ -36,7 +36,7 @@ from glue.types import Action, Observation, body_size
 
 CAPTURES = sorted((Path(__file__).parents[2] / "golden" / "captures").glob("*.json"))
 VOCABULARIES = {
-    "from stranger": FROM_STRANGER,
+    "from stranger": HANDSHAKE,
     "from agent": FROM_AGENT,
     "from environment": FROM_ENVIRONMENT,
     "from experiment": FROM_EXPERIMENT,
@@ -88,7 +88,7 @@ def streams(path: Path) -> Iterator[tuple[Vocabulary, list[bytes]]]:
             if (event["role"], event["from"]) == (role, end) and "event" not in event
         ]
         if end == "client":
-            yield FROM_STRANGER, frames[:1]
+            yield HANDSHAKE, frames[:1]
             frames = frames[1:]
         yield vocabulary, frames
 
@@ -266,7 +266,7 @@ def test_a_limit_of_steps_is_unsigned() -> None:
 
 
 def test_the_vocabularies_are_the_originals() -> None:
-    assert sorted(FROM_STRANGER) == [1, 2, 3]
+    assert sorted(HANDSHAKE) == [1, 2, 3]
     assert sorted(FROM_AGENT) == sorted(TO_AGENT) == [4, 5, 6, 7, 8, 10, 35]
     assert sorted(FROM_ENVIRONMENT) == sorted(TO_ENVIRONMENT) == [11, 12, 13, 14, 19, 35]
     assert sorted(FROM_EXPERIMENT) == sorted(TO_EXPERIMENT) == [*range(20, 28), *range(33, 41)]
@@ -279,7 +279,7 @@ def test_a_million_of_each_is_accepted() -> None:
 
 
 def test_a_stranger_becomes_an_agent_once_told_so() -> None:
-    decoder = Decoder(FROM_STRANGER)
+    decoder = Decoder(HANDSHAKE)
     decoder.receive_data(raw(Control.CONNECT_AGENT, b"ignored") + raw(7))
     assert decoder.next_event() == Frame(Control.CONNECT_AGENT)
     decoder.expect(FROM_AGENT)
@@ -433,7 +433,7 @@ def test_a_count_above_a_million_is_refused(counts: tuple[int, int, int]) -> Non
         (FROM_EXPERIMENT, raw(33, struct.pack(">I", MAX_TEXT))),
         (FROM_ENVIRONMENT, struct.pack(">iI", 12, 2**32 - 1)),
         (FROM_ENVIRONMENT, struct.pack(">iI", 12, 2**31)),
-        (FROM_STRANGER, struct.pack(">iI", 2, 2**20)),
+        (HANDSHAKE, struct.pack(">iI", 2, 2**20)),
     ],
 )
 def test_giant_counts_and_sizes_are_refused_without_allocating(vocabulary: Vocabulary, data: bytes) -> None:

@@ -193,7 +193,8 @@ def test_a_port_in_use_is_told_in_one_line() -> None:
             timeout=TIMEOUT,
         )
     assert done.returncode == 2
-    assert f"127.0.0.1:{port}, session 'default': the port is in use" in done.stderr
+    assert f"127.0.0.1:{port} is in use" in done.stderr
+    assert "--legacy-port" in done.stderr
     assert done.stderr.count("\n") == 1
 
 

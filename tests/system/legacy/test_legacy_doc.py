@@ -11,7 +11,7 @@ import pytest
 
 from experiment_runner.commands.experiment import experiment
 from glue.hub.command import hub
-from glue.legacy import codec, lobby, peers
+from glue.legacy import codec, peers, pending
 from tests.system.legacy.legacy_client import Id
 from tests.system.legacy.legacy_rig import gateway
 
@@ -33,8 +33,8 @@ def test_an_example_is_understood(example: str) -> None:
         ("ints, doubles, chars", codec.MAX_COUNT),
         ("a task spec or message", codec.MAX_TEXT),
         ("bytes in a payload beyond", codec.SURPLUS),
-        ("requests that an experiment sends ahead", peers._READ_AHEAD),
-        ("connections that have not said", lobby._MAX_GUESTS),
+        ("requests that an experiment sends ahead", peers.READ_AHEAD),
+        ("connections that have not said", pending.MAX_PENDING),
     ],
 )
 def test_a_limit_is_the_one_that_holds(what: str, limit: int) -> None:
@@ -49,7 +49,7 @@ def test_the_refused_ids_are_none_of_ours() -> None:
         first, _, last = part.strip().partition("-")
         refused |= set(range(int(first), int(last or first) + 1))
     assert refused == codec._KINDS_OF_2
-    spoken = (codec.FROM_STRANGER, codec.FROM_AGENT, codec.FROM_ENVIRONMENT, codec.FROM_EXPERIMENT)
+    spoken = (codec.HANDSHAKE, codec.FROM_AGENT, codec.FROM_ENVIRONMENT, codec.FROM_EXPERIMENT)
     assert not refused & {int(kind) for vocabulary in spoken for kind in vocabulary}
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import struct
 import threading
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing, suppress
 
@@ -11,7 +13,12 @@ import numpy as np
 import pytest
 
 from glue.client.experiment import RemoteExperiment
+from glue.core.config import HubConfig, LegacyPort
+from glue.core.sessions import Route
 from glue.errors import HubClosed, LocalProtocolError, PeerFailed, PeerLost
+from glue.hub.server import Hub
+from glue.legacy.gateway import Gateway
+from glue.protocol.messages import Message
 from glue.types import Observation
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.system.legacy.legacy_client import (
@@ -278,7 +285,9 @@ def test_nobody_waits_for_a_silent_connection_and_it_is_dropped_after_a_while() 
         run_test_1(rig)
         assert ending(silent) == b""
         assert ending(halting) == b""
-        assert str(rig.log).count("has not said what it is") == 2
+    reason = "it did not say which role it is to have"
+    assert f" was dropped: {reason}" in str(rig.log)
+    assert f"1 more connection was dropped: {reason}" in str(rig.log)
 
 
 def test_a_port_probe_is_not_noticed_whenever_it_comes(rig: Rig) -> None:
@@ -301,12 +310,59 @@ def test_a_port_probe_is_not_noticed_whenever_it_comes(rig: Rig) -> None:
     ]
 
 
-def test_a_crowd_of_silent_connections_keeps_nobody_out(rig: Rig) -> None:
-    crowd = [rig.connect() for _ in range(300)]
-    run_test_1(rig)
-    rig.log.wait_for("must go", times=300 - 256)
+def test_a_crowd_of_silent_connections_keeps_nobody_out_and_is_summed_up_in_the_log() -> None:
+    with gateway() as rig:
+        crowd = [rig.connect() for _ in range(300)]
+        run_test_1(rig)
     for connection in crowd:
         connection.close()
+    dropped = [line for line in str(rig.log).splitlines() if "dropped" in line]
+    assert len(dropped) <= 4, "for each of two reasons the first one, and a sum"
+    (summed_up,) = re.findall(r"^(\d+) more connections were dropped: 256 newer", str(rig.log), re.MULTILINE)
+    assert int(summed_up) >= 300 - 256 - 1
+
+
+def test_connections_that_come_back_malformed_are_summed_up_in_the_log() -> None:
+    with gateway() as rig:
+        for _ in range(20):
+            intruder = rig.connect()
+            intruder.send_raw(b"GET / HTTP/1.1\r\n\r\n")
+            with suppress(ConnectionResetError):
+                intruder.receive_until_closed()
+            intruder.close()
+    lines = str(rig.log).splitlines()
+    assert "is not an RL-Glue program" in lines[0]
+    assert lines[1:] == ["19 more connections were dropped: it is not an RL-Glue program"]
+
+
+def test_no_session_has_more_than_one_request_taken_up_in_a_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    turns = Counter[tuple[str, float]]()
+    hub = Hub(HubConfig(("tcp://127.0.0.1:*",)))
+    (port,) = Gateway(hub, [LegacyPort(0)]).ports
+    receive = hub.switchboard.receive
+
+    def note(route: Route, message: Message, now: float) -> None:
+        turns[message.kind.name, now] += 1  # in one turn of the loop it is always the same time
+        receive(route, message, now)
+
+    monkeypatch.setattr(hub.switchboard, "receive", note)
+    greedy = Connection(port.port)
+    greedy.send(Id.EXPERIMENT_CONNECTION)
+    greedy.send_raw(struct.pack(">iI", Id.RL_NUM_STEPS, 0) * 500)
+    with hub.in_background(), closing(greedy):
+        for _ in range(500):
+            greedy.receive()
+    assert turns.total() == 501
+    assert max(turns.values()) == 1
+
+
+def test_all_requests_before_a_half_close_that_need_no_player_are_answered(rig: Rig) -> None:
+    count = 500
+    glue = rig.experiment()
+    glue.connection.send_raw(struct.pack(">iI", Id.RL_NUM_STEPS, 0) * count)
+    glue.connection.close_writing()
+    answers = ending(glue.connection)
+    assert answers == struct.pack(">iIi", Id.RL_NUM_STEPS, 4, 0) * count
 
 
 @pytest.mark.parametrize("role", ROLES)
@@ -346,7 +402,7 @@ def test_a_stranger_with_an_unknown_id_is_dropped(rig: Rig, message_id: int) -> 
     stranger = rig.connect()
     stranger.send(message_id)
     assert ending(stranger) == b""
-    rig.log.wait_for("is no RL-Glue program")
+    rig.log.wait_for("is not an RL-Glue program")
     run_test_1(rig)
 
 
@@ -413,7 +469,7 @@ def test_our_experiment_is_told_who_broke_the_protocol(rig: Rig) -> None:
 
     connection = rig.connect()
     rig.serve_agent(Liar(), connection)
-    with rig.native() as glue, pytest.raises(PeerFailed, match="AGENT_END came; AGENT_START was asked"):
+    with rig.native() as glue, pytest.raises(PeerFailed, match="received AGENT_END; AGENT_START was asked"):
         glue.rl_agent_start(Observation())
 
 
@@ -421,7 +477,7 @@ def test_an_answer_that_nobody_asked_for_is_a_fault(rig: Rig) -> None:
     liar = join(rig, Id.AGENT_CONNECTION)
     liar.send(Id.AGENT_STEP, EMPTY)
     assert ending(liar) == TERMINATE
-    rig.log.wait_for("AGENT_STEP came; nothing was asked")
+    rig.log.wait_for("received AGENT_STEP; nothing was asked")
     run_test_1(rig)
 
 
