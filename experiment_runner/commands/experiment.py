@@ -11,14 +11,14 @@ from typing import Any, Final
 
 import click
 
+from experiment_runner.executors.resume import open_run, recorded_plan
+from experiment_runner.executors.run import Place, RunConfig, run_trials
 from experiment_runner.plan import Plan, RoleSweep, check_options, describe
 from experiment_runner.plan_file import load_plan
 from experiment_runner.players import HubOptions, Meeting, listening
 from experiment_runner.recording import recorded
 from experiment_runner.report.progress import JsonLines, Progress
 from experiment_runner.report.tables import summarize, tabulate, terminal_width
-from experiment_runner.resume import open_run, recorded_plan
-from experiment_runner.run import Place, RunConfig, run_trials
 from glue import __version__
 from glue.commands import legacy_port_option, run
 from glue.console import say

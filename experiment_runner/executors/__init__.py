@@ -1,1 +1,1 @@
-"""Where trials run: in this process, in worker processes of this machine, or on a Ray cluster."""
+"""Carrying out a plan: in this process, in worker processes of this machine, or on a Ray cluster."""

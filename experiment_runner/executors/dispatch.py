@@ -22,12 +22,12 @@ from experiment_runner.executors.job import (
     Voided,
     run_job,
 )
+from experiment_runner.executors.resume import Remaining, go_back, remaining
+from experiment_runner.executors.trial import BEGINNING, Start
 from experiment_runner.interrupts import Interrupts
 from experiment_runner.plan import TrialSpec
 from experiment_runner.report.progress import Reporter
-from experiment_runner.resume import Remaining, go_back, remaining
 from experiment_runner.store.store import Store
-from experiment_runner.trial import BEGINNING, Start
 from glue.trajectory import TrajectoryWriter
 
 __all__ = ["Dispatcher", "Executor"]

@@ -8,13 +8,13 @@ from typing import Final
 
 import click
 
+from experiment_runner.executors.resume import open_run
+from experiment_runner.executors.run import RunConfig, run_trials
 from experiment_runner.paper.experiments import EPISODES, EXPERIMENTS, TRIALS, plan_of
 from experiment_runner.paper.report import write_report
 from experiment_runner.plan import Plan, check_options
 from experiment_runner.players import Meeting
 from experiment_runner.report.progress import Progress
-from experiment_runner.resume import open_run
-from experiment_runner.run import RunConfig, run_trials
 from glue import __version__
 from glue.commands import run
 from glue.console import say

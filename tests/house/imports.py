@@ -47,7 +47,11 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "agents/commands": ("agents",),
     # Players are found by their entry points: the framework knows no environment and no agent.
     "experiment_runner": _GLUE,
-    "experiment_runner/commands": ("experiment_runner", "env_server/render"),
+    "experiment_runner/store": ("experiment_runner",),
+    "experiment_runner/analysis": ("experiment_runner/store",),
+    "experiment_runner/report": ("experiment_runner/analysis",),
+    "experiment_runner/executors": ("experiment_runner/report",),
+    "experiment_runner/commands": ("experiment_runner/executors", "env_server/render"),
     "experiment_runner/paper": ("experiment_runner/commands", "env_server/replay", "agents/mohan2010"),
 }
 """From the bottom up: a folder may import itself, the folders named here, and all that those may import."""
@@ -63,8 +67,6 @@ def unit(file: Path) -> str:
     package = file.parts[0]
     if file == Path("glue/__init__.py"):
         return "glue/__init__"
-    if package == "experiment_runner" and file.parts[1] not in ("commands", "paper"):
-        return package
     if file.parts[1] == "paper":
         return str(file.parent)
     if file.parent.name == "commands" or file.stem in ("command", "commands"):

@@ -1,4 +1,6 @@
-"""Draw the folders of the program, and which imports which: `make picture` writes docs/images/architecture.svg.
+"""Draw the folders of the program, and which imports which.
+
+A program: `make picture` runs it, and it writes docs/images/architecture.svg.
 
 An arrow leads from a folder to one that its modules import. Where a longer way leads there too, the arrow is
 left out. Every folder stands above all that it imports.
@@ -28,7 +30,7 @@ ROOTS: Final = {
     "glue": "types, roles, errors",
     "env_server": "toys",
     "agents": "sarsa, policy, ...",
-    "experiment_runner": "plan, trial, ...",
+    "experiment_runner": "plan, players, ...",
 }
 """What to call the modules that lie in a package itself."""
 
@@ -151,7 +153,8 @@ def _box(name: str, at: Place) -> str:
     return (
         f'<rect x="{at.x:g}" y="{at.y:g}" width="{at.width:g}" height="{at.height:g}" rx="5"'
         ' fill="white" stroke="#555"/>\n'
-        f'<text x="{at.x + at.width / 2:g}" y="{at.y + at.height / 2 + 4:g}" text-anchor="middle">{label}</text>'
+        f'<text x="{at.x + at.width / 2:g}" y="{at.y + at.height / 2 + 4:g}"'
+        f' text-anchor="middle">{label}</text>'
     )
 
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.analysis.settings import Setting, collect
+from experiment_runner.executors.resume import create_run
 from experiment_runner.plan_file import parse_plan
-from experiment_runner.resume import create_run
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store

@@ -20,8 +20,8 @@ from env_server.mario.environment import InfiniteMario
 from experiment_runner.commands.experiment import experiment
 from experiment_runner.commands.plot import plot
 from experiment_runner.commands.results import results
+from experiment_runner.executors.resume import create_run, resume_run
 from experiment_runner.plan import Plan, RoleSweep
-from experiment_runner.resume import create_run, resume_run
 from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
 from experiment_runner.store.records import Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results

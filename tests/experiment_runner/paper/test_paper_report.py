@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
+from experiment_runner.executors.resume import create_run
 from experiment_runner.paper.command import paper
 from experiment_runner.paper.experiments import EXPERIMENTS, plan_of
 from experiment_runner.paper.report import BEGIN, END, REPORT, write_report
-from experiment_runner.resume import create_run
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError

@@ -8,14 +8,14 @@ import pytest
 
 from experiment_runner.executors.dispatch import Dispatcher
 from experiment_runner.executors.job import Job, Lost, Recorded, Report, run_job
+from experiment_runner.executors.resume import create_run, open_run, remaining
+from experiment_runner.executors.run import Place, RunConfig, run_trials
+from experiment_runner.executors.trial import Start
 from experiment_runner.interrupts import Interrupts
 from experiment_runner.plan import Plan, RoleSweep, TrialSpec
 from experiment_runner.players import HubOptions, Meeting
-from experiment_runner.resume import create_run, open_run, remaining
-from experiment_runner.run import Place, RunConfig, run_trials
 from experiment_runner.store.records import EpisodeResult, TrialRecord
 from experiment_runner.store.store import Store
-from experiment_runner.trial import Start
 from glue.errors import ConfigError
 from tests.system.runs import contents
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from experiment_runner.executors.resume import Remaining, create_run, remaining, resume_run
 from experiment_runner.plan import Plan, RoleSweep
 from experiment_runner.plan_file import load_plan
 from experiment_runner.provenance import program
-from experiment_runner.resume import Remaining, create_run, remaining, resume_run
 from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
 from experiment_runner.store.records import Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results

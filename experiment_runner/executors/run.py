@@ -9,13 +9,13 @@ from experiment_runner.executors.dispatch import Dispatcher, Executor
 from experiment_runner.executors.job import Job
 from experiment_runner.executors.local import LocalExecutor
 from experiment_runner.executors.ray_cluster import RayExecutor
+from experiment_runner.executors.resume import remaining
+from experiment_runner.executors.trial import Start
 from experiment_runner.interrupts import GRACE_SECONDS, Interrupts
 from experiment_runner.plan import Plan, TrialSpec
 from experiment_runner.players import HubOptions, Meeting
 from experiment_runner.report.progress import Reporter
-from experiment_runner.resume import remaining
 from experiment_runner.store.store import Store
-from experiment_runner.trial import Start
 from glue.errors import ConfigError
 from glue.trajectory import TrajectoryWriter
 
