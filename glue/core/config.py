@@ -15,8 +15,9 @@ A socket that is bound to one role and one session can be nothing else:
 from __future__ import annotations
 
 import ipaddress
+import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from glue.errors import ConfigError
@@ -32,6 +33,9 @@ DEFAULT_SESSION: Final = "default"
 
 _IPC_PATH_LIMIT: Final = 107
 """Bytes in the path of a Unix socket; Linux, sockaddr_un."""
+
+_BODIES: Final = 4
+"""Of the largest, that a session alone may have to keep: task spec, action, call and reply."""
 
 _LONGEST_PATIENCE: Final = 7 * 86400.0
 """Seconds; libzmq counts milliseconds in 31 bits."""
@@ -67,6 +71,10 @@ class Bind:
         return role in self.roles and (self.sessions is None or session in self.sessions)
 
 
+def _quarter_of_memory() -> int:
+    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 4
+
+
 @dataclass(frozen=True, slots=True)
 class HubConfig:
     """Settings of a hub.
@@ -77,6 +85,9 @@ class HubConfig:
         patience: seconds that a peer may be unreachable before it is given up and its episode is void.
         max_body: greatest observation, action or text, in bytes.
         max_sessions: sessions at once; a peer that would open one more is refused.
+        max_memory: bytes that are kept in all: bodies under way, messages that are not complete, and what
+            peers have not read. Beyond it the session or connection that keeps most is ended. By default a
+            quarter of the machine's memory.
         insecure: allow addresses that other machines can reach. Peers are not authenticated.
 
     Raises:
@@ -89,6 +100,7 @@ class HubConfig:
     patience: float = 5.0
     max_body: int = MAX_BODY
     max_sessions: int = 1024
+    max_memory: int = field(default_factory=_quarter_of_memory)
     insecure: bool = False
 
     def __post_init__(self) -> None:
@@ -105,6 +117,11 @@ class HubConfig:
             )
         if not 1 <= self.max_body <= MAX_BODY:
             raise ConfigError(f"the greatest body is from 1 to {MAX_BODY} bytes, not {self.max_body}")
+        if self.max_memory < _BODIES * self.max_body:
+            raise ConfigError(
+                f"a hub needs room for {_BODIES} of the largest bodies, that is "
+                f"{_BODIES * self.max_body} bytes, not {self.max_memory}"
+            )
         if self.max_sessions < 1:
             raise ConfigError(f"a hub serves at least one session, not {self.max_sessions}")
 

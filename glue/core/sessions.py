@@ -23,6 +23,7 @@ from typing import Any, Final, Protocol
 from glue.core.calls import skippable, unsupported
 from glue.core.config import HubConfig
 from glue.core.engine import Engine, Step
+from glue.core.memory import Memory
 from glue.errors import PeerLost, RemoteProtocolError
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
 from glue.protocol.wire import UnknownKind, clip
@@ -35,6 +36,9 @@ INSTANCE_SIZE: Final = 16
 
 ONE_RUN: Final = "one-run"
 """Capability of a player that takes part in one run alone: it is sent off when the experiment leaves."""
+
+_LIGHT: Final = 65_536
+"""Bytes of bodies that a session may keep without being accounted for: 64 MiB in 1024 sessions."""
 
 _MAX_LABEL: Final = 255
 """Bytes of a peer's name and codec that are kept."""
@@ -92,9 +96,13 @@ class Switchboard:
     Args:
         config: limits and times.
         log: takes one line for people about each peer that joins or leaves.
+
+    Attributes:
+        memory: bounds what is kept for sessions, and for whatever else the hub keeps.
     """
 
     def __init__(self, config: HubConfig, log: Callable[[str], None]) -> None:
+        self.memory = Memory(config.max_memory)
         self._config = config
         self._log = log
         self._now = 0.0
@@ -249,6 +257,16 @@ class Switchboard:
         session.join(peer, same=known or current is not None, announce=current is None)
         return None
 
+    def end(self, session: _Session, why: str) -> None:
+        """End a session: say goodbye to all its peers."""
+        goodbye = Message(Kind.GOODBYE, session.name, 0, (clip(f"the session was ended: {why}"),))
+        # The experiment first: without it nobody is told of the loss of the players.
+        for role in (Role.EXPERIMENT, Role.AGENT, Role.ENVIRONMENT):
+            peer = session.peers.get(role)
+            if peer is not None:
+                self._lose(peer, f"was sent off: {why}")
+                self.send(peer.route, goodbye)
+
     def _send_off(self, session: _Session) -> None:
         """The run is over: say goodbye to those who came for one run."""
         for player in list(session.peers.values()):
@@ -277,6 +295,7 @@ class Switchboard:
         session.lose(peer, why, code)
         if not session.peers:
             self._sessions.pop(session.name, None)
+            self.memory.hold(session, 0)
 
     def _out_of_reach(self, peer: _Peer) -> None:
         if peer.unreachable_since is None:
@@ -298,6 +317,7 @@ class _Session:
         "_board",
         "_confirmed",
         "_engine",
+        "_heavy",
         "_outstanding",
         "_reply",
         "_request_seq",
@@ -316,11 +336,29 @@ class _Session:
         self._outstanding: Message | None = None
         self._request_seq = 0
         self._reply: Message | None = None
+        self._heavy = False
 
     @property
     def num_steps(self) -> int:
         """What RL_num_steps is at present."""
         return self._engine.num_steps
+
+    @property
+    def seated(self) -> bool:
+        """Whether anybody takes part."""
+        return True
+
+    def evict(self, why: str) -> None:
+        """End the session: it keeps too much."""
+        self._board.end(self, why)
+
+    def _weigh(self) -> None:
+        """Account for the bodies that are kept; those of a session with small ones alone do not count."""
+        engine, call, reply = self._engine, self._outstanding, self._reply
+        bodies = (call and call.body, reply and reply.body, engine.last_action, engine.task_spec)
+        size = sum(len(body) for body in bodies if body)
+        self._heavy = size > _LIGHT
+        self._board.memory.hold(self, size if self._heavy else 0)
 
     def knows(self, role: Role, instance: bytes) -> bool:
         """Return whether `instance` is, or was last, in that role, and has sent a request or an answer.
@@ -468,6 +506,9 @@ class _Session:
             return
         self._seq += 1
         self._outstanding = outstanding = Message(kind, self.name, self._seq, scalars, body or b"")
+        if self._heavy or len(outstanding.body) > _LIGHT:
+            self._weigh()
+            player = self.peers.get(role)
         if player is not None:
             self._board.deliver(player, outstanding)
 
@@ -485,6 +526,8 @@ class _Session:
 
     def _answer_experiment(self, reply: Message) -> None:
         self._reply = reply
+        if self._heavy or len(reply.body) > _LIGHT:
+            self._weigh()
         experiment = self.peers.get(Role.EXPERIMENT)
         if experiment is not None:
             self._board.deliver(experiment, reply)
@@ -505,3 +548,5 @@ class _Session:
         self._outstanding = None
         self._request_seq = 0
         self._reply = None
+        if self._heavy:
+            self._weigh()

@@ -51,6 +51,15 @@ _DEFAULTS: Final = HubConfig()
     show_default=True,
     help="Sessions served at once.",
 )
+@click.option(
+    "--max-memory",
+    type=click.IntRange(64),
+    default=_DEFAULTS.max_memory // 2**20,
+    show_default="a quarter of the machine's",
+    metavar="MIB",
+    help="Memory for observations, actions and other messages that are under way, in all. Beyond it the "
+    "session or connection that keeps most is ended.",
+)
 @legacy_port_option
 @click.option("--insecure", is_flag=True, help="Allow addresses that other machines can reach.")
 @click.version_option(__version__, prog_name="glue-hub")
@@ -59,6 +68,7 @@ def hub(
     heartbeat: float,
     patience: float,
     max_sessions: int,
+    max_memory: int,
     legacy_port: tuple[str, ...],
     insecure: bool,
 ) -> None:
@@ -79,6 +89,7 @@ def hub(
         heartbeat=heartbeat,
         patience=patience,
         max_sessions=max_sessions,
+        max_memory=max_memory * 2**20,
         insecure=insecure,
     )
     ports = [LegacyPort.parse(text, insecure=insecure) for text in legacy_port]

@@ -16,6 +16,7 @@ from functools import partial
 from typing import Final
 
 from glue.core.config import Bind, HubConfig
+from glue.core.memory import Memory
 from glue.core.sessions import Route
 from glue.errors import RemoteProtocolError
 from glue.hub.connection import Connection, limit_silence, take_leave
@@ -25,16 +26,13 @@ from glue.protocol import zmtp
 from glue.protocol.messages import Message
 from glue.protocol.wire import FROM_HUB, MAX_HEADER, encode
 
-__all__ = ["MAX_UNFINISHED", "MAX_UNSEATED", "MAX_UNSENT", "Router"]
+__all__ = ["MAX_UNSEATED", "MAX_UNSENT", "Router"]
 
 MAX_UNSEATED: Final = 256
 """Connections without a seat that are kept at once; one more and the oldest is dropped."""
 
 GREETING_SECONDS: Final = 1.0
 """How long a connection may be without a seat before it is dropped, at the next tick."""
-
-MAX_UNFINISHED: Final = 64 * 2**20
-"""Bytes of messages that have not come to their end, of all peers together."""
 
 MAX_UNSENT: Final = 64 * 2**20
 """Bytes that wait for one peer, beyond which it is out of reach: it does not read."""
@@ -54,6 +52,7 @@ class Router:
             was in turn. RemoteProtocolError ends the connection.
         failed: takes the route of a connection that was dropped after an error of the hub, and the time.
         num_seats: returns in how many sessions a route takes part.
+        memory: accounts for what is kept of messages that are not complete, and of those not yet read.
         log: takes a line for people about each connection that is dropped.
     """
 
@@ -65,11 +64,12 @@ class Router:
         receive: Callable[[Route, list[bytes], float], bool],
         failed: Callable[[Route, float], None],
         num_seats: Callable[[Route], int],
+        memory: Memory,
         log: Callable[[str], None],
     ) -> None:
         self.receive = receive
         self.failed = failed
-        self._unfinished = 0
+        self.memory = memory
         self._loop = loop
         self._config = config
         self.num_seats = num_seats
@@ -97,7 +97,7 @@ class Router:
         """End a connection; `why`, if it is news, completes a sentence about it."""
         if why is not None:
             self.complain(dealer, why)
-        self._unfinished -= dealer.held
+        self.memory.hold(dealer, 0)
         self._dealers.discard(dealer)
         self._unseated.pop(dealer, None)
         dealer.connection.close()
@@ -108,17 +108,6 @@ class Router:
         if why != self._complaint:
             self._complaint = why
             self._log(f"{dealer.connection.name} was dropped: {why}")
-
-    def hold(self, change: int) -> None:
-        """Take note that more, or less, is kept of messages that have not come to their end.
-
-        If it is too much, the one that holds most of it is dropped, those without a seat first.
-        """
-        self._unfinished += change
-        while self._unfinished > MAX_UNFINISHED:
-            holders = [dealer for dealer in self._dealers if dealer.held]
-            greatest = max(holders, key=lambda dealer: (not self.num_seats(dealer), dealer.held))
-            self.drop(greatest, "more large messages are under way than this hub has room for")
 
     def _accept(self, bind: Bind, connected: socket.socket, name: str, now: float) -> None:
         self._make_room()
@@ -152,7 +141,6 @@ class _Dealer:
 
     Attributes:
         connection: as it is.
-        held: bytes kept of what has not come to its end.
     """
 
     def __init__(self, router: Router, connection: Connection, bind: Bind, max_frame: int) -> None:
@@ -160,7 +148,7 @@ class _Dealer:
         self.admits = bind.admits
         self._router = router
         self._decoder = zmtp.Decoder(max_frame)
-        self.held = 0
+        self._held = 0
         self._dismissed = False
         connection.ready = self._ready
         connection.failed = self._failed
@@ -171,7 +159,25 @@ class _Dealer:
         if connection.closed or self._dismissed or connection.unsent > MAX_UNSENT:
             return False
         connection.send(zmtp.encode(encode(message, FROM_HUB)))
+        if connection.unsent:
+            self._weigh()
         return True
+
+    @property
+    def seated(self) -> bool:
+        """Whether it takes part in a session."""
+        return self._router.num_seats(self) > 0
+
+    def evict(self, why: str) -> None:
+        """Drop the connection: it keeps too much."""
+        self._router.drop(self, why)
+
+    def _weigh(self) -> None:
+        """Account for what is kept: messages that are not complete, and what the peer has not read."""
+        held = self._decoder.buffered + self.connection.unsent
+        if held != self._held and not self.connection.closed:
+            self._held = held
+            self._router.memory.hold(self, held)
 
     def _ready(self, now: float) -> None:
         data = self.connection.receive()
@@ -185,11 +191,7 @@ class _Dealer:
         if data == b"" and done:
             self._router.drop(self, None)
             return
-        held = self._decoder.buffered
-        if held != self.held:
-            change = held - self.held
-            self.held = held
-            self._router.hold(change)
+        self._weigh()
 
     def _work(self, now: float) -> bool:
         """Act on messages received, one for each seat; return whether more must arrive first."""
@@ -224,8 +226,7 @@ class _Dealer:
         """End the connection, once what it was sent has arrived; from now on it is sent nothing."""
         self._dismissed = True
         self._decoder = zmtp.Decoder(0)
-        self._router.hold(-self.held)
-        self.held = 0
+        self._weigh()
         self._router.complain(self, why)
         self.connection.in_turn = False
         self.connection.finish()

@@ -77,6 +77,7 @@ class Hub:
                 self._receive,
                 self._failed,
                 self.switchboard.num_seats,
+                self.switchboard.memory,
                 self.log,
             )
             closing.callback(self._router.close)

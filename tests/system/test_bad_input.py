@@ -117,7 +117,16 @@ class Target:
 def target() -> Iterator[Target]:
     """A hub in a process of its own, with a session that plays."""
     program = "from glue.hub.command import main; main()"
-    settings = ["--heartbeat", "0.2", "--patience", "1", "--max-sessions", str(SESSIONS)]
+    settings = [
+        "--heartbeat",
+        "0.2",
+        "--patience",
+        "1",
+        "--max-sessions",
+        str(SESSIONS),
+        "--max-memory",
+        "64",
+    ]
     with running("-c", program, "--bind", "tcp://127.0.0.1:*", *settings) as process:
         assert process.stderr is not None
         url = process.stderr.readline().split()[-1]
@@ -578,6 +587,7 @@ def test_a_hub_whose_log_nobody_reads_goes_on() -> None:
         assert process.stderr is not None
         url = process.stderr.readline().split()[-1]
         with connect(url, "s", log=quiet) as glue, Stranger(url) as refused:
+            refused.join("agent", session="so that it may stay")
             for _ in range(3000):
                 refused.hello("experiment", session="s")
                 assert refused.error()[0] == ErrorCode.ROLE_TAKEN
@@ -600,6 +610,22 @@ def test_an_experiment_that_never_reads_its_replies(hub: Target) -> None:
         for _ in range(5000):
             experiment.say(Kind.RL_AGENT_MESSAGE, 1, session="unread")
             experiment.hello("experiment", session="unread")
+
+
+def test_many_sessions_with_the_largest_bodies_have_a_bound_in_all(hub: Target) -> None:
+    huge = Observation(chars=bytes(MAX_BODY - 16)).body
+    before = hub.megabytes()
+    with Stranger(hub.url) as agent, Stranger(hub.url) as experiment:
+        for number in range(12):
+            session = f"huge {number}"
+            agent.hello("agent", session=session)
+            experiment.hello("experiment", session=session)
+            experiment.say(Kind.RL_AGENT_START, 1, body=huge, session=session)
+        while (message := experiment.hear()).kind is not Kind.GOODBYE:
+            assert hub.megabytes() < before + ROOM
+        assert "--max-memory" in str(message.scalars[0])
+        hub.healthy.goes_on()
+        assert hub.megabytes() < before + ROOM
 
 
 def test_a_player_that_answers_everything_with_the_largest_body(hub: Target) -> None:

@@ -318,6 +318,37 @@ def test_the_longest_names_and_texts_still_fit_into_every_header() -> None:
     assert error(rig.hello("v", "\0" * 2000, session=wide))[0] == ErrorCode.MALFORMED
 
 
+def test_when_there_is_no_room_for_more_the_session_that_keeps_most_is_ended_and_told_why() -> None:
+    rig = Rig(HubConfig(max_body=100_000, max_memory=400_000, max_sessions=64))
+    for n in range(6):
+        for route, role in ((f"a{n}", Role.AGENT), (f"x{n}", Role.EXPERIMENT)):
+            assert rig.hello(route, role, session=f"{n}")[0].kind is Kind.WELCOME
+            rig.heard(f"x{n}")
+        size = 95_000 if n == 2 else 90_000
+        start = Observation(chars=bytes(size - 16)).body
+        rig.put(f"x{n}", Kind.RL_AGENT_START, 1, body=start, session=f"{n}")
+    for n in range(6):
+        ended = [m for route in (f"x{n}", f"a{n}") for m in rig.heard(route) if m.kind is Kind.GOODBYE]
+        # One is ended when there is a fifth, another, the first of equals, when there is a sixth.
+        assert len(ended) == (2 if n in (2, 0) else 0)
+        assert all("--max-memory" in str(message.scalars[0]) for message in ended)
+
+
+def test_what_a_session_kept_is_free_again_when_it_is_done_with() -> None:
+    rig = Rig(HubConfig(max_body=100_000, max_memory=400_000))
+    start = Observation(chars=bytes(90_000)).body
+    for n in range(20):
+        rig.hello(f"a{n}", Role.AGENT, session=f"{n}")
+        rig.hello(f"x{n}", Role.EXPERIMENT, session=f"{n}")
+        rig.heard(f"a{n}"), rig.heard(f"x{n}")
+        rig.put(f"x{n}", Kind.RL_AGENT_START, 1, body=start, session=f"{n}")
+        assert [message.kind for message in rig.heard(f"a{n}")] == [Kind.AGENT_START]
+        rig.put(f"x{n}", Kind.GOODBYE, 0, "done", session=f"{n}")
+        assert rig.hello(f"y{n}", Role.EXPERIMENT, session=f"{n}")[0].kind is Kind.WELCOME
+        rig.put(f"y{n}", Kind.GOODBYE, 0, "done", session=f"{n}")
+        rig.put(f"a{n}", Kind.GOODBYE, 0, "done", session=f"{n}")
+
+
 # Exactly once
 
 

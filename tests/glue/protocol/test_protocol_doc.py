@@ -16,7 +16,7 @@ from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
 from glue.core.local import local
 from glue.core.sessions import INSTANCE_SIZE, ONE_RUN, Switchboard
 from glue.errors import LocalProtocolError, RemoteProtocolError
-from glue.hub.router import GREETING_SECONDS, MAX_UNFINISHED, MAX_UNSEATED, MAX_UNSENT
+from glue.hub.router import GREETING_SECONDS, MAX_UNSEATED, MAX_UNSENT
 from glue.hub.server import Hub
 from glue.protocol.messages import (
     CALLS,
@@ -318,7 +318,7 @@ def test_limits_and_defaults_are_those_of_the_program() -> None:
         "a quarter of those of the hub",
         f"{GREETING_SECONDS:g} s",
         f"{MAX_UNSEATED}",
-        f"{MAX_UNFINISHED} bytes",
+        "a quarter of the machine's memory, or as the hub is told",
         f"{MAX_UNSENT} bytes",
     ]
     defaults = [row[1] for row in table("default", "value")]
