@@ -5,12 +5,17 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 READY  := $(VENV)/.ready
 
-.PHONY: help demo test check bench clean
+# Each of two processes begins with one half of the tests, in order, and takes over from the other at the end.
+PARALLEL := --numprocesses=2 --dist=worksteal
+
+.PHONY: help demo test check coverage picture bench clean
 
 help:
 	@echo "make demo   set up, then run environment, agent and experiment as three processes"
 	@echo "make test   set up, then run every check (ruff, mypy, pytest)"
 	@echo "make check  ruff and mypy alone"
+	@echo "make coverage  which lines and branches the tests reach, in every process that they start"
+	@echo "make picture  draw the folders and who imports whom: docs/images/architecture.svg"
 	@echo "make bench  measure, and write docs/performance.md"
 
 $(READY): pyproject.toml
@@ -27,7 +32,16 @@ check: $(READY)
 	$(BIN)/mypy
 
 test: check
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(PARALLEL)
+
+coverage: $(READY)
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest $(PARALLEL)
+	$(BIN)/coverage combine --quiet
+	$(BIN)/coverage report
+
+picture: $(READY)
+	$(BIN)/python -m tests.house.picture
 
 bench: $(READY)
 	$(BIN)/python -m benchmarks

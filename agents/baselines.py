@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import numpy as np
 
 from glue.errors import LocalProtocolError
 from glue.options import Option
-from glue.random_state import load_generator, save_generator
+from glue.saves import pack_generator, unpack_generator
 from glue.taskspec import Space, parse_task_spec
 from glue.types import Action, Observation
 
@@ -17,6 +17,8 @@ __all__ = ["RandomAgent", "SkeletonAgent"]
 
 class RandomAgent:
     """Acts at random, evenly within the bounds of the task spec; it learns nothing."""
+
+    name: ClassVar[str] = "random"
 
     def __init__(
         self,
@@ -36,7 +38,7 @@ class RandomAgent:
         actions = parse_task_spec(task_spec).actions
         if not actions.stated:
             raise LocalProtocolError(
-                f"the random agent needs a task spec that states the actions, not {task_spec!r:.80}"
+                f"agent {self.name} needs a task spec that states the actions, not {task_spec!r:.80}"
             )
         self._actions = actions
 
@@ -53,13 +55,13 @@ class RandomAgent:
         pass
 
     def agent_message(self, message: str) -> str:
-        return "the random agent understands no messages"
+        return f"agent {self.name} answers no messages"
 
     def agent_save(self) -> bytes:
-        return save_generator(self._generator)
+        return pack_generator(self.name, self._generator)
 
     def agent_load(self, data: bytes) -> None:
-        self._generator = load_generator(data)
+        self._generator = unpack_generator(data, self.name)
 
     def _act(self) -> Action:
         return Action(*self._actions.sample(self._generator))
@@ -67,6 +69,8 @@ class RandomAgent:
 
 class SkeletonAgent(RandomAgent):
     """Acts at random, and knows its name. Source: RL-Glue 3.0, skeleton example."""
+
+    name = "skeleton"
 
     def agent_message(self, message: str) -> str:
         if message == "what is your name?":

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import click
 
-from glue.client.players import serve_agent
-from glue.commands import Extra, player_command, run
+from glue.commands import run
+from glue.players.command import Extra, player_command
 from glue.players.trained import load_trained
 from glue.protocol.messages import Role
 
@@ -15,10 +15,7 @@ __all__ = ["agent", "main"]
 
 agent = player_command(
     Role.AGENT,
-    "glue-agent",
-    lambda players, hub, log: serve_agent(players, hub, log=log),
-    "Connect an agent to a hub, and serve until the hub says goodbye.",
-    "  glue-agent random\n"
+    "  glue-agent hierarchical\n"
     "  glue-agent sarsa --step-size 0.1 --hub tcp://127.0.0.1:5000\n"
     "  glue-agent hierarchical --load mario.agent --no-learning --epsilon 0",
     Extra(

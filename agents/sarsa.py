@@ -16,6 +16,7 @@ import numpy.typing as npt
 from agents.keys import extend
 from glue.compiled.jit import jit
 from glue.compiled.records import Array, Flag, Int, Real, Word, layout
+from glue.errors import SaveError
 
 __all__ = [
     "MAX_FEATURES", "Entry", "Keys", "Learner", "Taken", "Values", "action_values", "contents", "grown",
@@ -28,6 +29,8 @@ Values = npt.NDArray[np.float64]
 MAX_FEATURES: Final = 512
 _SMALLEST: Final = 4096
 _FREE: Final = np.uint64(0)
+_MAX_PROBES: Final = 64
+"""Probes per key while a table is filled, on average; hashed keys need 0.2."""
 
 
 class Entry:
@@ -120,19 +123,32 @@ def _place(table: Array, key: np.uint64) -> int:
 
 
 @jit
-def _fill(table: Array, keys: Keys, values: Values) -> None:
+def _fill(table: Array, keys: Keys, values: Values) -> bool:
+    """Add values to a table; return False when that takes far more than the usual number of probes."""
+    last = np.uint64(len(table) - 1)
+    probes = 0
     for i in range(len(keys)):
-        entry = table[_place(table, keys[i])]
-        entry.key = keys[i]
-        entry.value = values[i]
+        place = _place(table, keys[i])
+        probes += int((np.uint64(place) - keys[i]) & last)
+        if probes > _MAX_PROBES * (i + 1):
+            return False
+        table[place].key = keys[i]
+        table[place].value = values[i]
+    return True
 
 
 def table_of(keys: Keys, values: Values, size: int = _SMALLEST) -> Array:
-    """Return a table of at least `size` places, at most a quarter of them taken, with these values."""
+    """Return a table of at least `size` places, at most a quarter of them taken, with these values.
+
+    Raises:
+        SaveError: too many keys collide. Those of a learner are hashes and do not; those of a forged save
+            would make every look-up slow.
+    """
     while size < 4 * len(keys):
         size *= 2
     table = np.zeros(size, layout(Entry))
-    _fill(table, keys, values)
+    if not _fill(table, keys, values):
+        raise SaveError("the keys of this save collide with each other: no agent can have learned them")
     return table
 
 

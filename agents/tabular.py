@@ -6,18 +6,22 @@ import struct
 from typing import Annotated, Final
 
 import numpy as np
+import numpy.typing as npt
 
-from glue.errors import LocalProtocolError
+from glue.errors import LocalProtocolError, SaveError
 from glue.options import Option
-from glue.random_state import GENERATOR_SIZE, load_generator, save_generator
+from glue.random_state import GENERATOR_SIZE, load_generator
+from glue.saves import Arrays, Saved, generator_array, is_packed, pack, unpack
 from glue.taskspec import TaskSpec, parse_task_spec
 from glue.types import Action, Observation
 
 __all__ = ["SarsaAgent"]
 
 _MAX_VALUES: Final = 10_000_000
-_SHAPE: Final = struct.Struct("<4sII")
-_MAGIC: Final = b"TSA1"
+_OLD_HEAD: Final = struct.Struct(f"<4sII{GENERATOR_SIZE}s")  # of saves before `glue.saves`
+_OLD_MAGIC: Final = b"TSA1"
+
+_Learned = tuple[np.random.Generator, tuple[int, int], npt.NDArray[np.float64]]
 
 
 class SarsaAgent:
@@ -87,19 +91,19 @@ class SarsaAgent:
         return f"unknown message {message!r:.80}; 'values' shows the table"
 
     def agent_save(self) -> bytes:
-        values = self._values.astype("<f8").tobytes()
-        return _SHAPE.pack(_MAGIC, *self._values.shape) + save_generator(self._generator) + values
+        states, actions = self._values.shape
+        arrays: Arrays = {"generator": generator_array(self._generator), "values": self._values.ravel()}
+        return pack(Saved("sarsa", {}, {"states": states, "actions": actions}, arrays))
 
     def agent_load(self, data: bytes) -> None:
-        header = _SHAPE.size + GENERATOR_SIZE
-        if len(data) != header + self._values.nbytes:
-            raise LocalProtocolError(
-                f"the saved values have {len(data)} bytes; this task's take {header + self._values.nbytes}"
+        generator, shape, values = _unpack(data) if is_packed(data) else _unpack_old(data)
+        if shape != self._values.shape or values.size != self._values.size:
+            raise SaveError(
+                f"these values are of a task of {shape[0]} states and {shape[1]} actions; "
+                f"this one has {self._values.shape[0]} and {self._values.shape[1]}"
             )
-        if _SHAPE.unpack_from(data) != (_MAGIC, *self._values.shape):
-            raise LocalProtocolError("what was saved is not of this agent, or of another task")
-        self._generator = load_generator(data[_SHAPE.size : header])
-        self._values = np.frombuffer(data, "<f8", offset=header).reshape(self._values.shape).copy()
+        self._generator = generator
+        self._values = values.reshape(shape).copy()
 
     def _state_of(self, observation: Observation) -> int:
         state = int(observation.ints[0]) - self._first_state if observation.counts[0] else -1
@@ -133,3 +137,20 @@ def _one_int(spec: TaskSpec, what: str) -> tuple[int, int]:
     raise LocalProtocolError(
         f"tabular SARSA needs a task whose {what} is one int with bounds; this one has {str(space) or 'none'}"
     )
+
+
+def _unpack(data: bytes) -> _Learned:
+    saved = unpack(data, "sarsa", {})
+    shape = saved.number("states"), saved.number("actions")
+    return saved.generator(), shape, saved.array("values", np.float64)
+
+
+def _unpack_old(data: bytes) -> _Learned:
+    """Return what a version before `glue.saves` saved: magic, shape, generator, values."""
+    if len(data) < _OLD_HEAD.size or (len(data) - _OLD_HEAD.size) % 8 or not data.startswith(_OLD_MAGIC):
+        raise SaveError(f"these {len(data)} bytes are not a save of agent sarsa")
+    _, states, actions, generator = _OLD_HEAD.unpack_from(data)
+    values = np.frombuffer(data, "<f8", offset=_OLD_HEAD.size)
+    if not np.all(np.isfinite(values)):
+        raise SaveError("this save of agent sarsa is damaged: its values must be finite")
+    return load_generator(generator), (states, actions), values

@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 import sys
+from typing import TYPE_CHECKING
 
 import click
 
-from env_server.render.live import Rendered
-from env_server.render.text import TerminalScreen
-from glue.client.players import serve_environment
-from glue.commands import Extra, player_command, run
+from glue.commands import run
+from glue.players.command import Extra, player_command
 from glue.protocol.messages import Role
+
+if TYPE_CHECKING:
+    from glue.roles import Environment
 
 __all__ = ["environment", "main"]
 
+
+def _rendered(player: Environment, _: bool) -> Environment:
+    from env_server.render.live import Rendered
+    from env_server.render.text import TerminalScreen
+
+    return Rendered(player, TerminalScreen(sys.stdout))
+
+
 environment = player_command(
     Role.ENVIRONMENT,
-    "glue-env",
-    lambda players, hub, log: serve_environment(players, hub, log=log),
-    "Connect an environment to a hub, and serve until the hub says goodbye.",
-    "  glue-env mines\n"
-    "  glue-env mario --level-difficulty 1 --render\n"
+    "  glue-env mario --render\n"
+    "  glue-env mario --level-difficulty 1\n"
     "  glue-env mines --random-start --hub tcp://127.0.0.1:5000",
     Extra(
         click.Option(["--render", "_render"], is_flag=True, help="Draw it in this terminal as it is played."),
-        lambda player, _: Rendered(player, TerminalScreen(sys.stdout)),
+        _rendered,
     ),
 )
 

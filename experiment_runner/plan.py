@@ -17,8 +17,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-import numpy as np
-
 from glue.errors import ConfigError, ExperimentError
 from glue.options import Value, parameters
 from glue.suggestions import did_you_mean
@@ -180,6 +178,8 @@ def trial_seed(seed: int, trial_id: str) -> int:
     """Return the seed of a trial, 0 <= seed < 2**63: a function of the experiment's seed and the id."""
     digest = hashlib.sha256(trial_id.encode()).digest()
     words = tuple(int.from_bytes(digest[i : i + 4], "little") for i in range(0, len(digest), 4))
+    import numpy as np  # here, so that the commands answer --help without it
+
     state = np.random.SeedSequence(seed, spawn_key=words).generate_state(1, np.uint64)
     return int(state[0]) >> 1
 

@@ -31,6 +31,14 @@ class Refused(GlueError):
     """The hub will not let this peer in; the message says why."""
 
 
+class SaveError(GlueError):
+    """A saved agent or environment is damaged, or was saved by another one; the message says which."""
+
+
+class HubUnreachable(GlueError):
+    """No hub has answered in the time allowed; the message gives the address."""
+
+
 class PeerLost(GlueError):
     """An agent or environment went away during an episode; that episode is void.
 

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from glue.errors import LocalProtocolError
+from glue.errors import SaveError
 
 __all__ = ["GENERATOR_SIZE", "load_generator", "save_generator"]
 
@@ -33,11 +33,13 @@ def load_generator(data: bytes) -> np.random.Generator:
     """Return the generator that `save_generator` saved.
 
     Raises:
-        LocalProtocolError: `data` is not of GENERATOR_SIZE bytes.
+        SaveError: `data` is not of GENERATOR_SIZE bytes, or is not the state of any generator.
     """
     if len(data) != GENERATOR_SIZE:
-        raise LocalProtocolError(f"a saved generator has {GENERATOR_SIZE} bytes, not {len(data)}")
+        raise SaveError(f"a saved generator has {GENERATOR_SIZE} bytes; received {len(data)}")
     state, increment, has_uint32, uinteger = _LAYOUT.unpack(data)
+    if has_uint32 > 1 or increment[0] % 2 == 0:
+        raise SaveError("a saved generator is damaged: its state is not one of PCG64")
     bits = np.random.PCG64()
     bits.state = {
         "bit_generator": "PCG64",

@@ -8,9 +8,10 @@ Source of names and meaning: RL-Glue 3.0.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Final, Protocol, TypeGuard, TypeVar
+from typing import TYPE_CHECKING, Final, Protocol, TypeGuard, TypeVar
 
-from glue.types import Action, Observation
+if TYPE_CHECKING:
+    from glue.types import Action, Observation
 
 __all__ = ["CAPABILITIES", "Agent", "Environment", "capabilities", "offers"]
 

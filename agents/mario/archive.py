@@ -9,15 +9,16 @@ Source: Ecoffet, Huizinga, Lehman, Stanley and Clune (2021), First return, then 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from agents.checkpoint import CheckpointError
-from agents.mario.klo import KLOS
+from agents.mario.actions import NUM_ACTIONS
+from glue.errors import SaveError
+from glue.saves import Arrays, Saved
 
 __all__ = ["MAX_STEPS", "Archive", "Cell", "Place", "Trajectory"]
 
@@ -26,7 +27,6 @@ MAX_STEPS: Final = 4096
 _MAX_CELLS: Final = 16384
 _ROWS: Final = 2
 
-Arrays = Mapping[str, npt.NDArray[Any]]
 Place = tuple[float, float]
 """Mario's x and y, in tiles."""
 
@@ -88,8 +88,8 @@ class Archive:
             return
         self.cells[key] = Cell(bytes(actions), value, place)
 
-    def arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """Return everything as arrays, for a checkpoint."""
+    def arrays(self) -> Arrays:
+        """Return everything as arrays, to be saved."""
         cells = list(self.cells.values())
         best = self.best or Trajectory(b"", np.empty((0, 2)), 0.0)
         return {
@@ -106,50 +106,47 @@ class Archive:
         }
 
     @classmethod
-    def of(cls, arrays: Arrays) -> Self:
-        """Return the archive of which `arrays` were made.
+    def of(cls, saved: Saved) -> Self:
+        """Return the archive of which `arrays` returned these.
 
         Raises:
-            CheckpointError: it could not have been.
+            SaveError: it cannot have been.
         """
-        try:
-            return cls._of(arrays)
-        except (KeyError, ValueError, IndexError) as error:
-            raise CheckpointError(f"the archive of this saved agent is not well formed: {error}") from None
-
-    @classmethod
-    def _of(cls, arrays: Arrays) -> Self:
         archive = cls()
-        keys = _checked(arrays, "keys", np.int64).reshape(-1, 3).tolist()
-        values = _checked(arrays, "values", np.float64).tolist()
-        places = _checked(arrays, "places", np.float64).reshape(-1, 2).tolist()
-        tries = _checked(arrays, "tries", np.int64, low=0).tolist()
-        lengths = _checked(arrays, "lengths", np.int64, low=0, high=MAX_STEPS)
-        actions = _checked(arrays, "actions", np.int8, low=0, high=KLOS - 1).tobytes()
-        if len(keys) > _MAX_CELLS or lengths.sum() != len(actions):
-            raise ValueError(f"{len(keys)} cells, {lengths.sum()} steps to them and {len(actions)} actions")
+        keys = _rows(saved, "keys", np.int64, 3).tolist()
+        values = saved.array("values", np.float64).tolist()
+        places = _rows(saved, "places", np.float64, 2).tolist()
+        tries = saved.array("tries", np.int64, low=0).tolist()
+        lengths = saved.array("lengths", np.int64, low=0, high=MAX_STEPS)
+        actions = saved.array("actions", np.int8, low=0, high=NUM_ACTIONS - 1).tobytes()
+        if not len(keys) == len(values) == len(places) == len(tries) == len(lengths) <= _MAX_CELLS:
+            raise SaveError(f"saved {saved.player}: its cells must be {_MAX_CELLS} at most, each complete")
+        if lengths.sum() != len(actions):
+            raise SaveError(
+                f"saved {saved.player}: {len(actions)} actions for {lengths.sum()} steps to cells"
+            )
         ways = _split(actions, lengths.tolist())
         for key, way, value, place, used in zip(keys, ways, values, places, tries, strict=True):
             archive.cells[tuple(key)] = Cell(way, value, tuple(place), used)
-        best = _checked(arrays, "best_actions", np.int8, low=0, high=KLOS - 1)
-        best_places = _checked(arrays, "best_places", np.float64).reshape(-1, 2)
+        best = saved.array("best_actions", np.int8, low=0, high=NUM_ACTIONS - 1)
+        best_places = _rows(saved, "best_places", np.float64, 2)
         if len(best) != len(best_places) or len(best) > MAX_STEPS:
-            raise ValueError(f"a best episode of {len(best)} actions at {len(best_places)} places")
+            raise SaveError(f"saved {saved.player}: {len(best)} actions at {len(best_places)} places")
+        best_return, finished = saved.array("best_return", np.float64), saved.array("finished", np.int8)
+        if len(best_return) != 1 or len(finished) != 1:
+            raise SaveError(f"saved {saved.player}: one best return and one flag for the finish are needed")
         if len(best):
-            best_return = _checked(arrays, "best_return", np.float64)[0]
-            archive.best = Trajectory(best.tobytes(), best_places, float(best_return))
-        archive.finished = bool(_checked(arrays, "finished", np.int8)[0])
+            archive.best = Trajectory(best.tobytes(), best_places, float(best_return[0]))
+        archive.finished = bool(finished[0])
         return archive
 
 
-def _checked(
-    arrays: Arrays, name: str, dtype: type[np.generic], low: float = -(2.0**62), high: float = 2.0**62
-) -> npt.NDArray[Any]:
-    """Return an array by name if its type is right and its numbers are from `low` to `high`."""
-    array = arrays[name]
-    if array.dtype != dtype or not np.all((array >= low) & (array <= high)):
-        raise ValueError(f"{name} must be {np.dtype(dtype)} from {low:g} to {high:g}")
-    return array
+def _rows(saved: Saved, name: str, dtype: type[np.generic], width: int) -> npt.NDArray[Any]:
+    """Return an array of rows of `width` numbers."""
+    array = saved.array(name, dtype, low=-(2.0**62), high=2.0**62)
+    if len(array) % width:
+        raise SaveError(f"saved {saved.player}: {name!r} must be rows of {width} numbers, not {len(array)}")
+    return array.reshape(-1, width)
 
 
 def _split(actions: bytes, lengths: list[int]) -> Iterator[bytes]:

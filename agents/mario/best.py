@@ -6,7 +6,7 @@ once can be done again. An episode of this agent has four parts:
     settle   run left for four steps, to the edge of the world: whatever buttons the episode before
              left pressed, this one now begins in the same state
     return   repeat the actions that once led to a remembered place
-    explore  hold random primitive actions (KLO), each for a few steps
+    explore  hold random actions, each for a few steps
     resume   go on as the best episode did from the place nearest to Mario's; once more whenever
              Mario strays from its path
 
@@ -31,28 +31,27 @@ then explore, for the archive of cells.
 
 from __future__ import annotations
 
-import struct
 import zlib
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from agents.checkpoint import Checkpoint, CheckpointError, pack, unpack
+from agents.mario.actions import ACTIONS, LEFT, RIGHT, STAY, action_number
+from agents.mario.agent import MarioAgent, Seed
 from agents.mario.archive import MAX_STEPS, Archive, Cell, Place, Trajectory
-from agents.mario.klo import ACTIONS, LEFT, RIGHT, STAY, klo
-from agents.mario.learner import Seed, require_mario
-from agents.mario.observation import CHARS, FARTHEST, malformed
+from agents.mario.observation import glimpse
+from glue.errors import SaveError
 from glue.options import Option
-from glue.random_state import GENERATOR_SIZE, load_generator, save_generator
-from glue.types import PREFIX_SIZE, Action, Observation
+from glue.saves import Saved, generator_array, pack, unpack
+from glue.types import Action, Observation
 
 __all__ = ["BestAgent"]
 
 _SETTLING: Final = 4
-_RUN_LEFT: Final = klo(LEFT, False, True)
+_RUN_LEFT: Final = action_number(LEFT, False, True)
 _MAX_WORLDS: Final = 8
 _TO_THE_END: Final = 1 << 62
 _NOWHERE: Final = -1
@@ -69,10 +68,6 @@ _AHEAD: Final = 0.87  # right, at the frontier
 _ANYWHERE: Final = 0.67  # right, around the best episode
 _JUMP: Final = 0.5
 _RUN: Final = 0.7
-
-_COUNTS: Final = struct.Struct("<4I")
-_MARIO: Final = struct.Struct("<4d")
-_KIND: Final = struct.Struct("<i")
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,10 +90,10 @@ _WANDER: Final = _Plan(burst=_TO_THE_END, ahead=_AHEAD)
 _REPEAT: Final = _Plan()
 
 
-class BestAgent:
-    """Returns, explores, resumes; keeps what was best."""
+class BestAgent(MarioAgent):
+    """Returns to remembered places, explores from there, resumes its best episode."""
 
-    name: Final = "best"
+    name = "best"
 
     def __init__(
         self,
@@ -120,29 +115,14 @@ class BestAgent:
         learning: Annotated[bool, Option("whether to learn; off: it repeats the best episode")] = True,
         seed: Seed = None,
     ) -> None:
+        super().__init__(seed)
         self._epsilon = epsilon if learning else 0.0
         self._horizon = horizon
         self._hold = hold
         self._burst = burst
         self._cells = cells
         self._learning = learning
-        self._own_seed = seed
-        self._seed = seed or 0
-        self._forget()
-
-    def agent_seed(self, seed: int) -> None:
-        """Seed every random choice after the next init, unless the option `seed` was given."""
-        if self._own_seed is None:
-            self._seed = seed
-
-    def agent_init(self, task_spec: str) -> None:
-        """Forget everything.
-
-        Raises:
-            ConfigError: the task is not Infinite Mario.
-        """
-        require_mario(task_spec, self.name)
-        self._forget()
+        self._reset()
 
     def agent_start(self, observation: Observation) -> Action:
         """Begin an episode; of one that was cut off, the places are remembered."""
@@ -166,9 +146,6 @@ class BestAgent:
         if best is None or self._return > best.episode_return or self._plan is _REPEAT:
             archive.best = Trajectory(bytes(self._actions), np.array(self._places), self._return)
 
-    def agent_cleanup(self) -> None:
-        """Do nothing: the memory stays until the next init."""
-
     def agent_message(self, message: str) -> str:
         """Answer `best`, the greatest return of an episode, `cells`, how many are known, and `epsilon`."""
         if message == "best":
@@ -183,37 +160,35 @@ class BestAgent:
     def agent_save(self) -> bytes:
         """Return the memory, the generator's state and the count of episodes."""
         arrays: dict[str, npt.NDArray[Any]] = {
-            "generator": np.frombuffer(save_generator(self._generator), np.int8),
+            "generator": generator_array(self._generator),
             "worlds": np.array(list(self._worlds), np.int64),
         }
         for i, archive in enumerate(self._worlds.values()):
             arrays |= {f"{i} {name}": array for name, array in archive.arrays().items()}
-        return pack(Checkpoint(self.name, {}, {"episodes": self._episodes}, arrays))
+        return pack(Saved(self.name, {}, {"episodes": self._episodes}, arrays))
 
     def agent_load(self, data: bytes) -> None:
         """Continue from what `agent_save` returned; the options stay this agent's own.
 
         Raises:
-            CheckpointError: it is damaged, or of another agent.
+            SaveError: it is damaged, or of another agent.
         """
         saved = unpack(data, self.name, {})
-        generator, worlds = saved.arrays.get("generator"), saved.arrays.get("worlds")
-        episodes = saved.numbers.get("episodes", -1)
-        if generator is None or generator.nbytes != GENERATOR_SIZE or episodes < 0:
-            raise CheckpointError("this saved agent lacks its generator's state or its count of episodes")
-        if worlds is None or worlds.dtype != np.int64 or len(worlds) > _MAX_WORLDS:
-            raise CheckpointError(f"this saved agent lacks its worlds, or has more than {_MAX_WORLDS}")
+        generator, episodes = saved.generator(), saved.number("episodes")
+        worlds = saved.array("worlds", np.int64)
+        if len(worlds) > _MAX_WORLDS:
+            raise SaveError(f"saved {self.name}: at most {_MAX_WORLDS} worlds, not {len(worlds)}")
         archives = {}
         for i, digest in enumerate(worlds.tolist()):
-            own = {name: array for name, array in saved.arrays.items() if name.startswith(f"{i} ")}
-            archives[digest] = Archive.of({name.removeprefix(f"{i} "): array for name, array in own.items()})
-        self._remember(load_generator(generator.tobytes()), episodes, archives)
+            own = {name.removeprefix(f"{i} "): array for name, array in saved.arrays.items()}
+            archives[digest] = Archive.of(replace(saved, arrays=own))
+        self._remember(generator, episodes, archives)
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         self._remember(np.random.default_rng(self._seed), 0, {})
 
     def _remember(self, generator: np.random.Generator, episodes: int, worlds: dict[int, Archive]) -> None:
-        """Take up what outlives an episode.
+        """Set what outlives an episode.
 
         An archive is known by what is seen when Mario has settled; there is one alone, unless he is
         too slow to reach the edge of the world in time.
@@ -237,12 +212,12 @@ class BestAgent:
         return self._epsilon * (1.0 - past**_FADING)
 
     def _act(self, observation: Observation) -> Action:
-        kind, place, digest = _see(observation)
+        kind, place, sprites = glimpse(observation)
         if self._settled < _SETTLING:
             self._settled += 1
             return ACTIONS[_RUN_LEFT]
         if not self._actions:
-            self._enter(digest)
+            self._enter(zlib.crc32(sprites))
         elif self._learning and len(self._plan.actions) <= len(self._actions) < MAX_STEPS:
             self._archive.note(kind, place, self._return, self._actions)
         action = self._choose(place)
@@ -296,7 +271,7 @@ class BestAgent:
         return cell
 
     def _choose(self, place: Place) -> int:
-        """Return, explore or resume; return a KLO."""
+        """Return to a place, explore or resume; return the number of an action."""
         plan, step = self._plan, len(self._actions)
         if step < len(plan.actions):
             return plan.actions[step]
@@ -308,12 +283,12 @@ class BestAgent:
         return self._resume(best, place)
 
     def _explore(self) -> int:
-        """Hold a random KLO for a random time."""
+        """Hold a random action for a random time."""
         if self._hold_for == 0:
             draw = self._generator.random
             sideways = LEFT if draw() < 0.5 else STAY
             direction = RIGHT if draw() < self._plan.ahead else sideways
-            self._held = klo(direction, draw() < _JUMP, draw() < _RUN)
+            self._held = action_number(direction, draw() < _JUMP, draw() < _RUN)
             self._hold_for = int(self._generator.geometric(1 / self._hold))
         self._hold_for -= 1
         return self._held
@@ -335,21 +310,3 @@ class BestAgent:
 
 def _apart(one: Place, other: Place) -> bool:
     return abs(one[0] - other[0]) + abs(one[1] - other[1]) > _STRAYED
-
-
-def _see(observation: Observation) -> tuple[int, Place, int]:
-    """Return Mario's kind, his place, and a digest of the places and speeds of all sprites.
-
-    Raises:
-        RemoteProtocolError: the observation is not of Infinite Mario.
-    """
-    body = observation.body
-    ints, doubles, chars, _ = _COUNTS.unpack_from(body)
-    if doubles < 4 or 2 * ints != doubles + 2 or chars != CHARS:
-        raise malformed(observation)
-    x, y, _, _ = _MARIO.unpack_from(body, PREFIX_SIZE)
-    if not (abs(x) < FARTHEST and abs(y) < FARTHEST):
-        raise malformed(observation)
-    ints_start = PREFIX_SIZE + 8 * doubles
-    (kind,) = _KIND.unpack_from(body, ints_start + 4)
-    return kind, (x, y), zlib.crc32(body[PREFIX_SIZE:ints_start])

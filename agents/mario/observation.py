@@ -6,13 +6,16 @@
 
 Mario is the first sprite. Places are in tiles, x to the right and y up, speeds in tiles per step.
 A tile lies at a world column and a world row, row 0 at the bottom.
+
+`read` is for compiled code; `decode` and `glimpse` are for plain Python, all of it or only Mario.
 Source: RL-Competition 2009, Infinite Mario; Mohan (2010), appendix A.
 """
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
-from typing import Annotated, Final
+from typing import Annotated, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,10 +26,10 @@ from glue.errors import RemoteProtocolError
 from glue.types import PREFIX_SIZE, Observation
 
 __all__ = [
-    "BLANK", "BRICK", "CHARS", "COIN", "COLUMNS", "FARTHEST", "FINISH", "FIREBALL", "FIRE_FLOWER",
+    "BLANK", "BRICK", "CHARS", "COIN", "COLUMNS", "FINISH", "FIREBALL", "FIRE_FLOWER",
     "GOOMBA", "GREEN_KOOPA", "LEDGE", "MARIO", "MAX_SPRITES", "MUSHROOM", "OUTSIDE", "PIPE", "PLANT",
-    "QUESTION", "RED_KOOPA", "ROWS", "SHELL", "SOLID", "SPIKEY", "Screen", "Sprite", "malformed", "read",
-    "tile",
+    "QUESTION", "RED_KOOPA", "ROWS", "SHELL", "SOLID", "SPIKEY", "Screen", "Seen", "Sprite", "decode",
+    "glimpse", "malformed", "read", "tile",
 ]  # fmt: skip
 
 ROWS: Final = 16
@@ -57,8 +60,11 @@ FIREBALL: Final = 8
 SHELL: Final = 9
 
 CHARS: Final = ROWS * (COLUMNS + 1)
-FARTHEST: Final = 2.0**31
+_FARTHEST: Final = 2.0**31
 _PREFIX: Final = PREFIX_SIZE
+_COUNTS: Final = struct.Struct("<4I")
+_PLACE: Final = struct.Struct("<2d")
+_KIND: Final = struct.Struct("<i")
 
 
 class Sprite:
@@ -105,7 +111,7 @@ def read(body: bytes, screen: Screen) -> bool:
     doubles = np.frombuffer(body[_PREFIX:ints_start], np.float64)
     ints = np.frombuffer(body[ints_start:chars_start], np.int32)
     for number in doubles:
-        if not abs(number) < FARTHEST:  # NaN too
+        if not abs(number) < _FARTHEST:  # NaN too
             return False
 
     screen.camera = ints[0]
@@ -144,11 +150,63 @@ def tile(screen: Screen, column: int, row: int) -> int:
     return OUTSIDE
 
 
+class Seen(NamedTuple):
+    """One observation, in plain Python.
+
+    camera   leftmost column in view
+    kinds    kind of each sprite, Mario first
+    doubles  x, y and both speeds of each sprite, one after the other
+    chars    the tiles as they were sent, Mario among them
+    """
+
+    camera: int
+    kinds: list[int]
+    doubles: list[float]
+    chars: bytes
+
+
+def decode(observation: Observation) -> Seen:
+    """Return an observation in plain Python.
+
+    Raises:
+        RemoteProtocolError: it is not one of Infinite Mario.
+    """
+    _end_of_doubles(observation)
+    camera, *sprites = observation.ints.tolist()
+    doubles = observation.doubles.tolist()
+    if not all(abs(number) < _FARTHEST for number in doubles):
+        raise malformed(observation)
+    return Seen(camera, sprites[::2], doubles, observation.chars)
+
+
+def glimpse(observation: Observation) -> tuple[int, tuple[float, float], bytes]:
+    """Return Mario's kind, his x and y, and the doubles of all sprites as bytes; faster than `decode`.
+
+    Raises:
+        RemoteProtocolError: the observation is not one of Infinite Mario.
+    """
+    end = _end_of_doubles(observation)
+    body = observation.body
+    x, y = _PLACE.unpack_from(body, PREFIX_SIZE)
+    if not (abs(x) < _FARTHEST and abs(y) < _FARTHEST):
+        raise malformed(observation)
+    (kind,) = _KIND.unpack_from(body, end + 4)
+    return kind, (x, y), body[PREFIX_SIZE:end]
+
+
+def _end_of_doubles(observation: Observation) -> int:
+    """Return where in the body the doubles end and the ints begin, if the counts are those of Mario."""
+    ints, doubles, chars, _ = _COUNTS.unpack_from(observation.body)
+    if not 4 <= doubles <= 4 * MAX_SPRITES or doubles % 4 or 2 * ints != doubles + 2 or chars != CHARS:
+        raise malformed(observation)
+    return PREFIX_SIZE + 8 * int(doubles)
+
+
 def malformed(observation: Observation) -> RemoteProtocolError:
     """Return the error that says why `read` refused an observation."""
     ints, doubles, chars = observation.counts
     expected = f"1 + 2 M ints, 4 M doubles below 2**31 and {CHARS} chars, for M = 1 to {MAX_SPRITES} sprites"
     return RemoteProtocolError(
-        f"an observation of Infinite Mario has {expected}; one of {ints} ints, {doubles} doubles "
-        f"and {chars} chars came: is the environment Mario?"
+        f"an observation of Infinite Mario has {expected}; received {ints} ints, {doubles} doubles "
+        f"and {chars} chars: is the environment Mario?"
     )

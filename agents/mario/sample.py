@@ -11,14 +11,16 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from agents.checkpoint import Checkpoint, CheckpointError, pack, unpack
-from agents.mario.klo import ACTIONS, RIGHT, STAY, klo
-from agents.mario.learner import require_mario
-from agents.mario.observation import BLANK, CHARS, COIN, COLUMNS, FARTHEST, MARIO, ROWS, SOLID, malformed
+from agents.mario.actions import ACTIONS, RIGHT, STAY, action_number
+from agents.mario.agent import MarioAgent
+from agents.mario.observation import BLANK, COIN, COLUMNS, MARIO, ROWS, SOLID, decode
+from glue.compiled import java_random
+from glue.compiled.jit import announce_compilation
 from glue.options import Option
+from glue.saves import Saved, pack, unpack
 from glue.types import Action, Observation
 
-__all__ = ["JavaRandom", "SampleAgent"]
+__all__ = ["SampleAgent"]
 
 _FORGOTTEN: Final = 7
 _MARIOS: Final = (0, 10, 11)
@@ -26,31 +28,10 @@ _UNKNOWN: Final = 0
 _FREE: Final = (BLANK, MARIO, _UNKNOWN)
 
 
-class JavaRandom:
-    """The generator java.util.Random: 48 bits of linear congruence, described in its public interface.
-
-    Args:
-        seed: any whole number; its lowest 48 bits count.
-    """
-
-    _MASK: Final = (1 << 48) - 1
-
-    def __init__(self, seed: int) -> None:
-        self.state = (seed ^ 0x5DEECE66D) & self._MASK
-
-    def next_double(self) -> float:
-        """Draw from [0, 1), a multiple of 2**-53."""
-        return ((self._next(26) << 27) + self._next(27)) * 2.0**-53
-
-    def _next(self, bits: int) -> int:
-        self.state = (self.state * 0x5DEECE66D + 0xB) & self._MASK
-        return self.state >> (48 - bits)
-
-
-class SampleAgent:
+class SampleAgent(MarioAgent):
     """The competition's sample agent, with the draws of the original."""
 
-    name: Final = "sample"
+    name = "sample"
 
     def __init__(
         self,
@@ -59,22 +40,12 @@ class SampleAgent:
             int | None, Option("seed of its java.util.Random; the experiment's if not given")
         ] = None,
     ) -> None:
-        self._own_seed = seed
-        self._seed = seed or 0
+        super().__init__(seed)
 
-    def agent_seed(self, seed: int) -> None:
-        """Seed every random choice after the next init, unless the option `seed` was given."""
-        if self._own_seed is None:
-            self._seed = seed
-
-    def agent_init(self, task_spec: str) -> None:
-        """Forget everything.
-
-        Raises:
-            ConfigError: the task is not Infinite Mario.
-        """
-        require_mario(task_spec, self.name)
-        self._random = JavaRandom(self._seed)
+    def _reset(self) -> None:
+        with announce_compilation("the agent sample"):
+            java_random.draw_double(java_random.seeded(0))
+        self._random = java_random.seeded(self._seed & java_random.MASK)
         self._last: list[int] = []
         self._this: list[int] = []
         self._hesitating = False
@@ -92,33 +63,26 @@ class SampleAgent:
         """Remember what was done, but for its end."""
         self._last = self._this[:-_FORGOTTEN]
 
-    def agent_cleanup(self) -> None:
-        """Do nothing: the memory stays until the next init."""
-
     def agent_message(self, message: str) -> str:
         """Answer nothing in particular."""
         return "agent sample answers no messages"
 
     def agent_save(self) -> bytes:
         """Return the memory and the generator's state."""
-        numbers = {"random": self._random.state, "hesitating": int(self._hesitating)}
-        return pack(Checkpoint(self.name, {}, numbers, {"last": np.array(self._last, np.int8)}))
+        numbers = {"random": int(self._random[0]), "hesitating": int(self._hesitating)}
+        return pack(Saved(self.name, {}, numbers, {"last": np.array(self._last, np.int8)}))
 
     def agent_load(self, data: bytes) -> None:
         """Continue from what `agent_save` returned.
 
         Raises:
-            CheckpointError: it is damaged, or of another agent.
+            SaveError: it is damaged, or of another agent.
         """
         saved = unpack(data, self.name, {})
-        last = saved.arrays.get("last")
-        random, hesitating = saved.numbers.get("random", -1), saved.numbers.get("hesitating", -1)
-        if last is None or not np.all((last >= 0) & (last < len(ACTIONS))):
-            raise CheckpointError("this saved agent lacks its actions, or has impossible ones")
-        if not (0 <= random < 1 << 48 and hesitating in (0, 1)):
-            raise CheckpointError("this saved agent lacks its generator's state or its hesitation")
-        self._last = [int(action) for action in last]
-        self._random.state = random
+        last = saved.array("last", np.int8, low=0, high=len(ACTIONS) - 1)
+        random, hesitating = saved.number("random", java_random.MASK), saved.number("hesitating", 1)
+        self._last = last.tolist()
+        self._random[0] = random
         self._hesitating = bool(hesitating)
 
     def _act(self, observation: Observation) -> Action:
@@ -135,32 +99,22 @@ class SampleAgent:
         if neighbourhood.speed_y > 0.1:
             stay_down *= 0.5
         self._hesitating = self._hesitates(near)
-        jump = self._random.next_double() > stay_down
-        return klo(STAY if self._hesitating else RIGHT, jump, pit or not near)
+        jump = java_random.draw_double(self._random) > stay_down
+        return action_number(STAY if self._hesitating else RIGHT, jump, pit or not near)
 
     def _hesitates(self, near: bool) -> bool:
-        draw = self._random.next_double
+        draw, random = java_random.draw_double, self._random
         if self._hesitating:
-            return near and not (draw() > 0.8 or draw() > 0.9)
-        return (near and draw() > 0.8) or draw() > 0.9
+            return near and not (draw(random) > 0.8 or draw(random) > 0.9)
+        return (near and draw(random) > 0.8) or draw(random) > 0.9
 
 
 class _Neighbourhood:
-    """What the sample agent reads of an observation."""
+    """What the sample agent pays attention to."""
 
     def __init__(self, observation: Observation) -> None:
-        ints: list[int] = observation.ints.tolist()
-        doubles: list[float] = observation.doubles.tolist()
-        chars = observation.chars
-        if len(ints) < 3 or 2 * len(ints) != len(doubles) + 2 or len(chars) != CHARS:
-            raise malformed(observation)
-        if not all(abs(number) < FARTHEST for number in doubles):
-            raise malformed(observation)
-        self._camera = ints[0]
-        self._kinds = ints[1::2]
-        self._doubles = doubles
-        self._chars: bytes = chars
-        self._x, self._y, _, self.speed_y = doubles[:4]
+        self._camera, self._kinds, self._doubles, self._chars = decode(observation)
+        self._x, self._y, _, self.speed_y = self._doubles[:4]
 
     def obstacles(self, stay_down: float) -> float:
         """Return the chance not to jump, lessened by every coin and block up to six columns ahead."""

@@ -15,8 +15,10 @@ from typing import Annotated, ClassVar, Final
 import numpy as np
 
 from agents import sarsa
-from agents.mario import klo, objects, observation
-from agents.mario.learner import (
+from agents.mario import objects, observation
+from agents.mario.agent import Seed
+from agents.mohan2010 import features, klo
+from agents.mohan2010.learner import (
     FULL,
     MALFORMED,
     Discount,
@@ -25,15 +27,14 @@ from agents.mario.learner import (
     Learning,
     MarioLearner,
     Reduction,
-    Seed,
     StepSize,
 )
-from agents.mohan2010 import features
 from agents.policy import epsilon_greedy
 from agents.sarsa import Keys, Taken, Values
 from glue.compiled.jit import entry, jit
 from glue.compiled.records import Array, Flag, Int, new
 from glue.options import Option
+from glue.saves import Setting
 
 __all__ = ["ObjectsFlatAgent", "TilesAgent", "TilesCoarseAgent"]
 
@@ -46,71 +47,71 @@ _WINDOW_PARTS: Final = 1
 _OBJECTS: Final = 2
 
 
-class Mind:
-    """What a flat agent keeps from step to step: how it sees, and the last action."""
+class Memory:
+    """The working memory of a flat agent: how it perceives, and the last action."""
 
     senses: Annotated[objects.Senses, objects.Senses]
     representation: Int
     terminal_update: Flag
     scene: Annotated[objects.Scene, objects.Scene]
     last: Annotated[Taken, Taken]
-    # room to work in
+    # scratch space
     states: Annotated[Keys, np.uint64, features.WINDOW]
     values: Annotated[Values, np.float64, klo.KLOS]
 
 
 @entry
-def step(learners: Array, table: Array, minds: Array, body: bytes, reward: float, begins: bool) -> int:
+def step(learners: Array, table: Array, memories: Array, body: bytes, reward: float, begins: bool) -> int:
     """Learn from the reward, and return the action to send; FULL or MALFORMED when that cannot be."""
     learner = learners[0]
-    mind = minds[0]
+    memory = memories[0]
     if not sarsa.has_room(learner, table, features.WINDOW):
         return FULL
     if begins:
-        _forget(mind)
-    if not _perceive(mind, body):
+        _forget(memory)
+    if not _perceive(memory, body):
         return MALFORMED
-    count = _state(mind)
-    sarsa.action_values(table, mind.states, count, mind.values)
-    action = epsilon_greedy(learner, mind.values, klo.KLOS)
-    sarsa.update(learner, table, mind.last, reward + learner.discount * mind.values[action])
-    sarsa.take(mind.last, mind.states, count, action)
+    count = _state(memory)
+    sarsa.action_values(table, memory.states, count, memory.values)
+    action = epsilon_greedy(learner, memory.values, klo.KLOS)
+    sarsa.update(learner, table, memory.last, reward + learner.discount * memory.values[action])
+    sarsa.take(memory.last, memory.states, count, action)
     if learner.learning:
         learner.cycles += 1
     return action
 
 
 @entry
-def end(learners: Array, table: Array, minds: Array, reward: float) -> None:
+def end(learners: Array, table: Array, memories: Array, reward: float) -> None:
     """Learn from the last reward of an episode, or lose it."""
-    mind = minds[0]
-    if mind.terminal_update:
-        sarsa.update(learners[0], table, mind.last, reward)
-    _forget(mind)
+    memory = memories[0]
+    if memory.terminal_update:
+        sarsa.update(learners[0], table, memory.last, reward)
+    _forget(memory)
 
 
 @jit
-def _forget(mind: Mind) -> None:
-    objects.forget_monsters(mind.scene)
-    mind.last.count = 0
+def _forget(memory: Memory) -> None:
+    objects.forget_monsters(memory.scene)
+    memory.last.count = 0
 
 
 @jit
-def _perceive(mind: Mind, body: bytes) -> bool:
-    if mind.representation == _OBJECTS:
-        return objects.look(mind.scene, mind.senses, body)
-    return observation.read(body, mind.scene.screen)
+def _perceive(memory: Memory, body: bytes) -> bool:
+    if memory.representation == _OBJECTS:
+        return objects.look(memory.scene, memory.senses, body)
+    return observation.read(body, memory.scene.screen)
 
 
 @jit
-def _state(mind: Mind) -> int:
+def _state(memory: Memory) -> int:
     """Fill in the features of the state; return how many."""
-    if mind.representation == _WINDOW_PARTS:
-        return features.window_parts(mind.scene.screen, mind.states)
-    if mind.representation == _WHOLE_WINDOW:
-        mind.states[0] = features.window_whole(mind.scene.screen)
+    if memory.representation == _WINDOW_PARTS:
+        return features.window_parts(memory.scene.screen, memory.states)
+    if memory.representation == _WHOLE_WINDOW:
+        memory.states[0] = features.window_whole(memory.scene.screen)
     else:
-        mind.states[0] = features.all_objects(mind.scene)
+        memory.states[0] = features.all_objects(memory.scene)
     return 1
 
 
@@ -143,11 +144,11 @@ class TilesAgent(MarioLearner):
         )
         self._terminal_update = terminal_update
 
-    def _new_mind(self) -> Array:
-        minds = new(Mind)
-        minds["representation"] = self._representation
-        minds["terminal_update"] = self._terminal_update
-        return minds
+    def _new_memory(self) -> Array:
+        memories = new(Memory)
+        memories["representation"] = self._representation
+        memories["terminal_update"] = self._terminal_update
+        return memories
 
 
 class TilesCoarseAgent(TilesAgent):
@@ -186,10 +187,10 @@ class ObjectsFlatAgent(TilesAgent):
         )
         self._grid = grid
 
-    def _settings(self) -> Mapping[str, int | float | str | bool]:
+    def _settings(self) -> Mapping[str, Setting]:
         return {"grid": self._grid}
 
-    def _new_mind(self) -> Array:
-        minds = super()._new_mind()
-        objects.set_senses(minds["senses"], self._grid, objects.THREATS_2010)
-        return minds
+    def _new_memory(self) -> Array:
+        memories = super()._new_memory()
+        objects.set_senses(memories["senses"], self._grid, objects.THREATS_2010)
+        return memories

@@ -17,8 +17,10 @@ import numpy as np
 
 from agents import sarsa
 from agents.keys import extend, feature
-from agents.mario import klo, objects
-from agents.mario.learner import (
+from agents.mario import objects
+from agents.mario.agent import Seed
+from agents.mohan2010 import flo, klo
+from agents.mohan2010.learner import (
     FULL,
     MALFORMED,
     Discount,
@@ -27,15 +29,14 @@ from agents.mario.learner import (
     Learning,
     MarioLearner,
     Reduction,
-    Seed,
     StepSize,
 )
-from agents.mohan2010 import flo
 from agents.policy import epsilon_greedy
 from agents.sarsa import Keys, Learner, Taken, Values
 from glue.compiled.jit import entry, jit
 from glue.compiled.records import Array, Flag, Int, Real, new
 from glue.options import Option
+from glue.saves import Setting
 
 __all__ = [
     "HierarchicalAgent",
@@ -62,8 +63,8 @@ class Design:
     internal_death: Real
 
 
-class Mind:
-    """What a hierarchical agent keeps from step to step.
+class Memory:
+    """The working memory of a hierarchical agent.
 
     current, current_id  the running FLO and the id of its object; NONE at the start of an episode
     last_klo             the last KLO, without features in an FLO that does not learn
@@ -80,7 +81,7 @@ class Mind:
     last_flo: Annotated[Taken, Taken]
     flo_return: Real
     weight: Real
-    # room to work in
+    # scratch space
     kept: Annotated[flo.Numbers, np.int64, objects.MAX_OBJECTS]
     flo_values: Annotated[Values, np.float64, objects.MAX_OBJECTS]
     flo_keys: Annotated[Keys, np.uint64, 2]
@@ -90,158 +91,158 @@ class Mind:
 
 
 @entry
-def step(learners: Array, table: Array, minds: Array, body: bytes, reward: float, begins: bool) -> int:
+def step(learners: Array, table: Array, memories: Array, body: bytes, reward: float, begins: bool) -> int:
     """Learn from the reward, and return the KLO to send; FULL or MALFORMED when that cannot be."""
     learner = learners[0]
-    mind = minds[0]
-    scene = mind.scene
+    memory = memories[0]
+    scene = memory.scene
     if not sarsa.has_room(learner, table, sarsa.MAX_FEATURES + 2):
         return FULL
     if begins:
-        _forget(mind)
-    if not objects.look(scene, mind.design.senses, body):
+        _forget(memory)
+    if not objects.look(scene, memory.design.senses, body):
         return MALFORMED
 
-    count = flo.keep_preferred(scene, mind.design.ranks, mind.kept)
-    which = flo.find(scene, mind.kept, count, mind.current, mind.current_id)
-    goes_on = which != flo.NONE or (count == 0 and mind.current == flo.MOVE_TO_GOAL)
-    mind.flo_return += mind.weight * reward
+    count = flo.keep_preferred(scene, memory.design.ranks, memory.kept)
+    which = flo.find(scene, memory.kept, count, memory.current, memory.current_id)
+    goes_on = which != flo.NONE or (count == 0 and memory.current == flo.MOVE_TO_GOAL)
+    memory.flo_return += memory.weight * reward
     if goes_on:
-        action = _choose_klo(learner, table, mind, which)
-        target = _klo_reward(mind, reward) + learner.discount * mind.klo_values[action]
-        sarsa.update(learner, table, mind.last_klo, target)
+        action = _choose_klo(learner, table, memory, which)
+        target = _klo_reward(memory, reward) + learner.discount * memory.klo_values[action]
+        sarsa.update(learner, table, memory.last_klo, target)
     else:
-        sarsa.update(learner, table, mind.last_klo, _last_klo_reward(mind, reward))
-        which = _choose_flo(learner, table, mind, count)
-        action = _choose_klo(learner, table, mind, which)
-    sarsa.take(mind.last_klo, mind.states, mind.state_count, action)
+        sarsa.update(learner, table, memory.last_klo, _last_klo_reward(memory, reward))
+        which = _choose_flo(learner, table, memory, count)
+        action = _choose_klo(learner, table, memory, which)
+    sarsa.take(memory.last_klo, memory.states, memory.state_count, action)
     if learner.learning:
         learner.cycles += 1 if goes_on else 3
     return action
 
 
 @entry
-def end(learners: Array, table: Array, minds: Array, reward: float) -> None:
+def end(learners: Array, table: Array, memories: Array, reward: float) -> None:
     """Learn from the last reward of an episode, at both levels."""
     learner = learners[0]
-    mind = minds[0]
-    mind.flo_return += mind.weight * reward
-    sarsa.update(learner, table, mind.last_klo, _terminal_klo_reward(mind, reward))
-    sarsa.update(learner, table, mind.last_flo, mind.flo_return)
-    _forget(mind)
+    memory = memories[0]
+    memory.flo_return += memory.weight * reward
+    sarsa.update(learner, table, memory.last_klo, _terminal_klo_reward(memory, reward))
+    sarsa.update(learner, table, memory.last_flo, memory.flo_return)
+    _forget(memory)
 
 
 @jit
-def _forget(mind: Mind) -> None:
-    objects.forget_monsters(mind.scene)
-    mind.current = flo.NONE
-    mind.last_klo.count = 0
-    mind.last_flo.count = 0
+def _forget(memory: Memory) -> None:
+    objects.forget_monsters(memory.scene)
+    memory.current = flo.NONE
+    memory.last_klo.count = 0
+    memory.last_flo.count = 0
 
 
 # The functional level
 
 
 @jit
-def _choose_flo(learner: Learner, table: Array, mind: Mind, count: int) -> int:
+def _choose_flo(learner: Learner, table: Array, memory: Memory, count: int) -> int:
     """Open an FLO; return which object it is for, or NONE for move-to-goal.
 
     If it is a learned one, the learned FLO before it is updated.
     """
-    scene = mind.scene
+    scene = memory.scene
     if count == 0:
-        mind.current = flo.MOVE_TO_GOAL
-        mind.weight *= learner.discount
+        memory.current = flo.MOVE_TO_GOAL
+        memory.weight *= learner.discount
         return flo.NONE
     bits = flo.context(scene)
     for i in range(count):
-        keys = _flo_features(mind, scene.objects[mind.kept[i]], bits)
-        mind.flo_values[i] = sarsa.sum_of_values(table, mind.flo_keys, keys)
-    chosen = epsilon_greedy(learner, mind.flo_values, count)
-    which = mind.kept[chosen]
+        keys = _flo_features(memory, scene.objects[memory.kept[i]], bits)
+        memory.flo_values[i] = sarsa.sum_of_values(table, memory.flo_keys, keys)
+    chosen = epsilon_greedy(learner, memory.flo_values, count)
+    which = memory.kept[chosen]
     thing = scene.objects[which]
-    mind.current = thing.kind
-    mind.current_id = thing.id
+    memory.current = thing.kind
+    memory.current_id = thing.id
     if flo.is_learned(thing.kind):
-        target = mind.flo_return + mind.weight * learner.discount * mind.flo_values[chosen]
-        sarsa.update(learner, table, mind.last_flo, target)
-        mind.last_flo.count = _flo_features(mind, thing, bits)
-        for i in range(mind.last_flo.count):
-            mind.last_flo.keys[i] = mind.flo_keys[i]
-        mind.flo_return = 0.0
-        mind.weight = 1.0
+        target = memory.flo_return + memory.weight * learner.discount * memory.flo_values[chosen]
+        sarsa.update(learner, table, memory.last_flo, target)
+        memory.last_flo.count = _flo_features(memory, thing, bits)
+        for i in range(memory.last_flo.count):
+            memory.last_flo.keys[i] = memory.flo_keys[i]
+        memory.flo_return = 0.0
+        memory.weight = 1.0
     else:
-        mind.weight *= learner.discount
+        memory.weight *= learner.discount
     return int(which)
 
 
 @jit
-def _flo_features(mind: Mind, thing: objects.Object, bits: int) -> int:
+def _flo_features(memory: Memory, thing: objects.Object, bits: int) -> int:
     """Fill in the keys of an FLO's values, its object's and its context's; return how many."""
     if not flo.is_learned(thing.kind):
         return 0
-    mind.flo_keys[0] = flo.describe(flo.FLO_LEVEL, thing)
-    mind.flo_keys[1] = extend(extend(feature(flo.CONTEXT), thing.kind), bits)
-    return 2 if mind.design.context else 1
+    memory.flo_keys[0] = flo.describe(flo.FLO_LEVEL, thing)
+    memory.flo_keys[1] = extend(extend(feature(flo.CONTEXT), thing.kind), bits)
+    return 2 if memory.design.context else 1
 
 
 # The keystroke level
 
 
 @jit
-def _choose_klo(learner: Learner, table: Array, mind: Mind, which: int) -> int:
+def _choose_klo(learner: Learner, table: Array, memory: Memory, which: int) -> int:
     """Choose a KLO in the FLO for an object (NONE: move-to-goal), and note the features it had."""
-    mind.state_count = 0
-    if mind.current == flo.MOVE_TO_GOAL:
-        return klo.move_right(mind.scene.screen)
-    if mind.current == flo.AVOID_PIT:
+    memory.state_count = 0
+    if memory.current == flo.MOVE_TO_GOAL:
+        return klo.move_right(memory.scene.screen)
+    if memory.current == flo.AVOID_PIT:
         return klo.jump_the_pit()
-    if mind.design.sum_objects:
-        for i in range(mind.scene.count):
-            if mind.scene.objects[i].kind == mind.current and mind.state_count < len(mind.states):
-                _add_state(mind, mind.scene.objects[i])
+    if memory.design.sum_objects:
+        for i in range(memory.scene.count):
+            if memory.scene.objects[i].kind == memory.current and memory.state_count < len(memory.states):
+                _add_state(memory, memory.scene.objects[i])
     else:
-        _add_state(mind, mind.scene.objects[which])
-    sarsa.action_values(table, mind.states, mind.state_count, mind.klo_values)
-    return epsilon_greedy(learner, mind.klo_values, klo.KLOS)
+        _add_state(memory, memory.scene.objects[which])
+    sarsa.action_values(table, memory.states, memory.state_count, memory.klo_values)
+    return epsilon_greedy(learner, memory.klo_values, klo.KLOS)
 
 
 @jit
-def _add_state(mind: Mind, thing: objects.Object) -> None:
+def _add_state(memory: Memory, thing: objects.Object) -> None:
     """Add the key of what the keystroke level knows of one object."""
-    screen = mind.scene.screen
+    screen = memory.scene.screen
     state = extend(flo.describe(flo.KLO_LEVEL, thing), screen.mario.kind)
-    if mind.design.tile_above:
+    if memory.design.tile_above:
         state = extend(state, objects.tile_above(screen))
-    mind.states[mind.state_count] = state
-    mind.state_count += 1
+    memory.states[memory.state_count] = state
+    memory.state_count += 1
 
 
 @jit
-def _klo_reward(mind: Mind, reward: float) -> float:
+def _klo_reward(memory: Memory, reward: float) -> float:
     """Return what a KLO is paid whose FLO goes on."""
-    return mind.design.internal_step if mind.design.internal else reward
+    return memory.design.internal_step if memory.design.internal else reward
 
 
 @jit
-def _last_klo_reward(mind: Mind, reward: float) -> float:
+def _last_klo_reward(memory: Memory, reward: float) -> float:
     """Return what the last KLO of an FLO is paid, before the next FLO is chosen."""
-    design = mind.design
+    design = memory.design
     if not design.internal:
         return reward
-    if flo.is_learned(mind.current) and flo.goal_reached(
-        mind.scene, mind.current, mind.current_id, design.senses.grid
+    if flo.is_learned(memory.current) and flo.goal_reached(
+        memory.scene, memory.current, memory.current_id, design.senses.grid
     ):
         return design.internal_step + design.internal_goal
     return design.internal_step
 
 
 @jit
-def _terminal_klo_reward(mind: Mind, reward: float) -> float:
+def _terminal_klo_reward(memory: Memory, reward: float) -> float:
     """Return what the last KLO of an episode is paid: an end that is paid for is the finish line."""
-    if not mind.design.internal:
+    if not memory.design.internal:
         return reward
-    return mind.design.internal_death if reward < 0.0 else 0.0
+    return memory.design.internal_death if reward < 0.0 else 0.0
 
 
 # The experiments
@@ -284,12 +285,12 @@ class HierarchicalAgent(MarioLearner):
         self._grid = grid
         self._tile_above = tile_above
 
-    def _settings(self) -> Mapping[str, int | float | str | bool]:
+    def _settings(self) -> Mapping[str, Setting]:
         return {"grid": self._grid, "tile_above": self._tile_above}
 
-    def _new_mind(self) -> Array:
-        minds = new(Mind)
-        design = minds["design"]
+    def _new_memory(self) -> Array:
+        memories = new(Memory)
+        design = memories["design"]
         design["ranks"] = self._ranks
         design["context"] = self._context
         design["sum_objects"] = self._sum_objects
@@ -297,7 +298,7 @@ class HierarchicalAgent(MarioLearner):
         objects.set_senses(
             design["senses"], self._grid, self._threats, self._absolute_motion, self._via_platforms
         )
-        return minds
+        return memories
 
 
 class HierarchicalProgrammedAgent(HierarchicalAgent):
@@ -352,11 +353,11 @@ class HierarchicalInternalAgent(HierarchicalFactsAgent):
             "internal_death": internal_death,
         }
 
-    def _new_mind(self) -> Array:
-        minds = super()._new_mind()
+    def _new_memory(self) -> Array:
+        memories = super()._new_memory()
         for name, value in self._internal.items():
-            minds["design"][name] = value
-        return minds
+            memories["design"][name] = value
+        return memories
 
 
 class ObjectsCoarseAgent(HierarchicalFactsAgent):

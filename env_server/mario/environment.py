@@ -16,8 +16,6 @@ Source: RL-Competition 2009; Mohan (2010), appendix A.
 from __future__ import annotations
 
 import json
-import struct
-import zlib
 from dataclasses import asdict, replace
 from decimal import Decimal
 from itertools import product
@@ -25,7 +23,8 @@ from typing import Annotated, Any, Final
 
 from env_server.mario.game import Game
 from env_server.mario.parameters import INSTANCES, MDPS, Parameters, resolve
-from glue.errors import ConfigError, SimulatorError
+from env_server.mario.saving import State, pack_state, unpack_state
+from glue.errors import ConfigError, SaveError, SimulatorError
 from glue.options import Option, parameters, parse_assignments
 from glue.types import Action, Observation
 
@@ -36,12 +35,6 @@ _BUTTONS: Final = ("button_left", "button_right", "button_jump", "button_run")
 _ACTIONS: Final = {Action(ints=buttons).body: buttons for buttons in product((-1, 0, 1), (0, 1), (0, 1))}
 """Every legal action, by its bytes: to look one up is to check it."""
 _DIMENSIONS: Final = (("direction", -1, 1), ("jump", 0, 1), ("run", 0, 1))
-
-# What outlives an episode: the level, the four buttons, and whether there was an episode; then a
-# checksum of all that.
-_SAVED: Final = struct.Struct("<8sqii5?")
-_CHECKSUM: Final = struct.Struct("<I")
-_MAGIC: Final = b"mario\0\0\1"
 
 
 class InfiniteMario:
@@ -237,25 +230,23 @@ class InfiniteMario:
 
     def env_save(self) -> bytes:
         """Return what later episodes depend on: the level, and the buttons as the last episode left them."""
-        level = (getattr(self._parameters, name) for name in _LEVEL)
-        data = _SAVED.pack(_MAGIC, *level, *self.buttons, bool(self.game.world.started))
-        return data + _CHECKSUM.pack(zlib.crc32(data))
+        level = tuple(getattr(self._parameters, name) for name in _LEVEL)
+        return pack_state(State(level, self.buttons, bool(self.game.world.started)))
 
     def env_load(self, data: bytes) -> None:
-        """Go on from what `env_save` returned.
+        """Continue from what `env_save` returned.
 
         Raises:
-            SimulatorError: `data` is damaged, of another environment or of another version.
+            SaveError: `data` is damaged, of another environment or of another version.
         """
-        saved, checksum = data[: _SAVED.size], data[_SAVED.size :]
-        if len(saved) != _SAVED.size or checksum != _CHECKSUM.pack(zlib.crc32(saved)):
-            raise SimulatorError(f"{len(data)} bytes that are not a whole save of Mario came to env_load")
-        magic, seed, kind, difficulty, *held, started = _SAVED.unpack(saved)
-        if magic != _MAGIC:
-            raise SimulatorError(f"env_load takes a save marked {_MAGIC!r}, not {magic!r}")
-        self._change_level(_check(dict(zip(_LEVEL, (seed, kind, difficulty), strict=True))))
-        self.buttons = tuple(held)
-        self.game.world.started = started
+        state = unpack_state(data)
+        try:
+            level = _check(dict(zip(_LEVEL, state.level, strict=True)))
+        except SimulatorError as error:
+            raise SaveError(f"saved mario: {error}") from None
+        self._change_level(level)
+        self.buttons = state.buttons
+        self.game.world.started = state.started
 
     def _change_level(self, level: dict[str, Any]) -> None:
         self._parameters = replace(self._parameters, **level)

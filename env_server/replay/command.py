@@ -7,32 +7,25 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from env_server.render.drawing import save_gif, save_png
-from env_server.render.text import TerminalScreen
-from env_server.replay.episodes import (
-    Difference,
-    Moment,
-    RecordedRun,
-    build_environment,
-    build_named,
-    open_recording,
-    recorded_moments,
-    replayed_moments,
-)
-from env_server.replay.golden import GoldenReader
 from glue import __version__
 from glue.commands import run
 from glue.console import say
 from glue.errors import ConfigError
 from glue.options import parse_assignments
 from glue.players.loading import find
+from glue.players.naming import complete_names
 from glue.protocol.messages import Role
-from glue.roles import Environment
-from glue.trajectory import TrajectoryError, TrajectoryReader
-from glue.types import Observation
+
+if TYPE_CHECKING:
+    from env_server.replay.episodes import Moment, RecordedRun
+    from env_server.replay.golden import GoldenReader
+    from glue.roles import Environment
+    from glue.trajectory import TrajectoryReader
+    from glue.types import Observation
 
 __all__ = ["main", "replay"]
 
@@ -64,7 +57,11 @@ __all__ = ["main", "replay"]
 )
 @click.option("--png", type=click.Path(path_type=Path), help="Show the first of the steps in a PNG.")
 @click.option(
-    "--env", "name", metavar="NAME", help="Compare with this environment, in place of the recorded one."
+    "--env",
+    "name",
+    metavar="NAME",
+    shell_complete=complete_names(Role.ENVIRONMENT),
+    help="Compare with this environment, in place of the recorded one.",
 )
 @click.option(
     "--env-option",
@@ -97,6 +94,9 @@ def replay(
       glue-replay --check run.traj other.traj
       glue-replay run.traj --episode 4 --steps 14 110 --gif mario.gif
     """
+    from env_server.replay.episodes import open_recording, recorded_moments, replayed_moments
+    from glue.trajectory import TrajectoryError, TrajectoryReader
+
     if (gif or png) and (len(files) > 1 or check):
         raise ConfigError("--gif and --png show a part of one FILE: give one, and no --check")
     if (gif or png) and episode is None:
@@ -134,9 +134,13 @@ class _Counted:
 
     @property
     def levels(self) -> int:
+        from env_server.replay.golden import GoldenReader
+
         return self._reader.levels if isinstance(self._reader, GoldenReader) else 0
 
     def __iter__(self) -> Iterator[Moment]:
+        from env_server.replay.episodes import Difference
+
         try:
             for moment in self._moments:
                 self.runs = moment.run + 1
@@ -155,6 +159,8 @@ class _Counted:
 
 def _builder(name: str | None, assignments: tuple[str, ...]) -> Callable[[RecordedRun], Environment]:
     """Return how to make the environment of a run: the recorded one, or the one that was asked for."""
+    from env_server.replay.episodes import build_environment, build_named
+
     if name is None:
         if assignments:
             raise ConfigError("--env-option is an option of --env: name that too")
@@ -164,6 +170,8 @@ def _builder(name: str | None, assignments: tuple[str, ...]) -> Callable[[Record
 
 
 def _show(moments: Iterable[Moment], speed: float) -> None:
+    from env_server.render.text import TerminalScreen
+
     with TerminalScreen(sys.stdout) as screen:
         for moment in moments:
             screen.show(moment.observation, moment.reward, moment.step, moment.episode_return, moment.place)
@@ -171,6 +179,8 @@ def _show(moments: Iterable[Moment], speed: float) -> None:
 
 
 def _save(shown: Sequence[Observation], speed: float, gif: Path | None, png: Path | None) -> None:
+    from env_server.render.drawing import save_gif, save_png
+
     if not shown:
         raise ConfigError("the recording has no such episode, or the episode no such steps")
     if gif:

@@ -7,34 +7,34 @@ import time
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from experiment_runner.executors.resume import open_run, recorded_plan
-from experiment_runner.executors.run import Place, RunConfig, run_trials
 from experiment_runner.plan import Plan, RoleSweep, check_options, describe
 from experiment_runner.plan_file import load_plan
-from experiment_runner.players import HubOptions, Meeting, listening
-from experiment_runner.recording import recorded
-from experiment_runner.report.progress import JsonLines, Progress
-from experiment_runner.report.tables import summarize, tabulate, terminal_width
 from glue import __version__
-from glue.commands import legacy_port_option, run
+from glue.commands import HUB_VARIABLE, SESSION_VARIABLE, legacy_port_option, run
 from glue.console import say
 from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, LegacyPort, check_session, check_url
 from glue.errors import ConfigError, ExperimentError
 from glue.options import parse_assignments
 from glue.players.loading import find, names
+from glue.players.naming import NamingCommand, complete_names
 from glue.protocol.messages import Role
+
+if TYPE_CHECKING:
+    from experiment_runner.executors.run import RunConfig
+    from experiment_runner.players import Meeting
 
 __all__ = ["experiment", "main"]
 
 _MAX_STEPS: Final = 2**32 - 1
+_CHECKPOINT_EVERY: Final = 100
 _MAX_SEED: Final = 2**63 - 1
 
 
-@click.command()
+@click.command("glue-experiment", cls=NamingCommand)
 @click.option(
     "--plan",
     "plan_file",
@@ -53,11 +53,20 @@ _MAX_SEED: Final = 2**63 - 1
     type=click.IntRange(1),
     help="Times to repeat everything, each with its own seed. [default: 1]",
 )
-@click.option("--seed", type=click.IntRange(0, _MAX_SEED), help="Seed of all chance. [default: 0]")
+@click.option("--seed", type=click.IntRange(0, _MAX_SEED), help="Random seed. [default: 0]")
 @click.option(
-    "--env", "environment", metavar="NAME", help="Start this environment; without, one is waited for."
+    "--env",
+    "environment",
+    metavar="NAME",
+    shell_complete=complete_names(Role.ENVIRONMENT),
+    help="Start this environment; without, one is waited for.",
 )
-@click.option("--agent", metavar="NAME", help="Start this agent; without, one is waited for.")
+@click.option(
+    "--agent",
+    metavar="NAME",
+    shell_complete=complete_names(Role.AGENT),
+    help="Start this agent; without, one is waited for.",
+)
 @click.option(
     "--env-option", multiple=True, metavar="NAME=VALUE", help="Option of --env; see `glue-env NAME --help`."
 )
@@ -80,8 +89,8 @@ _MAX_SEED: Final = 2**63 - 1
 )
 @click.option(
     "--engine",
-    type=click.Choice([place.value for place in Place]),
-    default=Place.LOCAL.value,
+    type=click.Choice(["local", "ray"]),
+    default="local",
     show_default=True,
     help="Where trials run: on this machine, or on a Ray cluster.",
 )
@@ -90,7 +99,13 @@ _MAX_SEED: Final = 2**63 - 1
     metavar="HOST:PORT",
     help="The Ray cluster. [default: the one that Ray finds, or else one on this machine]",
 )
-@click.option("--hub", metavar="URL", help="Use a hub that runs already (glue-hub) instead of bringing one.")
+@click.option(
+    "--hub",
+    metavar="URL",
+    envvar=HUB_VARIABLE,
+    show_envvar=True,
+    help="Use a hub that runs already (glue-hub) instead of starting one.",
+)
 @click.option(
     "--bind",
     multiple=True,
@@ -98,7 +113,14 @@ _MAX_SEED: Final = 2**63 - 1
     help="Address at which players from outside join; repeat it for several. "
     f"[default: {DEFAULT_HUB}, if any is expected]",
 )
-@click.option("--session", default=DEFAULT_SESSION, show_default=True, help="Session to hold at the hub.")
+@click.option(
+    "--session",
+    default=DEFAULT_SESSION,
+    show_default=True,
+    envvar=SESSION_VARIABLE,
+    show_envvar=True,
+    help="Session to hold at the hub.",
+)
 @legacy_port_option
 @click.option("--insecure", is_flag=True, help="Allow --bind to addresses that other machines can reach.")
 @click.option(
@@ -117,7 +139,7 @@ _MAX_SEED: Final = 2**63 - 1
 @click.option(
     "--checkpoint-every",
     type=click.IntRange(0),
-    default=RunConfig().checkpoint_every,
+    default=_CHECKPOINT_EVERY,
     show_default=True,
     help="Episodes between checkpoints of what agent and environment know; 0 for none.",
 )
@@ -178,6 +200,9 @@ def experiment(
       glue-experiment --plan sweep.toml --workers 4 --out runs/sweep
       glue-experiment --resume runs/sweep --workers 4
     """
+    from experiment_runner.executors.resume import recorded_plan
+    from experiment_runner.executors.run import Place, RunConfig
+
     counts = {"episodes": episodes, "max_steps": max_steps, "trials": trials, "seed": seed}
     given = {name: value for name, value in counts.items() if value is not None}
     roles = {
@@ -242,6 +267,8 @@ def _meeting(
     legacy_port: tuple[str, ...],
     insecure: bool,
 ) -> Meeting:
+    from experiment_runner.players import HubOptions, Meeting
+
     if hub is not None and (bind or legacy_port):
         flag = "--bind" if bind else "--legacy-port"
         raise ConfigError(f"{flag} is for a hub of the experiment's own; with --hub there is none")
@@ -265,6 +292,13 @@ def _new_directory(name: str) -> Path:
 
 
 def _run(directory: Path, plan: Plan, config: RunConfig, record: Path | None, as_json: bool) -> int:
+    from experiment_runner.executors.resume import open_run
+    from experiment_runner.executors.run import run_trials
+    from experiment_runner.players import listening
+    from experiment_runner.recording import recorded
+    from experiment_runner.report.progress import JsonLines, Progress
+    from experiment_runner.report.tables import summarize, tabulate, terminal_width
+
     progress = Progress()
     lines = JsonLines(progress) if as_json else None
     began = time.monotonic()

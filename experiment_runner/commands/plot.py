@@ -8,10 +8,6 @@ from pathlib import Path
 
 import click
 
-from experiment_runner.analysis.settings import collect
-from experiment_runner.analysis.stats import bootstrap_rng
-from experiment_runner.report.plots import comparison, learning_curves, save, scatter
-from experiment_runner.store.results import Results
 from glue import __version__
 from glue.commands import run
 from glue.console import say
@@ -19,7 +15,7 @@ from glue.console import say
 __all__ = ["main", "plot"]
 
 
-@click.command()
+@click.command("glue-plot")
 @click.argument("directories", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--out", "-o", required=True, type=click.Path(path_type=Path), help="File, .png or .svg.")
 @click.option(
@@ -46,6 +42,11 @@ def plot(directories: tuple[Path, ...], out: Path, kind: str, window: int) -> No
       glue-plot runs/mine -o curves.png
       glue-plot runs/mine runs/other --kind comparison -o comparison.svg
     """
+    from experiment_runner.analysis.settings import collect
+    from experiment_runner.analysis.stats import bootstrap_rng
+    from experiment_runner.report.plots import comparison, learning_curves, save, scatter
+    from experiment_runner.store.results import Results
+
     with ExitStack() as stack:
         found = collect([stack.enter_context(Results.open(directory)) for directory in directories])
     settings = [setting for setting in found if setting.curves().size]

@@ -8,23 +8,20 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from experiment_runner.report.overview import Overview, as_object, as_text, overview
-from experiment_runner.report.tables import counted, format_table, one_line, terminal_width
-from experiment_runner.store.database import DATABASE_FILES, reported
-from experiment_runner.store.export import write_csv, write_json, write_parquet
-from experiment_runner.store.layout import UNFINISHED, remove_run
-from experiment_runner.store.merge import merge as merge_runs
-from experiment_runner.store.output import written
-from experiment_runner.store.records import TrialRecord
-from experiment_runner.store.results import Results
 from glue import __version__
 from glue.commands import run
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError
 from glue.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from experiment_runner.report.overview import Overview
+    from experiment_runner.store.records import TrialRecord
+    from experiment_runner.store.results import Results
 
 __all__ = ["main", "results"]
 
@@ -32,7 +29,7 @@ _directory = click.Path(path_type=Path, file_okay=False)
 _as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON, for a script.")
 
 
-@click.group()
+@click.group("glue-results")
 @click.version_option(__version__, prog_name="glue-results")
 def results() -> None:
     """Look at the results of experiments, also while they run.
@@ -62,6 +59,10 @@ def list_runs(folder: Path, as_json: bool) -> int:
       glue-results list /data/mario
       glue-results list --json | jq -r '.[] | select(.state == "failed") | .run'
     """
+    from experiment_runner.report.overview import Overview, overview
+    from experiment_runner.report.tables import format_table, one_line, terminal_width
+    from experiment_runner.store.results import Results
+
     overviews: list[Overview] = []
     unreadable: list[str] = []
     for directory in _runs_under(folder):
@@ -93,6 +94,10 @@ def show(directory: Path, as_json: bool) -> None:
       glue-results show runs/mine
       glue-results show runs/mine --json | jq '.settings[].mean'
     """
+    from experiment_runner.report.overview import as_object, as_text
+    from experiment_runner.report.tables import terminal_width
+    from experiment_runner.store.results import Results
+
     with Results.open(directory) as found:
         if as_json:
             click.echo(json.dumps(as_object(found), indent=2))
@@ -118,6 +123,11 @@ def export(directory: Path, kind: str, out: Path | None) -> None:
       glue-results export runs/mine --format csv --out mine.csv
       glue-results export runs/mine --format json | jq '.[-1]'
     """
+    from experiment_runner.store.database import reported
+    from experiment_runner.store.export import write_csv, write_json, write_parquet
+    from experiment_runner.store.output import written
+    from experiment_runner.store.results import Results
+
     with Results.open(directory) as found:
         if kind == "parquet":
             if out is None:
@@ -149,6 +159,9 @@ def merge(directories: tuple[Path, ...], out: Path) -> None:
     Examples:
       glue-results merge runs/lab1 runs/lab2 --out runs/both
     """
+    from experiment_runner.store.merge import merge as merge_runs
+    from experiment_runner.store.results import Results
+
     with ExitStack() as stack:
         merge_runs([stack.enter_context(Results.open(directory)) for directory in directories], out)
     say(f"wrote {out}")
@@ -175,6 +188,10 @@ def agent(directory: Path, trial_id: str | None, out: Path) -> None:
       glue-results agent runs/mine --out mine.agent
       glue-results agent runs/sweep --trial sarsa/step_size=0.1/mines/0 --out mines.agent
     """
+    from experiment_runner.report.tables import counted
+    from experiment_runner.store.output import written
+    from experiment_runner.store.results import Results
+
     with Results.open(directory) as found:
         trial = _trial(found, trial_id)
         checkpoint = found.checkpoint(trial.spec.id)
@@ -199,6 +216,11 @@ def remove(directories: tuple[Path, ...], yes: bool) -> None:
       glue-results remove runs/mistake
       glue-results remove runs/20260101-120000-jumper-mines --yes
     """
+    from experiment_runner.report.tables import counted
+    from experiment_runner.store.database import reported
+    from experiment_runner.store.layout import remove_run
+    from experiment_runner.store.results import Results
+
     for directory in directories:
         if not yes:
             with Results.open(directory) as found:
@@ -234,6 +256,9 @@ def _why_unsaved(found: Results, trial: TrialRecord) -> str:
 
 
 def _runs_under(folder: Path) -> Iterator[Path]:
+    from experiment_runner.store.database import DATABASE_FILES
+    from experiment_runner.store.layout import UNFINISHED
+
     if not folder.is_dir():
         raise ConfigError(f"there is no folder {folder}")
     for path, folders, files in os.walk(folder):

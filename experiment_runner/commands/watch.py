@@ -6,27 +6,38 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 import click
 
-from env_server.render.text import TerminalScreen
 from glue import __version__
 from glue.commands import run
 from glue.console import say
-from glue.core.experiment import Experiment
-from glue.core.local import local
 from glue.options import build, parse_assignments
 from glue.players.loading import find
+from glue.players.naming import NamingCommand, complete_names
 from glue.players.trained import load_trained
 from glue.protocol.messages import Role
+
+if TYPE_CHECKING:
+    from glue.core.experiment import Experiment
 
 __all__ = ["main", "play", "watch"]
 
 
-@click.command()
-@click.option("--env", "environment", metavar="NAME", default="mario", show_default=True, help="Environment.")
-@click.option("--agent", metavar="NAME", required=True, help="Agent.")
+@click.command("glue-watch", cls=NamingCommand)
+@click.option(
+    "--env",
+    "environment",
+    metavar="NAME",
+    default="mario",
+    show_default=True,
+    shell_complete=complete_names(Role.ENVIRONMENT),
+    help="Environment.",
+)
+@click.option(
+    "--agent", metavar="NAME", required=True, shell_complete=complete_names(Role.AGENT), help="Agent."
+)
 @click.option(
     "--env-option",
     multiple=True,
@@ -63,9 +74,7 @@ __all__ = ["main", "play", "watch"]
     show_default=True,
     help="Steps shown per second.",
 )
-@click.option(
-    "--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Seed of all chance."
-)
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Random seed.")
 @click.version_option(__version__, prog_name="glue-watch")
 def watch(
     environment: str,
@@ -88,6 +97,8 @@ def watch(
       glue-watch --agent hierarchical --load mario.agent --agent-option learning=off --agent-option epsilon=0
       glue-watch --env mines --agent sarsa --after 1000 --speed 5
     """
+    from glue.core.local import local
+
     env_class, agent_class = find(Role.ENVIRONMENT, environment), find(Role.AGENT, agent)
     world = build(env_class, parse_assignments(env_class, env_option))
     player = build(agent_class, parse_assignments(agent_class, agent_option))
@@ -113,8 +124,10 @@ def play(
 ) -> tuple[float, int]:
     """Run and draw one episode, `speed` steps a second; return its return and steps.
 
-    Where `stream` is no terminal nothing is drawn, and nothing is waited for.
+    If `stream` is not a terminal nothing is drawn, and there are no pauses.
     """
+    from env_server.render.text import TerminalScreen
+
     pause = 1.0 / speed if stream.isatty() else 0.0
     with TerminalScreen(stream) as screen:
         screen.show(glue.rl_start().observation, 0.0, 0, 0.0, title)

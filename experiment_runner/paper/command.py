@@ -8,13 +8,8 @@ from typing import Final
 
 import click
 
-from experiment_runner.executors.resume import open_run
-from experiment_runner.executors.run import RunConfig, run_trials
 from experiment_runner.paper.experiments import EPISODES, EXPERIMENTS, TRIALS, plan_of
-from experiment_runner.paper.report import write_report
 from experiment_runner.plan import Plan, check_options
-from experiment_runner.players import Meeting
-from experiment_runner.report.progress import Progress
 from glue import __version__
 from glue.commands import run
 from glue.console import say
@@ -26,7 +21,7 @@ __all__ = ["main", "paper"]
 _ALL: Final = "all"
 
 
-@click.command()
+@click.command("glue-paper")
 @click.argument("names", metavar="EXPERIMENT...", nargs=-1, type=click.Choice([*EXPERIMENTS, _ALL]))
 @click.option(
     "--out",
@@ -74,6 +69,8 @@ def paper(
       glue-paper 7 --trials 2 --episodes 300 --out runs/quick
       glue-paper --report-only
     """
+    from experiment_runner.paper.report import write_report
+
     if not names and not report_only:
         raise click.UsageError("say which experiments: numbers from 1 to 8, sample, best, or all")
     if names and report_only:
@@ -95,6 +92,11 @@ def paper(
 
 def _run(directory: Path, plan: Plan, workers: int) -> int:
     """Run what remains of a plan; return how many trials failed."""
+    from experiment_runner.executors.resume import open_run
+    from experiment_runner.executors.run import RunConfig, run_trials
+    from experiment_runner.players import Meeting
+    from experiment_runner.report.progress import Progress
+
     config = RunConfig(Meeting(in_process=True), workers=workers)
     with open_run(directory, plan) as store:
         return run_trials(store, config, Progress())

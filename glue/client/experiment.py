@@ -29,25 +29,28 @@ def connect(
     session: str = DEFAULT_SESSION,
     *,
     name: str = "experiment",
+    wait: float | None = None,
     context: Context | None = None,
-    log: Log | None = None,
+    log: Log = say,
     on_notice: Callable[[str, str, str], None] | None = None,
 ) -> RemoteExperiment:
     """Return an experiment of `session` at `hub`, once the hub has let it in.
 
     Args:
-        hub: URL of the hub; it is waited for.
+        hub: URL of the hub.
         session: name of the session.
         name: what the hub calls this program in its messages.
-        context: the ZeroMQ context; one on `inproc://` needs the hub's.
-        log: takes lines for people (default: standard error).
+        wait: seconds after which a hub that has not answered is given up; None waits forever.
+        context: the ZeroMQ context; by default the process's own.
+        log: takes lines for people; by default they go to standard error.
         on_notice: called with event (`joined`, `lost`, `returned`), role and name of a player.
 
     Raises:
-        ConfigError: an address or a session name is malformed.
+        ConfigError: an address or a session name is malformed, or the host's name does not resolve.
+        HubUnreachable: no hub has answered within `wait` seconds.
         Refused: the hub does not let it in.
     """
-    return RemoteExperiment(hub, session, name, context, log or say, on_notice)
+    return RemoteExperiment(hub, session, name, wait, context, log, on_notice)
 
 
 class RemoteExperiment(Experiment):
@@ -58,21 +61,24 @@ class RemoteExperiment(Experiment):
         hub: str,
         session: str,
         name: str,
+        wait: float | None,
         context: Context | None,
         log: Log,
         on_notice: Callable[[str, str, str], None] | None,
     ) -> None:
         self._session = session
+        self._log = log
         self._on_notice = on_notice
         self._seq = 0
+        self._answered = False  # whether the hub has answered a request since it last called us unknown
         self._players: set[Role] = set()
         self._loss: str | None = None
         self._given_up: str | None = None
-        self._link = Link(Role.EXPERIMENT, hub, {session: (name, ())}, context, log)
+        self._link = Link(Role.EXPERIMENT, hub, {session: (name, ())}, wait, context, log)
         self._closed = False
         try:
-            while not self._welcomed(self._link.receive()):
-                pass
+            while not self._link.ready(session):
+                self._receive()
         except BaseException:
             self.close()
             raise
@@ -84,7 +90,7 @@ class RemoteExperiment(Experiment):
             self._link.close("the experiment is over")
 
     def give_up(self, reason: str) -> None:
-        """Let whatever verb is waiting, or the next, raise HubClosed; may be called from any thread."""
+        """Make the verb that is waiting, or the next one, raise HubClosed; callable from any thread."""
         self._given_up = reason
 
     def wait_for_players(self, tell: Callable[[frozenset[Role]], None]) -> None:
@@ -95,24 +101,40 @@ class RemoteExperiment(Experiment):
         told: frozenset[Role] | None = None
         while missing := frozenset({Role.AGENT, Role.ENVIRONMENT}) - self._players:
             message = self._receive()
-            if message is not None and message.kind is Kind.NOTICE:
-                self._notice(message)
-            elif missing != told:
+            if missing != told and (message is None or message.kind is not Kind.NOTICE):
                 told = missing
                 tell(missing)
 
     def _receive(self) -> Message | None:
+        """Return the next message, having acted on it if it is a WELCOME or a NOTICE.
+
+        Raises:
+            HubClosed: the hub ended the session or has forgotten this experiment, or `give_up` was called.
+        """
         if self._given_up is not None:
             raise HubClosed(self._given_up)
-        return self._link.receive()
+        message = self._link.receive()
+        if message is not None:
+            if message.kind is Kind.NOTICE:
+                self._notice(message)
+            elif message.kind is Kind.WELCOME:
+                self._welcome(resumed=bool(message.scalars[1]))
+        return message
 
-    def _welcomed(self, message: Message | None) -> bool:
-        if message is not None and message.kind is Kind.NOTICE:
-            self._notice(message)
-        return message is not None and message.kind is Kind.WELCOME
+    def _welcome(self, resumed: bool) -> None:
+        # The hub goes on to say which players are there.
+        self._players.clear()
+        if not resumed and self._answered:
+            self._answered = False
+            raise HubClosed(
+                "the hub knows nothing of this experiment: it was restarted, or had given this experiment up"
+            )
 
     def _notice(self, message: Message) -> None:
         event, role, name = map(str, message.scalars)
+        if event == Event.SLOW:
+            self._log(f"{role} {name}")
+            return
         if event == Event.LOST:
             self._players.discard(Role(role))
             self._loss = f"the {role} {name} was lost between two verbs, and another is in its place"
@@ -125,32 +147,35 @@ class RemoteExperiment(Experiment):
         link = self._link
         self._seq += 1
         request = Message(kind, self._session, self._seq, scalars, write(body))
-        link.send(request)
+        if link.ready(self._session):
+            link.send(request)
         while True:
             message = self._receive()
             if message is None:
                 continue
-            if message.kind is Kind.NOTICE:
-                self._notice(message)
-            elif message.kind is Kind.WELCOME:
-                if not message.scalars[1]:
-                    raise HubClosed(
-                        "the hub knows nothing of this experiment: it was started anew, or had given us up"
-                    )
-                link.send(request)
+            if message.kind is Kind.WELCOME:
+                # Over a new connection the request is sent again; the hub knows whether it had it already.
+                if link.ready(self._session):
+                    link.send(request)
             elif message.seq == self._seq:
                 if message.kind is Kind.ERROR:
-                    code, text = message.scalars
-                    if code in (ErrorCode.PEER_LOST, ErrorCode.PEER_FAILED):
-                        self._loss = None
-                    raise _ERRORS.get(str(code), LocalProtocolError)(str(text))
+                    self._answered = True
+                    raise self._error(message)
                 if message.kind is kind:
+                    self._answered = True
                     if self._loss is not None and kind in _DEPENDENT:
-                        self._lament(kind)
+                        self._settle_loss(kind)
                     return message.scalars, READ[CALLS[kind].reply.body](message.body)
 
-    def _lament(self, kind: Kind) -> None:
-        """Raise PeerLost for a loss that no verb has failed of, unless this one has made up for it."""
+    def _error(self, message: Message) -> GlueError:
+        """Return the exception that an ERROR in answer to a request stands for."""
+        code, text = map(str, message.scalars)
+        if code in (ErrorCode.PEER_LOST, ErrorCode.PEER_FAILED):
+            self._loss = None
+        return _ERRORS.get(code, LocalProtocolError)(text)
+
+    def _settle_loss(self, kind: Kind) -> None:
+        """Raise PeerLost for a loss that has failed no verb yet, unless RL_init has made up for it."""
         loss, self._loss = self._loss, None
         if kind is not Kind.RL_INIT:
             raise PeerLost(loss)

@@ -1,4 +1,8 @@
-"""A peer's connection to a hub: greetings, heartbeats, and reconnecting after a break."""
+"""A peer's connection to a hub: greetings, heartbeats, and reconnecting after a break.
+
+A hub knows a peer by its connection, so the peer greets it once over each. Until the hub has welcomed it
+over the latest connection, nothing that it says there counts, and it may be another hub than before.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +17,7 @@ import zmq
 from glue.client.transport import Context, DealerTransport
 from glue.core.config import check_session, check_url
 from glue.core.sessions import INSTANCE_SIZE
-from glue.errors import HubClosed, LocalProtocolError, Refused
+from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolError, Refused
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 from glue.protocol.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, UnknownKind, clip, decode, encode
 
@@ -27,42 +31,64 @@ _PATIENCE: Final = 5.0
 
 
 class Link:
-    """A peer's connection: greetings, signs of life, and coming back after a break."""
+    """One connection to a hub after another, for one program in one or more sessions.
+
+    Args:
+        role: what the program is in each of them.
+        hub: URL of the hub.
+        names: for each session, the name to show to people, and the capabilities offered.
+        wait: seconds after which a hub that has not welcomed it is given up; None waits forever.
+        context: the ZeroMQ context; by default the process's own.
+        log: takes lines for people.
+
+    Raises:
+        ConfigError: an address or a session name is malformed, or the host's name does not resolve.
+    """
 
     def __init__(
         self,
         role: Role,
         hub: str,
         names: Mapping[str, tuple[str, tuple[str, ...]]],
+        wait: float | None,
         context: Context | None,
         log: Log,
     ) -> None:
         check_url(hub)
+        if wait is not None and not wait >= 0:
+            raise ConfigError(f"the seconds to wait for a hub are 0 or more, not {wait}")
         self._role = role
         self._hub = hub
         self._names = {check_session(session): name for session, name in names.items()}
+        self._wait = wait
         self._log = log
         self._instance = os.urandom(INSTANCE_SIZE)
         self._max_body = MAX_BODY
         self._heartbeat, self._patience = _HEARTBEAT, _PATIENCE
-        self._welcomed: set[str] = set()
         self._transport = DealerTransport(
             context or zmq.Context.instance(), hub, _PATIENCE, 2 * MAX_BODY + MAX_HEADER
         )
-        self._transport.wait_at_most(_HEARTBEAT)
-        self._heard = time.monotonic()
+        self._transport.wait_at_most(_HEARTBEAT if wait is None else min(_HEARTBEAT, wait))
+        self._greeted = 0  # the connection that was greeted last; also the `seq` of that HELLO
+        self._welcomed: set[str] = set()  # sessions, over that connection
+        self._known = False  # whether a hub has ever welcomed us
+        self._started = self._received = time.monotonic()
         self._silent = False
-        for session in self._names:
-            self._hello(session)
 
-    def _hello(self, session: str) -> None:
-        self._welcomed.discard(session)
-        name, abilities = self._names[session]
-        scalars = ((PROTOCOL_VERSION,), str(self._role), self._instance, name, _CODEC, abilities)
-        self.send(Message(Kind.HELLO, session, 0, scalars))
+    def ready(self, session: str) -> bool:
+        """Return whether the hub has welcomed us in `session` over the connection that was greeted last.
+
+        An experiment sends its requests only then: sent along with a HELLO, one could reach a hub that
+        knows nothing of what went before.
+        """
+        return session in self._welcomed
 
     def send(self, message: Message) -> None:
-        """Send; what cannot be sent now will be asked for again by the hub, or repeated."""
+        """Send. What is lost with the connection is asked for again by the hub, or repeated.
+
+        Raises:
+            LocalProtocolError: the body is larger than the hub accepts.
+        """
         if len(message.body) > self._max_body:
             raise LocalProtocolError(
                 f"the body of {message.kind.name} has {len(message.body)} bytes; "
@@ -71,10 +97,12 @@ class Link:
         self._transport.send(encode(message, TO_HUB))
 
     def receive(self) -> Message | None:
-        """Return the next message that is not about the connection, or None when nothing comes.
+        """Return the next call, reply, ERROR, NOTICE or WELCOME; None if there is none for a heartbeat.
 
         Raises:
-            HubClosed, Refused: the hub said so.
+            HubClosed: the hub said goodbye.
+            HubUnreachable: no hub has answered in the time allowed.
+            Refused: the hub does not let us in.
         """
         frames = self._transport.receive()
         if frames is None:
@@ -83,7 +111,7 @@ class Link:
         if self._silent:
             self._silent = False
             self._log(f"the hub at {self._hub} is there")
-        self._heard = time.monotonic()
+        self._received = time.monotonic()
         try:
             message = decode(frames, FROM_HUB, self._max_body)
         except UnknownKind as error:
@@ -94,6 +122,12 @@ class Link:
         if message.kind in CALLS:
             return message
         return self._control(message)
+
+    def close(self, reason: str) -> None:
+        """Say goodbye to the hub, if there is one, and close."""
+        for session in self._welcomed:
+            self._transport.send(encode(Message(Kind.GOODBYE, session, 0, (clip(reason),)), TO_HUB))
+        self._transport.close(None if self._welcomed else 0)
 
     def _control(self, message: Message) -> Message | None:
         kind, session, _, scalars, _ = message
@@ -106,40 +140,55 @@ class Link:
         if kind is Kind.REFUSE:
             raise Refused(f"the hub at {self._hub} refused this {self._role}: {scalars[1]!s}")
         if kind is Kind.ERROR and scalars[0] == ErrorCode.UNKNOWN_PEER:
-            if session in self._welcomed:
-                # The connection is a new one, so the hub knows it in no session.
-                for known in self._names:
-                    self._hello(known)
+            self._transport.notice_connections()
+            # A HELLO that is under way will be answered; this error was for what was sent before it.
+            if self._transport.connections != self._greeted or session in self._welcomed:
+                self._greet()
             return None
         if kind is Kind.WELCOME and session in self._names:
-            _, _, heartbeat, patience, max_body = scalars
-            assert isinstance(heartbeat, float)
-            assert isinstance(patience, float)
-            assert isinstance(max_body, int)
-            self._heartbeat = min(max(heartbeat, 0.01), 60.0)
-            self._patience = max(patience, self._heartbeat)
-            self._max_body = min(max_body, MAX_BODY)
-            self._transport.wait_at_most(self._heartbeat)
-            self._welcomed.add(session)
+            self._welcome(message)
         return message
 
+    def _greet(self) -> None:
+        """Say HELLO in every session: the hub knows a new connection in none."""
+        self._welcomed.clear()
+        self._greeted = self._transport.connections
+        for session, (name, capabilities) in self._names.items():
+            scalars = ((PROTOCOL_VERSION,), str(self._role), self._instance, name, _CODEC, capabilities)
+            self.send(Message(Kind.HELLO, session, self._greeted, scalars))
+
+    def _welcome(self, message: Message) -> None:
+        _, _, heartbeat, patience, max_body = message.scalars
+        assert isinstance(heartbeat, float)
+        assert isinstance(patience, float)
+        assert isinstance(max_body, int)
+        self._heartbeat = min(max(heartbeat, 0.01), 60.0)
+        self._patience = max(patience, self._heartbeat)
+        self._max_body = min(max_body, MAX_BODY)
+        self._transport.wait_at_most(self._heartbeat)
+        self._known = True
+        # The answer to an earlier HELLO says nothing of the hub at the other end of this connection.
+        if message.seq == self._greeted:
+            self._welcomed.add(message.session)
+
     def _idle(self) -> None:
-        """Nothing came for a heartbeat: show a sign of life, or greet again."""
-        alone = not self._welcomed or time.monotonic() - self._heard >= self._patience
-        if alone and not self._silent:
+        """Greet over a connection that is new; else show that we are here, or look at the time."""
+        if self._transport.connections != self._greeted:
+            self._greet()
+            return
+        now = time.monotonic()
+        if not self._known and self._wait is not None and now - self._started >= self._wait:
+            raise HubUnreachable(
+                f"no hub has answered at {self._hub} for {self._wait:g} s: "
+                f"start one with glue-hub or glue-experiment, or check the address"
+            )
+        quiet = now - self._received
+        if not self._silent and quiet >= (self._patience if self._welcomed else self._heartbeat):
             self._silent = True
             self._log(
-                f"no hub at {self._hub} yet; waiting for one "
-                f"(glue-experiment brings its own, glue-hub is one alone)"
+                f"no hub answers at {self._hub} yet; waiting for one "
+                f"(start glue-hub, or glue-experiment, which has a hub of its own)"
             )
-        for session in self._names:
-            if session in self._welcomed:
+        if self._transport.connected:
+            for session in self._welcomed:
                 self.send(Message(Kind.HEARTBEAT, session, 0))
-            else:
-                self._hello(session)
-
-    def close(self, reason: str) -> None:
-        """Say goodbye to the hub, if there is one, and close."""
-        for session in self._welcomed:
-            self._transport.send(encode(Message(Kind.GOODBYE, session, 0, (clip(reason),)), TO_HUB))
-        self._transport.close(None if self._welcomed else 0)

@@ -9,15 +9,14 @@
 
     serve_agent(Lazy())          # returns when the hub says goodbye
 
-A hub that is not there yet is waited for; a connection that breaks is made again, and the episode goes
-on as if nothing had happened.
+A hub that is not there yet is waited for. A connection that breaks is made again, and the episode goes on
+as if nothing had happened.
 """
 
 from __future__ import annotations
 
 import traceback
 from collections.abc import Mapping
-from typing import Any
 
 from glue.client.bodies import READ, write
 from glue.client.link import Link, Log
@@ -34,74 +33,98 @@ __all__ = ["serve_agent", "serve_environment"]
 
 
 def serve_agent(
-    agent: Agent | Mapping[str, Agent], hub: str = DEFAULT_HUB, session: str = DEFAULT_SESSION, **how: Any
+    agent: Agent | Mapping[str, Agent],
+    hub: str = DEFAULT_HUB,
+    session: str = DEFAULT_SESSION,
+    *,
+    wait: float | None = None,
+    context: Context | None = None,
+    log: Log = say,
 ) -> str:
     """Let `agent` take part in a session until the hub says goodbye; return the hub's reason.
 
-    A mapping from session names to agents serves several sessions over one connection.
+    Args:
+        agent: the agent; or a mapping from session names to agents, which serves several sessions over
+            one connection.
+        hub: URL of the hub.
+        session: name of the session; not used with a mapping.
+        wait: seconds after which a hub that has not answered is given up; None waits forever.
+        context: the ZeroMQ context; by default the process's own.
+        log: takes lines for people; by default they go to standard error.
 
     Raises:
-        ConfigError: an address or a session name is malformed.
+        ConfigError: an address or a session name is malformed, or the host's name does not resolve.
+        HubUnreachable: no hub has answered within `wait` seconds.
         Refused: the hub does not let it in, for instance because the session has an agent.
-        PeerFailed: the agent raised an exception; the hub was told.
+        PeerFailed: the agent lacks a method of its role, or raised an exception, which the hub was told.
     """
-    return _serve(Role.AGENT, agent, hub, session, **how)
+    agents = agent if isinstance(agent, Mapping) else {session: agent}
+    return _serve(Role.AGENT, agents, hub, wait, context, log)
 
 
 def serve_environment(
     environment: Environment | Mapping[str, Environment],
     hub: str = DEFAULT_HUB,
     session: str = DEFAULT_SESSION,
-    **how: Any,
+    *,
+    wait: float | None = None,
+    context: Context | None = None,
+    log: Log = say,
 ) -> str:
-    """Let `environment` take part in a session; as `serve_agent`."""
-    return _serve(Role.ENVIRONMENT, environment, hub, session, **how)
+    """Let `environment` take part in a session; arguments and errors are those of `serve_agent`."""
+    environments = environment if isinstance(environment, Mapping) else {session: environment}
+    return _serve(Role.ENVIRONMENT, environments, hub, wait, context, log)
 
 
 class _Player:
     """One agent or environment, in one session: what it can be asked, and its last answer."""
 
-    def __init__(self, role: Role, player: Any) -> None:
+    def __init__(self, role: Role, player: Agent | Environment) -> None:
         self.name = name_of(player)
-        self.handlers: dict[Kind, Handler] = role_calls(role, player)
-        self.last_seq = 0
-        self.last_answer: Message | None = None
+        self.capabilities = capabilities(player)
+        self._handlers: dict[Kind, Handler] = role_calls(role, player)
+        self._last_seq = 0
+        self._last_call: Message | None = None
+        self._last_answer: Message | None = None
 
-    def welcome(self, resumed: bool) -> None:
-        """A hub that does not know this player counts its calls from the start."""
-        if not resumed:
-            self.last_seq = 0
-            self.last_answer = None
+    def forget(self) -> None:
+        """Forget which calls were answered: a hub that does not know this player has a count of its own.
+
+        The last call is kept. If this very call comes again, it is the same hub, which never received
+        the answer.
+        """
+        self._last_seq = 0
 
     def answer(self, message: Message) -> Message | None:
-        """Return the answer to a call; the same one if the call is repeated; none if it is outdated."""
+        """Return the answer to a call; the same one if the call is repeated; None if it is outdated."""
         kind, session, seq, scalars, body = message
-        if seq <= self.last_seq:
-            return self.last_answer if seq == self.last_seq else None
-        handler = self.handlers.get(kind)
+        if seq <= self._last_seq:
+            return self._last_answer if seq == self._last_seq else None
+        if message == self._last_call:
+            self._last_seq = seq
+            return self._last_answer
+        handler = self._handlers.get(kind)
         if handler is None:
             raise RemoteProtocolError(f"the hub asked {self.name} for {kind.name}")
         replied, result = handler(scalars, READ[CALLS[kind].request.body](body))
         answer = Message(kind, session, seq, replied, write(result))
-        self.last_seq = seq
-        self.last_answer = answer
+        self._last_seq = seq
+        self._last_call = message
+        self._last_answer = answer
         return answer
 
 
 def _serve(
     role: Role,
-    players: Any,
+    players: Mapping[str, Agent] | Mapping[str, Environment],
     hub: str,
-    session: str,
-    *,
-    context: Context | None = None,
-    log: Log | None = None,
+    wait: float | None,
+    context: Context | None,
+    log: Log,
 ) -> str:
-    log = log or say
-    by_session = players if isinstance(players, Mapping) else {session: players}
-    served = {name: _Player(role, player) for name, player in by_session.items()}
-    abilities = {name: (served[name].name, capabilities(player)) for name, player in by_session.items()}
-    link = Link(role, hub, abilities, context, log)
+    served = {session: _Player(role, player) for session, player in players.items()}
+    names = {session: (player.name, player.capabilities) for session, player in served.items()}
+    link = Link(role, hub, names, wait, context, log)
     reason = "interrupted"
     try:
         while True:
@@ -112,9 +135,8 @@ def _serve(
             if player is None:
                 continue
             if message.kind is Kind.WELCOME:
-                resumed = bool(message.scalars[1])
-                player.welcome(resumed)
-                if not resumed:
+                if not message.scalars[1]:
+                    player.forget()
                     log(f"{role} {player.name} is in session {message.session!r} at {hub}")
             elif message.kind in CALLS:
                 try:
@@ -122,19 +144,18 @@ def _serve(
                     if answer is not None:
                         link.send(answer)
                 except Exception as error:
-                    reason = f"{type(error).__name__} in {message.kind.name.lower()}"
-                    text = _report(link, message, error)
                     what = message.kind.name.lower()
+                    reason = f"{type(error).__name__} in {what}"
+                    text = _report(link, message, error)
                     raise PeerFailed(f"{role} {player.name} raised in {what}: {text}") from error
     except HubClosed as goodbye:
-        reason = "goodbye"
         return str(goodbye)
     finally:
         link.close(reason)
 
 
 def _report(link: Link, message: Message, error: Exception) -> str:
-    """Show the user's own mistake where it happened; tell the hub in a few words, and return them."""
+    """Print where the user's code failed; send the hub a short text, and return it."""
     if not isinstance(error, GlueError):
         traceback.print_exception(error)
     text = str(error) if isinstance(error, GlueError) else f"{type(error).__name__}: {error}"

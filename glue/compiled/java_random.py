@@ -1,4 +1,4 @@
-"""The generator of Java's java.util.Random; its 48 bits of state are the caller's.
+"""The generator java.util.Random of Java; its 48 bits of state are the caller's.
 
 The state is an array of one int64, so that drawing can advance it.
 """
@@ -10,45 +10,54 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from glue.compiled.jit import jit
+from glue.compiled.jit import entry, jit
 
-__all__ = ["State", "draw", "seeded"]
+__all__ = ["MASK", "State", "draw", "draw_double", "seeded"]
 
 State = npt.NDArray[np.int64]
 
 _MULTIPLIER: Final = 0x5DEECE66D
 _INCREMENT: Final = 11
+MASK: Final = (1 << 48) - 1
+"""The bits of a state, and those of a seed that count."""
 _HALF: Final = (1 << 24) - 1
 _HIGH: Final = _MULTIPLIER >> 24
 _LOW: Final = _MULTIPLIER & _HALF
 
 
-@jit
+@entry
 def seeded(seed: int) -> State:
     """Return the state that Java gives the 64-bit `seed`."""
     state = np.empty(1, np.int64)
-    state[0] = (seed ^ _MULTIPLIER) & ((1 << 48) - 1)
+    state[0] = (seed ^ _MULTIPLIER) & MASK
     return state
 
 
 @jit
 def draw(state: State, bound: int) -> int:
-    """Return a number from 0 to `bound` - 1, each as likely; `bound` is at least 1."""
+    """Return a number from 0 to `bound` - 1, each equally likely; `bound` is at least 1."""
     if bound & -bound == bound:
-        return (int(bound) * _next31(state)) >> 31  # int: not compiled, a field of the world has 32 bits
+        return (int(bound) * _next(state, 31)) >> 31  # int: not compiled, a field of the world has 32 bits
     while True:
-        bits = _next31(state)
+        bits = _next(state, 31)
         value = bits % bound
         if bits - value + bound - 1 < 1 << 31:  # else the last, incomplete run of numbers: draw again
             return value
 
 
+@entry
+def draw_double(state: State) -> float:
+    """Return a number from [0, 1), a multiple of 2**-53."""
+    high = _next(state, 26)
+    return float((high << 27) + _next(state, 27)) * 2.0**-53
+
+
 @jit
-def _next31(state: State) -> int:
-    """Advance the state; return its upper 31 bits."""
+def _next(state: State, bits: int) -> int:
+    """Advance the state; return its upper bits, as many as asked for."""
     # In halves of 24 bits, since the product of the whole would not fit 64.
     high = int(state[0]) >> 24
     low = int(state[0]) & _HALF
     product = (((high * _LOW + low * _HIGH) & _HALF) << 24) + low * _LOW + _INCREMENT
-    state[0] = product & ((1 << 48) - 1)
-    return int(state[0]) >> 17
+    state[0] = product & MASK
+    return int(state[0]) >> (48 - bits)

@@ -21,8 +21,8 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from glue.errors import ConfigError
+from glue.protocol.limits import MAX_BODY, MAX_NAME
 from glue.protocol.messages import Role
-from glue.protocol.wire import MAX_BODY, MAX_NAME
 
 __all__ = ["DEFAULT_HUB", "DEFAULT_SESSION", "Bind", "HubConfig", "LegacyPort", "check_session", "check_url"]
 

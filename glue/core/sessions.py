@@ -18,7 +18,7 @@ network drops:
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, Protocol
+from typing import Final, Protocol
 
 from glue.core.calls import skippable, unsupported
 from glue.core.config import HubConfig
@@ -36,6 +36,12 @@ INSTANCE_SIZE: Final = 16
 
 ONE_RUN: Final = "one-run"
 """Capability of a player that takes part in one run alone: it is sent off when the experiment leaves."""
+
+_SLOW_SECONDS: Final = 5.0
+"""How long a player may take for an answer before it is mentioned."""
+
+_RARER: Final = 6.0
+"""Each mention comes after so many times as long as the one before: after 5 s, 30 s, 180 s, ..."""
 
 _LIGHT: Final = 65_536
 """Bytes of bodies that a session may keep without being accounted for: 64 MiB in 1024 sessions."""
@@ -95,7 +101,7 @@ class Switchboard:
 
     Args:
         config: limits and times.
-        log: takes one line for people about each peer that joins or leaves.
+        log: takes one line for people about each peer that joins, leaves or is slow to answer.
 
     Attributes:
         memory: bounds what is kept for sessions, and for whatever else the hub keeps.
@@ -104,7 +110,7 @@ class Switchboard:
     def __init__(self, config: HubConfig, log: Callable[[str], None]) -> None:
         self.memory = Memory(config.max_memory)
         self._config = config
-        self._log = log
+        self.log = log
         self._now = 0.0
         self._sessions: dict[str, _Session] = {}
         self._seats: dict[Route, dict[str, _Peer]] = {}
@@ -175,6 +181,8 @@ class Switchboard:
                 since = peer.unreachable_since
                 if since is not None and now - since >= self._config.patience:
                     self._lose(peer, f"was out of reach for {now - since:.1f} s")
+        for session in self._sessions.values():
+            session.report_if_slow(now)
 
     def close(self, reason: str) -> None:
         """Tell every peer that the hub ends."""
@@ -192,7 +200,7 @@ class Switchboard:
         refusal = self._greet(route, message)
         if refusal is not None:
             code, text = refusal
-            self._log(f"refused a peer of session {message.session!r}: {text}")
+            self.log(f"refused a peer of session {message.session!r}: {text}")
             self.send(route, Message(Kind.REFUSE, message.session, message.seq, (str(code), clip(text))))
 
     def _greet(self, route: Route, message: Message) -> tuple[ErrorCode, str] | None:
@@ -253,7 +261,7 @@ class Switchboard:
         self._sessions[session.name] = session
         self._seats.setdefault(route, {})[session.name] = peer
         if current is None:
-            self._log(f"session {session.name!r}: {role} {label} {'returned' if known else 'joined'}")
+            self.log(f"session {session.name!r}: {role} {label} {'returned' if known else 'joined'}")
         session.join(peer, same=known or current is not None, announce=current is None)
         return None
 
@@ -291,7 +299,7 @@ class Switchboard:
     def _lose(self, peer: _Peer, why: str, code: ErrorCode = ErrorCode.PEER_LOST) -> None:
         session = peer.session
         self._unseat(peer)
-        self._log(f"session {session.name!r}: {peer.role} {peer.label} {why}")
+        self.log(f"session {session.name!r}: {peer.role} {peer.label} {why}")
         session.lose(peer, why, code)
         if not session.peers:
             self._sessions.pop(session.name, None)
@@ -322,6 +330,9 @@ class _Session:
         "_reply",
         "_request_seq",
         "_seq",
+        "_slow_after",
+        "_watched",
+        "_watched_since",
         "name",
         "peers",
     )
@@ -336,6 +347,9 @@ class _Session:
         self._outstanding: Message | None = None
         self._request_seq = 0
         self._reply: Message | None = None
+        self._watched: Message | None = None
+        self._watched_since = 0.0
+        self._slow_after = _SLOW_SECONDS
         self._heavy = False
 
     @property
@@ -386,14 +400,14 @@ class _Session:
         if role is Role.EXPERIMENT:
             for player in self.peers.values():
                 if player is not peer:
-                    self._notify(Event.JOINED, player)
+                    self._notify(Event.JOINED, player.role, player.label)
             if same:
                 self.repeat(peer)
             else:
                 self._forget_experiment()
             return
         if announce:
-            self._notify(Event.RETURNED if same else Event.JOINED, peer)
+            self._notify(Event.RETURNED if same else Event.JOINED, role, peer.label)
         if not same:
             self._engine.replace(role)
         asked = self._engine.asked
@@ -419,13 +433,28 @@ class _Session:
             self._forget_experiment()
             return
         engine = self._engine
-        self._notify(Event.LOST, peer)
+        self._notify(Event.LOST, role, peer.label)
         awaited = engine.awaiting is not None and CALLS[engine.awaiting].callee is role
         reason = f"the {role} {peer.label} {why}"
         stranded = engine.verb is not None and (engine.in_episode or awaited)
         engine.void(reason)
         if stranded:
             self._fail(code, reason)
+
+    def report_if_slow(self, now: float) -> None:
+        """Mention, now and then, a player that has been asked and has not answered."""
+        asked = self._outstanding
+        role = None if asked is None else CALLS[asked.kind].callee
+        player = None if role is None else self.peers.get(role)
+        if asked is None or player is None:
+            self._watched = None
+        elif asked is not self._watched:
+            self._watched, self._watched_since, self._slow_after = asked, now, _SLOW_SECONDS
+        elif now - self._watched_since >= self._slow_after:
+            text = f"{player.label} has not answered {asked.kind.name.lower()} for {self._slow_after:.0f} s"
+            self._slow_after *= _RARER
+            self._board.log(f"session {self.name!r}: {player.role} {text}")
+            self._notify(Event.SLOW, player.role, text)
 
     def request(self, peer: _Peer, message: Message) -> bool:
         """Begin on a verb of the experiment; return whether it was in turn."""
@@ -532,11 +561,10 @@ class _Session:
         if experiment is not None:
             self._board.deliver(experiment, reply)
 
-    def _notify(self, event: Event, player: _Peer) -> None:
+    def _notify(self, event: Event, role: Role, text: str) -> None:
         experiment = self.peers.get(Role.EXPERIMENT)
         if experiment is not None:
-            scalars: tuple[Any, ...] = (str(event), str(player.role), player.label)
-            self._board.deliver(experiment, Message(Kind.NOTICE, self.name, 0, scalars))
+            self._board.deliver(experiment, Message(Kind.NOTICE, self.name, 0, (str(event), str(role), text)))
 
     def _error(self, peer: _Peer, message: Message, code: ErrorCode, text: str) -> None:
         self._board.deliver(peer, Message(Kind.ERROR, self.name, message.seq, (str(code), clip(text))))

@@ -13,15 +13,13 @@ from glue import __version__
 from glue.commands import Terminated, legacy_port_option, run
 from glue.console import say
 from glue.core.config import DEFAULT_HUB, HubConfig, LegacyPort
-from glue.hub.server import Hub
-from glue.legacy.gateway import Gateway
 
 __all__ = ["hub", "main"]
 
 _DEFAULTS: Final = HubConfig()
 
 
-@click.command()
+@click.command("glue-hub")
 @click.option(
     "--bind",
     multiple=True,
@@ -98,6 +96,9 @@ def hub(
 
 def serve_until_interrupted(config: HubConfig, ports: Sequence[LegacyPort] = ()) -> None:
     """Serve until Ctrl-C or SIGTERM; every peer is told."""
+    from glue.hub.server import Hub
+    from glue.legacy.gateway import Gateway
+
     _allow_many_connections()
     with Hub(config, say) as running:
         gateway = Gateway(running, ports, say)
@@ -112,6 +113,7 @@ def serve_until_interrupted(config: HubConfig, ports: Sequence[LegacyPort] = ())
                 name = "SIGTERM" if isinstance(interrupt, Terminated) else "SIGINT"
                 running.stop(f"the hub was stopped by {name}")
                 say(f"stopped by {name}")
+                raise
 
 
 def _allow_many_connections() -> None:

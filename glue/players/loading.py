@@ -2,30 +2,46 @@
 
 A name is one of three: that of an installed entry point (group `glue.agents` or `glue.environments`),
 `module:Class`, or `path/to/file.py:Class`.
+
+A file called random.py or agents.py in the user's folder takes no module's place: the folder is looked
+in after everything that is installed.
 """
 
 from __future__ import annotations
 
+import ast
 import importlib
 import importlib.util
 import sys
 import traceback
+from importlib.machinery import ModuleSpec, PathFinder
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
+from typing import Final
 
 from glue.errors import ConfigError
 from glue.protocol.messages import Role
 from glue.suggestions import did_you_mean
 
-__all__ = ["find", "names"]
+__all__ = ["find", "names", "summaries"]
 
-_GROUPS = {Role.AGENT: "glue.agents", Role.ENVIRONMENT: "glue.environments"}
+_GROUPS: Final = {Role.AGENT: "glue.agents", Role.ENVIRONMENT: "glue.environments"}
 
 
 def names(role: Role) -> list[str]:
     """Return the names of the installed agents or environments, sorted."""
     return sorted(_installed(role))
+
+
+def summaries(role: Role) -> dict[str, str]:
+    """Return the docstring of each installed agent or environment, by name, without importing it.
+
+    It is empty where there is no docstring, or no source to read it from.
+    """
+    points = sorted(_installed(role).items())
+    modules = {module: _class_docstrings(module) for module in {point.module for _, point in points}}
+    return {name: modules[point.module].get(point.attr, "") for name, point in points}
 
 
 def find(role: Role, name: str) -> type:
@@ -39,8 +55,15 @@ def find(role: Role, name: str) -> type:
         return _class_of(_import(entry_point.module), entry_point.attr, entry_point.module)
     source, _, attribute = name.rpartition(":")
     if not source or not attribute:
-        raise ConfigError(_unknown(role, name))
-    module = _import_file(Path(source)) if source.endswith(".py") else _import(source)
+        raise ConfigError(
+            f"no {role} is called {name!r}{did_you_mean(name, names(role))} "
+            "(your own is named module:Class or path/to/file.py:Class)"
+        )
+    if source.endswith(".py"):
+        module = _import_file(Path(source))
+    else:
+        _look_in(Path.cwd())
+        module = _import(source)
     return _class_of(module, attribute, source)
 
 
@@ -48,15 +71,25 @@ def _installed(role: Role) -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=_GROUPS[role])}
 
 
-def _unknown(role: Role, name: str) -> str:
-    return (
-        f"no {role} is called {name!r}{did_you_mean(name, names(role))} "
-        "(your own is named module:Class or path/to/file.py:Class)"
-    )
+def _class_docstrings(module: str) -> dict[str, str]:
+    spec = _spec(module)
+    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+        return {}
+    body = ast.parse(Path(spec.origin).read_bytes()).body
+    return {node.name: ast.get_docstring(node) or "" for node in body if isinstance(node, ast.ClassDef)}
+
+
+def _spec(module: str) -> ModuleSpec | None:
+    """Return where a module is. Unlike importlib's `find_spec` this does not import its packages."""
+    package, _, _ = module.rpartition(".")
+    if not package:
+        return importlib.util.find_spec(module)
+    parent = _spec(package)
+    locations = None if parent is None else parent.submodule_search_locations
+    return None if locations is None else PathFinder.find_spec(module, list(locations))
 
 
 def _import(module: str) -> ModuleType:
-    _look_in(Path.cwd())
     try:
         return importlib.import_module(module)
     except ModuleNotFoundError as error:
@@ -86,17 +119,18 @@ def _import_file(path: Path) -> ModuleType:
 
 
 def _look_in(folder: Path) -> None:
-    """Let modules of `folder` be imported, as those beside a program are that Python itself is given."""
+    """Let modules of `folder` be imported, unless something of that name is installed."""
     if str(folder) not in sys.path:
-        sys.path.insert(0, str(folder))
+        sys.path.append(str(folder))
 
 
 def _broken(source: str, error: BaseException) -> str:
-    where = ""
-    if not isinstance(error, SyntaxError):  # which says itself where it is
-        last = traceback.extract_tb(error.__traceback__)[-1]
-        where = f" ({last.filename}, line {last.lineno})"
-    return f"{source} cannot be imported: {type(error).__name__}: {error}{where}"
+    if isinstance(error, SyntaxError):  # shown as Python does: file, line and a caret
+        return f"{source} cannot be imported:\n{''.join(traceback.format_exception_only(error)).rstrip()}"
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return (
+        f"{source} cannot be imported: {type(error).__name__}: {error} ({last.filename}, line {last.lineno})"
+    )
 
 
 def _class_of(module: ModuleType, attribute: str, source: str) -> type:

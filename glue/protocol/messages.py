@@ -175,6 +175,7 @@ class Event(StrEnum):
     JOINED = "joined"
     LOST = "lost"
     RETURNED = "returned"
+    SLOW = "slow"
 
 
 _REWARD = Scalar("reward", float)

@@ -15,19 +15,21 @@ from typing import Final
 import msgpack
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
+from glue.protocol.limits import MAX_BODY, MAX_HEADER, MAX_NAME
 from glue.protocol.messages import CALLS, CONTROL, Body, Kind, Message, Scalar, Shape, Value
 from glue.types import body_size
 
-__all__ = ["FROM_HUB", "MAX_BODY", "MAX_HEADER", "TO_HUB", "UnknownKind", "clip", "decode", "encode"]
-
-MAX_HEADER: Final = 4096
-"""The greatest header, in bytes. The longest legal one, a HELLO, stays far below."""
-
-MAX_BODY: Final = 16 * 2**20
-"""The greatest body, in bytes: room for RL-Glue's million ints, million doubles and million chars."""
-
-MAX_NAME: Final = 255
-"""The greatest session or peer name, in characters."""
+__all__ = [
+    "FROM_HUB",
+    "MAX_BODY",
+    "MAX_HEADER",
+    "MAX_NAME",
+    "TO_HUB",
+    "UnknownKind",
+    "clip",
+    "decode",
+    "encode",
+]
 
 _MAX_TEXT: Final = 1000
 """Bytes of a text for people. Beside the longest session name it leaves a header room to spare."""

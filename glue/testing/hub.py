@@ -8,8 +8,8 @@ from typing import Final
 from glue.client.transport import Context
 from glue.core.config import check_url
 from glue.testing import play, trouble
-from glue.testing.puppets import Scene
 from glue.testing.rules import HubRule
+from glue.testing.scripted import Scene
 
 __all__ = ["check_hub"]
 

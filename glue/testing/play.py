@@ -6,19 +6,19 @@ Each scene is a function; the rule that it is about is in `glue.testing.hub`.
 from __future__ import annotations
 
 from glue.protocol.messages import PROTOCOL_VERSION, ErrorCode, Event, Kind, Role
-from glue.testing.puppets import Puppet, Scene, did, number, reward, saw, shown
+from glue.testing.scripted import Scene, ScriptedPeer, did, number, reward, saw, shown
 from glue.types import Action
 
 
 def greeting(scene: Scene) -> None:
     """HELLO, twice, in each role."""
-    for seq, puppet in enumerate((scene.agent, scene.environment, scene.experiment), start=5):
-        version, _, heartbeat, patience, max_body = map(number, puppet.join(seq=seq).scalars)
-        puppet.check(version == PROTOCOL_VERSION, f"version {version:g} was chosen")
-        puppet.check(heartbeat > 0, f"the heartbeat is {heartbeat:g} s")
-        puppet.check(patience >= heartbeat, f"the patience is {patience:g} s, the heartbeat {heartbeat:g} s")
-        puppet.check(max_body > 0, f"the greatest body is {max_body:g} bytes")
-        puppet.join(resumed=True)  # The same HELLO over the same connection changes nothing.
+    for seq, peer in enumerate((scene.agent, scene.environment, scene.experiment), start=5):
+        version, _, heartbeat, patience, max_body = map(number, peer.join(seq=seq).scalars)
+        peer.check(version == PROTOCOL_VERSION, f"version {version:g} was chosen")
+        peer.check(heartbeat > 0, f"the heartbeat is {heartbeat:g} s")
+        peer.check(patience >= heartbeat, f"the patience is {patience:g} s, the heartbeat {heartbeat:g} s")
+        peer.check(max_body > 0, f"the greatest body is {max_body:g} bytes")
+        peer.join(resumed=True)  # The same HELLO over the same connection changes nothing.
 
 
 def version(scene: Scene) -> None:
@@ -33,7 +33,7 @@ def role_taken(scene: Scene) -> None:
     """A second peer in each role, while the first plays."""
     scene.init()
     for role in Role:
-        second = scene.puppet(role)
+        second = scene.peer(role)
         second.hello()
         _refused(second, ErrorCode.ROLE_TAKEN, 0)
     scene.episode(0, 2)
@@ -153,7 +153,7 @@ def messages(scene: Scene) -> None:
 
 def seed(scene: Scene) -> None:
     """RL_INIT with a seed, for an environment that takes one and an agent that does not."""
-    scene.environment = scene.puppet(Role.ENVIRONMENT, "seed", "a capability that nobody knows")
+    scene.environment = scene.peer(Role.ENVIRONMENT, "seed", "a capability that nobody knows")
     scene.gather()
     given = []
     for seed in (2026, 2026, 7):
@@ -174,7 +174,7 @@ def seed(scene: Scene) -> None:
 
 def unsupported(scene: Scene) -> None:
     """Save and load, of an environment that can and an agent that cannot."""
-    scene.environment = scene.puppet(Role.ENVIRONMENT, "save")
+    scene.environment = scene.peer(Role.ENVIRONMENT, "save")
     scene.init()
     saved = bytes(range(256))
     scene.experiment.ask(Kind.RL_ENV_SAVE)
@@ -194,7 +194,7 @@ def sessions(scene: Scene) -> None:
     scene.init()
     scene.start()
     names = scene.session, f"{scene.session}-2"
-    second = scene.puppet(Role.EXPERIMENT)
+    second = scene.peer(Role.EXPERIMENT)
     second.session = scene.agent.session = names[1]
     second.join()
     scene.agent.join()
@@ -212,18 +212,18 @@ def sessions(scene: Scene) -> None:
 
 def goodbye(scene: Scene) -> None:
     """An agent, then the experiment leaves; an environment came for one run."""
-    scene.environment = scene.puppet(Role.ENVIRONMENT, "one-run")
+    scene.environment = scene.peer(Role.ENVIRONMENT, "one-run")
     scene.init()
     scene.agent.leave()
     scene.experiment.hears_notice(Event.LOST, Role.AGENT)
-    scene.puppet(Role.AGENT).join()
+    scene.peer(Role.AGENT).join()
     scene.experiment.leave()
     scene.environment.hears(Kind.GOODBYE)
-    second = scene.puppet(Role.EXPERIMENT)
+    second = scene.peer(Role.EXPERIMENT)
     second.join()
     second.gets(Kind.RL_NUM_EPISODES, 0)
 
 
-def _refused(puppet: Puppet, code: ErrorCode, seq: int) -> None:
-    refuse = puppet.hears(Kind.REFUSE, seq)
-    puppet.check(refuse.scalars[0] == code, f"{shown(refuse)} came instead of the code {code}")
+def _refused(peer: ScriptedPeer, code: ErrorCode, seq: int) -> None:
+    refuse = peer.hears(Kind.REFUSE, seq)
+    peer.check(refuse.scalars[0] == code, f"{shown(refuse)} came instead of the code {code}")

@@ -6,14 +6,14 @@ Each scene is a function; the rule that it is about is in `glue.testing.hub`.
 from __future__ import annotations
 
 from glue.protocol.messages import ErrorCode, Event, Kind, Role
-from glue.testing.puppets import TASK_SPEC, Scene, did, number, reward, saw, shown
+from glue.testing.scripted import TASK_SPEC, Scene, did, number, reward, saw, shown
 
 
 def unknown_peer(scene: Scene) -> None:
     """A word from a stranger, and from a known instance over a new connection."""
-    for seq, puppet in enumerate((scene.agent, scene.environment, scene.experiment), start=5):
-        puppet.send(Kind.HEARTBEAT, seq=seq)
-        puppet.hears_error(ErrorCode.UNKNOWN_PEER, seq)
+    for seq, peer in enumerate((scene.agent, scene.environment, scene.experiment), start=5):
+        peer.send(Kind.HEARTBEAT, seq=seq)
+        peer.hears_error(ErrorCode.UNKNOWN_PEER, seq)
     scene.init()
     scene.agent.connect()
     scene.agent.send(Kind.HEARTBEAT, seq=1)
@@ -44,8 +44,8 @@ def repeated(scene: Scene) -> None:
     scene.agent.answers(Kind.AGENT_STEP, reward(1), body=saw(1), gives=did(1))
     scene.experiment.hears_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
     scene.experiment.send(Kind.RL_STEP, seq=scene.experiment.seq)
-    for puppet in (scene.experiment, scene.environment, scene.agent):
-        puppet.hears_nothing()
+    for peer in (scene.experiment, scene.environment, scene.agent):
+        peer.hears_nothing()
     scene.counted(reward(1), 2, 0)
     scene.step(2)
 
@@ -73,9 +73,9 @@ def unknown_kind(scene: Scene) -> None:
     """A kind that does not exist, from each role."""
     scene.init()
     scene.start()
-    for puppet in (scene.agent, scene.environment, scene.experiment):
-        puppet.send_frames([_unknown(puppet.session)])
-        puppet.hears_error(ErrorCode.UNKNOWN_KIND, 5)
+    for peer in (scene.agent, scene.environment, scene.experiment):
+        peer.send_frames([_unknown(peer.session)])
+        peer.hears_error(ErrorCode.UNKNOWN_KIND, 5)
     scene.step(1)
 
 
@@ -100,7 +100,7 @@ def malformed(scene: Scene) -> None:
     """No message from a stranger, a body cut short from a player."""
     scene.init()
     scene.start()
-    stranger = scene.puppet(Role.AGENT)
+    stranger = scene.peer(Role.AGENT)
     stranger.send_frames([b"\xc1"])
     stranger.hears_malformed()
     scene.step(1)
@@ -201,14 +201,14 @@ def replaced(scene: Scene) -> None:
     scene.environment.leave()
     scene.experiment.hears_notice(Event.LOST, Role.ENVIRONMENT)
     scene.experiment.ask(Kind.RL_START)  # It waits for whoever comes.
-    scene.environment = scene.puppet(Role.ENVIRONMENT)
+    scene.environment = scene.peer(Role.ENVIRONMENT)
     scene.environment.join()
     scene.experiment.hears_notice(Event.JOINED, Role.ENVIRONMENT)
     scene.environment.answers(Kind.ENV_INIT, gives=TASK_SPEC.encode())
     scene.started()
     scene.experiment.hears_reply(Kind.RL_START, body=saw(0) + did(0))
     scene.agent.leave()
-    scene.agent = scene.puppet(Role.AGENT)
+    scene.agent = scene.peer(Role.AGENT)
     scene.agent.join()
     scene.experiment.hears_notice(Event.JOINED, Role.AGENT)
     scene.experiment.ask(Kind.RL_EPISODE, 1)

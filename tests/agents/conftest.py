@@ -8,12 +8,12 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from agents.checkpoint import unpack
 from agents.keys import extend, feature
-from agents.mario.learner import MarioLearner
 from agents.mario.objects import THREATS_2010, Object, Scene, Senses, look, set_senses
 from agents.mario.observation import Screen
+from agents.mohan2010.learner import MarioLearner
 from glue.compiled.records import new
+from glue.saves import unpack
 from glue.types import Observation
 
 ROWS, COLUMNS = 16, 21

@@ -69,7 +69,7 @@ def unit(file: Path) -> str:
         return "glue/__init__"
     if file.parts[1] == "paper":
         return str(file.parent)
-    if file.parent.name == "commands" or file.stem in ("command", "commands"):
+    if file.parent.name == "commands" or file.stem in ("command", "commands", "entry"):
         return f"{package}/commands"
     return str(file.parent)
 

@@ -25,7 +25,7 @@ HOMES: Mapping[str, Sequence[str]] = {
     "zmq": ["glue/client/transport.py", "glue/client/link.py", "experiment_runner/players.py"],
     "msgpack": ["glue/protocol/wire.py", "experiment_runner/executors/job.py"],
     "numba": ["glue/compiled/jit.py"],
-    "click": ["*command.py", "*/commands/*", "glue/commands.py", "glue/console.py"],
+    "click": ["*command.py", "*/commands/*", "glue/commands.py", "glue/players/naming.py"],
     "matplotlib": ["experiment_runner/report/*", "experiment_runner/paper/figures.py"],
     "PIL": ["env_server/render/*"],
     "sqlite3": ["experiment_runner/store/*"],
@@ -156,9 +156,11 @@ class Missing:
 
 sys.meta_path.insert(0, Missing())
 commands = importlib.metadata.entry_points(group='console_scripts')
-modules = {point.module for point in commands if point.name.startswith('glue-')}
-assert len(modules) >= 9, modules
-for module in modules:
-    importlib.import_module(module)
+ours = [point for point in commands if point.name.startswith('glue-')]
+assert len(ours) >= 9, ours
+for point in ours:
+    entry = importlib.import_module(point.module)
+    entry.start = importlib.import_module
+    getattr(entry, point.attr)()
 """
     subprocess.run([sys.executable, "-c", program], check=True, cwd=ROOT, timeout=120)

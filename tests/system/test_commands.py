@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -36,6 +37,70 @@ def hub(tmp_path: Path) -> str:
     return f"ipc://{tmp_path}/hub"
 
 
+ENDLESS_COMMANDS = {
+    "glue-hub": ["--bind", "tcp://127.0.0.1:*"],
+    "glue-env": ["mario", "--hub", "ipc:///nowhere/hub"],
+    "glue-agent": ["hierarchical", "--hub", "ipc:///nowhere/hub"],
+    "glue-experiment": ["--env", "mario", "--agent", "hierarchical", "--episodes", "100000", "--in-process"],
+    "glue-paper": ["7", "--workers", "1"],
+    "glue-plot": ["runs", "--out", "curves.png"],
+    "glue-replay": ["recording.traj"],
+    "glue-results": ["show", "runs"],
+    "glue-watch": ["--agent", "hierarchical", "--after", "100000"],
+}
+"""Arguments with which a command imports all that it needs."""
+
+IMPORTS = [
+    *((command, "click") for command in ENDLESS_COMMANDS),
+    *((command, "numpy.linalg") for command in ENDLESS_COMMANDS),
+    ("glue-agent", "zmq.backend"),
+    ("glue-agent", "numba.core"),
+    ("glue-experiment", "sqlite3"),
+]
+
+
+@pytest.mark.parametrize(("command", "module"), IMPORTS)
+def test_interrupt_during_an_import_ends_a_command_with_one_word(
+    command: str, module: str, tmp_path: Path
+) -> None:
+    assert set(ENDLESS_COMMANDS) == set(COMMANDS)
+    arguments = [module, str(BIN / command), *ENDLESS_COMMANDS[command]]
+    shown = subprocess.run(
+        [sys.executable, "-c", _INTERRUPTED_IMPORT, *arguments],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert (shown.returncode, shown.stderr) == (130, "interrupted\n")
+
+
+_INTERRUPTED_IMPORT = """
+import os, runpy, signal, sys
+
+class Interrupting:
+    def find_spec(self, name, path=None, target=None):
+        if name == module:
+            os.kill(os.getpid(), signal.SIGINT)
+
+_, module, *sys.argv = sys.argv
+sys.meta_path.insert(0, Interrupting())
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
+@pytest.mark.parametrize("command", ["glue-agent", "glue-env"])
+def test_interrupt_of_a_player_that_waits_is_one_word(
+    command: str, tmp_path: Path, terminals: list[Terminal]
+) -> None:
+    terminal = Terminal(command, *ENDLESS_COMMANDS[command], cwd=tmp_path)
+    terminals.append(terminal)
+    terminal.wait_for("no hub at ipc:///nowhere/hub")
+    os.kill(terminal.process.pid, signal.SIGINT)
+    assert terminal.end() == 130
+    assert [line for line in terminal.lines if line][1:] == ["interrupted"]
+
+
 def test_commands_are_all_installed() -> None:
     assert {"glue-hub", "glue-env", "glue-agent", "glue-experiment"} <= set(COMMANDS)
 
@@ -49,6 +114,15 @@ def test_command_has_help_with_examples_a_version_and_a_place_in_the_readme(
     assert "Example" in shown.stdout
     assert importlib.metadata.version("glue-rl") in run(command, "--version", cwd=tmp_path).stdout
     assert f"`{command}`" in (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_imports_nothing_slow(command: str, tmp_path: Path) -> None:
+    program = [sys.executable, "-X", "importtime", str(BIN / command), "--help"]
+    shown = subprocess.run(program, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=True)
+    imported = {line.rpartition("|")[2].strip() for line in shown.stderr.splitlines()}
+    assert "click" in imported
+    assert not imported & {"numpy", "zmq", "numba", "msgpack", "matplotlib", "sqlite3"}
 
 
 @pytest.mark.parametrize("player", ["glue-env mines", "glue-agent sarsa"])
@@ -150,6 +224,11 @@ class Suicidal:
         return ""
 
 
+class Patient(Suicidal):
+    def agent_step(self, reward, observation):
+        return Action(ints=[0])
+
+
 class Broken(Suicidal):
     def agent_step(self, reward, observation):
         raise ArithmeticError("cannot add up")
@@ -247,7 +326,47 @@ def test_same_seed_gives_the_same_returns_in_one_process_and_in_three(tmp_path: 
     assert results[0] != results[2]
 
 
+SHADOWS = ("agents", "env_server", "glue", "random", "numpy", "zmq", "click", "numba", "typing")
+
+
+@pytest.fixture
+def shadowed(tmp_path: Path) -> Path:
+    """A working directory with a file of the name of each module that everything depends on."""
+    for module in SHADOWS:
+        (tmp_path / f"{module}.py").write_text("raise AssertionError(__file__)", encoding="utf-8")
+    (tmp_path / "beside.py").write_text("ACTION = 0", encoding="utf-8")
+    (tmp_path / "mine.py").write_text(f"import beside\n{_ENDLESS}", encoding="utf-8")
+    return tmp_path
+
+
+@pytest.mark.parametrize("agent", ["random", "mine.py:Patient", "mine:Patient"])
+def test_file_in_the_working_directory_takes_no_modules_place(
+    agent: str, shadowed: Path, hub: str, terminals: list[Terminal]
+) -> None:
+    common = ("--episodes", "2", "--max-steps", "20")
+    players = ("--env", "mine.py:Endless", "--agent", agent)
+    for topology in ([], ["--in-process"], ["--workers", "1"]):
+        shown = run("glue-experiment", *common, *players, *topology, cwd=shadowed)
+        assert shown.returncode == 0, shown.stderr
+    experiment = Terminal("glue-experiment", *common, "--bind", hub, cwd=shadowed)
+    terminals += [experiment, Terminal("glue-env", "mine.py:Endless", "--hub", hub, cwd=shadowed)]
+    terminals.append(Terminal("glue-agent", agent, "--hub", hub, cwd=shadowed))
+    assert [terminal.end() for terminal in terminals] == [0, 0, 0], [t.lines for t in terminals]
+
+
 MISTAKES = {
+    "an option before the name": (
+        ["glue-agent", "--hub", "ipc:///nowhere", "random"],
+        "glue-agent random --hub ipc:///nowhere",
+    ),
+    "an option of the agent": (
+        ["glue-experiment", "--env", "mines", "--agent", "sarsa", "--step-size", "0.2", "--episodes", "1"],
+        "--agent-option step_size=0.2",
+    ),
+    "an option of the environment": (
+        ["glue-watch", "--agent", "random", "--env", "mines", "--random-start"],
+        "--env-option random_start=on",
+    ),
     "a misspelt environment": (["glue-env", "minez"], "did you mean mines"),
     "a misspelt agent": (
         ["glue-experiment", "--env", "mines", "--agent", "sarsaa", "--episodes", "1"],
@@ -334,9 +453,9 @@ def test_task_spec_that_does_not_parse_is_one_line_at_the_agent(tmp_path: Path, 
     assert "Traceback" not in shown.stderr
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_hub_that_is_stopped_tells_its_peers(
-    number: signal.Signals, tmp_path: Path, hub: str, terminals: list[Terminal]
+    number: signal.Signals, status: int, tmp_path: Path, hub: str, terminals: list[Terminal]
 ) -> None:
     stopped = Terminal("glue-hub", "--bind", hub, cwd=tmp_path)
     agent = Terminal("glue-agent", "random", "--hub", hub, cwd=tmp_path)
@@ -345,7 +464,7 @@ def test_hub_that_is_stopped_tells_its_peers(
     stopped.wait_for("agent .* joined")
     stopped.wait_for("environment .* joined")
     os.kill(stopped.process.pid, number)
-    assert stopped.end() == 0
+    assert stopped.end() == status
     assert (agent.end(), environment.end()) == (0, 0)
     agent.wait_for(f"goodbye: .*{number.name}")
 

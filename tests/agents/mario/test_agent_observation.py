@@ -91,5 +91,5 @@ def test_whatever_fills_the_layout_an_agent_acts_or_refuses(
 def test_an_observation_of_another_task_is_refused_with_what_came(task_spec: str) -> None:
     agent = HierarchicalAgent()
     agent.agent_init(task_spec)
-    with pytest.raises(RemoteProtocolError, match="one of 1 ints, 0 doubles and 0 chars came"):
+    with pytest.raises(RemoteProtocolError, match="1 ints, 0 doubles and 0 chars"):
         agent.agent_start(Observation([7]))

@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.checkpoint import CheckpointError
 from agents.mario.archive import Archive, Trajectory
+from glue.errors import SaveError
+from glue.saves import Saved
 
 SMALL, BIG = 0, 10
 
@@ -62,7 +63,7 @@ def test_nearest_step_is_by_the_sum_of_both_distances() -> None:
 
 def test_an_archive_comes_back_from_its_arrays() -> None:
     archive = an_archive()
-    again = Archive.of(archive.arrays())
+    again = Archive.of(Saved("best", {}, {}, archive.arrays()))
     assert again.cells == archive.cells
     assert list(again.cells) == list(archive.cells)
     assert again.finished
@@ -74,7 +75,7 @@ def test_an_archive_comes_back_from_its_arrays() -> None:
 
 
 def test_an_empty_archive_comes_back_from_its_arrays() -> None:
-    again = Archive.of(Archive().arrays())
+    again = Archive.of(Saved("best", {}, {}, Archive().arrays()))
     assert (again.cells, again.best, again.finished) == ({}, None, False)
 
 
@@ -102,10 +103,10 @@ def test_an_empty_archive_comes_back_from_its_arrays() -> None:
     ],
 )
 def test_arrays_that_no_archive_has_are_refused(name: str, array: Any) -> None:
-    arrays = an_archive().arrays()
+    arrays = dict(an_archive().arrays())
     if array is None:
         del arrays[name]
     else:
         arrays[name] = array
-    with pytest.raises(CheckpointError, match="not well formed"):
-        Archive.of(arrays)
+    with pytest.raises(SaveError, match="saved best"):
+        Archive.of(Saved("best", {}, {}, arrays))

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from agents.checkpoint import Checkpoint, CheckpointError, pack, unpack
+from agents.mario.actions import ACTIONS, LEFT, action_number
 from agents.mario.archive import Archive
 from agents.mario.best import BestAgent
-from agents.mario.klo import ACTIONS, LEFT, klo
 from env_server.mario.environment import InfiniteMario
-from glue.errors import ConfigError, RemoteProtocolError
+from glue.errors import ConfigError, RemoteProtocolError, SaveError
 from glue.options import parameters
 from glue.roles import Environment, capabilities
+from glue.saves import Saved, generator_array, pack, unpack
 from glue.testing import check_agent
 from glue.types import Action, Observation
 from tests.agents.topologies import check_same_over_sockets
@@ -27,7 +27,7 @@ TASK_SPEC = (
     "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 "
     "ACTIONS INTS (-1 1) (2 0 1)  REWARDS (-10.0 100.0)"
 )
-RUN_LEFT = ACTIONS[klo(LEFT, False, True)]
+RUN_LEFT = ACTIONS[action_number(LEFT, False, True)]
 
 
 @dataclass
@@ -297,7 +297,7 @@ def test_without_learning_the_best_episode_is_repeated_and_nothing_changes() -> 
 
 
 def test_another_task_is_refused_in_words() -> None:
-    with pytest.raises(ConfigError, match="agent best plays Infinite Mario alone"):
+    with pytest.raises(ConfigError, match="agent best plays Infinite Mario"):
         BestAgent().agent_init("VERSION RL-Glue-3.0 PROBLEMTYPE episodic")
 
 
@@ -331,7 +331,7 @@ def test_every_option_is_explained() -> None:
     assert capabilities(BestAgent()) == ("save", "seed")
 
 
-GENERATOR = np.zeros(40, np.int8)
+GENERATOR = generator_array(np.random.default_rng(1))
 WORLDS = np.array([7])
 NO_WORLDS = np.empty(0, np.int64)
 ARCHIVE = {f"0 {name}": array for name, array in Archive().arrays().items()}
@@ -357,11 +357,11 @@ def test_what_the_agent_cannot_have_saved_is_refused(
     agent = BestAgent()
     agent.agent_init(task_spec)
     before = agent.agent_save()
-    with pytest.raises(CheckpointError):
-        agent.agent_load(pack(Checkpoint("best", {}, {"episodes": episodes}, arrays)))
+    with pytest.raises(SaveError):
+        agent.agent_load(pack(Saved("best", {}, {"episodes": episodes}, arrays)))
     assert agent.agent_save() == before
     whole = {"worlds": WORLDS, "generator": GENERATOR, **ARCHIVE}
-    agent.agent_load(pack(Checkpoint("best", {}, {"episodes": 3}, whole)))
+    agent.agent_load(pack(Saved("best", {}, {"episodes": 3}, whole)))
     assert agent.agent_save() != before
 
 

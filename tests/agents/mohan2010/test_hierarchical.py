@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from agents.checkpoint import Checkpoint, pack
-from agents.mario.klo import ACTIONS, LEFT, RIGHT, STAY, klo
+from agents.mario.actions import ACTIONS, LEFT, RIGHT, STAY, action_number
 from agents.mario.objects import A_COIN, A_MONSTER, A_QUESTION, STATIONARY
 from agents.mario.observation import GOOMBA
 from agents.mohan2010.flo import CONTEXT, FLO_LEVEL, KLO_LEVEL
@@ -20,6 +19,7 @@ from agents.mohan2010.hierarchical import (
     HierarchicalProgrammedAgent,
     ObjectsCoarseAgent,
 )
+from glue.saves import Saved, pack
 from glue.types import Action
 
 if TYPE_CHECKING:
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 
 GROUND = "7" * 21
 THREAT, QUESTION, COIN = 1, 2, 4  # the bits of the context
-WALK = ACTIONS[klo(RIGHT, False, False)]
-JUMP = ACTIONS[klo(RIGHT, True, False)]
-RUNNING_JUMP = ACTIONS[klo(RIGHT, True, True)]
+WALK = ACTIONS[action_number(RIGHT, False, False)]
+JUMP = ACTIONS[action_number(RIGHT, True, False)]
+RUNNING_JUMP = ACTIONS[action_number(RIGHT, True, True)]
 
 
 def begun(agent: HierarchicalAgent, task_spec: str, seed: int = 1) -> HierarchicalAgent:
@@ -47,7 +47,7 @@ def teach(agent: HierarchicalAgent, values: Mapping[int, float]) -> None:
     keys = sorted(values)
     arrays = {"keys": np.array(keys, np.uint64), "values": np.array([values[key] for key in keys])}
     agent.agent_load(
-        pack(Checkpoint(agent.name, {"grid": 2, "tile_above": False}, {"random": 1, "cycles": 0}, arrays))
+        pack(Saved(agent.name, {"grid": 2, "tile_above": False}, {"random": 1, "cycles": 0}, arrays))
     )
 
 
@@ -58,8 +58,8 @@ def test_actions_are_numbered_by_direction_jump_and_run() -> None:
     assert [action.ints.tolist() for action in ACTIONS] == [
         [direction, jump, run] for direction in (-1, 0, 1) for jump in (0, 1) for run in (0, 1)
     ]
-    assert ACTIONS[klo(LEFT, True, False)] == Action((-1, 1, 0))
-    assert ACTIONS[klo(STAY, False, True)] == Action((0, 0, 1))
+    assert ACTIONS[action_number(LEFT, True, False)] == Action((-1, 1, 0))
+    assert ACTIONS[action_number(STAY, False, True)] == Action((0, 0, 1))
 
 
 # Learning

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from agents.checkpoint import Checkpoint, CheckpointError, pack
-from agents.mario.learner import MarioLearner
 from agents.mario.sample import SampleAgent
 from agents.mohan2010.flat import ObjectsFlatAgent, TilesAgent, TilesCoarseAgent
 from agents.mohan2010.hierarchical import (
@@ -18,10 +16,12 @@ from agents.mohan2010.hierarchical import (
     HierarchicalProgrammedAgent,
     ObjectsCoarseAgent,
 )
+from agents.mohan2010.learner import MarioLearner
 from env_server.mario.environment import InfiniteMario
-from glue.errors import ConfigError
+from glue.errors import ConfigError, SaveError
 from glue.options import parameters
 from glue.roles import Agent, capabilities
+from glue.saves import Saved, pack
 from glue.testing import check_agent
 from glue.types import Action, Observation
 from tests.agents.topologies import check_same_over_sockets
@@ -164,11 +164,11 @@ def test_values_of_other_options_are_not_loaded(task_spec: str) -> None:
     saved = trained(HierarchicalAgent, 1, 2)[0].agent_save()
     agent = HierarchicalAgent(grid=4)
     agent.agent_init(task_spec)
-    with pytest.raises(CheckpointError, match="saved with the options grid=2, tile_above=False"):
+    with pytest.raises(SaveError, match="saved with the options grid=2, tile_above=False"):
         agent.agent_load(saved)
     other = HierarchicalProgrammedAgent()
     other.agent_init(task_spec)
-    with pytest.raises(CheckpointError, match="saved by agent hierarchical, and"):
+    with pytest.raises(SaveError, match="saved by 'hierarchical', and"):
         other.agent_load(saved)
 
 
@@ -198,8 +198,8 @@ def test_what_a_learner_cannot_have_saved_is_refused(
     agent = TilesAgent()
     agent.agent_init(task_spec)
     before = agent.agent_save()
-    with pytest.raises(CheckpointError):
-        agent.agent_load(pack(Checkpoint("tiles", {}, numbers, arrays)))
+    with pytest.raises(SaveError):
+        agent.agent_load(pack(Saved("tiles", {}, numbers, arrays)))
     assert agent.agent_save() == before
 
 
@@ -218,8 +218,8 @@ def test_what_the_sample_agent_cannot_have_saved_is_refused(
 ) -> None:
     agent = SampleAgent()
     agent.agent_init(task_spec)
-    with pytest.raises(CheckpointError):
-        agent.agent_load(pack(Checkpoint("sample", {}, numbers, {"last": last})))
+    with pytest.raises(SaveError):
+        agent.agent_load(pack(Saved("sample", {}, numbers, {"last": last})))
 
 
 @pytest.mark.parametrize("kind", LEARNERS, ids=lambda kind: kind.name)

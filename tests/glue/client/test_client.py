@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import platform
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
+from functools import partial
 from typing import Any
 
 import msgpack
@@ -20,6 +22,7 @@ from glue.errors import (
     ConfigError,
     GlueError,
     HubClosed,
+    HubUnreachable,
     LocalProtocolError,
     PeerFailed,
     PeerLost,
@@ -41,13 +44,29 @@ class HandHub:
 
     def __init__(self) -> None:
         self._context: Context = zmq.Context()
+        self._programs: list[Future[Any]] = []
+        self.url = "tcp://127.0.0.1:*"
+        self.start()
+
+    def start(self) -> None:
+        """Listen; after `stop`, at the same address, as another hub."""
         self._socket = self._context.socket(zmq.ROUTER)
         self._socket.setsockopt(zmq.RCVTIMEO, int(TIMEOUT * 1000))
         self._socket.setsockopt(zmq.LINGER, 0)
-        self._socket.bind("tcp://127.0.0.1:*")
-        self.url: str = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
+        deadline = time.monotonic() + TIMEOUT
+        while True:
+            try:
+                self._socket.bind(self.url)
+                break
+            except zmq.ZMQError:  # libzmq has not closed the one before yet
+                assert time.monotonic() < deadline
+                time.sleep(0.01)
+        self.url = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
         self._route = b""
-        self._programs: list[Future[Any]] = []
+
+    def stop(self) -> None:
+        """End every connection without a word."""
+        self._socket.close()
 
     def run(self, program: Callable[..., Any], *arguments: Any, **named: Any) -> Future[Any]:
         """Run a program that connects to this hub, in a thread."""
@@ -86,7 +105,7 @@ class HandHub:
         """Hear a HELLO, and welcome its sender; return the HELLO."""
         hello = self.hear(Kind.HELLO)
         assert hello.session == session
-        self.say(Kind.WELCOME, 0, 1, resumed, HEARTBEAT, 10.0, max_body, session=session)
+        self.say(Kind.WELCOME, hello.seq, 1, resumed, HEARTBEAT, 10.0, max_body, session=session)
         return hello
 
     def say_unknown(self, kind: int, seq: int) -> None:
@@ -105,6 +124,14 @@ class HandHub:
         wait(self._programs, TIMEOUT)
         self._socket.close()
         self._context.term()
+
+
+def wait_for(lines: list[str]) -> None:
+    """Wait until something was logged."""
+    deadline = time.monotonic() + TIMEOUT
+    while not lines:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
 @pytest.fixture
@@ -192,14 +219,75 @@ def test_a_refusal_is_an_error_with_the_hubs_reason(hub: HandHub, lines: list[st
         serving.result(TIMEOUT)
 
 
-def test_a_hub_that_is_silent_is_greeted_again(hub: HandHub, lines: list[str]) -> None:
+def test_a_hub_that_does_not_answer_is_greeted_once_and_mentioned(hub: HandHub, lines: list[str]) -> None:
     serving = hub.run(serve_agent, ScriptedAgent(), hub.url, log=lines.append)
-    first = hub.hear(Kind.HELLO)
-    assert hub.hear(Kind.HELLO) == first
+    hello = hub.hear(Kind.HELLO)
+    wait_for(lines)
+    hub.say(Kind.WELCOME, hello.seq, 1, False, HEARTBEAT, 10.0, 10_000)
+    assert hub.next().kind is Kind.HEARTBEAT, "no other HELLO came in between"
     hub.say(Kind.GOODBYE, 0, "enough")
     serving.result(TIMEOUT)
-    assert lines[0].startswith(f"no hub at {hub.url} yet; waiting for one")
+    assert hub.url in lines[0]
+    assert "glue-hub" in lines[0]
     assert lines[1] == f"the hub at {hub.url} is there"
+
+
+def test_one_hello_waits_for_a_hub_that_comes_late(hub: HandHub, lines: list[str]) -> None:
+    # It had many heartbeats' time to say it again.
+    hub.stop()
+    hub.run(serve_agent, ScriptedAgent(), hub.url, log=lines.append)
+    wait_for(lines)
+    hub.start()
+    hub.welcome()
+    assert hub.next().kind is Kind.HEARTBEAT, "no other HELLO was waiting"
+
+
+def test_over_each_new_connection_a_hub_is_greeted_once(hub: HandHub, lines: list[str]) -> None:
+    hub.run(serve_agent, ScriptedAgent(), hub.url, log=lines.append)
+    first = hub.welcome()
+    hub.call(Kind.AGENT_INIT, 1)
+    for _ in range(2):
+        hub.stop()
+        hub.start()
+        again = hub.welcome(resumed=True)
+        assert again.scalars == first.scalars
+        assert hub.call(Kind.AGENT_END, 2, 1.0).seq == 2, "nothing but heartbeats came in between"
+
+
+def test_no_hub_within_the_time_allowed_is_an_error(hub: HandHub, lines: list[str]) -> None:
+    hub.stop()
+    for program in (
+        partial(serve_agent, ScriptedAgent()),
+        partial(serve_environment, ScriptedEnvironment()),
+        connect,
+    ):
+        with pytest.raises(HubUnreachable, match=f"{hub.url} for 0.1 s"):
+            program(hub.url, wait=0.1, log=lines.append)
+    hub.start()
+
+
+def test_a_hub_that_has_answered_may_be_away_for_longer_than_the_time_allowed(
+    hub: HandHub, lines: list[str]
+) -> None:
+    serving = hub.run(serve_agent, ScriptedAgent(), hub.url, wait=60.0, log=lines.append)
+    hub.welcome()
+    hub.stop()
+    hub.start()
+    hub.welcome()
+    assert not serving.done()
+
+
+@pytest.mark.parametrize("wait", [-1.0, float("nan")])
+def test_a_time_allowed_that_is_none_is_refused(wait: float) -> None:
+    with pytest.raises(ConfigError, match="0 or more"):
+        connect(wait=wait)
+
+
+@pytest.mark.parametrize("host", ["no-such-host.invalid", "a" * 300])
+def test_a_host_that_nobody_knows_is_an_error_at_once(host: str, lines: list[str]) -> None:
+    with pytest.raises(ConfigError, match=host):
+        serve_agent(ScriptedAgent(), f"tcp://{host}:4097", log=lines.append)
+    assert lines == []
 
 
 @pytest.mark.parametrize(("url", "session"), [("localhost", "s"), ("tcp://127.0.0.1:9", "a\nb")])
@@ -283,6 +371,22 @@ def test_a_hub_that_was_started_anew_counts_from_the_start(hub: HandHub, lines: 
     assert hub.call(Kind.AGENT_INIT, 1, body=b"new").seq == 1
     assert agent.calls == ["agent_step 1 [3]", "agent_init new"]
     hub.say(Kind.GOODBYE, 0, "enough")
+
+
+def test_a_first_call_whose_answer_was_lost_is_not_carried_out_again(hub: HandHub, lines: list[str]) -> None:
+    # The hub goes on calling a player unknown until it has an answer.
+    agent = ScriptedAgent()
+    serve(hub, agent, lines)
+    first = hub.call(Kind.AGENT_START, 1, body=OBSERVATION.body)
+    hub.say(Kind.ERROR, 0, ErrorCode.UNKNOWN_PEER, "say HELLO first")
+    hub.welcome(resumed=False)
+    assert hub.call(Kind.AGENT_START, 1, body=OBSERVATION.body) == first
+    assert agent.calls == ["agent_start [3]"]
+    other = Observation(ints=[4])
+    hub.say(Kind.ERROR, 0, ErrorCode.UNKNOWN_PEER, "say HELLO first")
+    hub.welcome(resumed=False)
+    hub.call(Kind.AGENT_START, 1, body=other.body)
+    assert agent.calls == ["agent_start [3]", "agent_start [4]"], "another hub's call is another"
 
 
 def test_each_session_has_its_own_player_and_its_own_count(hub: HandHub, lines: list[str]) -> None:
@@ -513,12 +617,66 @@ def test_a_request_is_repeated_after_a_reconnect(hub: HandHub, lines: list[str])
 
 
 def test_a_hub_that_does_not_know_the_experiment_any_more_ends_it(hub: HandHub, lines: list[str]) -> None:
-    running = experiment(hub, lambda glue: glue.rl_num_steps(), lines)
-    request = hub.hear(Kind.RL_NUM_STEPS)
+    running = experiment(hub, lambda glue: (glue.rl_init(), glue.rl_step()), lines)
+    hub.say(Kind.RL_INIT, hub.hear(Kind.RL_INIT).seq)
+    request = hub.hear(Kind.RL_STEP)
     hub.say(Kind.ERROR, request.seq, ErrorCode.UNKNOWN_PEER, "say HELLO first")
     hub.welcome(resumed=False)
     with pytest.raises(HubClosed, match="knows nothing of this experiment"):
         running.result(TIMEOUT)
+
+
+def test_an_unanswered_first_request_is_sent_again_to_a_hub_that_does_not_know_it(
+    hub: HandHub, lines: list[str]
+) -> None:
+    # There is nothing to forget: no request of it has been answered.
+    running = experiment(hub, lambda glue: glue.rl_init(), lines)
+    request = hub.hear(Kind.RL_INIT)
+    hub.say(Kind.ERROR, request.seq, ErrorCode.UNKNOWN_PEER, "say HELLO first")
+    hub.welcome(resumed=False)
+    assert hub.hear(Kind.RL_INIT) == request
+    hub.say(Kind.RL_INIT, request.seq, body=b"spec")
+    assert running.result(TIMEOUT) == "spec"
+
+
+def test_a_request_waits_for_the_welcome_over_the_latest_connection(hub: HandHub, lines: list[str]) -> None:
+    # Sent behind the HELLO it could step in an episode that a hub has never seen.
+    def verbs(glue: RemoteExperiment) -> None:
+        glue.rl_num_steps()
+        waiting.set()
+        glue.wait_for_players(lambda missing: None)
+        glue.rl_step()
+
+    waiting = threading.Event()
+    running = experiment(hub, verbs, lines)
+    request = hub.hear(Kind.RL_NUM_STEPS)
+    hub.say(Kind.RL_NUM_STEPS, request.seq, 5)
+    assert waiting.wait(TIMEOUT)
+    hub.stop()
+    hub.start()
+    hello = hub.hear(Kind.HELLO)
+    for role in ("agent", "environment"):
+        hub.say(Kind.NOTICE, 0, "joined", role, "p")
+    hub.say(Kind.WELCOME, hello.seq - 1, 1, True, HEARTBEAT, 10.0, 10_000)
+    for role in ("agent", "environment"):
+        hub.say(Kind.NOTICE, 0, "joined", role, "p")
+    hub.say(Kind.HEARTBEAT, 9)
+    hub.say(Kind.WELCOME, hello.seq, 1, False, HEARTBEAT, 10.0, 10_000)
+    with pytest.raises(HubClosed, match="knows nothing of this experiment"):
+        running.result(TIMEOUT)
+    assert hub.hear(Kind.GOODBYE).kind is Kind.GOODBYE, "the step was never sent"
+
+
+def test_a_slow_player_is_mentioned_and_is_no_notice_to_the_program(hub: HandHub, lines: list[str]) -> None:
+    seen: list[tuple[str, str, str]] = []
+    running = experiment(
+        hub, lambda glue: glue.rl_num_steps(), lines, on_notice=lambda *notice: seen.append(notice)
+    )
+    hub.say(Kind.NOTICE, 0, "slow", "agent", "Jumper has not answered agent_step for 5 s")
+    answer_all(hub, REPLIES)
+    running.result(TIMEOUT)
+    assert lines == ["agent Jumper has not answered agent_step for 5 s"]
+    assert seen == []
 
 
 def test_goodbye_of_the_hub_ends_the_verb(hub: HandHub, lines: list[str]) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from glue.compiled.java_random import draw, seeded
+from glue.compiled.java_random import draw, draw_double, seeded
 
 _SEEDS = st.integers(-(2**63), 2**63 - 1)
 
@@ -53,3 +54,17 @@ def test_one_of_one_still_advances() -> None:
     before = state.copy()
     assert draw(state, 1) == 0
     assert not np.array_equal(state, before)
+
+
+@pytest.mark.parametrize(
+    ("seed", "draws"),
+    [
+        (0, [0.730967787376657, 0.24053641567148587, 0.6374174253501083]),
+        (42, [0.7275636800328681, 0.6832234717598454, 0.30871945533265976]),
+        (42 + 2**48, [0.7275636800328681]),
+    ],
+)
+def test_doubles_are_those_of_java(seed: int, draws: list[float]) -> None:
+    """Numbers as `new Random(seed).nextDouble()` gives them; the lowest 48 bits of a seed count."""
+    state = seeded(seed)
+    assert [draw_double(state) for _ in draws] == draws

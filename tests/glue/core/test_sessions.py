@@ -476,6 +476,34 @@ def test_an_experiment_whose_queue_was_full_gets_its_reply_when_there_is_room(ri
     assert [message.kind for message in rig.heard("x")] == [Kind.RL_AGENT_MESSAGE]
 
 
+def test_a_player_that_does_not_answer_is_mentioned_again_and_again_but_ever_more_rarely(
+    playing: Rig,
+) -> None:
+    playing.logged.clear()
+    for _ in range(200):
+        playing.tick(1.0)
+    expected = [f"environment e (test) has not answered env_step for {seconds} s" for seconds in (5, 30, 180)]
+    assert playing.logged == [f"session 's': {line}" for line in expected]
+    shown = [m.scalars for m in playing.heard("x") if m.kind is Kind.NOTICE]
+    assert [f"{role!s} {text!s}" for event, role, text in shown if event == "slow"] == expected
+    playing.logged.clear()
+    playing.answer("e")
+    playing.tick(1.0)
+    playing.tick(4.0)
+    assert playing.logged == [], "the next call has a time of its own"
+    playing.tick(1.0)
+    assert "agent a (test) has not answered agent_step for 5 s" in playing.logged[0]
+
+
+def test_a_role_that_nobody_fills_is_not_slow(rig: Rig) -> None:
+    rig.say("a", Kind.GOODBYE, 0, "enough")
+    rig.ask(Kind.RL_AGENT_MESSAGE, 1)
+    rig.logged.clear()
+    for _ in range(60):
+        rig.tick(1.0)
+    assert rig.logged == []
+
+
 # Lost and replaced
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from pathlib import Path
 
@@ -45,6 +46,23 @@ def test_file_may_import_what_is_beside_it(folder: Path) -> None:
     assert find(Role.AGENT, "elsewhere/mine.py:Mine").__name__ == "Mine"
 
 
+@pytest.mark.parametrize("name", ["mine.py:Mine", "mine:Mine"])
+def test_what_is_installed_is_not_shadowed_by_what_is_beside_a_file(folder: Path, name: str) -> None:
+    write(folder, "colorsys.py", "raise AssertionError(__file__)")
+    write(folder, "mine.py", "import colorsys\nfrom colorsys import hls_to_rgb\nclass Mine: pass")
+    assert find(Role.AGENT, name).__name__ == "Mine"
+
+
+def test_summaries_are_docstrings_read_without_an_import() -> None:
+    program = (
+        "import sys; from glue.players.loading import summaries; from glue.protocol.messages import Role\n"
+        "print(summaries(Role.AGENT)['sarsa']); print('agents' in sys.modules, 'numpy' in sys.modules)"
+    )
+    shown = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert "SARSA" in shown.stdout
+    assert shown.stdout.splitlines()[-1] == "False False"
+
+
 @pytest.mark.parametrize(
     ("name", "error"),
     [
@@ -71,7 +89,6 @@ def test_name_of_nothing_is_an_error_that_says_so(folder: Path, name: str, error
 @pytest.mark.parametrize(
     ("text", "error"),
     [
-        ("\nclass Mine(:", "cannot be imported: SyntaxError: invalid syntax (broken.py, line 2)"),
         (
             "\nimport nowhere",
             "cannot be imported: ModuleNotFoundError: No module named 'nowhere' ({file}, line 2)",
@@ -88,3 +105,12 @@ def test_file_that_cannot_be_imported_is_an_error_that_says_where(
         find(Role.AGENT, name)
     expected = error.format(file=folder / "broken.py")
     assert str(raised.value) == f"{name.partition(':')[0]} {expected}"
+
+
+def test_syntax_error_is_shown_with_its_line_and_a_caret(folder: Path) -> None:
+    write(folder, "broken.py", "\nclass Mine(:")
+    with pytest.raises(ConfigError) as raised:
+        find(Role.AGENT, "broken.py:Mine")
+    shown = str(raised.value)
+    assert "broken.py" in shown
+    assert "line 2\n    class Mine(:\n               ^\nSyntaxError" in shown

@@ -104,13 +104,13 @@ class Rig:
 
     def native_agent(self, agent: Agent, session: str = "default") -> None:
         """Let an agent of ours play, in a thread."""
-        url, how = self.url, {"context": self._context, "log": self.log}
-        self._start(lambda: serve_agent(agent, url, session, **how))
+        url, context, log = self.url, self._context, self.log
+        self._start(lambda: serve_agent(agent, url, session, context=context, log=log))
 
     def native_environment(self, environment: Environment, session: str = "default") -> None:
         """Let an environment of ours play, in a thread."""
-        url, how = self.url, {"context": self._context, "log": self.log}
-        self._start(lambda: serve_environment(environment, url, session, **how))
+        url, context, log = self.url, self._context, self.log
+        self._start(lambda: serve_environment(environment, url, session, context=context, log=log))
 
     def _start(self, program: Callable[[], object]) -> None:
         def run() -> None:

@@ -1,7 +1,7 @@
-"""What the learning agents of Mohan (2010) have in common: hyperparameters, seed, saving, loading.
+"""What the learning agents of Mohan (2010) have in common: hyperparameters, learning, saving, loading.
 
-An agent is two kernels, one for a step and one for the end of an episode, and three arrays that they
-work on: the learner (hyperparameters, generator, counters), its table of values, and a mind, the
+An agent is two compiled functions, one for a step and one for the end of an episode, and three arrays
+that they work on: the learner (hyperparameters, generator, counters), its table of values, and its
 working memory of one episode. What outlives an episode is in the first two.
 """
 
@@ -13,21 +13,20 @@ from typing import Annotated, ClassVar, Final
 
 import numpy as np
 
-from agents.checkpoint import Checkpoint, CheckpointError, pack, unpack
-from agents.mario.klo import ACTIONS
+from agents.mario.actions import ACTIONS
+from agents.mario.agent import MarioAgent
 from agents.mario.observation import CHARS, malformed
 from agents.policy import seeded
 from agents.sarsa import Learner, contents, grown, table_of
 from glue.compiled.jit import announce_compilation
 from glue.compiled.records import Array, new
-from glue.errors import ConfigError, TaskSpecError
+from glue.errors import SaveError
 from glue.options import Option
-from glue.taskspec import MARIO, parse_task_spec
+from glue.saves import Saved, Setting, pack, unpack
 from glue.types import Action, Observation
 
 __all__ = [
-    "FULL", "MALFORMED", "Discount", "Epsilon", "Learning", "MarioLearner", "Reduction", "StepSize",
-    "require_mario",
+    "FULL", "MALFORMED", "Discount", "Epsilon", "Grid", "Learning", "MarioLearner", "Reduction", "StepSize",
 ]  # fmt: skip
 
 FULL: Final = -1
@@ -44,34 +43,15 @@ Reduction = Annotated[
 Grid = Annotated[
     int, Option("cells per tile of the distances to monsters (author's agents: 2)", low=1, high=16)
 ]
-Seed = Annotated[int | None, Option("seed of its random choices; the experiment's if not given", low=0)]
 Learning = Annotated[bool, Option("whether to learn; off: the values and epsilon stay as they are")]
 
 Step = Callable[[Array, Array, Array, bytes, float, bool], int]
 End = Callable[[Array, Array, Array, float], None]
 
 
-def require_mario(task_spec: str, agent: str) -> None:
-    """Do nothing if a task spec is that of Infinite Mario.
-
-    Raises:
-        ConfigError: it is another; the message names the agent and the remedy.
-    """
-    try:
-        version = parse_task_spec(task_spec).version
-    except TaskSpecError:
-        version = ""
-    if version != MARIO:
-        raise ConfigError(
-            f"agent {agent} plays Infinite Mario alone, whose task spec begins VERSION {MARIO}; "
-            f"it was given {task_spec!r:.80}: use it with the environment mario"
-        )
-
-
-class MarioLearner(abc.ABC):
+class MarioLearner(MarioAgent):
     """An agent that plays Infinite Mario and learns a table of values by SARSA."""
 
-    name: ClassVar[str]
     _step: ClassVar[Step]
     _end: ClassVar[End]
 
@@ -85,6 +65,7 @@ class MarioLearner(abc.ABC):
         learning: bool,
         seed: int | None,
     ) -> None:
+        super().__init__(seed)
         self._hyperparameters = {
             "step_size": step_size,
             "discount": discount,
@@ -92,33 +73,15 @@ class MarioLearner(abc.ABC):
             "reduction": reduction,
             "learning": learning,
         }
-        self._own_seed = seed
-        self._seed = seed or 0
-        self._forget()
+        self._clear()
 
     @abc.abstractmethod
-    def _new_mind(self) -> Array:
+    def _new_memory(self) -> Array:
         """Return the working memory of this agent, before its first episode."""
 
-    def _settings(self) -> Mapping[str, int | float | str | bool]:
+    def _settings(self) -> Mapping[str, Setting]:
         """Return the options that the keys of the values depend on."""
         return {}
-
-    def agent_seed(self, seed: int) -> None:
-        """Seed every random choice after the next init, unless the option `seed` was given."""
-        if self._own_seed is None:
-            self._seed = seed
-
-    def agent_init(self, task_spec: str) -> None:
-        """Forget everything.
-
-        Raises:
-            ConfigError: the task is not Infinite Mario.
-        """
-        require_mario(task_spec, self.name)
-        self._warm_up()
-        self._forget()
-        self._mind = self._new_mind()
 
     def agent_start(self, observation: Observation) -> Action:
         """Begin an episode; one that was cut off teaches nothing more."""
@@ -130,10 +93,7 @@ class MarioLearner(abc.ABC):
 
     def agent_end(self, reward: float) -> None:
         """Learn from the last reward."""
-        type(self)._end(self._learner, self._table, self._mind, float(reward))
-
-    def agent_cleanup(self) -> None:  # noqa: B027  # not a duty of subclasses
-        """Do nothing: what was learned stays until the next init."""
+        type(self)._end(self._learner, self._table, self._memory, float(reward))
 
     def agent_message(self, message: str) -> str:
         """Answer `values`, the number of values learned, and `epsilon`, the present chance to explore."""
@@ -148,39 +108,38 @@ class MarioLearner(abc.ABC):
         """Return the values, the generator's state and the counters."""
         keys, values = contents(self._table)
         numbers = {name: int(self._learner[name][0]) for name in ("random", "cycles")}
-        return pack(Checkpoint(self.name, self._settings(), numbers, {"keys": keys, "values": values}))
+        return pack(Saved(self.name, self._settings(), numbers, {"keys": keys, "values": values}))
 
     def agent_load(self, data: bytes) -> None:
         """Continue from what `agent_save` returned; the hyperparameters stay this agent's own.
 
         Raises:
-            CheckpointError: it is damaged, or of another agent, or of options that change the keys.
+            SaveError: it is damaged, or of another agent, or of options that change the keys.
         """
         saved = unpack(data, self.name, self._settings())
-        keys, values = saved.arrays.get("keys"), saved.arrays.get("values")
-        if keys is None or values is None or keys.dtype != np.uint64 or values.dtype != np.float64:
-            raise CheckpointError("this saved agent lacks its keys or its values")
-        if len(keys) != len(values) or not np.all(keys[:-1] < keys[1:]) or not np.all(keys > 0):
-            raise CheckpointError("the keys of this saved agent must ascend, with one value for each")
-        if not np.all(np.isfinite(values)):
-            raise CheckpointError("the values of this saved agent must be finite")
-        random, cycles = saved.numbers.get("random", -1), saved.numbers.get("cycles", -1)
-        if not (0 <= random < 2**64 and 0 <= cycles < 2**63):
-            raise CheckpointError("this saved agent lacks its generator's state or its count of cycles")
+        keys, values = saved.array("keys", np.uint64, low=1), saved.array("values", np.float64)
+        if len(keys) != len(values) or not np.all(keys[:-1] < keys[1:]):
+            raise SaveError(f"saved {self.name}: its keys must ascend, with one value for each")
+        random, cycles = saved.number("random", high=2**64 - 1), saved.number("cycles")
+        self._table = table_of(keys, values)
         self._learner["random"] = random
         self._learner["cycles"] = cycles
         self._learner["entries"] = len(keys)
-        self._table = table_of(keys, values)
+
+    def _reset(self) -> None:
+        self._warm_up()
+        self._clear()
+        self._memory = self._new_memory()
 
     def _warm_up(self) -> None:
-        """Have the kernels compiled or read from disk, so that no step of an episode waits for that."""
+        """Compile the two functions or load them from disk, so that no step of an episode waits for that."""
         nothing = Observation([0] * 3, [0.0] * 4, bytes(CHARS))
-        self._mind = self._new_mind()
+        self._memory = self._new_memory()
         with announce_compilation(f"the agent {self.name}"):
             self.agent_start(nothing)
             self.agent_end(0.0)
 
-    def _forget(self) -> None:
+    def _clear(self) -> None:
         self._learner = new(Learner)
         for name, value in self._hyperparameters.items():
             self._learner[name] = value
@@ -189,10 +148,10 @@ class MarioLearner(abc.ABC):
 
     def _act(self, reward: float, observation: Observation, begins: bool) -> Action:
         body = observation.body
-        chosen = type(self)._step(self._learner, self._table, self._mind, body, float(reward), begins)
+        chosen = type(self)._step(self._learner, self._table, self._memory, body, float(reward), begins)
         while chosen == FULL:
             self._table = grown(self._table)
-            chosen = type(self)._step(self._learner, self._table, self._mind, body, float(reward), begins)
+            chosen = type(self)._step(self._learner, self._table, self._memory, body, float(reward), begins)
         if chosen == MALFORMED:
             raise malformed(observation)
         return ACTIONS[chosen]

@@ -20,7 +20,7 @@ from glue.protocol.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, decode, e
 from glue.testing.rules import ContractBroken, HubRule
 from glue.types import Action, Observation
 
-__all__ = ["TASK_SPEC", "Puppet", "Scene", "did", "number", "reward", "saw", "shown"]
+__all__ = ["TASK_SPEC", "Scene", "ScriptedPeer", "did", "number", "reward", "saw", "shown"]
 
 TASK_SPEC: Final = "a task for a hub, with ümlauts"
 
@@ -53,7 +53,7 @@ def shown(message: Message) -> str:
     return f"{message.kind.name} {message.seq}{scalars}{body}"
 
 
-class Puppet:
+class ScriptedPeer:
     """A peer of a hub: an instance, and one connection after the other."""
 
     def __init__(self, scene: Scene, role: Role, capabilities: tuple[str, ...] = ()) -> None:
@@ -81,7 +81,13 @@ class Puppet:
             self._connection = None
 
     def hello(self, versions: tuple[int, ...] = (PROTOCOL_VERSION,), seq: int = 0) -> None:
-        """Greet the hub."""
+        """Greet the hub, over a connection that is there: a hub may end one that greets it late."""
+        assert self._connection is not None
+        deadline = time.monotonic() + self._scene.wait
+        self._connection.notice_connections()
+        self._connection.wait_at_most(self._scene.wait)
+        while not self._connection.connected and time.monotonic() < deadline:
+            self._connection.receive()
         name, codec = f"a test's {self.role}", "glue.testing"
         self.send(
             Kind.HELLO, versions, str(self.role), self._instance, name, codec, self._capabilities, seq=seq
@@ -205,10 +211,13 @@ class Puppet:
 
     def _receive(self, deadline: float) -> Message | None:
         assert self._connection is not None
-        self._connection.wait_at_most(max(0.0, deadline - time.monotonic()))
-        frames = self._connection.receive()
-        if frames is None:
-            return None
+        while True:
+            self._connection.wait_at_most(max(0.0, deadline - time.monotonic()))
+            frames = self._connection.receive()
+            if frames is not None:
+                break
+            if time.monotonic() >= deadline:
+                return None
         try:
             return decode(frames, FROM_HUB)
         except RemoteProtocolError as error:
@@ -232,20 +241,20 @@ class Scene:
         self.wait = wait
         self.session = f"{rule.name.lower()}-{secrets.token_hex(8)}"
         self._number = 0
-        self._puppets: list[Puppet] = []
-        self.experiment = self.puppet(Role.EXPERIMENT)
-        self.agent = self.puppet(Role.AGENT)
-        self.environment = self.puppet(Role.ENVIRONMENT)
+        self._peers: list[ScriptedPeer] = []
+        self.experiment = self.peer(Role.EXPERIMENT)
+        self.agent = self.peer(Role.AGENT)
+        self.environment = self.peer(Role.ENVIRONMENT)
 
-    def puppet(self, role: Role, *capabilities: str) -> Puppet:
+    def peer(self, role: Role, *capabilities: str) -> ScriptedPeer:
         """Return one more peer, which has not greeted the hub."""
-        self._puppets.append(Puppet(self, role, capabilities))
-        return self._puppets[-1]
+        self._peers.append(ScriptedPeer(self, role, capabilities))
+        return self._peers[-1]
 
     def gather(self) -> None:
         """Let all three join."""
-        for puppet in (self.experiment, self.agent, self.environment):
-            puppet.join()
+        for peer in (self.experiment, self.agent, self.environment):
+            peer.join()
 
     def init(self) -> None:
         """Let all three join, and the experiment begin."""
@@ -306,5 +315,5 @@ class Scene:
 
     def close(self) -> None:
         """Let everybody leave."""
-        for puppet in self._puppets:
-            puppet.part()
+        for peer in self._peers:
+            peer.part()

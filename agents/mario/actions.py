@@ -1,0 +1,33 @@
+"""The primitive actions of Infinite Mario, by number.
+
+An action is a direction, whether to jump and whether to run, held for one step. There are twelve; to
+Mohan (2010) they are the keystroke-level operators (KLO).
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from glue.compiled.jit import jit
+from glue.types import Action
+
+__all__ = ["ACTIONS", "LEFT", "NUM_ACTIONS", "RIGHT", "STAY", "action_number"]
+
+LEFT: Final = -1
+STAY: Final = 0
+RIGHT: Final = 1
+
+NUM_ACTIONS: Final = 12
+ACTIONS: Final = tuple(
+    Action(ints=(direction, jump, run))
+    for direction in (LEFT, STAY, RIGHT)
+    for jump in (0, 1)
+    for run in (0, 1)
+)
+"""What to send for each number: direction -1 to 1, jump 0 or 1, run 0 or 1."""
+
+
+@jit
+def action_number(direction: int, jump: bool, run: bool) -> int:
+    """Return the number of an action, 0 to 11."""
+    return 4 * (direction + 1) + 2 * int(jump) + int(run)

@@ -1,0 +1,57 @@
+"""What every agent for Infinite Mario has in common: its name, its seed, and the check of the task."""
+
+from __future__ import annotations
+
+import abc
+from typing import Annotated, ClassVar
+
+from glue.errors import ConfigError, TaskSpecError
+from glue.options import Option
+from glue.taskspec import MARIO, parse_task_spec
+
+__all__ = ["MarioAgent", "Seed"]
+
+Seed = Annotated[int | None, Option("random seed; the experiment's if not given", low=0)]
+
+
+class MarioAgent(abc.ABC):
+    """An agent for Infinite Mario.
+
+    Args:
+        seed: takes the place of the seed that the experiment sends; None to use the experiment's.
+    """
+
+    name: ClassVar[str]
+
+    def __init__(self, seed: int | None) -> None:
+        self._own_seed = seed
+        self._seed = seed or 0
+
+    @abc.abstractmethod
+    def _reset(self) -> None:
+        """Forget everything, and seed the random choices with `_seed`."""
+
+    def agent_seed(self, seed: int) -> None:
+        """Seed every random choice after the next init, unless the option `seed` was given."""
+        if self._own_seed is None:
+            self._seed = seed
+
+    def agent_init(self, task_spec: str) -> None:
+        """Forget everything.
+
+        Raises:
+            ConfigError: the task is not Infinite Mario.
+        """
+        try:
+            version = parse_task_spec(task_spec).version
+        except TaskSpecError:
+            version = ""
+        if version != MARIO:
+            raise ConfigError(
+                f"agent {self.name} plays Infinite Mario only, whose task spec begins VERSION {MARIO}; "
+                f"it received {task_spec!r:.80}: use it with the environment mario"
+            )
+        self._reset()
+
+    def agent_cleanup(self) -> None:  # noqa: B027 - subclasses need not override it
+        """Do nothing: what was learned stays until the next init."""

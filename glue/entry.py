@@ -1,0 +1,72 @@
+"""Where every command begins: Ctrl-C and SIGTERM are handled before anything slow is imported.
+
+This module imports nothing but what Python itself has loaded, or loads in a millisecond.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+from importlib import import_module
+from types import FrameType
+from typing import Final, NoReturn
+
+__all__ = ["EXIT_INTERRUPTED", "EXIT_TERMINATED", "Terminated", "handle_signals", "start"]
+
+EXIT_INTERRUPTED: Final = 128 + signal.SIGINT
+EXIT_TERMINATED: Final = 128 + signal.SIGTERM
+
+_IMPORTLIB: Final = "<frozen importlib"
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM was received: clean up as for Ctrl-C."""
+
+
+def start(module: str) -> NoReturn:
+    """Import the module of a command and run its `main`, which exits."""
+    handle_signals()
+    try:
+        import_module(module).main()
+        raise AssertionError(f"{module}.main returned")
+    except KeyboardInterrupt as interrupt:
+        _leave(signal.SIGTERM if isinstance(interrupt, Terminated) else signal.SIGINT)
+    finally:
+        # While Python ends there is nothing left that could catch an exception.
+        _handle_with(_leave)
+
+
+def handle_signals() -> None:
+    """Let SIGINT (Ctrl-C) raise KeyboardInterrupt, and SIGTERM `Terminated`.
+
+    During an import they end the program at once: an exception inside the import of NumPy or libzmq becomes
+    an ImportError or is lost, and what has been written so far survives any kill. A signal that is ignored,
+    as under nohup, remains ignored.
+    """
+    _handle_with(_interrupt)
+
+
+def _handle_with(handler: Callable[[int, FrameType | None], NoReturn]) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, handler)
+
+
+def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    if _is_importing(frame):
+        _leave(number)
+    raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
+
+
+def _is_importing(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith(_IMPORTLIB):
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _leave(number: int, frame: FrameType | None = None) -> NoReturn:
+    os.write(2, b"interrupted\n")
+    os._exit(EXIT_TERMINATED if number == signal.SIGTERM else EXIT_INTERRUPTED)

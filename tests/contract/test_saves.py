@@ -1,0 +1,195 @@
+"""Every installed player refuses a damaged save, survives a forged one, and reads those of older versions."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import hashlib
+import json
+import random
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agents.keys import feature
+from agents.sarsa import table_of
+from glue import saves
+from glue.core.experiment import Experiment
+from glue.core.local import local
+from glue.errors import SaveError
+from glue.players.loading import find, names
+from glue.protocol.messages import Role
+from glue.saves import pack, unpack
+
+OLD: dict[str, dict[str, Any]] = json.loads(
+    gzip.decompress(Path(__file__).parents[1].joinpath("golden", "old_saves.json.gz").read_bytes())
+)
+"""By agent: its task, what both saved after three episodes, and the three episodes after that."""
+TASKS = {name: old["environment"] for name, old in OLD.items()}
+OPTIONS: dict[str, dict[str, Any]] = {"mines": {"random_start": True}}
+PLAYERS = [(role, name) for role in (Role.AGENT, Role.ENVIRONMENT) for name in names(role)]
+MUTATIONS = 1000
+
+all_players = pytest.mark.parametrize(("role", "name"), PLAYERS, ids=lambda value: str(value))
+
+
+def make(role: Role, name: str) -> Any:
+    return find(role, name)(**OPTIONS.get(name, {}) if role is Role.ENVIRONMENT else {})
+
+
+@cache
+def played(role: Role, name: str) -> tuple[Any, bytes]:
+    """Return a player in the middle of a run, and what it saves."""
+    agent = name if role is Role.AGENT else {"mines": "sarsa", "mario": "random"}.get(name, "skeleton")
+    environment = TASKS.get(name, "mario") if role is Role.AGENT else name
+    players = make(Role.AGENT, agent), make(Role.ENVIRONMENT, environment)
+    glue = local(*players)
+    glue.rl_init(seed=7)
+    for _ in range(3):
+        glue.rl_episode(60)
+    player = players[role is not Role.AGENT]
+    return player, save(role, player)
+
+
+def save(role: Role, player: Any) -> bytes:
+    saved: bytes = player.agent_save() if role is Role.AGENT else player.env_save()
+    return saved
+
+
+def load(role: Role, player: Any, data: bytes) -> None:
+    (player.agent_load if role is Role.AGENT else player.env_load)(data)
+
+
+def mutated(data: bytes, rng: random.Random) -> bytes:
+    """Return `data` with some bits flipped, bytes replaced, a piece cut out or put in, or its end cut off."""
+    broken = bytearray(data)
+    for _ in range(rng.choice((1, 1, 1, 2, 8))):
+        place = rng.randrange(len(broken)) if broken else 0
+        kind = rng.randrange(5)
+        if kind == 0 and broken:
+            broken[place] ^= 1 << rng.randrange(8)
+        elif kind == 1 and broken:
+            broken[place] = rng.randrange(256)
+        elif kind == 2:
+            del broken[place : place + rng.randrange(1, 9)]
+        elif kind == 3:
+            broken[place:place] = rng.randbytes(rng.randrange(1, 9))
+        elif len(broken) > 1:
+            del broken[rng.randrange(1, len(broken)) :]
+    return bytes(broken)
+
+
+@all_players
+def test_no_mutation_of_a_save_is_accepted(role: Role, name: str) -> None:
+    player, saved = played(role, name)
+    rng = random.Random(f"{role} {name}")
+    for _ in range(MUTATIONS):
+        broken = mutated(saved, rng)
+        if broken and broken != saved:  # earlier versions saved nothing as nothing
+            with pytest.raises(SaveError):
+                load(role, player, broken)
+    load(role, player, saved)
+    assert save(role, player) == saved
+
+
+NUMBERS = [
+    "-1",
+    "2147483648",
+    str(2**70),
+    "1" + "0" * 5000,
+    "Infinity",
+    "NaN",
+    "1.5",
+    "null",
+    "true",
+    '"x"',
+    "[]",
+]
+
+
+def forged(saved: bytes, rng: random.Random) -> bytes:
+    """Return a save with a changed header or changed arrays, and the digest that it then needs."""
+    head, contents = saved[: saves._HEAD.size], saved[saves._HEAD.size : -saves._DIGEST_SIZE]
+    size = saves._HEAD.unpack(head)[2]
+    header, arrays = contents[:size], contents[size:]
+    if rng.random() < 0.5:
+        fields = json.loads(header)
+        if fields["numbers"]:
+            fields["numbers"][rng.choice(sorted(fields["numbers"]))] = "HERE"
+        if fields["arrays"] and rng.random() < 0.5:
+            rng.choice(fields["arrays"])[rng.randrange(3)] = "HERE"
+        header = json.dumps(fields).replace('"HERE"', rng.choice(NUMBERS)).encode()
+    elif rng.random() < 0.5 or not arrays:
+        header = mutated(header, rng)
+    else:
+        broken = bytearray(arrays)
+        place = rng.randrange(len(broken)) & ~7
+        broken[place : place + 8] = rng.choice(
+            (b"\xff" * 8, b"\0" * 7 + b"\x80", np.float64(np.nan).tobytes())
+        )
+        arrays = bytes(broken[: len(arrays)])
+    data = saves._HEAD.pack(saves._MAGIC, saves._VERSION, len(header)) + header + arrays
+    return data + hashlib.sha256(data).digest()
+
+
+@all_players
+def test_a_forged_save_is_refused_or_harmless(role: Role, name: str) -> None:
+    player, saved = played(role, name)
+    rng = random.Random(f"{role} {name}")
+    refused = 0
+    for _ in range(MUTATIONS):
+        try:
+            load(role, player, forged(saved, rng))
+        except SaveError:
+            refused += 1
+        else:
+            save(role, player)
+    assert refused > MUTATIONS // 3
+    load(role, player, saved)
+    assert save(role, player) == saved
+
+
+@pytest.mark.parametrize("agent", names(Role.AGENT))
+def test_saves_of_earlier_versions_are_continued_exactly(agent: str) -> None:
+    old = OLD[agent]
+    with local(make(Role.AGENT, agent), make(Role.ENVIRONMENT, old["environment"])) as glue:
+        glue.rl_init(seed=99)
+        glue.rl_agent_load(base64.b64decode(old["agent_save"]))
+        glue.rl_env_load(base64.b64decode(old["env_save"]))
+        assert episodes(glue) == [tuple(episode) for episode in old["episodes"]]
+
+
+def episodes(glue: Experiment) -> list[tuple[float, int]]:
+    outcomes = []
+    for _ in range(3):
+        glue.rl_episode(60)
+        outcomes.append((glue.rl_return(), glue.rl_num_steps()))
+    return outcomes
+
+
+def test_keys_that_collide_are_refused_long_before_they_take_time() -> None:
+    """160,000 keys in one place took 26 seconds of compiled code that nothing could interrupt."""
+    colliding = np.arange(1, 160_001, dtype=np.uint64) << np.uint64(24)
+    with pytest.raises(SaveError, match="collide"):
+        table_of(colliding, np.zeros(len(colliding)))
+    tiles: Any = played(Role.AGENT, "tiles")[0]
+    saved = unpack(tiles.agent_save(), "tiles", {})
+    forgery = saves.Saved("tiles", {}, saved.numbers, {"keys": colliding, "values": np.zeros(160_000)})
+    with pytest.raises(SaveError, match="collide"):
+        tiles.agent_load(pack(forgery))
+
+
+def test_keys_of_a_learner_are_never_refused() -> None:
+    keys = np.sort(np.array([feature(number) for number in range(200_000)], np.uint64))
+    assert np.count_nonzero(table_of(keys, np.ones(len(keys)))["key"]) == 200_000
+
+
+def test_a_save_of_another_player_is_refused() -> None:
+    for role, name in PLAYERS:
+        for other_role, other in PLAYERS:
+            if (role, name) != (other_role, other) and role is other_role:
+                with pytest.raises(SaveError, match="cannot be loaded"):
+                    load(role, played(role, name)[0], played(other_role, other)[1])
