@@ -16,7 +16,7 @@
 enum { HELLO = 64, WELCOME, REFUSE, HEARTBEAT, GOODBYE, ERROR };
 enum { INIT = 4, START, STEP, END, CLEANUP, MESSAGE = 10 };
 
-/* Hearing nothing for this long, a peer greets again: the hub may be another, or the connection new. */
+/* After receiving nothing for this long, a peer asks the hub whether it still knows it. */
 enum { SILENCE_MS = 1000 };
 
 /* --- Observations and actions: the bodies ------------------------------------------------------- */
@@ -196,6 +196,38 @@ static struct bytes hello_of(const char *session) {
     return hello;
 }
 
+static struct bytes heartbeat_of(const char *session) {
+    struct bytes heartbeat = {.size = 0};
+    put_array(&heartbeat, 3);
+    put_int(&heartbeat, HEARTBEAT);
+    put_text(&heartbeat, session);
+    put_int(&heartbeat, 0);
+    return heartbeat;
+}
+
+/* Return a socket that tells of new connections to the hub: libzmq reconnects without saying so. */
+static void *monitor_of(void *context, void *socket) {
+    void *monitor = zmq_socket(context, ZMQ_PAIR);
+    zmq_socket_monitor(socket, "inproc://monitor", ZMQ_EVENT_HANDSHAKE_SUCCEEDED | ZMQ_EVENT_DISCONNECTED);
+    zmq_connect(monitor, "inproc://monitor");
+    return monitor;
+}
+
+/* Return the next event of a monitor; the frame after it is an address. */
+static uint16_t next_event(void *monitor) {
+    uint8_t event[6], address[256];
+    zmq_recv(monitor, event, sizeof event, 0);
+    zmq_recv(monitor, address, sizeof address, 0);
+    uint16_t kind;
+    memcpy(&kind, event, sizeof kind);
+    return kind;
+}
+
+static int same(zmq_msg_t *one, zmq_msg_t *other) {
+    size_t size = zmq_msg_size(one);
+    return size == zmq_msg_size(other) && (size == 0 || memcmp(zmq_msg_data(one), zmq_msg_data(other), size) == 0);
+}
+
 /* Everything that is sent again if it is asked for again. */
 struct reply {
     struct bytes header, body;
@@ -228,23 +260,33 @@ int main(int argc, char **argv) {
     const char *session = argc > 2 ? argv[2] : "default";
     const int silence = SILENCE_MS;
     static struct reply last;
-    struct bytes hello = hello_of(session);
+    struct bytes hello = hello_of(session), heartbeat = heartbeat_of(session);
     int64_t last_seq = 0;
+    zmq_msg_t last_header, last_body; /* of the call that was answered last */
+    int welcomed = 0;
+    zmq_msg_init(&last_header);
+    zmq_msg_init(&last_body);
 
     void *context = zmq_ctx_new();
     void *socket = zmq_socket(context, ZMQ_DEALER);
     zmq_setsockopt(socket, ZMQ_HEARTBEAT_IVL, &silence, sizeof silence);
     zmq_setsockopt(socket, ZMQ_LINGER, &silence, sizeof silence);
+    void *monitor = monitor_of(context, socket);
     if (zmq_connect(socket, hub) != 0) {
-        fprintf(stderr, "%s is no address of a hub: %s\n", hub, zmq_strerror(zmq_errno()));
+        fprintf(stderr, "%s is not an address of a hub: %s\n", hub, zmq_strerror(zmq_errno()));
         return 1;
     }
-    zmq_send(socket, hello.data, hello.size, 0);
 
     for (;;) {
-        zmq_pollitem_t poll = {.socket = socket, .events = ZMQ_POLLIN};
-        if (zmq_poll(&poll, 1, SILENCE_MS) <= 0) {
-            zmq_send(socket, hello.data, hello.size, 0);
+        zmq_pollitem_t polled[] = {{.socket = monitor, .events = ZMQ_POLLIN},
+                                   {.socket = socket, .events = ZMQ_POLLIN}};
+        if (zmq_poll(polled, 2, SILENCE_MS) <= 0) {
+            if (welcomed) zmq_send(socket, heartbeat.data, heartbeat.size, 0);
+            continue;
+        }
+        if (polled[0].revents & ZMQ_POLLIN) {
+            welcomed = 0;
+            if (next_event(monitor) == ZMQ_EVENT_HANDSHAKE_SUCCEEDED) zmq_send(socket, hello.data, hello.size, 0);
             continue;
         }
         zmq_msg_t header, body;
@@ -263,21 +305,26 @@ int main(int argc, char **argv) {
         if (scalars > 1) second = next(&at);
 
         if (kind == WELCOME) {
+            welcomed = 1;
             if (!second.whole) last_seq = 0;
         } else if (kind == REFUSE || kind == GOODBYE) {
             if (kind == REFUSE) fprintf(stderr, "refused: %.*s\n", (int)second.size, second.text);
             return kind == REFUSE;
         } else if (kind == ERROR) {
-            if (first.size == strlen("unknown-peer") && memcmp(first.text, "unknown-peer", first.size) == 0)
-                zmq_send(socket, hello.data, hello.size, 0);
-            else
+            if (first.size != strlen("unknown-peer") || memcmp(first.text, "unknown-peer", first.size) != 0)
                 fprintf(stderr, "the hub says: %.*s\n", (int)second.size, second.text);
-        } else if (kind != HEARTBEAT && seq == last_seq) {
+            else if (welcomed) {
+                welcomed = 0;
+                zmq_send(socket, hello.data, hello.size, 0);
+            }
+        } else if (kind != HEARTBEAT && same(&header, &last_header) && same(&body, &last_body)) {
             send_reply(socket, &last);
         } else if (kind != HEARTBEAT && seq > last_seq) {
             make_reply(&last, session, kind, seq, first.real, zmq_msg_data(&body));
             last_seq = seq;
             send_reply(socket, &last);
+            zmq_msg_move(&last_header, &header);
+            zmq_msg_move(&last_body, &body);
         }
         zmq_msg_close(&header);
         zmq_msg_close(&body);

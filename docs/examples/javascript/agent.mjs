@@ -9,7 +9,7 @@ import { Dealer } from "./zmtp.mjs";
 const HELLO = 64, WELCOME = 65, REFUSE = 66, HEARTBEAT = 67, GOODBYE = 68, ERROR = 69;
 const INIT = 4, START = 5, STEP = 6, END = 7, CLEANUP = 8, MESSAGE = 10;
 
-// Hearing nothing for this long, a peer greets again: the hub may be another, or the connection new.
+// After receiving nothing for this long, a peer asks the hub whether it still knows it.
 const SILENCE_MS = 1000;
 
 const NOTHING = Buffer.alloc(0);
@@ -96,18 +96,25 @@ async function main(hub = "tcp://127.0.0.1:4097", session = "default") {
   const socket = new Dealer();
   const hello = [pack([HELLO, session, 0, [1], "agent", randomBytes(16), "walker", "JavaScript, Node", []])];
   let lastSeq = 0;
+  let lastCall = NOTHING;
   let lastAnswer = [];
-  socket.connect(hub);
-  await socket.send(hello);
+  let welcomed = false;
+  const greet = () => {
+    welcomed = false;
+    socket.send(hello);
+  };
+  socket.connect(hub, greet);
   for (;;) {
     const frames = await socket.receive(SILENCE_MS);
     if (frames === null) {
-      await socket.send(hello);
+      if (welcomed) socket.send([pack([HEARTBEAT, session, 0])]);
       continue;
     }
+    const call = Buffer.concat(frames);
     const [kind, , seq, ...scalars] = unpack(frames[0]);
     if (kind === WELCOME) {
       const [, resumed] = scalars;
+      welcomed = true;
       if (!resumed) lastSeq = 0;
     } else if (kind === REFUSE) {
       console.error(`refused: ${scalars[1]}`);
@@ -115,19 +122,20 @@ async function main(hub = "tcp://127.0.0.1:4097", session = "default") {
     } else if (kind === GOODBYE) {
       process.exit(0);
     } else if (kind === ERROR) {
-      if (scalars[0] === "unknown-peer") await socket.send(hello);
-      else console.error(`the hub says: ${scalars[1]}`);
+      if (scalars[0] !== "unknown-peer") console.error(`the hub says: ${scalars[1]}`);
+      else if (welcomed) greet();
     } else if (kind === HEARTBEAT || seq < lastSeq) {
       continue;
-    } else if (seq === lastSeq) {
-      await socket.send(lastAnswer);
+    } else if (call.equals(lastCall)) {
+      socket.send(lastAnswer);
     } else {
       const body = agent.answer(kind, scalars, frames[1] ?? NOTHING);
       if (body === undefined) lastAnswer = [pack([ERROR, session, seq, "unknown-kind", `what is ${kind}?`])];
       else if (body === null) lastAnswer = [pack([kind, session, seq])];
       else lastAnswer = [pack([kind, session, seq]), body];
       lastSeq = seq;
-      await socket.send(lastAnswer);
+      lastCall = call;
+      socket.send(lastAnswer);
     }
   }
 }

@@ -7,7 +7,7 @@ const MORE = 1, LONG = 2, COMMAND = 4;
 const GREETING_SIZE = 64;
 const RECONNECT_MS = 100;
 
-// The hub shows signs of life every second; a connection without any for this long is dead.
+// The hub sends a heartbeat every second; a connection without any for this long is dead.
 const PATIENCE_MS = 5000;
 
 const GREETING = Buffer.alloc(GREETING_SIZE);
@@ -21,21 +21,20 @@ export class Dealer {
   #socket = null;
   #received = [];
   #waiting = null;
-  #opened = [];
+  #onConnection = () => {};
 
-  connect(url) {
+  // `onConnection` is called whenever there is a new connection, which the hub does not know yet.
+  connect(url, onConnection) {
+    this.#onConnection = onConnection;
     const { hostname, port } = new URL(url.replace("tcp:", "http:"));
     this.#address = { host: hostname.replace(/[[\]]/g, ""), port: Number(port), noDelay: true };
     this.#run();
   }
 
-  // Send a message, once there is a connection to send it over.
-  async send(frames) {
+  // Send a message. Without a connection it is lost, as it is when a connection breaks: the hub asks again.
+  send(frames) {
     const parts = frames.map((part, i) => frame(i < frames.length - 1 ? MORE : 0, part));
-    while (this.#socket === null) {
-      await new Promise((resolve) => this.#opened.push(resolve));
-    }
-    this.#socket.write(Buffer.concat(parts));
+    this.#socket?.write(Buffer.concat(parts));
   }
 
   // Return the frames of the next message, or null if none comes within `timeout` milliseconds.
@@ -119,7 +118,7 @@ export class Dealer {
     const name = body.toString("latin1", 1, 1 + body[0]);
     if (name === "READY") {
       this.#socket = socket;
-      this.#opened.splice(0).forEach((resolve) => resolve());
+      this.#onConnection();
     } else if (name === "PING") {
       // After the name come two bytes of time to live, then a context that the PONG repeats.
       socket.write(frame(COMMAND, Buffer.concat([Buffer.from("\x04PONG", "latin1"), body.subarray(7)])));

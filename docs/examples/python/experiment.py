@@ -7,8 +7,7 @@ import sys
 from typing import Any
 
 import msgpack
-import zmq
-from peer import ERROR, GOODBYE, HEARTBEAT, HUB, REFUSE, SESSION, SILENCE_MS, WELCOME, connect
+from peer import ERROR, GOODBYE, HEARTBEAT, HUB, REFUSE, SESSION, WELCOME, Connection
 
 NOTICE = 70
 INIT, CLEANUP, RETURN, NUM_STEPS, EPISODE, AGENT_MESSAGE = 20, 23, 24, 25, 27, 33
@@ -22,7 +21,8 @@ class Experiment:
     def __init__(self, hub: str, session: str) -> None:
         self.session = session
         self.seq = 0
-        self.socket, self.hello = connect("experiment", "a few episodes", hub, session)
+        self.answered = False
+        self.connection = Connection("experiment", "a few episodes", hub, session)
 
     def ask(self, kind: int, *scalars: object, body: bytes | None = None) -> tuple[list[Any], bytes]:
         """Return the scalars and the body of the reply to a request, however often the network fails."""
@@ -30,31 +30,29 @@ class Experiment:
         request = [msgpack.packb([kind, self.session, self.seq, *scalars])]
         if body is not None:
             request.append(body)
-        self.socket.send_multipart(request)
+        if self.connection.welcomed:
+            self.connection.send(*request)
         while True:
-            if not self.socket.poll(SILENCE_MS):
-                self.socket.send(self.hello)
-                continue
-            header, *rest = self.socket.recv_multipart()
-            answered, _, seq, *values = msgpack.unpackb(header)
+            (_, *rest), answered, seq, values = self.connection.receive()
             if answered == WELCOME:
                 _, resumed, *_ = values
-                if not resumed and self.seq > 1:
+                if not resumed and self.answered:
                     sys.exit("the hub is another one; the experiment is lost")
-                self.socket.send_multipart(request)
+                if self.connection.welcomed:
+                    self.connection.send(*request)
             elif answered in (REFUSE, GOODBYE):
                 sys.exit(f"the hub says: {values[-1]}")
             elif answered == NOTICE:
                 print(f"{values[1]} {values[2]} {values[0]}", file=sys.stderr)
-            elif answered == ERROR and values[0] == "unknown-peer":
-                self.socket.send(self.hello)
             elif answered == HEARTBEAT or seq != self.seq:
                 continue
             elif answered == ERROR:
+                self.answered = True
                 if values[0] == "peer-lost":
                     raise EpisodeVoid(values[1])
                 sys.exit(f"the hub says: {values[1]}")
             else:
+                self.answered = True
                 return values, rest[0] if rest else b""
 
 
@@ -74,9 +72,7 @@ def main(hub: str = HUB, session: str = SESSION) -> None:
         print(f"episode {done}: return {total:g}, {steps} steps, {'ended' if terminal else 'cut off'}")
     print(glue.ask(AGENT_MESSAGE, body=b"how was it?")[1].decode())
     glue.ask(CLEANUP)
-    glue.socket.send(msgpack.packb([GOODBYE, session, 0, "all done"]))
-    glue.socket.close()
-    zmq.Context.instance().term()  # Waits until the goodbye has left.
+    glue.connection.close("all done")
 
 
 if __name__ == "__main__":

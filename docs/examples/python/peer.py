@@ -8,20 +8,21 @@ from typing import Any
 
 import msgpack
 import zmq
+from zmq.utils.monitor import parse_monitor_message
 
 HELLO, WELCOME, REFUSE, HEARTBEAT, GOODBYE, ERROR = 64, 65, 66, 67, 68, 69
 
 HUB = "tcp://127.0.0.1:4097"
 SESSION = "default"
 SILENCE_MS = 1000
-"""Hearing nothing for this long, a peer greets again: the hub may be another, or the connection new."""
+"""After receiving nothing for this long, a peer asks the hub whether it still knows it."""
 
 Answer = tuple[list[Any], bytes | None]
 """The scalars of an answer, and its body, which is None where the kind has none."""
 
 
 class UnknownKind(Exception):
-    """Raised by a player that is asked for something it has never heard of."""
+    """Raised by a player that is asked for something that it does not know."""
 
 
 def read(body: bytes) -> tuple[tuple[int, ...], tuple[float, ...], bytes]:
@@ -42,30 +43,77 @@ def write(ints: Sequence[int] = (), doubles: Sequence[float] = (), chars: bytes 
     return counts + struct.pack(f"<{len(doubles)}d{len(ints)}i", *doubles, *ints) + chars
 
 
-def connect(role: str, name: str, hub: str, session: str) -> tuple[zmq.Socket[bytes], bytes]:
-    """Return a socket that greets the hub as soon as there is one, and the greeting to repeat."""
-    socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
-    socket.setsockopt(zmq.HEARTBEAT_IVL, SILENCE_MS)
-    socket.setsockopt(zmq.LINGER, SILENCE_MS)
-    socket.connect(hub)
-    instance = os.urandom(16)
-    hello = msgpack.packb([HELLO, session, 0, [1], role, instance, name, "Python, pyzmq", []])
-    socket.send(hello)
-    return socket, hello
+class Connection:
+    """A socket that greets the hub once over each connection, as soon as it is made."""
+
+    def __init__(self, role: str, name: str, hub: str, session: str) -> None:
+        self.session = session
+        self.welcomed = False
+        self._hello = [[1], role, os.urandom(16), name, "Python, pyzmq", []]
+        self._hellos = 0
+        self._socket: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.DEALER)
+        self._socket.setsockopt(zmq.HEARTBEAT_IVL, SILENCE_MS)
+        self._socket.setsockopt(zmq.LINGER, SILENCE_MS)
+        # libzmq reconnects without saying so; its monitor says so.
+        self._monitor = self._socket.get_monitor_socket(
+            zmq.Event.HANDSHAKE_SUCCEEDED | zmq.Event.DISCONNECTED
+        )
+        self._poller = zmq.Poller()
+        self._poller.register(self._socket, zmq.POLLIN)
+        self._poller.register(self._monitor, zmq.POLLIN)
+        self._socket.connect(hub)
+
+    def send(self, *frames: bytes) -> None:
+        """Send a message."""
+        self._socket.send_multipart(frames)
+
+    def receive(self) -> tuple[list[bytes], int, int, list[Any]]:
+        """Return the frames of the next message, and of its header the kind, the seq and the scalars."""
+        while True:
+            ready = dict(self._poller.poll(SILENCE_MS))
+            if self._monitor in ready:
+                self._new_connection(parse_monitor_message(self._monitor.recv_multipart())["event"])
+            elif self._socket in ready:
+                frames = self._socket.recv_multipart()
+                kind, _, seq, *scalars = msgpack.unpackb(frames[0])
+                if kind == ERROR and scalars[0] == "unknown-peer":
+                    if self.welcomed:
+                        self._greet()
+                    continue
+                if kind == WELCOME and seq == self._hellos:
+                    self.welcomed = True
+                return frames, kind, seq, scalars
+            elif self.welcomed:
+                self.send(msgpack.packb([HEARTBEAT, self.session, 0]))
+
+    def close(self, reason: str) -> None:
+        """Say goodbye, and wait until that has left."""
+        self.send(msgpack.packb([GOODBYE, self.session, 0, reason]))
+        self._socket.disable_monitor()
+        self._monitor.close()
+        self._socket.close()
+        zmq.Context.instance().term()
+
+    def _new_connection(self, event: int) -> None:
+        self.welcomed = False
+        if event == zmq.Event.HANDSHAKE_SUCCEEDED:
+            self._greet()
+
+    def _greet(self) -> None:
+        self.welcomed = False
+        self._hellos += 1
+        self.send(msgpack.packb([HELLO, self.session, self._hellos, *self._hello]))
 
 
 def serve(role: str, name: str, answer: Callable[[int, list[Any], bytes], Answer]) -> None:
     """Answer the hub's calls until it says goodbye. Usage of a program: [hub] [session]."""
     hub, session = (*sys.argv[1:3], *(HUB, SESSION)[len(sys.argv) - 1 :])
-    socket, hello = connect(role, name, hub, session)
+    connection = Connection(role, name, hub, session)
     last_seq = 0
+    last_call: list[bytes] = []
     last_answer: list[bytes] = []
     while True:
-        if not socket.poll(SILENCE_MS):
-            socket.send(hello)
-            continue
-        header, *rest = socket.recv_multipart()
-        kind, _, seq, *scalars = msgpack.unpackb(header)
+        frames, kind, seq, scalars = connection.receive()
         if kind == WELCOME:
             _, resumed, *_ = scalars
             if not resumed:
@@ -75,19 +123,16 @@ def serve(role: str, name: str, answer: Callable[[int, list[Any], bytes], Answer
         elif kind == GOODBYE:
             return
         elif kind == ERROR:
-            if scalars[0] == "unknown-peer":
-                socket.send(hello)
-            else:
-                print(f"the hub says: {scalars[1]}", file=sys.stderr)
+            print(f"the hub says: {scalars[1]}", file=sys.stderr)
         elif kind == HEARTBEAT or seq < last_seq:
             continue
-        elif seq == last_seq:
-            socket.send_multipart(last_answer)
+        elif frames == last_call:
+            connection.send(*last_answer)
         else:
             try:
-                reply, body = answer(kind, scalars, rest[0] if rest else b"")
+                reply, body = answer(kind, scalars, frames[1] if len(frames) > 1 else b"")
                 last_answer = [msgpack.packb([kind, session, seq, *reply]), *([] if body is None else [body])]
             except UnknownKind:
                 last_answer = [msgpack.packb([ERROR, session, seq, "unknown-kind", f"what is {kind}?"])]
-            last_seq = seq
-            socket.send_multipart(last_answer)
+            last_seq, last_call = seq, frames
+            connection.send(*last_answer)
