@@ -8,7 +8,8 @@ import socket
 import struct
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from typing import BinaryIO
 
 ABORT = struct.pack("ii", 1, 0)
 """SO_LINGER: drop what is unsent and reset the connection, as a cable that is pulled."""
@@ -127,3 +128,94 @@ class Proxy:
             del self._partner[each]
             each.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ABORT)
             each.close()
+
+
+class WelcomeThief:
+    """Passes bytes on to a hub and back, and loses exactly the WELCOMEs that it is told to.
+
+    A WELCOME is lost as it is in life: the hub has sent it, and the connection ends before it arrives.
+    """
+
+    def __init__(self) -> None:
+        self._hub = ("", 0)
+        self._left = 0
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._pairs: list[tuple[socket.socket, socket.socket]] = []
+        self._thread = threading.Thread(target=self._accept)
+
+    def __enter__(self) -> WelcomeThief:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._thread.join()
+        self._listener.close()
+        self._cut()
+
+    def before(self, hub: str) -> str:
+        """Lead to `hub`; return the URL to connect to instead."""
+        self.lead_to(hub)
+        return f"tcp://127.0.0.1:{self._listener.getsockname()[1]}"
+
+    @property
+    def lost(self) -> bool:
+        """Whether everything was lost that was to be lost."""
+        return self._left == 0
+
+    def lead_to(self, hub: str, lose: int = 0) -> None:
+        """Cut the connections; lead new ones to `hub`, whose first `lose` WELCOMEs are lost."""
+        host, _, port = hub.removeprefix("tcp://").rpartition(":")
+        self._hub, self._left = (host, int(port)), lose
+        self._cut()
+
+    def _accept(self) -> None:
+        while True:
+            try:
+                near, _ = self._listener.accept()
+            except OSError:
+                return
+            far = socket.create_connection(self._hub)
+            self._pairs.append((near, far))
+            threading.Thread(target=self._to_hub, args=(near, far), daemon=True).start()
+            threading.Thread(target=self._from_hub, args=(near, far), daemon=True).start()
+
+    def _to_hub(self, near: socket.socket, far: socket.socket) -> None:
+        with suppress(OSError):
+            while data := near.recv(65536):
+                far.sendall(data)
+            far.shutdown(socket.SHUT_WR)
+
+    def _from_hub(self, near: socket.socket, far: socket.socket) -> None:
+        with suppress(OSError, EOFError), far.makefile("rb") as stream:
+            near.sendall(_exactly(stream, 64))  # ZMTP's greeting
+            while True:
+                head = _exactly(stream, 2)
+                if head[0] & 2:
+                    head += _exactly(stream, 7)
+                frame = _exactly(stream, int.from_bytes(head[1:], "big"))
+                # A header is an array whose first item is the kind: 65.
+                if self._left and not head[0] & 4 and frame[:2] == b"\x98\x41":
+                    self._left -= 1
+                    _end(near, far)
+                    return
+                near.sendall(head + frame)
+        _end(near, far)
+
+    def _cut(self) -> None:
+        while self._pairs:
+            _end(*self._pairs.pop())
+
+
+def _exactly(stream: BinaryIO, size: int) -> bytes:
+    data = stream.read(size)
+    if len(data) < size:
+        raise EOFError
+    return data
+
+
+def _end(*sockets: socket.socket) -> None:
+    for each in sockets:
+        with suppress(OSError):  # ended by the other thread
+            each.shutdown(socket.SHUT_RDWR)
+        each.close()

@@ -26,7 +26,7 @@ from glue.hub.server import Hub
 from glue.types import Action, Observation
 from tests.players import ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
 from tests.system.peer import TIMEOUT, peer, running
-from tests.system.proxy import Proxy
+from tests.system.proxy import Proxy, WelcomeThief
 
 EPISODES = 4
 HEARTBEAT = 0.1
@@ -289,6 +289,84 @@ def test_players_come_back_to_a_hub_that_was_killed_and_started_again() -> None:
                 assert after.rl_episode()
                 assert count(after, "agent", "agent_init") == 2, "the same process as before"
                 assert count(after, "environment", "env_init") == 2
+
+
+@pytest.fixture
+def two_hubs() -> Iterator[tuple[Hub, Hub]]:
+    """Two hubs, one to take the place of the other behind a proxy, as if it had been started again."""
+    config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, patience=60.0)
+    with Hub(config).in_background() as first, Hub(config).in_background() as second:
+        yield first, second
+
+
+@pytest.mark.parametrize("lose", [0, 1, 3])
+def test_a_player_plays_on_at_another_hub_although_welcomes_are_lost(
+    two_hubs: tuple[Hub, Hub], lose: int
+) -> None:
+    first, second = (hub.endpoints[0] for hub in two_hubs)
+    agent = ScriptedAgent()
+    with WelcomeThief() as thief, ExitStack() as ending:
+        ending.enter_context(serving(thief.before(first), agent))
+        ending.enter_context(serving(first, ScriptedEnvironment()))
+        ending.enter_context(serving(second, ScriptedEnvironment()))
+        for hub in two_hubs:
+            ending.callback(hub.stop, "over")
+        with connect(first, log=quiet) as before:
+            before.rl_init()
+            assert before.rl_episode()
+        thief.lead_to(second, lose)
+        del agent.calls[:]
+        with connect(second, log=quiet) as after:
+            after.rl_init()
+            assert after.rl_episode()
+        assert thief.lost
+        assert [call.split()[0] for call in agent.calls] == [
+            "agent_init",
+            "agent_start",
+            "agent_step",
+            "agent_step",
+            "agent_end",
+        ], "everything once"
+
+
+@pytest.mark.parametrize("lose", [0, 1, 3])
+def test_a_step_of_an_experiment_is_never_carried_out_by_another_hub(
+    two_hubs: tuple[Hub, Hub], lose: int
+) -> None:
+    first, second = (hub.endpoints[0] for hub in two_hubs)
+    agent, environment = ScriptedAgent(), ScriptedEnvironment()
+    with WelcomeThief() as thief, ExitStack() as ending:
+        for player in (ScriptedAgent(), ScriptedEnvironment()):
+            ending.enter_context(serving(first, player))
+        for player in (agent, environment):
+            ending.enter_context(serving(second, player))
+        for hub in two_hubs:
+            ending.callback(hub.stop, "over")
+        glue = ending.enter_context(connect(thief.before(first), log=quiet))
+        glue.rl_init()
+        glue.rl_start()
+        thief.lead_to(second, lose)
+        with pytest.raises(HubClosed, match="knows nothing of this experiment"):
+            glue.rl_step()
+        assert thief.lost
+        glue.rl_init()
+        assert (agent.calls, environment.calls) == (["agent_init a task"], ["env_init"])
+
+
+@pytest.mark.parametrize("lose", [1, 3])
+def test_an_experiment_begins_although_its_first_welcomes_are_lost(
+    two_hubs: tuple[Hub, Hub], lose: int
+) -> None:
+    hub = two_hubs[0].endpoints[0]
+    with WelcomeThief() as thief, ExitStack() as ending:
+        url = thief.before(hub)
+        thief.lead_to(hub, lose)
+        for player in (ScriptedAgent(), ScriptedEnvironment()):
+            ending.enter_context(serving(hub, player))
+        ending.callback(two_hubs[0].stop, "over")
+        with connect(url, log=quiet) as glue:
+            assert thief.lost
+            assert glue.rl_init() == "a task"
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])

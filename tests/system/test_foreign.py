@@ -22,6 +22,7 @@ from glue.core.config import HubConfig
 from glue.core.experiment import Experiment
 from glue.hub.server import Hub
 from glue.types import Action, Observation
+from tests.system.proxy import WelcomeThief
 
 EXAMPLES: Final = Path(__file__).parents[2] / "docs/examples"
 PYTHON: Final = EXAMPLES / "python"
@@ -167,6 +168,32 @@ def test_agent_survives_a_connection_that_is_cut_again_and_again(agent: Agent) -
     assert returns == [1.0, 1.0, 1.0]
     assert said.startswith("3 episodes, 3 in all")
     assert cutter.cuts >= 6
+
+
+def test_agent_forgets_another_hub_although_welcomes_of_the_next_are_lost(agent: Agent) -> None:
+    # With the count of the first hub in mind it would answer nothing to the second.
+    with (
+        zmq.Context() as context,
+        Hub(HubConfig(bind=("tcp://127.0.0.1:*",))).in_background() as second,
+        WelcomeThief() as thief,
+        table_for(agent, SkeletonEnvironment(), thief.before) as glue,
+    ):
+        glue.rl_init()
+        assert glue.rl_episode()
+        thief.lead_to(second.endpoints[0], lose=2)
+        serve = threading.Thread(
+            target=serve_environment,
+            args=(SkeletonEnvironment(), second.endpoints[0]),
+            kwargs={"context": context, "log": lambda line: None},
+        )
+        serve.start()
+        with connect(second.endpoints[0], context=context, log=lambda line: None) as other:
+            other.rl_init()
+            assert other.rl_episode()
+            assert thief.lost
+            assert other.rl_agent_message("?").startswith("1 episodes")
+        second.stop("over")
+        serve.join()
 
 
 def test_environment_agent_and_experiment_that_know_only_the_document_play_together() -> None:
