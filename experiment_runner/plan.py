@@ -13,8 +13,9 @@ from __future__ import annotations
 import hashlib
 import itertools
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Final
 
 from glue.errors import ConfigError, ExperimentError
@@ -28,7 +29,9 @@ __all__ = [
     "RoleSpec",
     "RoleSweep",
     "TrialSpec",
+    "absolute",
     "check_options",
+    "class_files",
     "describe",
     "differences",
     "plain",
@@ -182,6 +185,26 @@ def trial_seed(seed: int, trial_id: str) -> int:
 
     state = np.random.SeedSequence(seed, spawn_key=words).generate_state(1, np.uint64)
     return int(state[0]) >> 1
+
+
+def absolute(plan: Plan, folder: Path) -> Plan:
+    """Return the plan with every relative `path/file.py:Class` taken to be relative to `folder`."""
+
+    def located(sweep: RoleSweep) -> RoleSweep:
+        file, _, name = sweep.name.rpartition(":")
+        return replace(sweep, name=f"{folder.absolute() / file}:{name}") if file.endswith(".py") else sweep
+
+    return replace(
+        plan,
+        environments=tuple(map(located, plan.environments)),
+        agents=tuple(map(located, plan.agents)),
+    )
+
+
+def class_files(roles: Iterable[RoleSweep | RoleSpec | None]) -> list[str]:
+    """Return the files of classes that are named by a file, each once."""
+    sources = [role.name.rpartition(":")[0] for role in roles if role is not None]
+    return list(dict.fromkeys(source for source in sources if source.endswith(".py")))
 
 
 def check_options(plan: Plan, find: Callable[[str, str], type]) -> Plan:

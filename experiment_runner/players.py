@@ -10,7 +10,6 @@ its port connects as soon as it is open, and ends when it is closed again.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
@@ -18,25 +17,29 @@ from typing import Final
 
 import zmq
 
+from experiment_runner import player_command
 from experiment_runner.children import KeptAlive, Say
 from experiment_runner.plan import Plan, TrialSpec
+from experiment_runner.rewards import FiniteRewards
+from experiment_runner.scratch import SOCKET, scratch_folder
 from glue.client.experiment import connect
-from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig, LegacyPort
+from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, Bind, HubConfig, LegacyPort
 from glue.core.experiment import Experiment
 from glue.core.local import local
 from glue.errors import ExperimentError
 from glue.hub.listener import OpenAddress, open_address
 from glue.hub.server import Hub
 from glue.legacy.gateway import Gateway, open_legacy_port
-from glue.options import Value, build, parameters
+from glue.options import build
 from glue.players.loading import find
 from glue.protocol.messages import Event, Role
 
-__all__ = ["HubOptions", "Meeting", "listening", "open_experiment", "player_arguments"]
+__all__ = ["HubOptions", "Meeting", "Note", "listening", "open_experiment"]
 
-_MODULES: Final = {Role.AGENT: "agents.command", Role.ENVIRONMENT: "env_server.command"}
 _COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
-_EXAMPLES: Final = {Role.AGENT: "random", Role.ENVIRONMENT: "mines"}
+
+Note = Callable[[str, str], None]
+"""Takes note of an event, and shows it: its kind, which is one word, and a line for people."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,16 +70,18 @@ class Meeting:
         hub: where, when they are processes.
         opened: those of the hub's addresses that are open already, by URL.
         opened_legacy: those of its ports for original RL-Glue programs that are open already.
+        any_reward: whether rewards may be infinite or NaN; if not, the first such reward ends the trial.
     """
 
     in_process: bool = False
     hub: HubOptions = field(default_factory=HubOptions)
     opened: Mapping[str, OpenAddress] = field(default_factory=dict)
     opened_legacy: Mapping[LegacyPort, OpenAddress] = field(default_factory=dict)
+    any_reward: bool = False
 
 
 def open_experiment(
-    spec: TrialSpec, meeting: Meeting, say: Say, progress: Callable[[], int]
+    spec: TrialSpec, meeting: Meeting, say: Say, progress: Callable[[], int], note: Note | None = None
 ) -> AbstractContextManager[Experiment]:
     """Bring the players of a trial together.
 
@@ -86,12 +91,15 @@ def open_experiment(
         say: takes lines for people; may be called from any thread.
         progress: returns how many episodes are done, for a player that is killed again and again to be
             given up; may be called from any thread.
+        note: takes note of each player that joins from outside; None to show a line alone.
 
     Raises:
         ConfigError: a name, an option or an address is wrong, or an address is in use.
         ExperimentError: a child process cannot be started, or in one process a role is left out.
     """
-    return _in_process(spec) if meeting.in_process else _over_hub(spec, meeting, say, progress)
+    if meeting.in_process:
+        return _in_process(spec, meeting)
+    return _over_hub(spec, meeting, say, progress, note or (lambda kind, text: say(text)))
 
 
 @contextmanager
@@ -117,72 +125,75 @@ def _outside(options: HubOptions, expected: bool) -> tuple[str, ...]:
 
 
 @contextmanager
-def _in_process(spec: TrialSpec) -> Iterator[Experiment]:
+def _in_process(spec: TrialSpec, meeting: Meeting) -> Iterator[Experiment]:
     players = {}
     for role, player in ((Role.AGENT, spec.agent), (Role.ENVIRONMENT, spec.environment)):
         if player is None:
             raise ExperimentError(f"in one process an {role} must be named: only a hub can wait for one")
         players[role] = build(find(role, player.name), player.options)
-    with local(players[Role.AGENT], players[Role.ENVIRONMENT]) as glue:
+    environment = players[Role.ENVIRONMENT]
+    if not meeting.any_reward:
+        environment = FiniteRewards(environment)
+    with local(players[Role.AGENT], environment) as glue:
         yield glue
 
 
 @contextmanager
 def _over_hub(
-    spec: TrialSpec, meeting: Meeting, say: Say, progress: Callable[[], int]
+    spec: TrialSpec, meeting: Meeting, say: Say, progress: Callable[[], int], note: Note
 ) -> Iterator[Experiment]:
     options = meeting.hub
     players = {Role.ENVIRONMENT: spec.environment, Role.AGENT: spec.agent}
     named = {role: player for role, player in players.items() if player is not None}
+    expected = frozenset(players.keys() - named.keys())
+    public = options.hub or ""
+    ports: tuple[LegacyPort, ...] = ()
 
     def notice(event: str, role: str, name: str) -> None:
-        if event != Event.JOINED or Role(role) not in named:
-            say(f"{role} {name} {event}")
+        line = f"{role} {name} {event}"
+        if event != Event.JOINED:
+            say(line)
+        elif Role(role) in expected:
+            note("joined", line)
+        if Role(role) in expected and event == Event.LOST:
+            tell_missing(frozenset({Role(role)}))
+
+    def tell_missing(missing: frozenset[Role]) -> None:
+        say(_missing(missing, named, public, options.session, ports))
 
     with ExitStack() as stack:
         # Entered first, so left last: the children go when our hub has said goodbye to them.
         children = stack.enter_context(KeptAlive(say, progress, dismissed=options.hub is None))
         context = stack.enter_context(zmq.Context())
         if options.hub is None:
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="glue-"))
-            inside = f"ipc://{folder}/hub"
-            outside = _outside(options, expected=len(named) < len(players))
-            config = HubConfig(bind=(inside, *outside), insecure=options.insecure)
+            inside = f"ipc://{stack.enter_context(scratch_folder())}/{SOCKET}"
+            # A role that is named is open to our own child alone: only it can reach the address inside.
+            outside = _outside(options, bool(expected)) if expected else ()
+            binds = [Bind(url, roles=expected) for url in outside]
+            config = HubConfig(bind=(inside, *binds), insecure=options.insecure)
             hub = stack.enter_context(Hub(config, opened=meeting.opened))
-            ports = Gateway(hub, options.legacy, say, opened=meeting.opened_legacy).ports
+            legacy = {port: replace(port, roles=expected) for port in options.legacy}
+            opened_legacy = {legacy[port]: address for port, address in meeting.opened_legacy.items()}
+            ports = tuple(Gateway(hub, tuple(legacy.values()), say, opened=opened_legacy).ports)
             for port in ports:
                 say(f"original RL-Glue programs join on {port}")
             stack.enter_context(hub.in_background())
             public = _from_outside(hub.endpoints[1]) if outside else inside
         else:
-            inside = public = options.hub
-            ports = list[LegacyPort]()
+            inside = options.hub
         glue = connect(inside, options.session, context=context, log=say, on_notice=notice)
         stack.enter_context(glue)
         for role, player in named.items():
-            arguments = player_arguments(role, player.name, player.options, inside, options.session)
-            children.start(f"{role} {player.name}", _MODULES[role], [*arguments, "--quiet"], glue.give_up)
-        glue.wait_for_players(lambda missing: say(_missing(missing, named, public, options.session, ports)))
-        yield glue
-
-
-def player_arguments(
-    role: Role, name: str, options: Mapping[str, Value], hub: str, session: str
-) -> list[str]:
-    """Return the arguments of glue-agent or glue-env that start this player."""
-    arguments = [name]
-    known = parameters(find(role, name)) if options else {}
-    for key, value in options.items():
-        flag = known[key].flag
-        if isinstance(value, bool):
-            arguments.append(f"--{flag}" if value else f"--no-{flag}")
-        else:
-            arguments.append(f"--{flag}={value}")
-    if hub != DEFAULT_HUB:
-        arguments += ["--hub", hub]
-    if session != DEFAULT_SESSION:
-        arguments += ["--session", session]
-    return arguments
+            arguments = player_command.arguments(
+                role, player.name, player.options, inside, options.session, meeting.any_reward
+            )
+            children.start(f"{role} {player.label}", player_command.MODULE, arguments, glue.give_up)
+        try:
+            glue.wait_for_players(tell_missing)
+            yield glue
+        except KeyboardInterrupt:
+            children.hurry()
+            raise
 
 
 def _from_outside(endpoint: str) -> str:
@@ -206,7 +217,8 @@ def _missing(
         if role in named:
             lines.append(f"waiting for the {role} to start")
         else:
-            arguments = " ".join(player_arguments(role, _EXAMPLES[role], {}, hub, session))
-            line = f"waiting for an {role}; in another terminal: {_COMMANDS[role]} {arguments}"
+            where = "" if hub == DEFAULT_HUB else f" --hub {hub}"
+            where += "" if session == DEFAULT_SESSION else f" --session {session}"
+            line = f"waiting for an {role}; in another terminal: {_COMMANDS[role]} NAME{where}"
             lines.append(f"{line}; or an original one on {' or '.join(legacy)}" if legacy else line)
     return "\n".join(lines)

@@ -22,22 +22,28 @@ __all__ = ["Recorder", "recorded"]
 
 @contextmanager
 def recorded(path: Path | None) -> Iterator[TrajectoryWriter | None]:
-    """Give the writer of a new recording, or None without a path. One that holds no episode vanishes.
+    """Give the writer of a new recording, or None without a path. One that holds no episode is removed.
 
     Raises:
-        TrajectoryError: the file exists already, or cannot be written.
+        TrajectoryError: the file exists already and is not such a remnant, or cannot be written.
     """
     if path is None:
         yield None
         return
+    _remove_remnant(path)  # of a recording that was killed, or found the disk full, at its very beginning
     writer = TrajectoryWriter(path)
     try:
         with writer:
             yield writer
     finally:
-        with suppress(TrajectoryError):
-            if next(iter(TrajectoryReader(path)), None) is None:
-                path.unlink()
+        _remove_remnant(path)
+
+
+def _remove_remnant(path: Path) -> None:
+    """Remove a recording without an episode, and a file that is empty."""
+    with suppress(TrajectoryError, OSError):
+        if path.is_file() and (path.stat().st_size == 0 or next(iter(TrajectoryReader(path)), None) is None):
+            path.unlink()
 
 
 class Recorder:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import sys
 import time
 from contextlib import ExitStack
 from dataclasses import replace
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from experiment_runner.plan import Plan, RoleSweep, check_options, describe
+from experiment_runner.plan import Plan, RoleSweep, absolute, check_options, class_files, describe
 from experiment_runner.plan_file import load_plan
 from glue import __version__
 from glue.commands import HUB_VARIABLE, SESSION_VARIABLE, legacy_port_option, run
@@ -137,6 +138,16 @@ _MAX_SEED: Final = 2**63 - 1
     help="Go on with the run in this directory, whatever its plan is.",
 )
 @click.option(
+    "--trust",
+    is_flag=True,
+    help="Run the code in the files that the run of --resume names, without asking.",
+)
+@click.option(
+    "--any-reward",
+    is_flag=True,
+    help="Accept rewards that are infinite or not a number; without, the first one ends the trial.",
+)
+@click.option(
     "--checkpoint-every",
     type=click.IntRange(0),
     default=_CHECKPOINT_EVERY,
@@ -178,6 +189,8 @@ def experiment(
     insecure: bool,
     out: Path | None,
     resume: Path | None,
+    trust: bool,
+    any_reward: bool,
     checkpoint_every: int,
     record: Path | None,
     dry_run: bool,
@@ -204,6 +217,12 @@ def experiment(
     from experiment_runner.executors.run import Place, RunConfig
 
     counts = {"episodes": episodes, "max_steps": max_steps, "trials": trials, "seed": seed}
+    if plan_file is not None and (agent or environment or agent_option or env_option):
+        raise ConfigError(
+            f"{plan_file} says which agents and environments there are: leave out --agent and --env, and "
+            "write what --agent-option and --env-option would say into the plan, below [agents.NAME] or "
+            "[environments.NAME]"
+        )
     given = {name: value for name, value in counts.items() if value is not None}
     roles = {
         "environments": _role(Role.ENVIRONMENT, environment, env_option),
@@ -216,13 +235,15 @@ def experiment(
                 "leave out --plan, --out, and what the plan says"
             )
         plan, directory = recorded_plan(resume), resume
+        if not (trust or dry_run):
+            _ask_for_trust(resume, plan)
     else:
         try:
             plan = _plan(plan_file, given, roles)
         except ExperimentError as error:  # a plan is what the command asks for
             raise ConfigError(str(error)) from error
         directory = out or _new_directory(plan_file.stem if plan_file else _labels(plan))
-    meeting = _meeting(in_process, hub, bind, session, legacy_port, insecure)
+    meeting = replace(_meeting(in_process, hub, bind, session, legacy_port, insecure), any_reward=any_reward)
     config = RunConfig(meeting, checkpoint_every, Place(engine), workers, address)
     config.check(plan, recording=record is not None)
     if dry_run:
@@ -247,16 +268,22 @@ def _plan(plan_file: Path | None, counts: dict[str, Any], roles: dict[str, Any])
     if plan_file is None:
         if "episodes" not in counts:
             raise ConfigError("say how many --episodes to run, or give a --plan or a run to --resume")
-        plan = Plan(**counts, **roles)
-    elif any(roles.values()):
-        raise ConfigError(
-            f"{plan_file} says which agents and environments there are: leave out --env, --agent"
-        )
+        plan = absolute(Plan(**counts, **roles), Path.cwd())
     else:
-        plan = replace(load_plan(plan_file), **counts)
+        plan = absolute(replace(load_plan(plan_file), **counts), plan_file.parent)
     plan = check_options(plan, lambda role, name: find(Role(role), name))
     plan.expand()  # is refused here, before anything is made, if it has a trial twice
     return plan
+
+
+def _ask_for_trust(directory: Path, plan: Plan) -> None:
+    """Make sure that somebody wants the code run which a run directory names: it may be another's."""
+    files = ", ".join(class_files([*plan.agents, *plan.environments]))
+    if not files:
+        return
+    if not sys.stdin.isatty():
+        raise ConfigError(f"{directory} names code that would be run, {files}: if you trust it, say --trust")
+    click.confirm(f"{directory} names code that will be run: {files}. Do you trust it?", abort=True, err=True)
 
 
 def _meeting(
@@ -307,7 +334,7 @@ def _run(directory: Path, plan: Plan, config: RunConfig, record: Path | None, as
         addresses = stack.enter_context(ExitStack())
         meeting = addresses.enter_context(listening(plan, config.meeting))
         recording = stack.enter_context(recorded(record))
-        store = stack.enter_context(open_run(directory, plan))
+        store = stack.enter_context(open_run(directory, plan, say=progress.say))
         failed = run_trials(store, replace(config, meeting=meeting), lines or progress, recording)
         addresses.close()  # nobody would serve who joins from here on
         seconds = time.monotonic() - began

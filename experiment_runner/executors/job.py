@@ -132,7 +132,7 @@ def run_job(
     sender = _Sender(send_alone, job.start.after)
     try:
         with open_experiment(
-            job.spec, job.meeting, lambda line: send_alone(Said(line)), lambda: sender.done
+            job.spec, job.meeting, lambda line: send_alone(Said(line)), lambda: sender.done, sender.event
         ) as glue:
             run_trial(
                 glue,
@@ -193,6 +193,7 @@ def encode_job(job: Job) -> bytes:
     header = [
         json.dumps(asdict(job.spec)),
         job.meeting.in_process,
+        job.meeting.any_reward,
         job.checkpoint_every,
         job.start.after,
     ]
@@ -201,13 +202,18 @@ def encode_job(job: Job) -> bytes:
 
 def decode_job(value: Any) -> Job:
     """Return the job that an unpacked value of `encode_job` stands for."""
-    trial, in_process, checkpoint_every, after, saved = value
+    trial, in_process, any_reward, checkpoint_every, after, saved = value
     fields = json.loads(trial)
     for role in ("agent", "environment"):
         if fields[role] is not None:
             fields[role] = RoleSpec(**fields[role])
     checkpoint = None if saved is None else Checkpoint(*saved)
-    return Job(TrialSpec(**fields), Meeting(in_process), Start(after, checkpoint), checkpoint_every)
+    return Job(
+        TrialSpec(**fields),
+        Meeting(in_process, any_reward=any_reward),
+        Start(after, checkpoint),
+        checkpoint_every,
+    )
 
 
 def encode_report(report: Report) -> bytes:

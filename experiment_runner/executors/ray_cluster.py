@@ -20,7 +20,7 @@ from typing import Any, Final, Self
 from experiment_runner.executors.job import Ended, Job, Lost, Report, run_job
 from glue.errors import ConfigError, ExperimentError
 
-__all__ = ["RayExecutor"]
+__all__ = ["RayExecutor", "parse_address"]
 
 _BATCH_SECONDS: Final = 0.1
 _CONNECT_SECONDS: Final = 5.0
@@ -80,7 +80,7 @@ class RayExecutor:
 
     def __enter__(self) -> Self:
         if self._address is not None:
-            _check_address(self._address)
+            _check_cluster(self._address)
         try:
             self._ray.init(address=self._address, logging_level=logging.ERROR)
         except (ConnectionError, ValueError, RuntimeError) as error:
@@ -112,13 +112,22 @@ def _run(job: Job) -> Iterator[list[Report]]:
         yield batch
 
 
-def _check_address(address: str) -> None:
-    """Check that a cluster listens there: Ray itself would try for minutes."""
+def parse_address(address: str) -> tuple[str, int]:
+    """Return the host and port of a cluster.
+
+    Raises:
+        ConfigError: it is not written as HOST:PORT.
+    """
     match = _ADDRESS.fullmatch(address)
     if match is None or not 1 <= int(match["port"]) <= 65535:
         raise ConfigError(f"{address!r:.80} is not the address of a Ray cluster: write HOST:PORT")
+    return match["host"].strip("[]"), int(match["port"])
+
+
+def _check_cluster(address: str) -> None:
+    """Check that a cluster listens there: Ray itself would try for minutes."""
     try:
-        socket.create_connection((match["host"].strip("[]"), int(match["port"])), _CONNECT_SECONDS).close()
+        socket.create_connection(parse_address(address), _CONNECT_SECONDS).close()
     except OSError as error:
         reason = error.strerror or str(error)
         raise ExperimentError(f"there is no Ray cluster at {address}: {reason}") from error

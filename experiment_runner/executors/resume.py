@@ -13,7 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
-from experiment_runner.plan import Plan, differences
+from experiment_runner.plan import Plan, absolute, differences
 from experiment_runner.plan_file import dump_plan, load_plan
 from experiment_runner.provenance import about, program
 from experiment_runner.store.database import holds_run, reported
@@ -74,6 +74,9 @@ def resume_run(
     try:
         _check_plan(store, plan)
         store.record_event("resume", program())
+        for record in store.trials():
+            if record.finished and record.failure is not None:  # as its cleanup may have
+                store.rewind(record.spec.id, record.done)
         left = remaining(store)
         for trial in left:
             go_back(store, trial)
@@ -83,15 +86,33 @@ def resume_run(
     return store, left
 
 
-def open_run(directory: Path, plan: Plan, *, clock: Callable[[], float] = time.time) -> Store:
+def open_run(
+    directory: Path,
+    plan: Plan,
+    *,
+    say: Callable[[str], None] = lambda line: None,
+    clock: Callable[[], float] = time.time,
+) -> Store:
     """Return the store of a plan's run: a new one, or the one that the directory holds, ready to go on.
+
+    Args:
+        directory: holds the run, or will.
+        plan: of the run.
+        say: takes a line for people about each trial that was interrupted.
+        clock: returns seconds since 1970.
 
     Raises:
         ExperimentError: as `create_run` and `resume_run`.
     """
     with reported(f"cannot open {directory}"):
         exists = holds_run(directory)
-    return resume_run(directory, plan, clock=clock)[0] if exists else create_run(directory, plan, clock=clock)
+    if not exists:
+        return create_run(directory, plan, clock=clock)
+    store, left = resume_run(directory, plan, clock=clock)
+    for trial in left:
+        if trial.after or trial.dropped:
+            say(f"{trial.trial_id} {trial.course}")
+    return store
 
 
 def recorded_plan(directory: Path) -> Plan:
@@ -132,7 +153,10 @@ def _check_plan(store: Store, plan: Plan | None) -> None:
     if recorded.expand() != [trial.spec for trial in store.trials()]:
         path = store.directory / PLAN_FILE
         raise ExperimentError(f"{path} was changed after its run began: put it back")
-    if plan is not None and (found := differences(recorded, plan)):
+    if plan is None:
+        return
+    # Runs of earlier versions have paths that are relative to where they began.
+    if found := differences(*(absolute(one, Path.cwd()) for one in (recorded, plan))):
         raise ExperimentError(
             f"{store.directory} is the run of another plan ({'; '.join(found)}): "
             "choose another directory with --out"

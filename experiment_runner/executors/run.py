@@ -8,11 +8,11 @@ from enum import StrEnum
 from experiment_runner.executors.dispatch import Dispatcher, Executor
 from experiment_runner.executors.job import Job
 from experiment_runner.executors.local import LocalExecutor
-from experiment_runner.executors.ray_cluster import RayExecutor
+from experiment_runner.executors.ray_cluster import RayExecutor, parse_address
 from experiment_runner.executors.resume import remaining
 from experiment_runner.executors.trial import Start
 from experiment_runner.interrupts import GRACE_SECONDS, Interrupts
-from experiment_runner.plan import Plan, TrialSpec
+from experiment_runner.plan import Plan, TrialSpec, class_files
 from experiment_runner.players import HubOptions, Meeting
 from experiment_runner.report.progress import Reporter
 from experiment_runner.store.store import Store
@@ -54,8 +54,10 @@ class RunConfig:
         Raises:
             ConfigError: it cannot; the message says why.
         """
-        if self.address is not None and self.place is not Place.RAY:
-            raise ConfigError("--address is that of a Ray cluster: say --engine ray")
+        if self.address is not None:
+            if self.place is not Place.RAY:
+                raise ConfigError("--address is that of a Ray cluster: say --engine ray")
+            parse_address(self.address)
         parallel = self.place is Place.RAY or self.workers is not None
         if (parallel or self.meeting.in_process) and self.meeting.hub != HubOptions():
             why = "every worker brings its own hub" if parallel else "with --in-process there is no hub"
@@ -109,7 +111,9 @@ def run_trials(
     except KeyboardInterrupt:
         if again := sum(trial.dropped for trial in remaining(store)):
             reporter.say(f"{again} episodes have no checkpoint after them, and will be run again")
-        reporter.say(f"interrupted; go on with: glue-experiment --resume {store.directory}")
+        roles = [role for trial in store.trials() for role in (trial.spec.agent, trial.spec.environment)]
+        trust = " --trust" if class_files(roles) else ""
+        reporter.say(f"interrupted; go on with: glue-experiment --resume {store.directory}{trust}")
         raise
     finally:
         reporter.close()

@@ -40,8 +40,10 @@ _BODIES: Final = 4
 _LONGEST_PATIENCE: Final = 7 * 86400.0
 """Seconds; libzmq counts milliseconds in 31 bits."""
 
-_TCP: Final = re.compile(r"tcp://(?P<host>\[[0-9a-fA-F:]+\]|[^:/\[\]]+):(?P<port>\d+|\*)")
-_LEGACY: Final = re.compile(r"((?P<host>\[[0-9a-fA-F:]+\]|[^:/=\[\]]+):)?(?P<port>\d+|\*)(=(?P<session>.*))?")
+_TCP: Final = re.compile(r"tcp://(?P<host>\[[0-9a-fA-F:]+\]|[^:/\[\]]+):(?P<port>\d{1,9}|\*)")
+_LEGACY: Final = re.compile(
+    r"((?P<host>\[[0-9a-fA-F:]+\]|[^:/=\[\]]+):)?(?P<port>\d{1,9}|\*)(=(?P<session>.*))?"
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,10 +1,17 @@
 from __future__ import annotations
 
+import math
+import re
+from pathlib import Path
+
 import pytest
 
+from env_server.toys import MinesEnvironment
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.players import HubOptions, Meeting, open_experiment
+from glue.client.players import serve_environment
 from glue.core.config import LegacyPort
+from glue.errors import PeerFailed, Refused
 
 
 class Heard(Exception):
@@ -26,7 +33,7 @@ def test_hint_has_an_address_at_which_others_can_join(bind: str, shown: str) -> 
 
     spec = TrialSpec("remote/mines/0", None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
     meeting = Meeting(hub=HubOptions(bind=(bind,), insecure=True))
-    hint = rf"glue-agent random --hub {shown}\d+$"
+    hint = rf"glue-agent NAME --hub {shown}\d+$"
     with pytest.raises(Heard, match=hint), open_experiment(spec, meeting, say, lambda: 0):
         raise AssertionError("nobody was missing")
 
@@ -42,3 +49,60 @@ def test_hint_names_the_port_at_which_an_original_program_of_the_session_can_joi
     hint = r"--session b; or an original one on 127\.0\.0\.1:\d+$"
     with pytest.raises(Heard, match=hint), open_experiment(spec, meeting, say, lambda: 0):
         raise AssertionError("nobody was missing")
+
+
+def test_stranger_cannot_take_the_seat_of_a_player_that_is_named() -> None:
+    """Nor is the experiment kept from starting it."""
+    hub: list[str] = []
+
+    def say(line: str) -> None:
+        if found := re.search(r"glue-agent NAME --hub (\S+)", line):
+            hub.append(found[1])
+            with pytest.raises(Refused):
+                serve_environment(MinesEnvironment(), found[1], log=lambda line: None)
+            raise Heard
+
+    spec = TrialSpec("remote/mines/0", None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
+    meeting = Meeting(hub=HubOptions(bind=("tcp://127.0.0.1:*",)))
+    with pytest.raises(Heard), open_experiment(spec, meeting, say, lambda: 0):
+        raise AssertionError("nobody was missing")
+    assert hub
+
+
+REWARDS = '''
+from env_server.toys import SkeletonEnvironment
+
+
+class Odd(SkeletonEnvironment):
+    """Its third reward is not finite."""
+
+    def __init__(self, *, reward: str = "") -> None:
+        super().__init__()
+        self.steps, self.reward = 0, reward
+
+    def env_step(self, action):
+        self.steps += 1
+        reward, observation, terminal = super().env_step(action)
+        return (float(self.reward) if self.steps == 3 else reward), observation, terminal
+'''
+
+
+@pytest.mark.parametrize("in_process", [True, False])
+@pytest.mark.parametrize("reward", [math.nan, math.inf, -math.inf])
+def test_reward_that_is_not_finite_ends_the_trial_with_environment_and_step(
+    tmp_path: Path, in_process: bool, reward: float
+) -> None:
+    (tmp_path / "odd.py").write_text(REWARDS)
+    environment = RoleSpec(f"{tmp_path}/odd.py:Odd", {"reward": str(reward)})
+    spec = TrialSpec("skeleton/Odd/0", RoleSpec("skeleton"), environment, episodes=1, max_steps=0, seed=1)
+    for any_reward in (False, True):
+        meeting = Meeting(in_process, any_reward=any_reward)
+        with open_experiment(spec, meeting, lambda line: None, lambda: 0) as glue:
+            glue.rl_init(1)
+            if any_reward:
+                glue.rl_episode(10)
+                assert not math.isfinite(glue.rl_return())
+            else:
+                with pytest.raises(PeerFailed, match=f"Odd.* step 3 is {reward}") as raised:
+                    glue.rl_episode(10)
+                assert "--any-reward" in str(raised.value)

@@ -21,7 +21,12 @@ PLAN = [
     *("--episodes", 1500, "--max-steps", 30, "--trials", 4, "--seed", 11),
 ]
 KILLS = 24
-VICTIMS = ("experiment", "agents.command", "env_server.command", "experiment_runner.executors.local")
+VICTIMS = (
+    "experiment",
+    "player_command -- agent",
+    "player_command -- environment",
+    "experiment_runner.executors.local",
+)
 LONGEST_LIFE = 1.0
 
 

@@ -167,7 +167,7 @@ def test_lost_worker_is_replaced_without_a_trace_in_the_results(folder: Path, ag
 def test_player_that_is_killed_at_one_point_again_and_again_is_given_up(folder: Path) -> None:
     plan = (*MINES, "--agent", "faulty.py:Faulty", "--episodes", 12)
     done = run(*plan, "--agent-option", "how=SIGKILL", "--out", "run", cwd=folder)
-    why = "the agent faulty.py:Faulty was killed by signal 9, 3 times without getting past episode 6"
+    why = "the agent Faulty was killed by signal 9, 3 times without getting past episode 6"
     assert done.returncode == 1, done.stderr
     assert failures(folder / "run") == {"Faulty/mines/0": why}
 
@@ -194,7 +194,7 @@ def test_interrupted_run_leaves_nobody_and_goes_on(
     tmp_path: Path, how: tuple[object, ...], number: signal.Signals, code: int
 ) -> None:
     plan = (*SARSA, "--episodes", 400, "--trials", 2)
-    process = start(*plan, *how, "--checkpoint-every", 10, "--json", "--out", "run", cwd=tmp_path)
+    process = start(*plan, *how, "--checkpoint-every", 1000, "--json", "--out", "run", cwd=tmp_path)
     first_line(process)
     everybody = children(process.pid)
     if number is signal.SIGINT:
@@ -206,6 +206,10 @@ def test_interrupted_run_leaves_nobody_and_goes_on(
     assert errors.rstrip().endswith("interrupted; go on with: glue-experiment --resume run"), errors
     assert "Traceback" not in errors
     assert not any(map(alive, everybody))
+    for episodes, checkpoint in contents(tmp_path / "run").values():
+        if episodes:  # a short one ends, and nothing has to be repeated
+            assert checkpoint is not None
+            assert checkpoint[0] == len(episodes)
     assert run("--resume", "run", "--in-process", cwd=tmp_path).returncode == 0
     assert run(*plan, "--in-process", "--out", "undisturbed", cwd=tmp_path).returncode == 0
     assert contents(tmp_path / "run") == contents(tmp_path / "undisturbed")

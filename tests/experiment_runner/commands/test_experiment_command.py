@@ -10,6 +10,7 @@ from click.testing import CliRunner, Result
 from experiment_runner.commands.experiment import experiment
 from experiment_runner.plan_file import load_plan
 from experiment_runner.store.results import Results
+from experiment_runner.store.store import Store
 from glue.errors import ConfigError, ExperimentError
 
 PLAN = """episodes = 3
@@ -119,6 +120,10 @@ def test_failed_trial_makes_the_exit_code_and_is_explained() -> None:
     [
         ((), "say how many --episodes to run, or give a --plan or a run to --resume"),
         (("--plan", "plan.toml", "--env", "mines"), "plan.toml says which agents and environments there are"),
+        (("--plan", "plan.toml", "--agent-option", "step_size=0.2"), "below [agents.NAME]"),
+        ((*MINES, "--episodes", "3", "--engine", "ray", "--address", f"h:{'9' * 5000}"), "HOST:PORT"),
+        (("--episodes", "3", "--env", "mines", "--bind", f"tcp://h:{'9' * 5000}"), "address of a hub"),
+        (("--episodes", "3", "--env", "mines", "--legacy-port", "9" * 5000), "PORT"),
         (("--plan", "nowhere.toml"), "cannot read the plan nowhere.toml"),
         (("--resume", "nowhere"), "nowhere holds no run"),
         (("--resume", "run", "--episodes", "3"), "leave out --plan, --out, and what the plan says"),
@@ -158,3 +163,68 @@ def test_mistake_in_a_plan_is_one_of_the_command(plan: str, message: str) -> Non
     assert isinstance(result.exception, ConfigError)  # which makes the exit code 2
     assert message in str(result.exception)
     assert not Path("runs").exists()
+
+
+LAZY = """from agents.baselines import RandomAgent
+class Lazy(RandomAgent):
+    pass
+"""
+
+
+def test_class_in_a_file_is_found_from_another_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Path("exp").mkdir()
+    Path("exp/lazy.py").write_text(LAZY)
+    Path("exp/plan.toml").write_text(
+        'episodes = 2\n[environments.mines]\n[agents.mine]\nclass = "lazy.py:Lazy"\n'
+    )
+    assert (
+        invoke("--plan", "exp/plan.toml", "--in-process", "--max-steps", "9", "--out", "run").return_value
+        == 0
+    )
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    result = invoke("--resume", "../run", "--in-process", "--trust")
+    assert (result.exception, result.return_value) == (None, 0)
+
+
+def test_resume_runs_code_that_the_run_names_only_if_it_is_trusted() -> None:
+    Path("lazy.py").write_text(LAZY)
+    command = ("--env", "mines", "--agent", "lazy.py:Lazy", "--max-steps", "9", "--episodes", "2")
+    assert invoke(*command, "--in-process", "--out", "run").return_value == 0
+    Path("lazy.py").write_text("raise SystemExit('this was run')")
+    result = invoke("--resume", "run", "--in-process")
+    assert isinstance(result.exception, ConfigError)
+    assert str(Path("lazy.py").absolute()) in str(result.exception)
+    assert "--trust" in str(result.exception)
+
+
+def test_finished_trial_that_an_earlier_version_left_as_failed_is_mended_by_resume() -> None:
+    assert invoke(*MINES, "--episodes", "2", "--out", "run").return_value == 0
+    with Store.open(Path("run")) as store:
+        store.record_failure("random/mines/0", "agent RandomAgent raised in agent_cleanup")
+    assert invoke("--resume", "run", "--in-process").return_value == 0
+
+
+def test_resume_says_what_is_run_again() -> None:
+    assert invoke(*MINES, "--episodes", "6", "--checkpoint-every", "2", "--out", "run").return_value == 0
+    with Store.open(Path("run")) as store:
+        found = store.checkpoint("random/mines/0")
+        assert found is not None
+        episodes = store.episodes("random/mines/0")
+        store.rewind("random/mines/0", 3)
+        store.record("random/mines/0", episodes[3], found[1])
+        store.record("random/mines/0", episodes[4])
+    result = invoke("--resume", "run", "--in-process")
+    assert "random/mines/0 goes on after episode 4; 1 recorded episodes are run again" in result.stderr
+
+
+def test_empty_file_of_a_recording_that_failed_is_replaced_and_nothing_else_is() -> None:
+    Path("empty.traj").touch()
+    Path("mine.traj").write_text("mine")
+    command = (*MINES, "--episodes", "1", "--record")
+    assert invoke(*command, "empty.traj").return_value == 0
+    assert Path("empty.traj").stat().st_size > 0
+    assert "exists already" in str(invoke(*command, "mine.traj").exception)
+    assert Path("mine.traj").read_text() == "mine"

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -9,6 +11,7 @@ from agents.baselines import RandomAgent
 from agents.tabular import SarsaAgent
 from env_server.toys import MinesEnvironment
 from experiment_runner.executors.trial import Start, run_trial
+from experiment_runner.interrupts import Interrupts
 from experiment_runner.plan import TrialSpec
 from experiment_runner.store.records import Checkpoint, EpisodeResult
 from glue.core.experiment import Experiment
@@ -179,3 +182,66 @@ def test_players_are_cleaned_up_at_the_end() -> None:
 
     run_trial(local(Tidy(), mines()), SPEC, Kept())
     assert cleaned == [True]
+
+
+@pytest.mark.parametrize("how", [ValueError("untidy"), SystemExit(3)])
+def test_cleanup_that_fails_takes_nothing_from_a_finished_trial(how: BaseException) -> None:
+    class Untidy(SarsaAgent):
+        def agent_cleanup(self) -> None:
+            raise how
+
+    kept = Kept()
+    run_trial(local(Untidy(), mines()), SPEC, kept)
+    assert kept.numbers == undisturbed().numbers
+    assert kept.events == ["cleanup"]
+
+
+def test_player_lost_in_its_cleanup_takes_nothing_from_a_finished_trial() -> None:
+    kept = Kept()
+    run_trial(Lossy({Kind.RL_CLEANUP: {1}}, SarsaAgent), SPEC, kept)
+    assert kept.numbers == undisturbed().numbers
+    assert kept.events == ["cleanup"]
+
+
+def test_what_is_repeated_after_a_loss_is_said() -> None:
+    kept = Kept()
+    run_trial(Lossy({Kind.RL_EPISODE: {14}}, SarsaAgent), SPEC, kept, checkpoint_every=10)
+    assert len(kept.said) == 1
+    assert "3 episodes" in kept.said[0]
+    assert "episode 10" in kept.said[0]
+
+
+def test_interrupted_episode_ends_and_is_stored_with_a_checkpoint() -> None:
+    class Interrupting(SarsaAgent):
+        episodes = 0
+
+        def agent_start(self, observation: Any) -> Any:
+            self.episodes += 1
+            if self.episodes == 7:
+                signal.raise_signal(signal.SIGINT)
+            return super().agent_start(observation)
+
+    kept, whole = Kept(), undisturbed()
+    with pytest.raises(KeyboardInterrupt), Interrupts(grace=60) as interrupts:
+        run_trial(local(Interrupting(), mines()), SPEC, kept, checkpoint_every=100, interrupts=interrupts)
+    assert kept.numbers == whole.numbers[:7]
+    assert list(kept.checkpoints) == [7]
+    run_trial(local(SarsaAgent(), mines()), SPEC, kept, start=Start(7, kept.checkpoints[7]))
+    assert kept.numbers == whole.numbers
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_episode_that_does_not_end_is_interrupted(again: bool) -> None:
+    class Endless(SarsaAgent):
+        def agent_step(self, reward: float, observation: Any) -> Any:
+            signal.raise_signal(signal.SIGINT)
+            if again:
+                signal.raise_signal(signal.SIGINT)
+            return threading.Event().wait()
+
+    kept = Kept()
+    grace = 60 if again else 0.01
+    with pytest.raises(KeyboardInterrupt), Interrupts(grace) as interrupts:
+        run_trial(local(Endless(), mines()), SPEC, kept, interrupts=interrupts)
+    assert not kept.results
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler

@@ -94,11 +94,11 @@ def test_table_of_many_trials_is_redrawn_in_place(terminal: Terminal, clock: Clo
         for spec in (FIRST, SECOND):
             clock.now += 0.5
             progress.episode(spec, result(episode))
-    progress.say("the agent sarsa was killed by signal 9; it is started again")
+    progress.say("the agent sarsa was killed by signal 9; it is being restarted")
     clock.now += 0.5
     progress.episode(FIRST, result(3))
     assert terminal.screen() == [
-        "the agent sarsa was killed by signal 9; it is started again",
+        "the agent sarsa was killed by signal 9; it is being restarted",
         "trial          episode  steps/s  return  mean of last 100  left",
         "sarsa/mines/0     3/50      120    2.00              2.00  39 s",
         "sarsa/mines/1     2/50      100    2.00              2.00  48 s",
@@ -106,7 +106,7 @@ def test_table_of_many_trials_is_redrawn_in_place(terminal: Terminal, clock: Clo
         "",
     ]
     progress.close()
-    assert terminal.screen() == ["the agent sarsa was killed by signal 9; it is started again", ""]
+    assert terminal.screen() == ["the agent sarsa was killed by signal 9; it is being restarted", ""]
 
 
 def test_table_fits_the_terminal(terminal: Terminal, clock: Clock) -> None:

@@ -1,0 +1,72 @@
+"""Serve one agent or environment for a program that starts it as a child:
+
+    python -P -m experiment_runner.player_command ROLE NAME OPTIONS HUB SESSION
+
+OPTIONS is JSON. `glue-agent` and `glue-env` are the same for people.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import click
+
+from experiment_runner.rewards import FiniteRewards
+from glue.client.players import serve_agent, serve_environment
+from glue.commands import run
+from glue.options import Value, build
+from glue.players.loading import find
+from glue.protocol.messages import Role
+
+__all__ = ["MODULE", "arguments", "main"]
+
+MODULE: Final = "experiment_runner.player_command"
+"""What to start."""
+
+
+def arguments(
+    role: Role, name: str, options: Mapping[str, Value], hub: str, session: str, any_reward: bool = True
+) -> Sequence[str]:
+    """Return the arguments with which `MODULE` serves a player.
+
+    Args:
+        role: agent or environment.
+        name: as `glue.players.loading.find` takes it.
+        options: constructor options.
+        hub: URL of the hub.
+        session: name of the session.
+        any_reward: whether an environment may give rewards that are infinite or not a number.
+    """
+    flags = ["--any-reward"] if any_reward else []
+    return [*flags, "--", str(role), name, json.dumps(dict(options)), hub, session]
+
+
+@click.command()
+@click.argument("role", type=click.Choice([str(Role.AGENT), str(Role.ENVIRONMENT)]))
+@click.argument("name")
+@click.argument("options")
+@click.argument("hub")
+@click.argument("session")
+@click.option("--any-reward", is_flag=True)
+def serve(role: str, name: str, options: str, hub: str, session: str, any_reward: bool) -> None:
+    """Serve an agent or environment until the hub says goodbye."""
+    player = build(find(Role(role), name), json.loads(options))
+    if role == Role.AGENT:
+        serve_agent(player, hub, session, log=_ignore)
+    else:
+        serve_environment(player if any_reward else FiniteRewards(player), hub, session, log=_ignore)
+
+
+def _ignore(line: str) -> None:
+    pass
+
+
+def main() -> None:
+    """Run the command."""
+    run(serve)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,54 @@
+"""Temporary folders that are removed by the next run if the one that made them was killed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+from experiment_runner.store.lock import LOCK_FILE, RunLock, lock_holder
+from glue.errors import ExperimentError
+
+__all__ = ["SOCKET", "scratch_folder"]
+
+_PREFIX: Final = "glue-"
+
+SOCKET: Final = "hub"
+"""Name of the Unix socket in such a folder."""
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """Give a new folder that only this user can enter, for the sockets of one trial.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    _remove_abandoned(Path(tempfile.gettempdir()))
+    folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
+    lock = None
+    try:
+        lock = RunLock(folder)
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if lock is not None:
+            lock.release()
+
+
+def _remove_abandoned(parent: Path) -> None:
+    for folder in parent.glob(f"{_PREFIX}*"):
+        # Only what is certainly ours: other programs make folders in /tmp, too.
+        with suppress(OSError, ExperimentError):
+            names = {path.name for path in folder.iterdir()}
+            ours = (
+                folder.lstat().st_uid == os.getuid() and LOCK_FILE in names and names <= {LOCK_FILE, SOCKET}
+            )
+            if ours and lock_holder(folder) is None:
+                lock = RunLock(folder)
+                shutil.rmtree(folder, ignore_errors=True)
+                lock.release()

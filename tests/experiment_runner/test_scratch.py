@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+from experiment_runner.scratch import scratch_folder
+
+HOLD = """
+import sys
+from experiment_runner.scratch import scratch_folder
+with scratch_folder() as folder:
+    (folder / "hub").touch()
+    print(folder, flush=True)
+    sys.stdin.read()
+"""
+
+
+@pytest.fixture(autouse=True)
+def _temporary(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+
+
+def test_folder_of_a_killed_run_is_removed_and_that_of_a_living_one_stays(tmp_path: Path) -> None:
+    processes = [
+        subprocess.Popen(
+            [sys.executable, "-c", HOLD], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+        for _ in range(2)
+    ]
+    killed, living = processes
+    folders = []
+    for process in processes:
+        assert process.stdout is not None
+        folders.append(Path(process.stdout.readline().strip()))
+    killed.send_signal(signal.SIGKILL)
+    killed.communicate()
+    others = tmp_path / "glue-of-somebody-else"
+    others.mkdir()
+    (others / "thesis.tex").touch()
+    with scratch_folder() as folder:
+        assert os.stat(folder).st_mode & 0o077 == 0
+        assert [path.exists() for path in folders] == [False, True]
+    assert not folder.exists()
+    assert (others / "thesis.tex").exists()
+    living.communicate()
+    assert sorted(tmp_path.iterdir()) == [others]
