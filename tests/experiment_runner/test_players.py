@@ -33,7 +33,7 @@ def test_hint_has_an_address_at_which_others_can_join(bind: str, shown: str) -> 
 
     spec = TrialSpec("remote/mines/0", None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
     meeting = Meeting(hub=HubOptions(bind=(bind,), insecure=True))
-    hint = rf"glue-agent NAME --hub {shown}\d+$"
+    hint = rf"(?m)glue-agent NAME --hub {shown}\d+$"
     with pytest.raises(Heard, match=hint), open_experiment(spec, meeting, say, lambda: 0):
         raise AssertionError("nobody was missing")
 
@@ -46,7 +46,7 @@ def test_hint_names_the_port_at_which_an_original_program_of_the_session_can_joi
     spec = TrialSpec("remote/mines/0", None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
     ports = (LegacyPort(0), LegacyPort(0, "b"))
     meeting = Meeting(hub=HubOptions(bind=("tcp://127.0.0.1:*",), session="b", legacy=ports))
-    hint = r"--session b; or an original one on 127\.0\.0\.1:\d+$"
+    hint = r"(?m)--session b; or an original one on 127\.0\.0\.1:\d+$"
     with pytest.raises(Heard, match=hint), open_experiment(spec, meeting, say, lambda: 0):
         raise AssertionError("nobody was missing")
 
