@@ -79,9 +79,19 @@ class Interrupts:
             yield
         finally:
             self._deferring = False
-            if self._deliver is not None:
-                self._ended.set()
-                self._deliver()
+            self.check()
+
+    def check(self) -> None:
+        """Let a signal that is being deferred have its effect now.
+
+        Raises:
+            KeyboardInterrupt: there is one.
+        """
+        deliver, self._deliver = self._deliver, None
+        if deliver is not None:
+            self._deferring = False
+            self._ended.set()
+            deliver()
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         def deliver() -> object:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +18,9 @@ from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 
 __all__ = ["Setting", "collect"]
+
+_JOINED: Final = re.compile(r"(?P<role>agent|environment) (?P<name>.*?)( \([^()]*\))? joined")
+"""An event of `experiment_runner.players`; the language that the player is written in is left out."""
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -60,10 +65,13 @@ def collect(runs: Iterable[Results]) -> list[Setting]:
     groups: dict[str, list[tuple[TrialRecord, FloatArray]]] = defaultdict(list)
     seen: dict[tuple[str, str, int], Results] = {}
     for run in runs:
+        joined = _joined(run)
         for trial in run.trials():
-            key = json.dumps(
-                [_fields(trial.spec.agent), _fields(trial.spec.environment), _limits(trial.spec)]
-            )
+            spec = trial.spec
+            agent = spec.agent or joined.get((spec.id, "agent"))
+            environment = spec.environment or joined.get((spec.id, "environment"))
+            trial = trial._replace(spec=replace(spec, agent=agent, environment=environment))
+            key = json.dumps([_fields(agent), _fields(environment), _limits(spec)])
             same = seen.setdefault((key, trial.spec.id, trial.spec.seed), run)
             if same is not run:
                 raise ExperimentError(f"trial {trial.spec.id} is in {same.directory} and in {run.directory}")
@@ -79,6 +87,16 @@ def collect(runs: Iterable[Results]) -> list[Setting]:
         Setting(agent, environment, *map(tuple, zip(*members, strict=True)))
         for agent, environment, members in zip(agents, environments, groups.values(), strict=True)
     ]
+
+
+def _joined(run: Results) -> dict[tuple[str, str], RoleSpec]:
+    """Return the players that joined from outside, by trial and role, under the names that they gave."""
+    players = {}
+    for event in run.events():
+        found = _JOINED.fullmatch(event.text) if event.kind == "joined" and event.trial_id else None
+        if found is not None and event.trial_id is not None:
+            players[event.trial_id, found["role"]] = RoleSpec(found["name"], label=found["name"])
+    return players
 
 
 def _label(role: RoleSpec | None) -> str:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
 from typing import Final, NamedTuple, Protocol
 
 from experiment_runner.interrupts import Interrupts
@@ -114,22 +113,30 @@ class _Trial:
         self._warned = False
 
     def run(self) -> None:
+        with self._interrupts.deferred():
+            self._run_episodes()
+            self._clean_up()
+
+    def _run_episodes(self) -> None:
         ready = False
         while self._done < self._spec.episodes:
             try:
                 if not ready:
                     self._make_ready()
                     ready = True
-                # Without a checkpoint after it, there is no sense in letting an episode end.
-                with self._interrupts.deferred() if self._can_save else nullcontext():
-                    ready = self._keep(self._episode(self._done + 1, self._play))
+                result = self._episode(self._done + 1, self._play)
             except PeerLost as error:
                 self._sink.void(self._done + 1, str(error))
                 # Those who cannot be brought back go on as they are; the hub initialises newcomers.
                 ready = ready and not self._can_save
                 if ready:
                     self._sink.event("replaced", "what the lost player had learned is lost with it")
-        self._clean_up()
+                continue
+            # Asked only once, so that the trial never stops where no checkpoint was taken.
+            stopping = self._interrupts.requested
+            ready = self._keep(result, stopping)
+            if stopping:
+                self._interrupts.check()
 
     def _clean_up(self) -> None:
         """Clean up; what goes wrong there is noted, and takes nothing from the results."""
@@ -162,6 +169,7 @@ class _Trial:
             self._sink.say(f"bringing the players back: repeating {total} episodes since {where}")
         shown = time.perf_counter()
         for number, before in enumerate(self._since, 1):
+            self._interrupts.check()
             again = self._episode(before.episode, self._glue.rl_episode)
             if again[:4] != before[:4]:
                 self._sink.event("differs", f"episode {before.episode} had another result when repeated")
@@ -175,14 +183,14 @@ class _Trial:
         episode_return, steps = self._glue.rl_return(), self._glue.rl_num_steps()
         return EpisodeResult(number, episode_return, steps, terminal, time.perf_counter() - began)
 
-    def _keep(self, result: EpisodeResult) -> bool:
+    def _keep(self, result: EpisodeResult, stopping: bool) -> bool:
         """Hand a result over, with a checkpoint if one is due; return whether the players are still there."""
         checkpoint, lost = None, False
         due = self._every > 0 and result.episode % self._every == 0
         if not self._can_save:
             if due:
                 self._warn()
-        elif due or result.episode == self._spec.episodes or self._interrupts.requested:
+        elif due or result.episode == self._spec.episodes or stopping:
             try:
                 checkpoint = self._save()
             except PeerLost as error:

@@ -6,6 +6,7 @@ Everything for people goes to standard error, so that standard output is free fo
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sys
 import time
@@ -25,13 +26,20 @@ _TTY_SECONDS: Final = 0.2
 _LOG_SECONDS: Final = 10.0
 _COLUMNS: Final = ("trial", "episode", "steps/s", "return", f"mean of last {_WINDOW}", "left")
 
+_DISPENSABLE: Final = (2, 3, 4, 5)
+"""Columns that a narrow terminal does without, the first of them first."""
+
+_BAR_WIDTH: Final = 60
+_FULL, _EMPTY = "#", "."
+_GREEN, _PLAIN = "\x1b[32m", "\x1b[0m"
+
 _UP: Final = "\x1b[{}A\r"
 _CLEAR_LINE: Final = "\x1b[K"
 _CLEAR_BELOW: Final = "\x1b[J"
 
 
 class Reporter(Protocol):
-    """Is told what happens to the trials; an episode it hears of is stored already."""
+    """Shows what happens to the trials; an episode is stored before it is passed on."""
 
     def start(self, trials: Sequence[TrialRecord]) -> None:
         """All trials of the run, and how far they are."""
@@ -50,16 +58,18 @@ class Reporter(Protocol):
         ...
 
     def say(self, line: str) -> None:
-        """Something that a person should know."""
+        """A line for people."""
         ...
 
     def close(self) -> None:
-        """Nothing more will come."""
+        """The run is over."""
         ...
 
 
 class Progress:
     """A table of the trials under way, redrawn in place on a terminal; a line now and then elsewhere.
+
+    The terminal also shows a bar, in color unless the variable NO_COLOR is set.
 
     Args:
         stream: where to write; None for standard error.
@@ -70,6 +80,7 @@ class Progress:
         self._stream = stream or sys.stderr
         self._clock = clock
         self._live = self._stream.isatty()
+        self._color = self._live and not os.environ.get("NO_COLOR")
         self._every = _TTY_SECONDS if self._live else _LOG_SECONDS
         self._shown_at = clock() - (self._every if self._live else 0)
         self._drawn = 0  # lines of the table that stand on the terminal
@@ -119,14 +130,16 @@ class Progress:
 
     def _draw(self, now: float, begun: Sequence[_Row]) -> None:
         width, height = shutil.get_terminal_size()
-        room = max(height - 4, 1)
-        lines = format_table(_COLUMNS, [row.cells(now) for row in begun[:room]]).splitlines()
+        room = max(height - 5, 1)
+        lines = _table([row.cells(now) for row in begun[:room]], width - 1)
         if len(begun) > room:
             lines.append(f"and {len(begun) - room} more")
         if self._total.trials > 1:
             lines.append(self._total.line(now))
+        lines = [line[: width - 1] for line in lines]
+        lines.append(_bar(self._total.share, min(width - 1, _BAR_WIDTH), self._color))
         back = _UP.format(self._drawn) if self._drawn else ""
-        text = "".join(f"{line[: width - 1]}{_CLEAR_LINE}\n" for line in lines)
+        text = "".join(f"{line}{_CLEAR_LINE}\n" for line in lines)
         print(f"{back}{text}{_CLEAR_BELOW}", end="", file=self._stream, flush=True)
         self._drawn = len(lines)
 
@@ -196,6 +209,11 @@ class _Total:
         self._steps += result.steps
         self._run += 1
 
+    @property
+    def share(self) -> float:
+        """How much of the episodes is done, 0 to 1."""
+        return sum(self.done.values()) / max(sum(self._episodes.values()), 1)
+
     def line(self, now: float) -> str:
         elapsed = _at_least_an_instant(now - self._began)
         done, episodes = sum(self.done.values()), sum(self._episodes.values())
@@ -245,6 +263,28 @@ class JsonLines:
         """Write one object; a number that is infinite or not a number is null."""
         numbers = {name: finite(number) for name, number in value.items()}
         print(json.dumps(numbers), file=self._stream, flush=True)
+
+
+def _table(rows: Sequence[tuple[str, ...]], width: int) -> list[str]:
+    """Return the lines of a table that is no wider than `width`, if need be without its later columns."""
+    names = list(range(len(_COLUMNS)))
+    for column in (*_DISPENSABLE, None):
+        header = [_COLUMNS[number] for number in names]
+        lines = format_table(header, [[row[number] for number in names] for row in rows]).splitlines()
+        if column is None or max(map(len, lines)) <= width:
+            break
+        names.remove(column)
+    return lines
+
+
+def _bar(share: float, width: int, color: bool) -> str:
+    """Return a bar of `width` characters with a percentage at its end."""
+    room = max(width - 5, 1)
+    done = int(share * room)
+    full, rest = _FULL * done, _EMPTY * (room - done)
+    if color:
+        full = f"{_GREEN}{full}{_PLAIN}"
+    return f"{full}{rest} {int(share * 100):3d}%"
 
 
 def _at_least_an_instant(seconds: float) -> float:

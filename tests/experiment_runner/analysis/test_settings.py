@@ -109,3 +109,15 @@ def test_settings_are_read_while_the_run_goes_on(tmp_path: Path) -> None:
     with Store.open(tmp_path / "a") as store, Results.open(tmp_path / "a") as results:
         store.record("remote/remote/0", EpisodeResult(2, 5.0, 1, True, 0.0))
         assert collect([results])[0].curves().tolist() == [[1, 5]]
+
+
+def test_players_from_outside_are_called_by_the_names_that_they_gave(tmp_path: Path) -> None:
+    plan = Plan(episodes=1, environments=(RoleSweep("mines"),))
+    runs = []
+    for name in ("Jumper", "Walker"):
+        with create_run(tmp_path / name, plan) as store:
+            store.record_event("joined", f"agent {name} (Python 3.11.7) joined", "remote/mines/0")
+        runs.append(Results.open(tmp_path / name))
+    assert [setting.label for setting in collect(runs)] == ["Jumper", "Walker"]
+    for run in runs:
+        run.close()

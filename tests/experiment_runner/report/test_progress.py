@@ -55,6 +55,10 @@ def result(episode: int, episode_return: float = 2.0, steps: int = 100) -> Episo
     return EpisodeResult(episode, episode_return, steps, True, 0.5)
 
 
+def bar(full: int, percent: int) -> str:
+    return f"{'#' * full}{'.' * (55 - full)} {percent:3d}%"
+
+
 def records(*specs: TrialSpec, done: int = 0) -> list[TrialRecord]:
     return [TrialRecord(spec, done, 0, None) for spec in specs]
 
@@ -67,6 +71,7 @@ def clock() -> Clock:
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     size = os.terminal_size((100, 8))
+    monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.setattr("shutil.get_terminal_size", lambda: size)
     return Terminal()
 
@@ -81,6 +86,7 @@ def test_table_of_one_trial_shows_rate_mean_and_time_left(terminal: Terminal, cl
     assert terminal.screen() == [
         "trial          episode  steps/s  return  mean of last 100  left",
         "sarsa/mines/0    12/50      200    4.00              2.50  19 s",
+        bar(13, 24),
         "",
     ]
 
@@ -103,6 +109,7 @@ def test_table_of_many_trials_is_redrawn_in_place(terminal: Terminal, clock: Clo
         "sarsa/mines/0     3/50      120    2.00              2.00  39 s",
         "sarsa/mines/1     2/50      100    2.00              2.00  48 s",
         "0 of 3 trials finished  episode 5/150  200 steps/s  1 min 12 s left",
+        bar(1, 3),
         "",
     ]
     progress.close()
@@ -120,10 +127,33 @@ def test_table_fits_the_terminal(terminal: Terminal, clock: Clock) -> None:
     screen = terminal.screen()
     assert len(screen) <= 8
     assert all(len(line) < 100 for line in screen)
-    assert screen[-3:-1] == [
-        "and 26 more",
+    assert screen[-4:-2] == [
+        "and 27 more",
         "0 of 30 trials finished  episode 30/1500  100 steps/s  24 min 30 s left",
     ]
+
+
+def test_narrow_terminal_shows_what_matters_most(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size((40, 8)))
+    progress = Progress(terminal, Clock())
+    progress.start(records(FIRST))
+    progress.begin(FIRST, 0)
+    progress.episode(FIRST, result(25))
+    assert terminal.screen()[:2] == ["trial          episode  left", "sarsa/mines/0    25/50  0 s"]
+    assert terminal.screen()[2].endswith(" 50%")
+    assert all(len(line) < 40 for line in terminal.screen())
+
+
+@pytest.mark.parametrize("no_color", ["", "1"])
+def test_bar_has_a_color_unless_that_is_not_wanted(
+    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, no_color: str
+) -> None:
+    monkeypatch.setenv("NO_COLOR", no_color)
+    progress = Progress(terminal, Clock())
+    progress.start(records(FIRST))
+    progress.begin(FIRST, 0)
+    progress.episode(FIRST, result(25))
+    assert ("\x1b[32m" in terminal.getvalue()) is not bool(no_color)
 
 
 def test_trial_that_goes_back_counts_its_episodes_once(terminal: Terminal, clock: Clock) -> None:
@@ -136,7 +166,7 @@ def test_trial_that_goes_back_counts_its_episodes_once(terminal: Terminal, clock
     for episode in (2, 3):
         clock.now += 1
         progress.episode(FIRST, result(episode))
-    assert "0 of 2 trials finished  episode 3/100" in terminal.screen()[-2]
+    assert "0 of 2 trials finished  episode 3/100" in terminal.screen()[-3]
 
 
 def test_elsewhere_a_line_comes_now_and_then(clock: Clock) -> None:
