@@ -6,6 +6,7 @@ import pytest
 
 from experiment_runner.analysis.settings import Setting, collect
 from experiment_runner.executors.resume import create_run
+from experiment_runner.plan import Plan, RoleSweep
 from experiment_runner.plan_file import parse_plan
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results

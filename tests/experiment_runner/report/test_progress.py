@@ -139,7 +139,7 @@ def test_narrow_terminal_shows_what_matters_most(terminal: Terminal, monkeypatch
     progress.start(records(FIRST))
     progress.begin(FIRST, 0)
     progress.episode(FIRST, result(25))
-    assert terminal.screen()[:2] == ["trial          episode  left", "sarsa/mines/0    25/50  0 s"]
+    assert terminal.screen()[:2] == ["trial          episode  left", "sarsa/mines/0    25/50   0 s"]
     assert terminal.screen()[2].endswith(" 50%")
     assert all(len(line) < 40 for line in terminal.screen())
 
