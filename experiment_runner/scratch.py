@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from experiment_runner.store.lock import LOCK_FILE, RunLock, lock_holder
+from experiment_runner.lock import LOCK_FILE, RunLock, lock_holder
 from glue.errors import ExperimentError
 
 __all__ = ["SOCKET", "scratch_folder"]

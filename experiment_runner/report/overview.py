@@ -19,8 +19,8 @@ from experiment_runner.analysis.stats import (
     mean,
     mean_of_last,
 )
+from experiment_runner.lock import lock_holder
 from experiment_runner.report.tables import format_table, one_line
-from experiment_runner.store.lock import lock_holder
 from experiment_runner.store.output import finite
 from experiment_runner.store.records import TrialRecord
 from experiment_runner.store.results import Results

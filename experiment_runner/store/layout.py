@@ -14,8 +14,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from experiment_runner.lock import LOCK_FILE, RunLock, is_lock
 from experiment_runner.store.database import DATABASE_FILES, holds_run
-from experiment_runner.store.lock import LOCK_FILE, RunLock, is_lock
 from glue.errors import ExperimentError
 
 __all__ = ["ABOUT_FILE", "PLAN_FILE", "UNFINISHED", "NewRun", "new_run", "remove_run", "write_flushed"]
