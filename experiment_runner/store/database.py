@@ -43,7 +43,7 @@ _BUSY_SECONDS: Final = 10.0
 # SQLite's virtual machine takes some 20 instructions a row, a row at least 10 bytes, and most queries
 # read each row once; so a query that exceeds this many instructions is not one of a run's.
 _INSTRUCTIONS_PER_BYTE: Final = 100
-_INSTRUCTIONS_AT_LEAST: Final = 100_000_000  # less than ten seconds; a run under way may grow
+_INSTRUCTIONS_AT_LEAST: Final = 10_000_000  # a fraction of a second
 _INSTRUCTIONS_A_TICK: Final = 100_000
 
 
@@ -54,11 +54,11 @@ class StorageError(ExperimentError):
 class Database:
     """A connection whose queries end: by themselves, by a limit on their work, or by Ctrl-C."""
 
-    def __init__(self, connection: sqlite3.Connection, bytes_on_disk: int) -> None:
+    def __init__(self, connection: sqlite3.Connection, directory: Path) -> None:
         self.connection = connection
-        work = max(_INSTRUCTIONS_AT_LEAST, _INSTRUCTIONS_PER_BYTE * bytes_on_disk)
-        self._ticks_allowed = work // _INSTRUCTIONS_A_TICK
-        self._ticks = 0
+        self._directory = directory
+        self._work = 0  # of the query that runs, in instructions
+        self._stopped = False
         connection.set_progress_handler(self._tick, _INSTRUCTIONS_A_TICK)
 
     def query(self, statement: str, *values: object) -> list[Any]:
@@ -68,23 +68,28 @@ class Database:
             sqlite3.Error: the database cannot be read.
             ExperimentError: the query takes more work than the size of the database explains.
         """
-        self._ticks = 0
+        self._work = 0
+        self._stopped = False
         try:
             return self.connection.execute(statement, values).fetchall()
         except sqlite3.OperationalError as error:
-            if error.sqlite_errorcode != sqlite3.SQLITE_INTERRUPT:
+            if getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_INTERRUPT:
                 raise
-            if self._ticks <= self._ticks_allowed:  # SQLite swallowed what was raised in `_tick`
+            if not self._stopped:  # Ctrl-C was raised in `_tick`, where SQLite swallows exceptions
                 raise KeyboardInterrupt from None
-            raise ExperimentError(f"{_DATABASE} is damaged: reading it does not end") from None
+            raise ExperimentError(
+                f"cannot read {self._directory}: {_DATABASE} is damaged: reading it does not end"
+            ) from None
 
     def close(self) -> None:
         """Close the files. May be called twice."""
         self.connection.close()
 
     def _tick(self) -> bool:
-        self._ticks += 1
-        return self._ticks > self._ticks_allowed
+        self._work += _INSTRUCTIONS_A_TICK
+        if self._work > _INSTRUCTIONS_AT_LEAST:
+            self._stopped = self._work > _INSTRUCTIONS_PER_BYTE * _size(self._directory)
+        return self._stopped
 
 
 def holds_run(directory: Path) -> bool:
@@ -97,7 +102,7 @@ def holds_run(directory: Path) -> bool:
     if not (directory / _DATABASE).is_file():
         return False
     with contextlib.closing(_connect_to_read(directory)) as connection:
-        return schema.check(connection) > 0
+        return schema.check(connection, directory) > 0
 
 
 def open_to_read(directory: Path) -> Database:
@@ -111,16 +116,16 @@ def open_to_read(directory: Path) -> Database:
         raise ExperimentError(f"{directory} holds no run")
     connection = _connect_to_read(directory)
     try:
-        if schema.check(connection) < len(schema.MIGRATIONS):
+        if schema.check(connection, directory) < len(schema.MIGRATIONS):
             old, connection = connection, sqlite3.connect(":memory:", isolation_level=None)
             with contextlib.closing(old):
                 old.backup(connection)
             with transaction(connection):
-                schema.migrate(connection)
+                schema.migrate(connection, directory)
     except BaseException:
         connection.close()
         raise
-    return Database(connection, _size(directory))
+    return Database(connection, directory)
 
 
 def open_to_write(directory: Path) -> Database:
@@ -135,11 +140,11 @@ def open_to_write(directory: Path) -> Database:
         for pragma in ("journal_mode = WAL", "synchronous = NORMAL", "foreign_keys = ON"):
             connection.execute(f"PRAGMA {pragma}")
         with transaction(connection):
-            schema.migrate(connection)
+            schema.migrate(connection, directory)
     except BaseException:
         connection.close()
         raise
-    return Database(connection, _size(directory))
+    return Database(connection, directory)
 
 
 @contextlib.contextmanager
@@ -162,11 +167,13 @@ def reported(failed: str, hint: str = "") -> Iterator[None]:
         yield
     except BrokenPipeError:  # the reader of our output has closed it, which is not an error
         raise
-    except (OSError, sqlite3.Error) as error:
+    except (OSError, sqlite3.Error, UnicodeDecodeError) as error:
         raise StorageError(f"{failed}: {_reason(error)}{hint}") from error
 
 
-def _reason(error: OSError | sqlite3.Error) -> str:
+def _reason(error: OSError | sqlite3.Error | UnicodeDecodeError) -> str:
+    if isinstance(error, UnicodeDecodeError):
+        return "it holds a text that is not UTF-8"
     if isinstance(error, OSError):
         return "the disk is full" if error.errno == errno.ENOSPC else error.strerror or str(error)
     code = getattr(error, "sqlite_errorcode", None)

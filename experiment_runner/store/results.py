@@ -213,4 +213,7 @@ class Results:
 
 
 def _are_values(values: Collection[object]) -> bool:
-    return all(isinstance(value, (bool, int, float, str)) for value in values)
+    return all(
+        isinstance(value, (float, str)) or (isinstance(value, int) and -(2**63) <= value < 2**63)
+        for value in values
+    )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import sqlite3
 from functools import lru_cache
+from pathlib import Path
 from typing import Final
 
 from glue.errors import ExperimentError
@@ -60,8 +61,8 @@ MIGRATIONS: tuple[Migration, ...] = (
 )
 
 
-def check(connection: sqlite3.Connection) -> int:
-    """Return the version of a database; 0 for one that is empty.
+def check(connection: sqlite3.Connection, directory: Path) -> int:
+    """Return the version of the database of `directory`; 0 for one that is empty.
 
     A run directory may come from anybody, and SQL that reads a table also runs what a view in its place
     computes. So nothing but the tables of that version may be there.
@@ -73,29 +74,27 @@ def check(connection: sqlite3.Connection) -> int:
     version = int(connection.execute("PRAGMA user_version").fetchone()[0])
     application = int(connection.execute("PRAGMA application_id").fetchone()[0])
     found = _objects(connection)
+    database = f"cannot read {directory}: results.sqlite"
     if application != _APPLICATION_ID and (application or version or found):
-        raise ExperimentError("results.sqlite was not written by glue-experiment")
+        raise ExperimentError(f"{database} was not written by glue-experiment")
     if version > len(MIGRATIONS):
         raise ExperimentError(
-            f"results.sqlite has version {version} and this program knows versions up to {len(MIGRATIONS)}: "
+            f"{database} has version {version} and this program knows versions up to {len(MIGRATIONS)}: "
             "a newer release wrote it; install that one"
         )
-    expected = _expected(MIGRATIONS[: max(version, 0)])
-    for kind, name, _ in sorted(found ^ expected):
-        raise ExperimentError(
-            f"results.sqlite was changed by another program: {kind} {name!r} is not glue-experiment's"
-        )
+    for kind, name, _ in sorted(found ^ _expected(MIGRATIONS[: max(version, 0)])):
+        raise ExperimentError(f"{database} was changed by another program, as its {kind} {name!r} shows")
     return version
 
 
-def migrate(connection: sqlite3.Connection) -> None:
+def migrate(connection: sqlite3.Connection, directory: Path) -> None:
     """Bring a database, empty or old, to the newest version. To be called within a transaction.
 
     Raises:
         ExperimentError: as `check`.
         sqlite3.Error: it cannot be written.
     """
-    _apply(connection, MIGRATIONS[check(connection) :])
+    _apply(connection, MIGRATIONS[check(connection, directory) :])
     connection.execute(f"PRAGMA user_version = {len(MIGRATIONS)}")
 
 

@@ -480,6 +480,39 @@ def test_killed_writer_loses_no_episode_that_it_reported(store: Store) -> None:
             assert connection.execute("PRAGMA integrity_check").fetchone() == ("ok",)
 
 
+COPY = """
+import os, sys
+from pathlib import Path
+from experiment_runner.store.results import Results
+if os.geteuid() == 0:
+    os.seteuid(65534)
+with Results.open(Path(sys.argv[1])) as results:
+    print(len(results.episodes(sys.argv[2])))
+"""
+
+
+def test_killed_run_without_its_shm_file_is_read_on_a_read_only_medium(
+    store: Store, open_folder: Path
+) -> None:
+    store.close()
+    with start(WRITE, store.directory, FIRST) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.kill()
+    medium = open_folder / "run"
+    medium.mkdir()
+    for name in ("results.sqlite", "results.sqlite-wal"):
+        shutil.copyfile(store.directory / name, medium / name)
+        (medium / name).chmod(0o444)
+    medium.chmod(0o555)
+    with start(COPY, medium, FIRST) as process:
+        read, errors = process.communicate()
+    assert errors == ""
+    with Results.open(store.directory) as results:
+        assert int(read) == len(results.episodes(FIRST)) > 0
+    assert sorted(path.name for path in medium.iterdir()) == ["results.sqlite", "results.sqlite-wal"]
+
+
 # A disk that is full, and one that cannot be written to.
 
 LIMITED = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (150_000, 150_000))"

@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiment_runner.plan import Plan, RoleSweep
+from experiment_runner.resume import create_run
+from experiment_runner.store.records import EpisodeResult
+from experiment_runner.store.run_data import RunData, load_run
+from glue.errors import ExperimentError
+
+PLAN = Plan(
+    episodes=3,
+    environments=(RoleSweep("mines", {"windy": True}),),
+    agents=(RoleSweep("random"), RoleSweep("sarsa", {"step_size": (1, 0.5), "traces": 3, "note": "a"})),
+)
+RANDOM, WHOLE, HALF = PLAN.expand()
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> RunData:
+    with create_run(tmp_path / "run", PLAN) as store:
+        store.record(RANDOM.id, EpisodeResult(1, math.nan, 7, True, 0.25))
+        store.record(RANDOM.id, EpisodeResult(2, -1.5, 8, False, 0.5))
+        store.record(HALF.id, EpisodeResult(1, math.inf, 9, True, 0.125))
+    return load_run(str(tmp_path / "run"))
+
+
+def test_columns_are_arrays_of_the_episodes(run: RunData) -> None:
+    assert run["trial"].tolist() == [RANDOM.id, RANDOM.id, HALF.id]
+    assert run["episode"].tolist() == [1, 2, 1]
+    np.testing.assert_array_equal(run["return"], [math.nan, -1.5, math.inf])
+    assert run["steps"].tolist() == [7, 8, 9]
+    assert run["terminal"].tolist() == [True, False, True]
+    assert run["wall_time"].tolist() == [0.25, 0.5, 0.125]
+    assert run["seed"].tolist() == [RANDOM.seed, RANDOM.seed, HALF.seed]
+    assert run["agent"].tolist() == ["random", "random", "sarsa"]
+    assert run["environment.windy"].tolist() == [True] * 3
+    assert run["agent.note"].tolist() == ["", "", "a"]
+    for name, value in (("agent.step_size", 0.5), ("agent.traces", 3.0)):
+        np.testing.assert_array_equal(run[name], [math.nan, math.nan, value])
+    kinds = {name: array.dtype.kind for name, array in run.items()}
+    assert (kinds["trial"], kinds["episode"], kinds["return"], kinds["terminal"]) == ("U", "i", "f", "b")
+
+
+def test_trials_say_how_far_they_are(run: RunData) -> None:
+    assert [(trial.spec, trial.done) for trial in run.trials] == [(RANDOM, 2), (WHOLE, 0), (HALF, 1)]
+    assert "3 trials, 3 episodes" in repr(run)
+
+
+def test_data_frame_has_a_row_for_each_episode(run: RunData) -> None:
+    pytest.importorskip("pandas")
+    frame = run.to_pandas()
+    assert list(frame.columns) == list(run)
+    assert frame.groupby("agent")["steps"].mean().to_dict() == {"random": 7.5, "sarsa": 9.0}
+
+
+def test_without_pandas_it_says_what_to_install(run: RunData, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(ExperimentError, match=r"pip install 'glue-rl\[pandas\]'"):
+        run.to_pandas()
+
+
+def test_run_without_episodes_has_empty_columns(tmp_path: Path) -> None:
+    create_run(tmp_path / "run", PLAN).close()
+    run = load_run(tmp_path / "run")
+    assert {array.shape for array in run.values()} == {(0,)}
+
+
+def test_directory_without_a_run_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ExperimentError, match="holds no run"):
+        load_run(tmp_path)
