@@ -29,7 +29,7 @@ _ALL: Final = "all"
     default="runs/paper",
     show_default=True,
     help="Directory of the results: a run for each experiment, the tables and the figures. What is there "
-    "already is gone on with.",
+    "already is continued.",
 )
 @click.option("--trials", type=click.IntRange(1), default=TRIALS, show_default=True, help="Of each setting.")
 @click.option("--episodes", type=click.IntRange(1), default=EPISODES, show_default=True, help="Of a trial.")
@@ -70,6 +70,8 @@ def paper(
       glue-paper --report-only
     """
     from experiment_runner.paper.report import write_report
+    from experiment_runner.paper.tables import as_text
+    from experiment_runner.report.tables import terminal_width
 
     if not names and not report_only:
         raise click.UsageError("say which experiments: numbers from 1 to 8, sample, best, or all")
@@ -86,7 +88,10 @@ def paper(
     for name, plan in plans.items():
         say(f"{name}: {EXPERIMENTS[name].title}")
         failed += _run(out / name, plan, workers)
-    click.echo(write_report(out, docs), nl=False)
+    report = write_report(out, docs)
+    click.echo(as_text(report.outcomes, terminal_width()), nl=False)
+    for what in report.written:
+        say(f"wrote {what}")
     return 1 if failed else 0
 
 

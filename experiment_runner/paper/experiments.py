@@ -28,7 +28,7 @@ __all__ = [
 
 TRIALS: Final = 10
 EPISODES: Final = 5000
-SEED: Final = 0  # of all chance; the paper, run on a clock, has none
+SEED: Final = 0  # the random seed; the paper, run on a clock, has none
 
 
 class Level(NamedTuple):
@@ -43,7 +43,7 @@ _OTHER_SEEDS: Final = tuple(range(1, 11))
 
 
 class Published(NamedTuple):
-    """What the paper tells of an agent: mean return of the last 100 episodes, and when it converged."""
+    """What the paper reports of an agent: mean return of the last 100 episodes, and when it converged."""
 
     reward: float | None
     convergence: str

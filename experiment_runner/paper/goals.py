@@ -1,4 +1,7 @@
-"""What was required of the agents before the full run, and what was found."""
+"""What was required of the agents before the full run, and what was found.
+
+The goals are for the whole study, so fewer or shorter trials are not judged.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from experiment_runner.paper.experiments import EXPERIMENTS, PAPER_LEVEL, Level
+from experiment_runner.paper.experiments import EPISODES, EXPERIMENTS, PAPER_LEVEL, TRIALS, Level
 from experiment_runner.paper.outcomes import Outcome
 
 __all__ = ["Verdict", "verdicts"]
@@ -20,11 +23,11 @@ Number = Callable[[Outcome], float]
 
 
 class Verdict(NamedTuple):
-    """Something that was required, what was found, and whether that is enough."""
+    """Something that was required, what was found, and whether that is enough; None if not judged."""
 
     required: str
     found: str
-    met: bool
+    met: bool | None
 
 
 class _Goal(NamedTuple):
@@ -46,9 +49,16 @@ def verdicts(outcomes: Sequence[Outcome]) -> list[Verdict]:
     for goal in _GOALS:
         keys = [(agent, Level(PAPER_LEVEL.seed, goal.difficulty)) for agent in goal.agents]
         if all(key in known for key in keys):
-            found, met = goal.check(*(known[key] for key in keys))
-            given.append(Verdict(f"`{goal.agents[0]}`: {goal.required}", found, met))
+            compared = [known[key] for key in keys]
+            found, met = goal.check(*compared)
+            judged = all(map(_is_whole, compared))
+            given.append(Verdict(f"`{goal.agents[0]}`: {goal.required}", found, met if judged else None))
     return given
+
+
+def _is_whole(outcome: Outcome) -> bool:
+    trials, episodes = outcome.curves.shape
+    return bool(trials >= TRIALS and episodes >= EPISODES)
 
 
 def _like_the_original(sample: Outcome) -> tuple[str, bool]:

@@ -3,25 +3,33 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 from experiment_runner.paper.figures import figures
-from experiment_runner.paper.outcomes import load
+from experiment_runner.paper.outcomes import Outcome, load
 from experiment_runner.paper.tables import as_csv, as_markdown
 from experiment_runner.report.plots import save
+from experiment_runner.report.tables import counted
 from experiment_runner.store.database import reported
 from experiment_runner.store.output import written
 from glue.errors import ExperimentError
 
-__all__ = ["BEGIN", "END", "REPORT", "write_report"]
+__all__ = ["BEGIN", "END", "REPORT", "Report", "write_report"]
 
 REPORT: Final = "report"
 BEGIN: Final = "<!-- written by glue-paper, from here -->"
 END: Final = "<!-- to here -->"
 
 
-def write_report(out: Path, docs: Path | None = None) -> str:
-    """Write tables and figures of all that `out` holds to the folder `REPORT` in it; return the tables.
+class Report(NamedTuple):
+    """What `write_report` reported on, and the files and groups of files that it wrote."""
+
+    outcomes: list[Outcome]
+    written: list[str]
+
+
+def write_report(out: Path, docs: Path | None = None) -> Report:
+    """Write tables and figures of all that `out` holds to the folder `REPORT` in it.
 
     Args:
         out: holds the run directories.
@@ -43,12 +51,16 @@ def write_report(out: Path, docs: Path | None = None) -> str:
     for name, figure in drawn.items():
         for ending in ("png", "svg"):
             save(figure, folder / f"{name}.{ending}")
+    files = [f"{folder / 'tables.md'}", f"{folder / 'tables.csv'}"]
+    if drawn:
+        files.append(f"{counted(len(drawn), 'figure')} to {folder}, as PNG and SVG")
     if docs is not None and page is not None:
         _write(docs, page)
         images = _folder(docs.parent / "images" / "paper")
         for name, figure in drawn.items():
             save(figure, images / f"{name}.png")
-    return tables
+        files += [f"{docs}", f"{counted(len(drawn), 'figure')} to {images}"]
+    return Report(outcomes, files)
 
 
 def _with_tables(docs: Path, tables: str) -> str:

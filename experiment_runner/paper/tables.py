@@ -9,17 +9,21 @@ from typing import Final
 
 import numpy as np
 
-from experiment_runner.paper.experiments import PAPER_LEVEL
+from experiment_runner.paper.experiments import EPISODES, PAPER_LEVEL, TRIALS
 from experiment_runner.paper.goals import verdicts
 from experiment_runner.paper.outcomes import FINISHED, TOLERANCE, WINDOW, Outcome
+from experiment_runner.report.tables import counted, format_table
 
-__all__ = ["as_csv", "as_markdown"]
+__all__ = ["as_csv", "as_markdown", "as_text"]
 
 _HEADER: Final = (
     "experiment", "agent", "level", "paper", "ours", "95 % interval", "single trials",
     "converged: paper", "reached", "settled", "trials reached", "values", "trials finish", "episodes finish",
 )  # fmt: skip
 _GOALS_HEADER: Final = ("required", "found", "met")
+_NOT_JUDGED: Final = f"not judged: needs {TRIALS} trials of {EPISODES} episodes"
+_MET: Final = {True: "yes", False: "**no**", None: _NOT_JUDGED}
+_SHORT_HEADER: Final = ("agent", "level", "paper", "ours", "95 % interval", "trials finish")
 _WORDS: Final = 3  # the first columns; the others are numbers
 _LEGEND: Final = f"""\
 A *level* is a seed and a difficulty. *Ours* is the mean over trials of the mean return of the last
@@ -48,9 +52,24 @@ def as_markdown(outcomes: Sequence[Outcome]) -> str:
     ]
     given = verdicts(outcomes)
     if given:
-        rows = ((v.required, v.found, "yes" if v.met else "**no**") for v in given)
+        rows = ((v.required, v.found, _MET[v.met]) for v in given)
         tables.append(f"**Required and found**\n\n{_table(_GOALS_HEADER, rows)}")
     return "\n\n".join([_LEGEND, *tables, _effort(outcomes)]) + "\n"
+
+
+def as_text(outcomes: Sequence[Outcome], width: int | None = None) -> str:
+    """Return a table for a terminal: the rewards, the paper's and ours, and how many trials finish.
+
+    Args:
+        outcomes: a row for each.
+        width: as in `format_table`.
+    """
+    rows = []
+    for outcome in outcomes:
+        cells = dict(zip(_HEADER, _cells(outcome), strict=True))
+        name = f"{outcome.experiment.name} {cells['agent'].replace('`', '')}"
+        rows.append((name, *(cells[column] for column in _SHORT_HEADER[1:])))
+    return f"{format_table(_SHORT_HEADER, rows, width=width)}\n\n{_effort(outcomes)}\n"
 
 
 def as_csv(outcomes: Sequence[Outcome]) -> str:
@@ -123,4 +142,4 @@ def _effort(outcomes: Sequence[Outcome]) -> str:
     trials = sum(len(outcome.curves) for outcome in outcomes)
     steps = sum(outcome.steps for outcome in outcomes)
     hours = sum(outcome.seconds for outcome in outcomes) / 3600
-    return f"{trials} trials, {steps / 1e6:,.0f} million steps, {hours:.1f} hours of one core."
+    return f"{counted(trials, 'trial')}, {steps / 1e6:,.0f} million steps, {hours:.1f} hours of one core."
