@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiment_runner.executors.resume import create_run
 from experiment_runner.plan import Plan, RoleSweep
-from experiment_runner.resume import create_run
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.run_data import RunData, load_run
 from glue.errors import ExperimentError

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiment_runner.executors.resume import create_run, resume_run
 from experiment_runner.plan import Plan, RoleSweep
 from experiment_runner.report.overview import Overview, as_object, as_text, overview
 from experiment_runner.report.tables import format_table
-from experiment_runner.resume import create_run, resume_run
 from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
 from experiment_runner.store.merge import merge
 from experiment_runner.store.records import Checkpoint, EpisodeResult
