@@ -18,10 +18,13 @@ __all__ = ["environment", "main"]
 
 
 def _rendered(player: Environment, _: bool) -> Environment:
+    """Return `player`, drawn in this terminal until the command ends, however it ends."""
     from env_server.render.live import Rendered
     from env_server.render.text import TerminalScreen
 
-    return Rendered(player, TerminalScreen(sys.stdout))
+    screen = TerminalScreen(sys.stdout)
+    click.get_current_context().call_on_close(screen.close)
+    return Rendered(player, screen)
 
 
 environment = player_command(

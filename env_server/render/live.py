@@ -12,7 +12,7 @@ __all__ = ["Rendered"]
 
 
 class Rendered:
-    """`environment`, with every observation drawn on `screen`; in all else it is the same."""
+    """`environment`, with every observation drawn on `screen`; otherwise unchanged."""
 
     def __init__(self, environment: Environment, screen: TerminalScreen) -> None:
         self.__wrapped__ = environment

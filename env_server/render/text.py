@@ -63,7 +63,7 @@ _UNKNOWN: Final = _Glyph("?", "1;38;5;15;48;5;0")
 
 
 def has_color(stream: TextIO) -> bool:
-    """Return whether `stream` is a terminal with color that has not asked for none (no-color.org)."""
+    """Return whether `stream` is a color terminal and NO_COLOR is not set (no-color.org)."""
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
@@ -87,11 +87,11 @@ def draw_text(observation: Observation, color: bool = False) -> list[str]:
 
 
 class TerminalScreen:
-    """Draw observations one over the other in a terminal; on anything else, draw nothing.
+    """Draw observations in a terminal, each over the last; draw nothing if the stream is not a terminal.
 
     Args:
         stream: where to draw.
-        rate: drawings per second at most; what comes faster is left out, but for the last one.
+        rate: maximum drawings per second; faster ones are left out, except the last.
         clock: returns the time in seconds.
 
     Close it, or use it as a context manager, to get the last drawing and the cursor back.
@@ -123,13 +123,14 @@ class TerminalScreen:
         self._draw(observation, reward, step, episode_return, title)
 
     def close(self) -> None:
-        """Draw what was left out last, and leave the cursor below it."""
+        """Draw what was left out last, and leave the cursor visible below it. `show` may begin anew."""
         if self._waiting is not None:
             self._waiting()
         if self._shown:
             self._stream.write(_SHOW_CURSOR + "\n")
             self._stream.flush()
-        self._live = self._shown = False
+        self._shown = False
+        self._next = -math.inf
 
     def __enter__(self) -> Self:
         return self

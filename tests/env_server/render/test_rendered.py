@@ -3,7 +3,12 @@
 from __future__ import annotations
 
 import io
+import itertools
+import os
 import re
+import signal
+import subprocess
+import time
 from pathlib import Path
 
 from env_server.mario.environment import InfiniteMario
@@ -13,7 +18,7 @@ from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from glue.roles import capabilities
 from glue.testing import check_environment
 from glue.types import Action, Observation
-from tests.terminal import Terminal, drawings, run, run_in_terminal
+from tests.terminal import BIN, Terminal, drawings, run, run_in_terminal, watched_terminal
 
 
 class Notes(TerminalScreen):
@@ -99,5 +104,39 @@ def test_where_there_is_no_terminal_nothing_is_drawn(tmp_path: Path) -> None:
     try:
         shown = run("glue-env", "mines", "--render", "--hub", hub, cwd=tmp_path)
         assert (experiment.end(), shown.returncode, shown.stdout) == (0, 0, ""), shown.stderr
+    finally:
+        experiment.close()
+
+
+def test_second_run_is_drawn_like_the_first() -> None:
+    with watched_terminal() as (descriptor, written), os.fdopen(os.dup(descriptor), "w") as stream:
+        environment = Rendered(MinesEnvironment(), TerminalScreen(stream, clock=itertools.count().__next__))
+        for _ in range(2):
+            environment.env_init()
+            environment.env_start()
+            environment.env_step(Action([1]))
+            environment.env_cleanup()
+    text = b"".join(written).decode()
+    runs = text.split("\x1b[?25h")
+    assert [drawing.count("step 1") for drawing in runs] == [1, 1, 0]
+
+
+def test_interrupt_gives_the_cursor_back(tmp_path: Path) -> None:
+    hub = f"ipc://{tmp_path}/hub"
+    experiment = Terminal(
+        *("glue-experiment", "--agent", "random", "--episodes", "100000", "--bind", hub, "--out", "run"),
+        cwd=tmp_path,
+    )
+    try:
+        with watched_terminal() as (descriptor, written):
+            command: list[str | Path] = [BIN / "glue-env", "mines", "--render", "--hub", hub]
+            with subprocess.Popen(command, cwd=tmp_path, stdout=descriptor, stderr=descriptor) as process:
+                while b"step 3" not in b"".join(written):
+                    assert process.poll() is None, written
+                    time.sleep(0.01)
+                process.send_signal(signal.SIGINT)
+                assert process.wait(60) == 130
+        text = b"".join(written)
+        assert text.rindex(b"\x1b[?25h") > text.rindex(b"\x1b[?25l")
     finally:
         experiment.close()
