@@ -19,13 +19,38 @@ import json
 from dataclasses import asdict, replace
 from decimal import Decimal
 from itertools import product
-from typing import Annotated, Any, Final
+from typing import Any, Final
 
 from env_server.mario.game import Game
-from env_server.mario.parameters import INSTANCES, MDPS, Parameters, resolve
+from env_server.mario.options import (
+    AccelFall,
+    Alpha,
+    Instance,
+    JumpTime,
+    LevelDifficulty,
+    LevelSeed,
+    LevelType,
+    LevelWidth,
+    MaxTrialSteps,
+    Mdp,
+    Render,
+    RewardCoin,
+    RewardDeath,
+    RewardGoal,
+    RewardKill,
+    RewardStep,
+    SlidejumpTime,
+    SpeedJump,
+    SpeedRun,
+    SpeedSlidejump,
+    SpeedWalk,
+    StartTicks,
+    Velocity,
+)
+from env_server.mario.parameters import Parameters, resolve
 from env_server.mario.saving import State, pack_state, unpack_state
 from glue.errors import ConfigError, SaveError, SimulatorError
-from glue.options import Option, parameters, parse_assignments
+from glue.options import parameters, parse_assignments
 from glue.types import Action, Observation
 
 __all__ = ["InfiniteMario"]
@@ -40,101 +65,65 @@ _DIMENSIONS: Final = (("direction", -1, 1), ("jump", 0, 1), ("run", 0, 1))
 class InfiniteMario:
     """Infinite Mario of the RL-Competition 2009.
 
-    The task is that of an instance or of an MDP; a parameter given by itself overrides theirs.
+    The task is a published instance or MDP; a parameter that is given overrides theirs.
     """
 
     def __init__(
         self,
         *,
-        instance: Annotated[
-            int, Option("published set of all parameters but the level's", low=0, high=INSTANCES - 1)
-        ] = 0,
-        mdp: Annotated[
-            str | None, Option("published task, level included, instead of an instance", choices=MDPS)
-        ] = None,
-        level_seed: Annotated[
-            int | None, Option("seed of the level, 121 by default", low=-(2**31), high=2**31 - 1)
-        ] = None,
-        level_type: Annotated[
-            int | None, Option("0 overground, 1 underground, 2 castle; 0 by default", low=0, high=2)
-        ] = None,
-        level_difficulty: Annotated[
-            int | None, Option("the higher, the more gaps, pipes and enemies; 0 by default", low=0, high=100)
-        ] = None,
-        level_width: Annotated[
-            int | None,
-            Option("width of the level, which has 50 more; 320 by default", low=0, high=2000, unit="tiles"),
-        ] = None,
-        max_trial_steps: Annotated[
-            int | None, Option("steps until Mario dies, 1000 by default", low=1, high=10**9, unit="steps")
-        ] = None,
-        reward_goal: Annotated[
-            float | None, Option("reward for passing the goal, 100 by default", low=-1e9, high=1e9)
-        ] = None,
-        reward_death: Annotated[
-            float | None, Option("reward for dying, -10 by default", low=-1e9, high=1e9)
-        ] = None,
-        reward_step: Annotated[
-            float | None, Option("reward for each step, -0.01 by default", low=-1e9, high=1e9)
-        ] = None,
-        reward_coin: Annotated[
-            float | None, Option("reward for each coin, 1 by default", low=-1e9, high=1e9)
-        ] = None,
-        reward_kill: Annotated[
-            float | None, Option("reward for each enemy killed, 1 by default", low=-1e9, high=1e9)
-        ] = None,
-        speed_walk: Annotated[
-            float | None,
-            Option("acceleration walking, 0.6 by default", low=0, high=16, unit="pixels/tick²"),
-        ] = None,
-        speed_run: Annotated[
-            float | None,
-            Option("acceleration running, 1.2 by default", low=0, high=16, unit="pixels/tick²"),
-        ] = None,
-        speed_jump: Annotated[
-            float | None,
-            Option("speed of a jump per jump count, -1.9 by default", low=-16, high=16, unit="pixels/tick"),
-        ] = None,
-        speed_slidejump: Annotated[
-            float | None,
-            Option("the same for jumps off a wall, -2 by default", low=-16, high=16, unit="pixels/tick"),
-        ] = None,
-        accel_fall: Annotated[
-            float | None,
-            Option("part of the vertical speed kept, 0.82 by default", low=0, high=1, unit="per tick"),
-        ] = None,
-        jump_time: Annotated[
-            int | None, Option("how long a jump goes up, 7 by default", low=-100, high=100, unit="ticks")
-        ] = None,
-        slidejump_time: Annotated[
-            int | None,
-            Option(
-                "the same for jumps off a wall, negative; -6 by default", low=-100, high=100, unit="ticks"
-            ),
-        ] = None,
-        render: Annotated[
-            str,
-            Option(
-                "when the original draws a frame, which moves the camera and notices the episode's end",
-                choices=("tick", "checkin"),
-                flag="drawing",
-            ),
-        ] = "tick",
-        alpha: Annotated[
-            float, Option("how far into the next tick it draws", low=0, high=1, unit="ticks")
-        ] = 1.0,
-        start_ticks: Annotated[
-            int, Option("5 or 10, before the first observation of all", low=5, high=10, unit="ticks")
-        ] = 5,
-        velocity: Annotated[
-            str,
-            Option("in tiles per step, or as the first binary release told it", choices=("source", "jar")),
-        ] = "source",
+        instance: Instance = 0,
+        mdp: Mdp = None,
+        level_seed: LevelSeed = None,
+        level_type: LevelType = None,
+        level_difficulty: LevelDifficulty = None,
+        level_width: LevelWidth = None,
+        max_trial_steps: MaxTrialSteps = None,
+        reward_goal: RewardGoal = None,
+        reward_death: RewardDeath = None,
+        reward_step: RewardStep = None,
+        reward_coin: RewardCoin = None,
+        reward_kill: RewardKill = None,
+        speed_walk: SpeedWalk = None,
+        speed_run: SpeedRun = None,
+        speed_jump: SpeedJump = None,
+        speed_slidejump: SpeedSlidejump = None,
+        accel_fall: AccelFall = None,
+        jump_time: JumpTime = None,
+        slidejump_time: SlidejumpTime = None,
+        render: Render = "tick",
+        alpha: Alpha = 1.0,
+        start_ticks: StartTicks = 5,
+        velocity: Velocity = "source",
     ) -> None:
-        """Check the parameters.
+        """Make the environment of a task; for a parameter that is None, the instance or MDP decides.
+
+        Args:
+            instance: published set of all parameters except the level's, 0 to 9.
+            mdp: published task including its level, `proving-1` to `testing-10`, in place of an instance.
+            level_seed, level_type, level_difficulty, level_width: the level. Types are 0 overground,
+                1 underground and 2 castle; the width is in tiles, and a level has 50 more.
+            max_trial_steps: steps after which Mario dies.
+            reward_goal, reward_death, reward_step, reward_coin, reward_kill: the rewards.
+            speed_walk, speed_run: acceleration, in pixels per tick squared.
+            speed_jump, speed_slidejump: speed of a jump, from the ground and off a wall, in pixels per tick
+                and remaining jump count.
+            accel_fall: share of the vertical speed that is kept in each tick.
+            jump_time, slidejump_time: ticks for which a jump rises; off a wall they are negative.
+            render: when the original draws a frame, `tick` or `checkin`; drawing moves the camera and
+                notices the end of an episode.
+            alpha: how far into the next tick it draws, 0 to 1.
+            start_ticks: ticks before the first observation, 5 or 10.
+            velocity: `source` reports tiles per step, `jar` what the first binary release reported.
 
         Raises:
-            SimulatorError: a parameter is out of its bounds, or an instance and an MDP are asked for.
+            SimulatorError: a parameter is out of bounds, or both an instance and an MDP are given.
+
+        `glue-env mario --help` lists every default and bound. A small session:
+
+            mario = InfiniteMario(level_seed=7, level_difficulty=1)
+            task_spec = mario.env_init()
+            observation = mario.env_start()
+            reward, observation, terminal = mario.env_step(Action(ints=[1, 0, 1]))
         """
         # The first statement, so that the parameters are all the locals there are.
         given = {name: value for name, value in locals().items() if name != "self" and value is not None}

@@ -1,4 +1,4 @@
-"""What an observation of Infinite Mario shows, for those who draw it.
+"""Decode an observation of Infinite Mario for drawing and for messages.
 
 Source: RL-Competition 2009, Infinite Mario's observation; docs/mario.md describes it.
 """
@@ -19,6 +19,7 @@ __all__ = [
     "Scene",
     "Sprite",
     "buried_cells",
+    "element_name",
     "is_ground",
     "is_scene",
     "read_scene",
@@ -26,7 +27,7 @@ __all__ = [
 
 ROWS: Final = 16
 COLUMNS: Final = 21
-_MOST_SPRITES: Final = 1000
+_MAX_SPRITES: Final = 1000
 _FAR: Final = 1e6
 _PRINTABLE: Final = bytes(code if 32 <= code < 127 else ord(" ") for code in range(256))
 KINDS: Final = {
@@ -80,22 +81,22 @@ def is_scene(observation: Observation) -> bool:
 
 
 def read_scene(observation: Observation) -> Scene:
-    """Return what `observation` shows. It may come from anywhere, a stranger's recording for instance.
+    """Return what `observation` shows. It may come from anywhere, such as an untrusted recording.
 
     Raises:
-        SimulatorError: it is no observation of Infinite Mario, or one that no level can give.
+        SimulatorError: it is not an observation of Infinite Mario, or is impossible in any level.
     """
     if not is_scene(observation):
         ints, doubles, chars = observation.counts
         raise SimulatorError(
             "an observation of Infinite Mario has 1 + 2n ints, 4n doubles and 352 chars (n >= 1); "
-            f"{ints} ints, {doubles} doubles and {chars} chars came"
+            f"received {ints} ints, {doubles} doubles and {chars} chars"
         )
     places = observation.doubles.reshape(-1, 4)
-    if len(places) > _MOST_SPRITES or not (np.abs(places) < _FAR).all():
+    if len(places) > _MAX_SPRITES or not (np.abs(places) < _FAR).all():
         raise SimulatorError(
-            f"an observation of Infinite Mario has at most {_MOST_SPRITES} sprites, each less than {_FAR:g} "
-            f"tiles away; {len(places)} came, the farthest {np.abs(places).max()} away"
+            f"an observation of Infinite Mario has at most {_MAX_SPRITES} sprites, each less than {_FAR:g} "
+            f"tiles away; received {len(places)}, the farthest {np.abs(places).max()} away"
         )
     column, *kinds = observation.ints.tolist()
     tiles = observation.chars.translate(_PRINTABLE).decode("ascii")
@@ -109,8 +110,26 @@ def read_scene(observation: Observation) -> Scene:
     )
 
 
+def element_name(part: str, index: int) -> str:
+    """Return what element `index` of an observation's ints, doubles or chars stands for.
+
+    Args:
+        part: `int`, `double` or `char`.
+    """
+    if part == "char":
+        row, column = divmod(index, COLUMNS + 1)
+        return f"row {row}, column {column}"
+    if part == "double":
+        sprite, field = divmod(index, 4)
+        return f"{('x', 'height', 'horizontal speed', 'vertical speed')[field]} of sprite {sprite}"
+    if index == 0:
+        return "the camera's column"
+    sprite, field = divmod(index - 1, 2)
+    return f"{('kind', 'winged')[field]} of sprite {sprite}"
+
+
 def buried_cells(scene: Scene) -> set[tuple[int, int]]:
-    """Return the cells of the window, as row and column in it, that are inside of the ground.
+    """Return the cells of the window, as row and column in it, that are inside the ground.
 
     An observation shows only the solid outside of ground, hills of it and ceilings; their inside is
     blank, as the air is. Air is the blank that joins up with where Mario is.

@@ -35,9 +35,9 @@ __all__ = ["main", "replay"]
 @click.option(
     "--check/--no-check",
     default=None,
-    help="Only compare, or only show. Both is the default; where there is no terminal, --check is.",
+    help="Only compare, or only show; the default is both on a terminal, and --check elsewhere.",
 )
-@click.option("--episode", type=click.IntRange(0), help="Show only this one, counted from 0 in its file.")
+@click.option("--episode", type=click.IntRange(1), help="Show only this one, counted from 1 in its file.")
 @click.option(
     "--steps",
     type=click.IntRange(0),
@@ -84,15 +84,15 @@ def replay(
 ) -> None:
     """Show recorded episodes, and compare them with the environment they were made with.
 
-    FILE is a recording of an experiment's, or of the original Infinite Mario (docs/trajectories.md).
-    Every observation, reward and end has to be the recorded one, bit for bit, and so has every level that
-    a recording of the original has by itself. The first that is not is reported, and the exit code is 1.
+    FILE is a recording of an experiment or of the original Infinite Mario (docs/trajectories.md).
+    Every observation, reward and end must equal the recorded one, bit for bit, and so must every level
+    in a recording of the original. The first difference is reported, and the exit code is 1.
 
     \b
     Examples:
       glue-replay run.traj
       glue-replay --check run.traj other.traj
-      glue-replay run.traj --episode 4 --steps 14 110 --gif mario.gif
+      glue-replay run.traj --episode 5 --steps 14 110 --gif mario.gif
     """
     from env_server.replay.episodes import open_recording, recorded_moments, replayed_moments
     from glue.trajectory import TrajectoryError, TrajectoryReader
@@ -100,7 +100,7 @@ def replay(
     if (gif or png) and (len(files) > 1 or check):
         raise ConfigError("--gif and --png show a part of one FILE: give one, and no --check")
     if (gif or png) and episode is None:
-        episode = 0
+        episode = 1
     first, last = steps or (0, sys.maxsize)
 
     def is_chosen(moment: Moment) -> bool:
@@ -111,21 +111,26 @@ def replay(
         reader = open_recording(file)
         moments = recorded_moments(reader) if check is False else replayed_moments(reader, build)
         counted = _Counted(moments, reader)
+        shown = []
         if gif or png:
-            _save([moment.observation for moment in counted if is_chosen(moment)], speed, gif, png)
+            shown = [moment.observation for moment in counted if is_chosen(moment)]
         elif check or not sys.stdout.isatty():
             deque(counted, maxlen=0)
         else:
             _show(filter(is_chosen, counted), speed)
         if not (counted.episodes or counted.levels):
             raise TrajectoryError(f"{file} holds no whole episode")
+        if episode is not None and episode > counted.episodes:
+            raise ConfigError(f"{file} has no episode {episode}: its episodes are 1 to {counted.episodes}")
+        if gif or png:
+            _save(shown, speed, gif, png)
         if isinstance(reader, TrajectoryReader) and reader.torn:
-            say(f"{file} was not closed: an episode that it ends in is left out")
+            say(f"{file} was not closed: its last, incomplete episode is left out")
         print(f"{file}: {counted}: {'not compared' if check is False else 'no difference'}")
 
 
 class _Counted:
-    """Moments, counted as they go by; a difference is told with its file."""
+    """Moments, counted as they pass; a difference is reported with its file."""
 
     def __init__(self, moments: Iterator[Moment], reader: TrajectoryReader | GoldenReader) -> None:
         self._moments = moments
@@ -143,8 +148,8 @@ class _Counted:
 
         try:
             for moment in self._moments:
-                self.runs = moment.run + 1
-                self.episodes = moment.episode + 1
+                self.runs = moment.run
+                self.episodes = moment.episode
                 self.steps += moment.step > 0
                 yield moment
         except Difference as error:
@@ -163,7 +168,7 @@ def _builder(name: str | None, assignments: tuple[str, ...]) -> Callable[[Record
 
     if name is None:
         if assignments:
-            raise ConfigError("--env-option is an option of --env: name that too")
+            raise ConfigError("--env-option needs --env: name the environment too")
         return build_environment
     options = parse_assignments(find(Role.ENVIRONMENT, name), assignments)
     return lambda run: build_named(name, {**run.options, **options})
@@ -182,7 +187,7 @@ def _save(shown: Sequence[Observation], speed: float, gif: Path | None, png: Pat
     from env_server.render.drawing import save_gif, save_png
 
     if not shown:
-        raise ConfigError("the recording has no such episode, or the episode no such steps")
+        raise ConfigError("the episode has no such steps")
     if gif:
         save_gif(gif, shown, speed)
     if png:

@@ -10,13 +10,12 @@ import os
 import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, Final, NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from env_server.mario.level import Level, level_difference
-from env_server.render.scene import COLUMNS, is_scene
+from env_server.render.scene import element_name, is_scene
 from env_server.replay.golden import Digest, GoldenEpisode, GoldenLevel, GoldenReader, GoldenRun, digest
 from glue.errors import ConfigError, GlueError
 from glue.options import Value, build
@@ -24,7 +23,7 @@ from glue.players.loading import find, names
 from glue.protocol.messages import Role
 from glue.roles import Environment, SaveableEnvironment, SeedableEnvironment, offers
 from glue.trajectory import Episode, Run, TrajectoryReader
-from glue.types import Observation
+from glue.types import Action, Observation
 
 __all__ = [
     "Difference",
@@ -46,13 +45,6 @@ _Array: TypeAlias = npt.NDArray[Any]
 _REWARD: Final = struct.Struct("<d")
 
 
-@runtime_checkable
-class _Buttoned(Protocol):
-    """An environment whose buttons, as the next episode finds them, can be seen and set."""
-
-    buttons: tuple[bool, ...]
-
-
 class Difference(GlueError):
     """The environment did not do what the recording says; the message says where, and what."""
 
@@ -61,8 +53,8 @@ class Moment(NamedTuple):
     """An observation of an episode, and how the episode stands.
 
     Attributes:
-        run: number of the run in the recording, from 0.
-        episode: number of the episode in the recording, from 0.
+        run: number of the run in the recording, from 1.
+        episode: number of the episode in the recording, from 1.
         step: number of actions taken; 0 is the start.
         observation: what is seen.
         reward: for the last action; 0.0 at the start.
@@ -100,14 +92,12 @@ def build_environment(run: RecordedRun) -> Environment:
     Raises:
         ConfigError: it names none, or none that is installed, or the options do not fit.
     """
-    if isinstance(run, GoldenRun):
-        return build_named("env_server.mario.environment:InfiniteMario", run.options)
     name = run.environment
     if not name:
-        raise ConfigError("the recording does not say which environment it is of: name it with --env")
+        raise ConfigError("the recording does not name its environment: name it with --env")
     if name not in names(Role.ENVIRONMENT):
         raise ConfigError(
-            f"the recording is of {name!r}, which is not installed: if you trust it, say --env {name}"
+            f"the recording is of {name!r}, which is not installed: if you trust it, add --env {name}"
         )
     return build_named(name, run.options)
 
@@ -135,9 +125,9 @@ def replayed_moments(
     """
     run: RecordedRun | None = None
     environment: Environment | None = None
-    runs = -1
+    runs = 0
     try:
-        for number, episode in enumerate(_compare_levels(recorded)):
+        for number, episode in enumerate(_compare_levels(recorded), 1):
             if environment is None or episode.run is not run:
                 if environment is not None:
                     environment.env_cleanup()
@@ -157,14 +147,14 @@ def recorded_moments(recorded: Iterable[Recorded]) -> Iterator[Moment]:
         ConfigError: of an observation only the hash was recorded.
     """
     run: RecordedRun | None = None
-    runs = -1
+    runs = 0
     episodes = (part for part in recorded if not isinstance(part, GoldenLevel))
-    for number, episode in enumerate(episodes):
+    for number, episode in enumerate(episodes, 1):
         if episode.run is not run:
             run = episode.run
             runs += 1
         total = 0.0
-        for step, (reward, seen, terminal) in enumerate(_outcomes(episode)):
+        for step, (_, reward, seen, terminal) in enumerate(_outcomes(episode)):
             place = _place(episode, number, step)
             if isinstance(seen, Digest):
                 raise ConfigError(f"{place}: only a hash was recorded; replay it with its environment")
@@ -176,28 +166,17 @@ def _compare_levels(recorded: Iterable[Recorded]) -> Iterator[RecordedEpisode]:
     """Yield the episodes; between them, demand of every level that the simulator makes the same."""
     for part in recorded:
         if isinstance(part, GoldenLevel):
-            difference = level_difference(part.level, _level_of(part.options))
+            difference = part.difference()
             if difference:
-                task = " ".join(f"{name}={value}" for name, value in part.options.items())
-                raise Difference(f"{task}: {difference}")
+                raise Difference(difference)
         else:
             yield part
 
 
-def _level_of(options: Mapping[str, Value]) -> Level:
-    from env_server.mario.environment import InfiniteMario  # not above: the simulator takes long to load
-
-    mario: InfiniteMario = build(InfiniteMario, options)
-    mario.env_init()
-    mario.env_start()
-    return mario.game.level
-
-
-def _outcomes(episode: RecordedEpisode) -> Iterator[tuple[float, Observation | Digest, bool]]:
-    """Yield what the start and every step of an episode gave."""
-    yield 0.0, episode.start, False
-    for step in episode.steps:
-        yield step.reward, step.observation, step.terminal
+def _outcomes(episode: RecordedEpisode) -> Iterator[tuple[Action | None, float, Observation | Digest, bool]]:
+    """Yield the start of an episode, which has no action, and every step: action, reward, seen, terminal."""
+    yield None, 0.0, episode.start, False
+    yield from episode.steps
 
 
 def _place(episode: RecordedEpisode, number: int, step: int) -> str:
@@ -209,9 +188,7 @@ def _place(episode: RecordedEpisode, number: int, step: int) -> str:
 def _initialise(environment: Environment, first: RecordedEpisode) -> None:
     """Bring the environment to where the first episode of its run begins."""
     if isinstance(first, GoldenEpisode):
-        environment.env_init()
-        if isinstance(environment, _Buttoned):
-            environment.buttons = first.keys
+        first.begin_run(environment)
         return
     run = first.run
     if run.seed is not None and offers(environment, SeedableEnvironment):
@@ -231,17 +208,13 @@ def _replay_episode(
     if isinstance(episode, Episode):
         for message in episode.messages:
             environment.env_message(message)
-    elif isinstance(environment, _Buttoned) and environment.buttons != episode.keys:
-        held = [list(map(int, keys)) for keys in (episode.keys, environment.buttons)]
-        raise Difference(f"{_place(episode, number, 0)}: the keys held: expected {held[0]}, got {held[1]}")
+    elif difference := episode.difference_before(environment):
+        raise Difference(f"{_place(episode, number, 0)}: {difference}")
     total = 0.0
-    for step, (reward, seen, terminal) in enumerate(_outcomes(episode)):
+    for step, (action, reward, seen, terminal) in enumerate(_outcomes(episode)):
         place = _place(episode, number, step)
         try:
-            if step == 0:
-                got = 0.0, environment.env_start(), False
-            else:
-                got = environment.env_step(episode.steps[step - 1].action)
+            got = environment.env_step(action) if action else (0.0, environment.env_start(), False)
         except GlueError as error:
             raise Difference(f"{place}: the environment refused: {error}") from error
         difference = _difference((reward, seen, terminal), got)
@@ -254,7 +227,7 @@ def _replay_episode(
 def _difference(
     expected: tuple[float, Observation | Digest, bool], got: tuple[float, Observation, bool]
 ) -> str:
-    """Return in words how two outcomes differ; "" if they do not."""
+    """Return how two outcomes differ, in words; "" if they do not."""
     reward, seen, terminal = expected
     got_reward, observation, got_terminal = got
     if _REWARD.pack(reward) != _REWARD.pack(got_reward):
@@ -280,7 +253,7 @@ def _observation_difference(expected: Observation, got: Observation) -> str:
         (name, old, new, where) for name, old, new in pairs if (where := _unequal(old, new)).size
     )
     index = int(where[0])
-    what = _meaning(name, index) if is_scene(expected) else ""
+    what = f" ({element_name(name, index)})" if is_scene(expected) else ""
     return f"{name} {index}{what}: expected {old[index].item()!r}, got {new[index].item()!r}"
 
 
@@ -288,17 +261,3 @@ def _unequal(old: _Array, new: _Array) -> npt.NDArray[np.intp]:
     """Return the indices at which the bits of two arrays differ."""
     bits = f"V{old.itemsize}"
     return np.flatnonzero(old.view(bits) != new.view(bits))
-
-
-def _meaning(name: str, index: int) -> str:
-    """Return what an element of an observation of Infinite Mario stands for."""
-    if name == "char":
-        row, column = divmod(index, COLUMNS + 1)
-        return f" (row {row}, column {column})"
-    if name == "double":
-        sprite, part = divmod(index, 4)
-        return f" ({('x', 'height', 'horizontal speed', 'vertical speed')[part]} of sprite {sprite})"
-    if index == 0:
-        return " (the camera's column)"
-    sprite, part = divmod(index - 1, 2)
-    return f" ({('kind', 'winged')[part]} of sprite {sprite})"

@@ -1,27 +1,30 @@
-"""Read recordings of the original Infinite Mario.
+"""Recordings of the original Infinite Mario: reading them, and what only they compare.
 
-A file is gzip, one JSON object a line, of which `kind` says what it is. A run, one process of the
-original on one level, is a line `run`, then for every episode a `start`, its `step`s and an `end`; lines
-of the kind `tick` are passed over. A line `level` is a level by itself. Lines of a run whose `obs` is
-`hash` have, in place of the observation, its hash; lines of the others have both, and must agree with
-themselves. docs/trajectories.md has the fields.
+A file is gzip, one JSON object per line, whose `kind` says what it is. A run, one process of the original
+on one level, is a line `run`, then for every episode a `start`, its `step`s and an `end`; lines of kind
+`tick` are ignored. A line `level` is a level on its own. In a run with `obs` = `hash`, lines have a hash
+instead of the observation; other lines have both, which must agree. docs/trajectories.md has the fields.
 """
 
 from __future__ import annotations
 
+import gzip
 import hashlib
+import json
 import math
 import os
 import struct
+import zlib
+from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple, Protocol, runtime_checkable
 
-from env_server.mario.level import Level, Spawn
-from env_server.replay.golden_lines import Line, lines_of
+from env_server.mario.level import Level, Spawn, level_difference
 from glue.errors import GlueError
-from glue.options import Value
+from glue.options import Value, build
+from glue.roles import Environment
 from glue.trajectory import MAX_EPISODE, MAX_STEPS, TrajectoryError
 from glue.types import Action, Observation
 
@@ -35,11 +38,74 @@ __all__ = [
     "digest",
 ]
 
+_MAX_LINE: Final = 2**20  # bytes of one line
 _DIGEST_SIZE: Final = 8
 _LONGEST_NAME: Final = 100  # characters
 _KEYS: Final = 4
 _SPAWN: Final = 4  # numbers of a spawn point
 _REWARD: Final = struct.Struct(">d")
+
+
+class _Line:
+    """One JSON object, and its place in the file."""
+
+    def __init__(self, fields: dict[str, Any], where: str, size: int) -> None:
+        self._fields = fields
+        self._where = where
+        self.size = size
+
+    def wrong(self, what: str) -> TrajectoryError:
+        return TrajectoryError(f"{self._where}: {what}")
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._fields
+
+    def get(self, name: str, *kinds: type) -> Any:
+        """Return a required field, of one of the types `kinds`."""
+        value = self._fields.get(name)
+        if type(value) not in kinds:
+            wanted = " or ".join(kind.__name__ for kind in kinds)
+            raise self.wrong(f"field {name!r} must be {wanted}, not {value!r:.60}")
+        return value
+
+    def number(self, name: str) -> float:
+        return float(self.get(name, float, int))
+
+    def list_of(self, name: str, *kinds: type) -> list[Any]:
+        values: list[Any] = self.get(name, list)
+        if not all(type(value) in kinds for value in values):
+            wanted = " or ".join(kind.__name__ for kind in kinds)
+            raise self.wrong(f"field {name!r} must be a list of {wanted}")
+        return values
+
+
+def _lines_of(path: Path) -> Iterator[_Line]:
+    """Yield the lines of a file.
+
+    Raises, while iterating:
+        TrajectoryError: the file cannot be read, or a line is too long or is not a JSON object.
+    """
+    try:
+        with gzip.open(path, "rb") as file:
+            number = 0
+            while line := file.readline(_MAX_LINE + 1):
+                number += 1
+                where = f"{path}, line {number}"
+                if len(line) > _MAX_LINE:
+                    raise TrajectoryError(f"{where} has more than {_MAX_LINE} bytes")
+                try:
+                    fields = json.loads(line)
+                except (ValueError, RecursionError) as error:
+                    raise TrajectoryError(f"{where} is not JSON: {error}") from None
+                if not isinstance(fields, dict):
+                    raise TrajectoryError(f"{where} is not a JSON object")
+                yield _Line(fields, where, len(line))
+    except gzip.BadGzipFile:
+        raise TrajectoryError(f"{path} is not a recording: it is not a gzip file") from None
+    except (EOFError, zlib.error) as error:
+        raise TrajectoryError(f"{path} is damaged after line {number}: {error}") from None
+    except OSError as error:
+        raise TrajectoryError(f"cannot read {path}: {error.strerror}") from None
 
 
 class Digest(bytes):
@@ -63,16 +129,25 @@ def digest(observation: Observation, reward: float, terminal: bool) -> Digest:
     return Digest(whole.digest()[:_DIGEST_SIZE])
 
 
+@runtime_checkable
+class _Buttoned(Protocol):
+    """An environment whose buttons, as the next episode finds them, can be read and set."""
+
+    buttons: tuple[bool, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class GoldenRun:
     """A process of the original: its name, and the options that make our environment the same."""
+
+    environment: ClassVar[str] = "mario"
 
     name: str
     options: Mapping[str, Value]
 
 
 class GoldenStep(NamedTuple):
-    """An action, and what came of it: the observation or only its hash."""
+    """An action and its outcome: the observation, or only its hash."""
 
     action: Action
     reward: float
@@ -88,13 +163,26 @@ class GoldenEpisode:
         run: the run it belongs to.
         keys: whether left, right, jump and run are held when its first tick begins.
         start: its first observation, or only its hash.
-        steps: its steps, in their order.
+        steps: its steps in order, read from the file as they are iterated over, once.
     """
 
     run: GoldenRun
     keys: tuple[bool, ...]
     start: Observation | Digest
-    steps: tuple[GoldenStep, ...]
+    steps: Iterator[GoldenStep]
+
+    def begin_run(self, environment: Environment) -> None:
+        """Bring a fresh environment to where this episode, the first of its run, begins."""
+        environment.env_init()
+        if isinstance(environment, _Buttoned):
+            environment.buttons = self.keys
+
+    def difference_before(self, environment: Environment) -> str:
+        """Return how the buttons held now differ from those recorded for the start; "" if they do not."""
+        if not isinstance(environment, _Buttoned) or environment.buttons == self.keys:
+            return ""
+        expected, got = (list(map(int, keys)) for keys in (self.keys, environment.buttons))
+        return f"the keys held: expected {expected}, got {got}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,13 +192,24 @@ class GoldenLevel:
     options: Mapping[str, Value]
     level: Level
 
+    def difference(self) -> str:
+        """Return how the level that our environment makes differs from this one; "" if it does not."""
+        from env_server.mario.environment import InfiniteMario  # not above: the simulator loads slowly
+
+        mario: InfiniteMario = build(InfiniteMario, self.options)
+        mario.env_init()
+        mario.env_start()
+        difference = level_difference(self.level, mario.game.level)
+        task = " ".join(f"{name}={value}" for name, value in self.options.items())
+        return difference and f"{task}: {difference}"
+
 
 class GoldenReader:
     """The episodes and levels of a file, one after the other; iterate over it.
 
     Attributes:
         path: the file.
-        levels: how many levels were passed so far.
+        levels: how many levels have been read so far.
 
     Raises, while iterating:
         TrajectoryError: the file cannot be read or is malformed; the message has the line.
@@ -122,41 +221,51 @@ class GoldenReader:
 
     def __iter__(self) -> Iterator[GoldenEpisode | GoldenLevel]:
         run: GoldenRun | None = None
-        start: tuple[GoldenRun, tuple[bool, ...], Observation | Digest] | None = None
-        steps: list[GoldenStep] = []
-        size = 0
         self.levels = 0
-        for line in lines_of(self.path):
-            size += line.size
+        lines = _lines_of(self.path)
+        for line in lines:
             kind = line.get("kind", str)
             if kind == "tick":
                 continue
-            if kind == "level" and start is None:
+            if kind == "level":
                 yield _level(line)
                 self.levels += 1
-            elif kind == "run" and start is None:
+            elif kind == "run":
                 run = _run(line)
-            elif kind == "start" and start is None and run is not None:
-                start, steps = (run, _keys(line), _seen(line, 0.0, False)), []
-                size = line.size
-            elif kind == "step" and start is not None:
-                if len(steps) == MAX_STEPS or size > MAX_EPISODE:
-                    raise line.wrong(f"more than {MAX_STEPS} steps or {MAX_EPISODE} bytes in an episode")
-                steps.append(_step(line))
-            elif kind == "end" and start is not None:
-                yield GoldenEpisode(*start, tuple(steps))
-                start = None
+            elif kind == "start" and run is not None:
+                episode = GoldenEpisode(
+                    run, _keys(line), _seen(line, 0.0, False), self._steps(lines, line, run)
+                )
+                yield episode
+                deque(
+                    episode.steps, maxlen=0
+                )  # those that nobody asked for are in the way of the next episode
             else:
                 raise line.wrong(f"a line {kind!r} cannot stand here")
-        if start is not None:
-            raise TrajectoryError(f"{self.path} ends in the middle of an episode of {start[0].name}")
+
+    def _steps(self, lines: Iterator[_Line], start: _Line, run: GoldenRun) -> Iterator[GoldenStep]:
+        """Yield the steps of the episode that `start` begins, up to its end."""
+        size, steps = start.size, 0
+        for line in lines:
+            size += line.size
+            kind = line.get("kind", str)
+            if kind == "step":
+                steps += 1
+                if steps > MAX_STEPS or size > MAX_EPISODE:
+                    raise line.wrong(f"more than {MAX_STEPS} steps or {MAX_EPISODE} bytes in an episode")
+                yield _step(line)
+            elif kind == "end":
+                return
+            elif kind != "tick":
+                raise line.wrong(f"a line {kind!r} cannot stand here")
+        raise TrajectoryError(f"{self.path} ends in the middle of an episode of {run.name}")
 
 
-def _run(line: Line) -> GoldenRun:
+def _run(line: _Line) -> GoldenRun:
     options: dict[str, Value] = {}
     for name, value in line.get("params", dict).items():
         if type(value) not in (int, float) or not math.isfinite(value):
-            raise line.wrong(f"parameter {name!r} must be a number; {value!r:.60} came")
+            raise line.wrong(f"parameter {name!r} must be a number, not {value!r:.60}")
         options[name] = value
     for name in ("level_seed", "level_type", "level_difficulty", "start_ticks"):
         options[name] = line.get(name, int)
@@ -170,7 +279,7 @@ def _run(line: Line) -> GoldenRun:
     return GoldenRun(name, options)
 
 
-def _level(line: Line) -> GoldenLevel:
+def _level(line: _Line) -> GoldenLevel:
     names = ("level_seed", "level_type", "level_difficulty", "level_width")
     rows = line.list_of("rows", str)
     spawns = line.list_of("sprites", list)
@@ -185,18 +294,18 @@ def _level(line: Line) -> GoldenLevel:
     return GoldenLevel({name: line.get(name, int) for name in names}, level)
 
 
-def _keys(line: Line) -> tuple[bool, ...]:
+def _keys(line: _Line) -> tuple[bool, ...]:
     keys = line.list_of("keys", int)
     if len(keys) != _KEYS or not set(keys) <= {0, 1}:
-        raise line.wrong(f"field 'keys' must be {_KEYS} times 0 or 1; {keys!r:.60} came")
+        raise line.wrong(f"field 'keys' must be {_KEYS} times 0 or 1, not {keys!r:.60}")
     return tuple(key == 1 for key in keys)
 
 
-def _step(line: Line) -> GoldenStep:
+def _step(line: _Line) -> GoldenStep:
     reward = line.number("r")
     end = line.get("end", int)
     if end not in (0, 1):
-        raise line.wrong(f"field 'end' must be 0 or 1; {end} came")
+        raise line.wrong(f"field 'end' must be 0 or 1, not {end}")
     terminal = end == 1
     try:
         action = Action(line.list_of("a", int))
@@ -205,8 +314,8 @@ def _step(line: Line) -> GoldenStep:
     return GoldenStep(action, reward, _seen(line, reward, terminal), terminal)
 
 
-def _seen(line: Line, reward: float, terminal: bool) -> Observation | Digest:
-    """Return the observation of a start or a step, or its hash if there is no more."""
+def _seen(line: _Line, reward: float, terminal: bool) -> Observation | Digest:
+    """Return the observation of a start or a step, or its hash if only that was recorded."""
     try:
         recorded = Digest.fromhex(line.get("h", str))
     except ValueError:

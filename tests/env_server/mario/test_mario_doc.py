@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import json
+import pydoc
 import re
 from pathlib import Path
 
@@ -76,3 +77,10 @@ def test_options_that_are_named_exist() -> None:
     named = set(re.findall(r"`(\w+)=\w+`", TEXT)) | set(re.findall(r"`(reward_\w+|max_\w+|alpha)`", TEXT))
     assert {"reward_step", "max_trial_steps", "alpha", "render", "velocity", "start_ticks"} <= named
     assert named <= set(parameters(InfiniteMario))
+
+
+def test_help_on_the_class_is_readable_and_explains_every_parameter() -> None:
+    text = pydoc.plain(pydoc.render_doc(InfiniteMario))
+    assert "Annotated" not in text
+    explained = text.partition("Args:")[2].partition("Raises:")[0]
+    assert not [name for name in parameters(InfiniteMario) if not re.search(rf"\b{name}\b.*:", explained)]
