@@ -249,6 +249,10 @@ def _why_unsaved(found: Results, trial: TrialRecord) -> str:
     reasons = [e.text for e in found.events() if e.kind == "unsaved" and e.trial_id == trial.spec.id]
     if reasons:
         return f"nothing is saved of {trial.spec.id}: {reasons[-1]}"
+    if trial.finished:  # every player that can be saved is saved at the end
+        return (
+            f"nothing is saved of {trial.spec.id}: its agent or its environment cannot save what it learned"
+        )
     return (
         f"{trial.spec.id} has no checkpoint yet, after {trial.done} of {trial.spec.episodes} episodes: "
         "there is one at its end, and before as often as --checkpoint-every says"
