@@ -250,9 +250,7 @@ def _why_unsaved(found: Results, trial: TrialRecord) -> str:
     if reasons:
         return f"nothing is saved of {trial.spec.id}: {reasons[-1]}"
     if trial.finished:  # every player that can be saved is saved at the end
-        return (
-            f"nothing is saved of {trial.spec.id}: its agent or its environment cannot save what it learned"
-        )
+        return f"nothing is saved of {trial.spec.id}: its agent or environment cannot save itself"
     return (
         f"{trial.spec.id} has no checkpoint yet, after {trial.done} of {trial.spec.episodes} episodes: "
         "there is one at its end, and before as often as --checkpoint-every says"

@@ -455,9 +455,7 @@ def test_agent_that_cannot_be_saved_is_named(tmp_path: Path, monkeypatch: pytest
         "from agents.baselines import RandomAgent\nclass Mine(RandomAgent):\n    agent_save = None\n"
     )
     train("--env", "mines", "--agent", "mine.py:Mine", "--episodes", "1", "--out", "run")
-    with pytest.raises(
-        ExperimentError, match="nothing is saved of Mine/mines/0: its agent or its environment"
-    ):
+    with pytest.raises(ExperimentError, match="nothing is saved of Mine/mines/0: its agent or"):
         call("agent", "run", "--out", "mine.agent")
 
 
