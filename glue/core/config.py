@@ -74,7 +74,7 @@ class Bind:
 
 
 def _quarter_of_memory() -> int:
-    return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 4
+    return max(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 4, _BODIES * MAX_BODY)
 
 
 @dataclass(frozen=True, slots=True)

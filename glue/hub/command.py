@@ -13,6 +13,8 @@ from glue import __version__
 from glue.commands import Terminated, legacy_port_option, run
 from glue.console import say
 from glue.core.config import DEFAULT_HUB, HubConfig, LegacyPort
+from glue.errors import ConfigError
+from glue.hub.log import Level, Log
 
 __all__ = ["hub", "main"]
 
@@ -33,14 +35,14 @@ _DEFAULTS: Final = HubConfig()
     type=float,
     default=_DEFAULTS.heartbeat,
     show_default=True,
-    help="Seconds between signs of life.",
+    help="Seconds between heartbeats.",
 )
 @click.option(
     "--patience",
     type=float,
     default=_DEFAULTS.patience,
     show_default=True,
-    help="Seconds that a peer may be out of reach before its episode is void.",
+    help="Seconds that a peer may be unreachable before its episode is void.",
 )
 @click.option(
     "--max-sessions",
@@ -60,6 +62,8 @@ _DEFAULTS: Final = HubConfig()
 )
 @legacy_port_option
 @click.option("--insecure", is_flag=True, help="Allow addresses that other machines can reach.")
+@click.option("--quiet", is_flag=True, help="Say nothing but the addresses and the hub's own errors.")
+@click.option("--verbose", is_flag=True, help="Mention every connection, not only the peers of sessions.")
 @click.version_option(__version__, prog_name="glue-hub")
 def hub(
     bind: tuple[str, ...],
@@ -69,6 +73,8 @@ def hub(
     max_memory: int,
     legacy_port: tuple[str, ...],
     insecure: bool,
+    quiet: bool,
+    verbose: bool,
 ) -> None:
     """Run a hub alone, until Ctrl-C.
 
@@ -91,17 +97,23 @@ def hub(
         insecure=insecure,
     )
     ports = [LegacyPort.parse(text, insecure=insecure) for text in legacy_port]
-    serve_until_interrupted(config, ports)
+    if quiet and verbose:
+        raise ConfigError("--quiet and --verbose contradict each other: give one of them")
+    level = Level.ERROR if quiet else Level.CONNECTIONS if verbose else Level.PEERS
+    serve_until_interrupted(config, ports, level)
 
 
-def serve_until_interrupted(config: HubConfig, ports: Sequence[LegacyPort] = ()) -> None:
-    """Serve until Ctrl-C or SIGTERM; every peer is told."""
+def serve_until_interrupted(
+    config: HubConfig, ports: Sequence[LegacyPort] = (), level: Level = Level.PEERS
+) -> None:
+    """Serve until Ctrl-C or SIGTERM; say so to every peer."""
     from glue.hub.server import Hub
     from glue.legacy.gateway import Gateway
 
     _allow_many_connections()
-    with Hub(config, say) as running:
-        gateway = Gateway(running, ports, say)
+    log = Log(say, level, stamped=True)
+    with Hub(config, log) as running:
+        gateway = Gateway(running, ports, log)
         for endpoint in running.endpoints:
             say(f"listening on {endpoint}")
         for port in gateway.ports:
@@ -111,8 +123,8 @@ def serve_until_interrupted(config: HubConfig, ports: Sequence[LegacyPort] = ())
                 running.wait()
             except KeyboardInterrupt as interrupt:
                 name = "SIGTERM" if isinstance(interrupt, Terminated) else "SIGINT"
+                log(f"stopped by {name}")
                 running.stop(f"the hub was stopped by {name}")
-                say(f"stopped by {name}")
                 raise
 
 

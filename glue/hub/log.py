@@ -9,9 +9,11 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
+from datetime import datetime
+from enum import IntEnum
 from typing import Final
 
-__all__ = ["Log"]
+__all__ = ["Level", "Log"]
 
 _CAPACITY: Final = 1000
 """Lines that wait to be written."""
@@ -20,23 +22,46 @@ _FLUSH_SECONDS: Final = 1.0
 """How long `close` waits for the last lines to be written."""
 
 
+class Level(IntEnum):
+    """What a line is about; a log writes those up to a level."""
+
+    ERROR = 0
+    """An error of the hub's own."""
+
+    PEERS = 1
+    """A peer that joins, leaves or is refused."""
+
+    CONNECTIONS = 2
+    """Every connection."""
+
+
 class Log:
     """A function that takes lines from any thread, and never waits.
 
     Args:
         write: writes a line, in a thread of the log's own; it may take as long as it likes.
+        level: which lines to write.
+        stamped: whether each line begins with the local time at which it was taken.
     """
 
-    def __init__(self, write: Callable[[str], None]) -> None:
+    def __init__(
+        self, write: Callable[[str], None], level: Level = Level.PEERS, stamped: bool = False
+    ) -> None:
         self._write = write
+        self._level = level
+        self._stamped = stamped
         self._lines: deque[str] = deque()
         self._dropped = 0
         self._closed = False
         self._changed = threading.Condition()
         self._thread: threading.Thread | None = None
 
-    def __call__(self, line: str) -> None:
+    def __call__(self, line: str, level: Level = Level.PEERS) -> None:
         """Have `line` written, or dropped if too many wait already."""
+        if level > self._level:
+            return
+        if self._stamped:
+            line = f"{datetime.now():%Y-%m-%d %H:%M:%S} {line}"
         with self._changed:
             if len(self._lines) >= _CAPACITY or self._closed:
                 self._dropped += 1
@@ -46,6 +71,14 @@ class Log:
                 self._thread = threading.Thread(target=self._run, name="log", daemon=True)
                 self._thread.start()
             self._changed.notify()
+
+    def error(self, line: str) -> None:
+        """Take a line about an error of the hub's own."""
+        self(line, Level.ERROR)
+
+    def connection(self, line: str) -> None:
+        """Take a line about a connection."""
+        self(line, Level.CONNECTIONS)
 
     def close(self) -> None:
         """Wait until all lines are written, but not for long; later ones are dropped."""

@@ -21,6 +21,7 @@ from glue.core.sessions import Route
 from glue.errors import RemoteProtocolError
 from glue.hub.connection import Connection, limit_silence, take_leave
 from glue.hub.listener import Listener, OpenAddress
+from glue.hub.log import Log
 from glue.hub.loop import Loop
 from glue.protocol import zmtp
 from glue.protocol.messages import Message
@@ -65,7 +66,7 @@ class Router:
         failed: Callable[[Route, float], None],
         num_seats: Callable[[Route], int],
         memory: Memory,
-        log: Callable[[str], None],
+        log: Log,
     ) -> None:
         self.receive = receive
         self.failed = failed
@@ -101,6 +102,7 @@ class Router:
         self._dealers.discard(dealer)
         self._unseated.pop(dealer, None)
         dealer.connection.close()
+        self._log.connection(f"{dealer.connection.name} is gone")
 
     def complain(self, dealer: _Dealer, why: str) -> None:
         """Log why a connection is dropped, unless it was the last reason, too."""
@@ -118,6 +120,7 @@ class Router:
         self._dealers.add(dealer)
         self._unseated[dealer] = now
         connection.send(zmtp.GREETING)
+        self._log.connection(f"{name} connected")
 
     def seated(self, dealer: _Dealer) -> None:
         """Note that a connection has a seat."""

@@ -38,7 +38,7 @@ class Hub:
     Args:
         config: addresses, times and limits.
         log: takes a line for people about each peer that joins or leaves, in a thread of its own: nothing in
-            the hub waits for it.
+            the hub waits for it. Or a `Log` to choose more; the hub closes it.
         opened: addresses of `config.bind`, by URL, that are open already; they stay open when the hub closes.
 
     Attributes:
@@ -55,11 +55,11 @@ class Hub:
     def __init__(
         self,
         config: HubConfig,
-        log: Callable[[str], None] = lambda line: None,
+        log: Callable[[str], None] | Log = lambda line: None,
         opened: Mapping[str, OpenAddress] = _NONE,
     ) -> None:
         self.config = config
-        self.log = Log(log)
+        self.log = log if isinstance(log, Log) else Log(log)
         with ExitStack() as closing:
             closing.callback(self.log.close)
             addresses = [
@@ -67,7 +67,7 @@ class Hub:
                 for bind in config.binds
             ]
             self.endpoints = [address.endpoint for _, address in addresses]
-            self.loop = Loop(config.heartbeat, self.log)
+            self.loop = Loop(config.heartbeat, self.log.error)
             closing.callback(self.loop.close)
             self.switchboard = Switchboard(config, self.log)
             self._router = Router(
