@@ -172,11 +172,10 @@ def test_an_error_of_the_hub_costs_one_connection_and_is_reported() -> None:
     listening = Hub(config, lines.append)
     listening.switchboard.__class__ = Faulty
     with listening.in_background(), connect(listening.endpoints[0], "other") as other:
-        with (
-            connect(listening.endpoints[0], "one") as one,
-            pytest.raises(HubClosed, match="knows nothing of this experiment"),
-        ):
-            one.rl_return()
+        with connect(listening.endpoints[0], "one") as one:
+            assert one.rl_num_steps() == 0
+            with pytest.raises(HubClosed, match="knows nothing of this experiment"):
+                one.rl_return()
         assert other.rl_num_episodes() == 0
     (report,) = [line for line in lines if "please report" in line]
     assert "ZeroDivisionError: a fault of the hub" in report
