@@ -18,9 +18,9 @@ from tests.system.runs import alive, children, contents, run, start, wait_until
 
 PLAN = [
     *("--env", "mines", "--env-option", "random_start=true", "--agent", "sarsa"),
-    *("--episodes", 1500, "--max-steps", 30, "--trials", 4, "--seed", 11),
+    *("--episodes", 1000, "--max-steps", 30, "--trials", 4, "--seed", 11),
 ]
-KILLS = 24
+KILLS = 16
 VICTIMS = (
     "experiment",
     "player_command -- agent",
