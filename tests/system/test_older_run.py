@@ -1,7 +1,7 @@
 """A run that version 0.1.0 began, and did not live to end, opens and goes on as if it had never stopped.
 
-tests/golden/run-0.1.0.tar.gz holds two runs of that version: `killed`, by SIGKILL in the midst of its second
-trial, with the database's log not yet written back, and `undisturbed`, the same plan to its end. Both were made by
+tests/golden/run-0.1.0.tar.gz holds two runs of that version: `killed`, by SIGKILL in its second trial, before
+the database's log was written back, and `undisturbed`, the same plan to its end. Both were made by
 
     glue-experiment --env mines --env-option random_start=true --agent sarsa --episodes 40 --max-steps 60 \\
         --trials 2 --seed 5 --checkpoint-every 10 --in-process --out DIRECTORY
