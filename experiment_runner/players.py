@@ -36,7 +36,8 @@ from glue.protocol.messages import Event, Role
 
 __all__ = ["HubOptions", "Meeting", "Note", "listening", "open_experiment"]
 
-_COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
+_COMMANDS: Final = {Role.AGENT: "glue-agent hierarchical", Role.ENVIRONMENT: "glue-env mario"}
+"""What a person may type in another terminal, as the README shows it."""
 
 Note = Callable[[str, str], None]
 """Takes note of an event, and shows it: its kind, which is one word, and a line for people."""
@@ -50,6 +51,7 @@ class HubOptions:
         hub: URL of a hub that runs already; None for one of our own.
         bind: addresses of our own hub for players from outside; by default one, if any is expected.
         session: the session's name.
+        wait: seconds after which `hub` is given up if it does not answer; None waits forever.
         insecure: allow addresses that other machines can reach.
         legacy: ports of our own hub for original RL-Glue programs.
     """
@@ -57,6 +59,7 @@ class HubOptions:
     hub: str | None = None
     bind: tuple[str, ...] = ()
     session: str = DEFAULT_SESSION
+    wait: float | None = None
     insecure: bool = False
     legacy: tuple[LegacyPort, ...] = ()
 
@@ -181,7 +184,7 @@ def _over_hub(
             public = _from_outside(hub.endpoints[1]) if outside else inside
         else:
             inside = options.hub
-        glue = connect(inside, options.session, context=context, log=say, on_notice=notice)
+        glue = connect(inside, options.session, wait=options.wait, context=context, log=say, on_notice=notice)
         stack.enter_context(glue)
         for role, player in named.items():
             arguments = player_command.arguments(
@@ -219,6 +222,6 @@ def _missing(
         else:
             where = "" if hub == DEFAULT_HUB else f" --hub {hub}"
             where += "" if session == DEFAULT_SESSION else f" --session {session}"
-            line = f"waiting for an {role}; in another terminal: {_COMMANDS[role]} NAME{where}"
+            line = f"waiting for an {role}; in another terminal: {_COMMANDS[role]}{where}"
             lines.append(f"{line}; or an original one on {' or '.join(legacy)}" if legacy else line)
     return "\n".join(lines)

@@ -18,13 +18,23 @@ from glue.console import say
 from glue.entry import EXIT_INTERRUPTED, EXIT_TERMINATED, Terminated, handle_signals
 from glue.errors import ConfigError, GlueError
 
-__all__ = ["HUB_VARIABLE", "SESSION_VARIABLE", "Terminated", "legacy_port_option", "run"]
+__all__ = [
+    "HUB_VARIABLE",
+    "SESSION_VARIABLE",
+    "WAIT_VARIABLE",
+    "Terminated",
+    "legacy_port_option",
+    "run",
+]
 
 HUB_VARIABLE: Final = "GLUE_HUB"
 """The environment variable of the option `--hub`, wherever there is one."""
 
 SESSION_VARIABLE: Final = "GLUE_SESSION"
 """The environment variable of the option `--session`, wherever there is one."""
+
+WAIT_VARIABLE: Final = "GLUE_WAIT"
+"""The environment variable of the option `--wait`, wherever there is one."""
 
 legacy_port_option: Final = click.option(
     "--legacy-port",

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import click
+from click.core import ParameterSource
 
 from experiment_runner.plan import Plan, RoleSweep, absolute, check_options, class_files, describe
 from experiment_runner.plan_file import load_plan
 from glue import __version__
-from glue.commands import HUB_VARIABLE, SESSION_VARIABLE, legacy_port_option, run
+from glue.commands import HUB_VARIABLE, SESSION_VARIABLE, WAIT_VARIABLE, legacy_port_option, run
 from glue.console import say
 from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, LegacyPort, check_session, check_url
 from glue.errors import ConfigError, ExperimentError
@@ -122,6 +123,14 @@ _MAX_SEED: Final = 2**63 - 1
     show_envvar=True,
     help="Session to hold at the hub.",
 )
+@click.option(
+    "--wait",
+    type=click.FloatRange(0),
+    metavar="SECONDS",
+    envvar=WAIT_VARIABLE,
+    show_envvar=True,
+    help="Give up if no hub answers at --hub for so long. [default: wait forever]",
+)
 @legacy_port_option
 @click.option("--insecure", is_flag=True, help="Allow --bind to addresses that other machines can reach.")
 @click.option(
@@ -185,6 +194,7 @@ def experiment(
     hub: str | None,
     bind: tuple[str, ...],
     session: str,
+    wait: float | None,
     legacy_port: tuple[str, ...],
     insecure: bool,
     out: Path | None,
@@ -216,6 +226,10 @@ def experiment(
     from experiment_runner.executors.resume import recorded_plan
     from experiment_runner.executors.run import Place, RunConfig
 
+    if _from_variable("hub") and (in_process or workers or engine == "ray" or bind or legacy_port):
+        hub = None
+    if _from_variable("session") and (in_process or workers or engine == "ray"):
+        session = DEFAULT_SESSION
     counts = {"episodes": episodes, "max_steps": max_steps, "trials": trials, "seed": seed}
     if plan_file is not None and (agent or environment or agent_option or env_option):
         raise ConfigError(
@@ -243,13 +257,19 @@ def experiment(
         except ExperimentError as error:  # a plan is what the command asks for
             raise ConfigError(str(error)) from error
         directory = out or _new_directory(plan_file.stem if plan_file else _labels(plan))
-    meeting = replace(_meeting(in_process, hub, bind, session, legacy_port, insecure), any_reward=any_reward)
+    meeting = _meeting(in_process, hub, bind, session, wait if hub else None, legacy_port, insecure)
+    meeting = replace(meeting, any_reward=any_reward)
     config = RunConfig(meeting, checkpoint_every, Place(engine), workers, address)
     config.check(plan, recording=record is not None)
     if dry_run:
         click.echo(describe(plan))
         return 0
     return _run(directory, plan, config, record, as_json)
+
+
+def _from_variable(option: str) -> bool:
+    """Return whether an option is given by an environment variable: one on the command line overrides it."""
+    return click.get_current_context().get_parameter_source(option) is ParameterSource.ENVIRONMENT
 
 
 def _role(role: Role, name: str | None, assignments: tuple[str, ...]) -> tuple[RoleSweep, ...]:
@@ -291,6 +311,7 @@ def _meeting(
     hub: str | None,
     bind: tuple[str, ...],
     session: str,
+    wait: float | None,
     legacy_port: tuple[str, ...],
     insecure: bool,
 ) -> Meeting:
@@ -305,7 +326,7 @@ def _meeting(
     # Each is opened once, also if it is given twice.
     legacy = dict.fromkeys(LegacyPort.parse(text, session, insecure) for text in legacy_port)
     bind = tuple(dict.fromkeys(bind))
-    return Meeting(in_process, HubOptions(hub, bind, session, insecure, tuple(legacy)))
+    return Meeting(in_process, HubOptions(hub, bind, session, wait, insecure, tuple(legacy)))
 
 
 def _labels(plan: Plan) -> str:

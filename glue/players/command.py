@@ -16,7 +16,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from glue import __version__
-from glue.commands import HUB_VARIABLE, SESSION_VARIABLE
+from glue.commands import HUB_VARIABLE, SESSION_VARIABLE, WAIT_VARIABLE
 from glue.console import say
 from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.options import Parameter, Value, build, parameters
@@ -105,7 +105,9 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
     assert extra_name is not None
 
     # The names are ours, so that a player may have a parameter called hub or quiet.
-    def start(_hub: str, _session: tuple[str, ...], _quiet: bool, **options: Value | None) -> None:
+    def start(
+        _hub: str, _session: tuple[str, ...], _wait: float | None, _quiet: bool, **options: Value | None
+    ) -> None:
         from glue.client.players import serve_agent, serve_environment
 
         added = options.pop(extra_name)
@@ -115,10 +117,10 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
             players = {one: extra.apply(player, added) for one, player in players.items()}
         log = _ignore if _quiet else say
         serve = serve_agent if role is Role.AGENT else serve_environment
-        log(f"the hub said goodbye: {serve(players, _hub, log=log)}")
+        log(f"the hub said goodbye: {serve(players, _hub, wait=_wait, log=log)}")
 
     summary = (factory.__doc__ or f"The {role} {name}.").strip()
-    common: list[click.Parameter] = [
+    common = [
         click.Option(
             ["--hub", "_hub"],
             default=DEFAULT_HUB,
@@ -136,12 +138,23 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
             show_envvar=True,
             help="Session to take part in; repeat it to serve several over one connection.",
         ),
+        click.Option(
+            ["--wait", "_wait"],
+            type=click.FloatRange(0),
+            metavar="SECONDS",
+            envvar=WAIT_VARIABLE,
+            show_envvar=True,
+            help="Give up if no hub answers for so long. [default: wait forever]",
+        ),
         click.Option(["--quiet", "_quiet"], is_flag=True, help="Print nothing but errors."),
         extra.option,
     ]
-    own: Sequence[click.Parameter] = [_option(parameter) for parameter in known.values()]
+    options = [*(_option(parameter) for parameter in known.values()), *common]
+    for option in options:
+        # An environment variable would reach the players of an experiment, which would not record it.
+        option.allow_from_autoenv = False
     examples = f"\b\nExamples:\n{_examples(role, name, known)}"
-    return click.Command(name, callback=start, params=[*own, *common], help=summary, epilog=examples)
+    return click.Command(name, callback=start, params=[*options], help=summary, epilog=examples)
 
 
 def _examples(role: Role, name: str, known: Mapping[str, Parameter]) -> str:

@@ -33,7 +33,7 @@ def test_hint_has_an_address_at_which_others_can_join(bind: str, shown: str) -> 
 
     spec = TrialSpec("remote/mines/0", None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
     meeting = Meeting(hub=HubOptions(bind=(bind,), insecure=True))
-    hint = rf"(?m)glue-agent NAME --hub {shown}\d+$"
+    hint = rf"(?m)glue-agent hierarchical --hub {shown}\d+$"
     with pytest.raises(Heard, match=hint), open_experiment(spec, meeting, say, lambda: 0):
         raise AssertionError("nobody was missing")
 
@@ -56,7 +56,7 @@ def test_stranger_cannot_take_the_seat_of_a_player_that_is_named() -> None:
     hub: list[str] = []
 
     def say(line: str) -> None:
-        if found := re.search(r"glue-agent NAME --hub (\S+)", line):
+        if found := re.search(r"glue-agent hierarchical --hub (\S+)", line):
             hub.append(found[1])
             with pytest.raises(Refused):
                 serve_environment(MinesEnvironment(), found[1], log=lambda line: None)

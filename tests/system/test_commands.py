@@ -95,7 +95,7 @@ def test_interrupt_of_a_player_that_waits_is_one_word(
 ) -> None:
     terminal = Terminal(command, *ENDLESS_COMMANDS[command], cwd=tmp_path)
     terminals.append(terminal)
-    terminal.wait_for("no hub at ipc:///nowhere/hub")
+    terminal.wait_for("no hub answers at ipc:///nowhere/hub")
     os.kill(terminal.process.pid, signal.SIGINT)
     assert terminal.end() == 130
     assert [line for line in terminal.lines if line][1:] == ["interrupted"]
@@ -352,6 +352,66 @@ def test_file_in_the_working_directory_takes_no_modules_place(
     terminals += [experiment, Terminal("glue-env", "mine.py:Endless", "--hub", hub, cwd=shadowed)]
     terminals.append(Terminal("glue-agent", agent, "--hub", hub, cwd=shadowed))
     assert [terminal.end() for terminal in terminals] == [0, 0, 0], [t.lines for t in terminals]
+
+
+def test_environment_variables_set_options(
+    tmp_path: Path, hub: str, terminals: list[Terminal], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminals.append(Terminal("glue-hub", "--bind", hub, cwd=tmp_path))
+    monkeypatch.setenv("GLUE_HUB", hub)
+    monkeypatch.setenv("GLUE_SESSION", "a")
+    monkeypatch.setenv("GLUE_EXPERIMENT_EPISODES", "3")
+    players = [Terminal("glue-env", "mines", cwd=tmp_path), Terminal("glue-agent", "random", cwd=tmp_path)]
+    terminals += players
+    shown = run("glue-experiment", "--json", cwd=tmp_path)
+    assert shown.returncode == 0, shown.stderr
+    assert len(shown.stdout.splitlines()) == 4
+    for player in players:
+        player.wait_for(f"session 'a' at {hub}")
+    # Players that an experiment starts join it and nothing else; an option on the command line comes first.
+    monkeypatch.setenv("GLUE_HUB", "ipc:///nowhere/hub")
+    monkeypatch.setenv("GLUE_AGENT_SARSA_EPSILON", "nonsense")
+    for topology in (["--in-process"], ["--bind", "tcp://127.0.0.1:*"], ["--workers", "1"]):
+        shown = run("glue-experiment", "--env", "mines", "--agent", "sarsa", *topology, cwd=tmp_path)
+        assert shown.returncode == 0, shown.stderr
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["glue-agent", "random"],
+        ["glue-env", "mines"],
+        ["glue-experiment", "--episodes", "1", "--env", "mines", "--agent", "random"],
+    ],
+    ids=" ".join,
+)
+def test_hub_that_does_not_answer_is_given_up_after_the_wait(command: list[str], tmp_path: Path) -> None:
+    shown = run(*command, "--hub", "ipc:///nowhere/hub", "--wait", "0.2", cwd=tmp_path)
+    assert shown.returncode == 1
+    assert re.search("^Error: no hub has answered at ipc:///nowhere/hub for 0.2 s", shown.stderr, re.M)
+    assert "Traceback" not in shown.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "incomplete", "completions"),
+    [
+        ("glue-agent", "hi", {"hierarchical", "hierarchical-facts"}),
+        ("glue-env", "m", {"mario", "mines"}),
+        ("glue-experiment --env", "m", {"mario", "mines"}),
+        ("glue-watch --agent", "sa", {"sample", "sarsa"}),
+        ("glue-replay --env", "sk", {"skeleton"}),
+    ],
+)
+def test_shell_completes_names(
+    words: str, incomplete: str, completions: set[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command = words.split()[0]
+    monkeypatch.setenv(f"_{command.upper().replace('-', '_')}_COMPLETE", "bash_complete")
+    monkeypatch.setenv("COMP_WORDS", f"{words} {incomplete}")
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split())))
+    shown = run(command, cwd=tmp_path)
+    assert completions <= {line.rpartition(",")[2] for line in shown.stdout.splitlines()}
+    assert all(line.rpartition(",")[2].startswith(incomplete) for line in shown.stdout.splitlines())
 
 
 MISTAKES = {
