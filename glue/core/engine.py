@@ -4,16 +4,16 @@ An engine turns each verb of an experiment into calls to the environment and the
 Its host (the hub over sockets, `glue.core.local` over function calls) carries each call out and hands the
 answer back:
 
-    step = engine.begin(Kind.RL_STEP)                 # a call for the environment
-    step = engine.resume(Kind.ENV_STEP, (r, t), obs)  # a call for the agent
-    step = engine.resume(Kind.AGENT_STEP, (), action) # the experiment's reply: step.kind is RL_STEP
+    engine.begin(Kind.RL_STEP)                  # returns a call for the environment
+    engine.resume(Kind.ENV_STEP, (r, t), obs)   # returns a call for the agent
+    engine.resume(Kind.AGENT_STEP, (), action)  # returns the experiment's reply: its kind is RL_STEP
 
 Each verb is a generator that reads like RL-Glue's own RL_glue.c: it yields calls and returns the
 reply. Bodies pass through untouched; the engine never looks into an observation or an action.
 
 What it keeps is what RL-Glue keeps: the last action, the return and the number of steps of the episode,
-the number of episodes. Nothing that an experiment may ask is refused for coming early, late or twice;
-what may come from whom, and when, is the table `LEGAL`.
+the number of episodes. Nothing that an experiment may ask is refused for coming early, late or twice.
+While an answer is awaited it must be the one to the call that was made.
 
 Source: RL-Glue 3.04, RL_glue.c.
 """
@@ -21,7 +21,6 @@ Source: RL-Glue 3.04, RL_glue.c.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
-from enum import Enum
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -29,23 +28,8 @@ import numpy as np
 from glue.errors import LocalProtocolError, PeerLost, RemoteProtocolError
 from glue.protocol.messages import CALLS, Kind, Role, Value
 
-__all__ = ["EPISODE_VERBS", "LEGAL", "Engine", "State", "Step"]
+__all__ = ["EPISODE_VERBS", "Engine", "Instruction"]
 
-
-class State(Enum):
-    """Whose word the engine is waiting for."""
-
-    IDLE = "the experiment's next verb"
-    AWAITING_ENVIRONMENT = "the environment's answer"
-    AWAITING_AGENT = "the agent's answer"
-
-
-LEGAL: Final[Mapping[State, frozenset[Kind]]] = {
-    State.IDLE: frozenset(kind for kind, call in CALLS.items() if call.callee is None),
-    State.AWAITING_ENVIRONMENT: frozenset(k for k, c in CALLS.items() if c.callee is Role.ENVIRONMENT),
-    State.AWAITING_AGENT: frozenset(k for k, c in CALLS.items() if c.callee is Role.AGENT),
-}
-"""What may be said in each state. While an answer is awaited it must be the one to the call made."""
 
 EPISODE_VERBS: Final = frozenset(
     {Kind.RL_STEP, Kind.RL_ENV_STEP, Kind.RL_AGENT_START, Kind.RL_AGENT_STEP, Kind.RL_AGENT_END}
@@ -55,8 +39,8 @@ EPISODE_VERBS: Final = frozenset(
 _INITIALISING: Final = frozenset({Kind.ENV_SEED, Kind.ENV_INIT, Kind.AGENT_SEED, Kind.AGENT_INIT})
 
 
-class Step(NamedTuple):
-    """A call to carry out, or, if `kind` is a verb, the reply to the experiment."""
+class Instruction(NamedTuple):
+    """What the host does next: carry out a call, or, if `kind` is a verb, reply to the experiment."""
 
     kind: Kind
     scalars: tuple[Value, ...] = ()
@@ -64,10 +48,10 @@ class Step(NamedTuple):
 
 
 Reply = tuple[tuple[Any, ...], Any]
-Verb = Generator[Step, Reply, Reply]
+Verb = Generator[Instruction, Reply, Reply]
 
 _NO_SCALARS: Final[tuple[Value, ...]] = ()
-_ENV_START: Final = Step(Kind.ENV_START)
+_ENV_START: Final = Instruction(Kind.ENV_START)
 
 
 class Engine:
@@ -93,7 +77,7 @@ class Engine:
         self.total_reward = 0.0
         self.num_steps = 0
         self.num_episodes = 0
-        self.asked: Step | None = None
+        self.asked: Instruction | None = None
         self.awaiting: Kind | None = None
         self.verb: Kind | None = None
         self._running: Verb | None = None
@@ -102,16 +86,7 @@ class Engine:
         self._void: str | None = None
         self._uninitialised: set[Role] = set()
 
-    @property
-    def state(self) -> State:
-        """Whose word is awaited; see `LEGAL`."""
-        if self.awaiting is None:
-            return State.IDLE
-        if CALLS[self.awaiting].callee is Role.AGENT:
-            return State.AWAITING_AGENT
-        return State.AWAITING_ENVIRONMENT
-
-    def begin(self, verb: Kind, scalars: tuple[Value, ...] = _NO_SCALARS, body: Any = b"") -> Step:
+    def begin(self, verb: Kind, scalars: tuple[Value, ...] = _NO_SCALARS, body: Any = b"") -> Instruction:
         """Start on an experiment's verb; return the first call, or at once the reply.
 
         Raises:
@@ -121,7 +96,7 @@ class Engine:
         if self._running is not None:
             assert self.verb is not None
             raise LocalProtocolError(f"{verb.name} came while {self.verb.name} is still being carried out")
-        if verb not in LEGAL[State.IDLE]:
+        if verb not in _VERBS:
             raise LocalProtocolError(f"{verb.name} is not for an experiment to ask")
         if self._void is not None and verb in EPISODE_VERBS:
             raise PeerLost(f"the episode is void: {self._void}; start another")
@@ -129,7 +104,7 @@ class Engine:
         self._running = _VERBS[verb](self, scalars, body)
         return self._send(None)
 
-    def resume(self, kind: Kind, scalars: tuple[Value, ...], body: Any) -> Step:
+    def resume(self, kind: Kind, scalars: tuple[Value, ...], body: Any) -> Instruction:
         """Take the answer to the call that is awaited; return the next call, or the reply.
 
         Raises:
@@ -142,21 +117,21 @@ class Engine:
             )
         return self._send((scalars, body))
 
-    def _send(self, reply: Reply | None) -> Step:
+    def _send(self, reply: Reply | None) -> Instruction:
         running = self._running
         assert running is not None
         try:
-            step = running.send(reply)  # type: ignore[arg-type]
+            instruction = running.send(reply)  # type: ignore[arg-type]
         except StopIteration as stop:
             verb = self.verb
             assert verb is not None
             self.abort()
-            return Step(verb, *stop.value)
+            return Instruction(verb, *stop.value)
         if self._uninitialised:
-            step = self._initialised_first(step)
-        self.asked = step
-        self.awaiting = step[0]
-        return step
+            instruction = self._initialised_first(instruction)
+        self.asked = instruction
+        self.awaiting = instruction[0]
+        return instruction
 
     def abort(self) -> None:
         """Forget the verb that is being carried out, if any; counters stay as they are."""
@@ -186,17 +161,17 @@ class Engine:
             self.asked = self._initialised_first(self.asked)
             self.awaiting = self.asked.kind
 
-    def _initialised_first(self, step: Step) -> Step:
-        """Return `step`, or what comes before it if it is for a player that was replaced."""
-        role = CALLS[step.kind].callee
-        if role not in self._uninitialised or step.kind in _INITIALISING:
-            return step
+    def _initialised_first(self, instruction: Instruction) -> Instruction:
+        """Return `instruction`, or what comes before it if it is for a player that was replaced."""
+        role = CALLS[instruction.kind].callee
+        if role not in self._uninitialised or instruction.kind in _INITIALISING:
+            return instruction
         assert self._running is not None
-        self._running = self._bring_up(role, step, self._running)
+        self._running = self._bring_up(role, instruction, self._running)
         return next(self._running)
 
-    def _bring_up(self, role: Role, step: Step, verb: Verb) -> Verb:
-        """Bring a replaced player to where RL_init left the other, then go on with `verb` from `step`."""
+    def _bring_up(self, role: Role, instruction: Instruction, verb: Verb) -> Verb:
+        """Bring a replaced player to where RL_init left the other, then go on from `instruction`."""
         if role is Role.AGENT:
             yield from self._init_agent()
         else:
@@ -204,7 +179,7 @@ class Engine:
             yield from self._init_environment()
             if self.task_spec != before:
                 self._uninitialised.add(Role.AGENT)
-        reply = yield step
+        reply = yield instruction
         try:
             while True:
                 reply = yield verb.send(reply)
@@ -225,36 +200,36 @@ class Engine:
         self.num_episodes = 0
         return _NO_SCALARS, self.task_spec
 
-    def _init_environment(self) -> Generator[Step, Reply, None]:
+    def _init_environment(self) -> Generator[Instruction, Reply, None]:
         if self._seed is not None:
-            yield Step(Kind.ENV_SEED, (role_seed(self._seed, Role.ENVIRONMENT),))
-        _, self.task_spec = yield Step(Kind.ENV_INIT)
+            yield Instruction(Kind.ENV_SEED, (role_seed(self._seed, Role.ENVIRONMENT),))
+        _, self.task_spec = yield Instruction(Kind.ENV_INIT)
         self._uninitialised.discard(Role.ENVIRONMENT)
 
-    def _init_agent(self) -> Generator[Step, Reply, None]:
+    def _init_agent(self) -> Generator[Instruction, Reply, None]:
         if self._seed is not None:
-            yield Step(Kind.AGENT_SEED, (role_seed(self._seed, Role.AGENT),))
-        yield Step(Kind.AGENT_INIT, _NO_SCALARS, self.task_spec)
+            yield Instruction(Kind.AGENT_SEED, (role_seed(self._seed, Role.AGENT),))
+        yield Instruction(Kind.AGENT_INIT, _NO_SCALARS, self.task_spec)
         self._uninitialised.discard(Role.AGENT)
 
     def _start(self, _: tuple[Any, ...], __: Any) -> Verb:
         _, observation = yield from self._env_start(_NO_SCALARS, None)
-        _, action = yield Step(Kind.AGENT_START, _NO_SCALARS, observation)
+        _, action = yield Instruction(Kind.AGENT_START, _NO_SCALARS, observation)
         self.last_action = action
         return _NO_SCALARS, (observation, action)
 
     def _step(self, _: tuple[Any, ...], __: Any) -> Verb:
         self._started = True
-        scalars, observation = yield Step(Kind.ENV_STEP, _NO_SCALARS, self.last_action)
+        scalars, observation = yield Instruction(Kind.ENV_STEP, _NO_SCALARS, self.last_action)
         reward, terminal = scalars
         self.total_reward += reward
         if terminal:
             self._started = False
-            yield Step(Kind.AGENT_END, (reward,))
+            yield Instruction(Kind.AGENT_END, (reward,))
             self.num_episodes += 1
         else:
             self.num_steps += 1
-            _, self.last_action = yield Step(Kind.AGENT_STEP, (reward,), observation)
+            _, self.last_action = yield Instruction(Kind.AGENT_STEP, (reward,), observation)
         return scalars, (observation, self.last_action)
 
     def _episode(self, scalars: tuple[Any, ...], _: Any) -> Verb:
@@ -262,15 +237,15 @@ class Engine:
         max_steps = scalars[0]
         yield from self._start(_NO_SCALARS, None)
         while max_steps == 0 or self.num_steps < max_steps:
-            (reward, terminal), observation = yield Step(Kind.ENV_STEP, _NO_SCALARS, self.last_action)
+            (reward, terminal), observation = yield Instruction(Kind.ENV_STEP, _NO_SCALARS, self.last_action)
             self.total_reward += reward
             if terminal:
                 self._started = False
-                yield Step(Kind.AGENT_END, (reward,))
+                yield Instruction(Kind.AGENT_END, (reward,))
                 self.num_episodes += 1
                 return (True,), None
             self.num_steps += 1
-            _, self.last_action = yield Step(Kind.AGENT_STEP, (reward,), observation)
+            _, self.last_action = yield Instruction(Kind.AGENT_STEP, (reward,), observation)
         # Cut off: agent_end is not called and the episode is not counted.
         self._started = False
         return (False,), None
@@ -289,8 +264,8 @@ class Engine:
 
     def _cleanup(self, _: tuple[Any, ...], __: Any) -> Verb:
         self._started = False
-        yield Step(Kind.ENV_CLEANUP)
-        yield Step(Kind.AGENT_CLEANUP)
+        yield Instruction(Kind.ENV_CLEANUP)
+        yield Instruction(Kind.AGENT_CLEANUP)
         return _NO_SCALARS, None
 
     # Half steps, for experiments that stand between agent and environment themselves. None of them
@@ -305,7 +280,7 @@ class Engine:
 
     def _env_step(self, _: tuple[Any, ...], action: Any) -> Verb:
         self._started = True
-        scalars, observation = yield Step(Kind.ENV_STEP, _NO_SCALARS, action)
+        scalars, observation = yield Instruction(Kind.ENV_STEP, _NO_SCALARS, action)
         reward, terminal = scalars
         self.total_reward += reward
         if terminal:
@@ -318,7 +293,7 @@ class Engine:
     @staticmethod
     def _forward(kind: Kind) -> Callable[[Engine, tuple[Any, ...], Any], Verb]:
         def verb(_: Engine, scalars: tuple[Any, ...], body: Any) -> Verb:
-            return (yield Step(kind, scalars, body))
+            return (yield Instruction(kind, scalars, body))
 
         return verb
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import Any
 
 from glue.core.calls import name_of, role_calls, skippable, unsupported
-from glue.core.engine import Engine, Step
+from glue.core.engine import Engine, Instruction
 from glue.core.experiment import Experiment
 from glue.errors import GlueError, PeerFailed, Unsupported
 from glue.protocol.messages import CALLS, Kind, Role, Value
@@ -62,7 +62,7 @@ class LocalExperiment(Experiment):
             raise
         return scalars, body
 
-    def _without(self, kind: Kind) -> Step:
+    def _without(self, kind: Kind) -> Instruction:
         """Go on past a call that its player does not offer."""
         if skippable(kind):
             return self._engine.resume(kind, (), None)

@@ -22,7 +22,7 @@ from typing import Final, Protocol
 
 from glue.core.calls import skippable, unsupported
 from glue.core.config import HubConfig
-from glue.core.engine import Engine, Step
+from glue.core.engine import Engine, Instruction
 from glue.core.memory import Memory
 from glue.errors import PeerLost, RemoteProtocolError
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
@@ -478,11 +478,11 @@ class _Session:
         self._request_seq = message.seq
         self._reply = None
         try:
-            step = engine.begin(message.kind, message.scalars, message.body)
+            instruction = engine.begin(message.kind, message.scalars, message.body)
         except PeerLost as error:
             self._fail(ErrorCode.PEER_LOST, str(error))
             return True
-        self._advance(step)
+        self._advance(instruction)
         return True
 
     def answer(self, peer: _Peer, message: Message) -> bool:
@@ -504,27 +504,27 @@ class _Session:
             self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.label} raised in {what}: {text}")
             return True
         try:
-            step = self._engine.resume(message.kind, message.scalars, message.body)
+            instruction = self._engine.resume(message.kind, message.scalars, message.body)
         except RemoteProtocolError as error:
             self._error(peer, message, ErrorCode.NOT_ASKED, str(error))
             self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.label} broke the protocol: {error}")
             return True
-        self._advance(step)
+        self._advance(instruction)
         return True
 
-    def _advance(self, step: Step) -> None:
+    def _advance(self, instruction: Instruction) -> None:
         """Make the call that the engine asks for, or send the experiment its reply."""
-        kind, scalars, body = step
+        kind, scalars, body = instruction
         if CALLS[kind].callee is not None:
-            self._call(step)
+            self._call(instruction)
             return
         self._outstanding = None
         if type(body) is tuple:
             body = body[0] + body[1]
         self._answer_experiment(Message(kind, self.name, self._request_seq, scalars, body or b""))
 
-    def _call(self, step: Step) -> None:
-        kind, scalars, body = step
+    def _call(self, instruction: Instruction) -> None:
+        kind, scalars, body = instruction
         call = CALLS[kind]
         role = call.callee
         assert role is not None

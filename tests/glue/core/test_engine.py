@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from glue.core.engine import LEGAL, Engine, State, Step, role_seed
+from glue.core.engine import Engine, Instruction, role_seed
 from glue.core.local import LocalExperiment, local
 from glue.errors import LocalProtocolError, PeerLost, RemoteProtocolError
 from glue.protocol.messages import CALLS, Kind, Role
@@ -34,7 +34,9 @@ NEVER_ENDS = (1.0, False)
 ENDS = (1.0, True)
 
 
-def go_on(engine: Engine, step: Step, env_step: tuple[float, bool] = NEVER_ENDS) -> tuple[list[str], Step]:
+def go_on(
+    engine: Engine, step: Instruction, env_step: tuple[float, bool] = NEVER_ENDS
+) -> tuple[list[str], Instruction]:
     """Answer calls from `step` on until the verb is done; return the calls made and the reply."""
     made = []
     while engine.awaiting is not None:
@@ -46,7 +48,7 @@ def go_on(engine: Engine, step: Step, env_step: tuple[float, bool] = NEVER_ENDS)
 
 def drive(
     engine: Engine, verb: Kind, *scalars: Any, body: Any = b"", env_step: tuple[float, bool] = NEVER_ENDS
-) -> tuple[list[str], Step]:
+) -> tuple[list[str], Instruction]:
     """Carry `verb` out; return the calls made and the reply."""
     return go_on(engine, engine.begin(verb, scalars, body), env_step)
 
@@ -448,24 +450,20 @@ def test_observations_and_actions_may_be_empty_and_change_their_counts() -> None
 # The engine itself
 
 
-def test_engine_goes_through_the_states_of_its_table() -> None:
+def test_engine_awaits_the_environment_and_then_the_agent() -> None:
     engine = initialised()
-    seen = [engine.state]
-    step = engine.begin(Kind.RL_START)
+    seen = [engine.awaiting]
+    instruction = engine.begin(Kind.RL_START)
     while engine.awaiting is not None:
-        seen.append(engine.state)
-        assert engine.awaiting in LEGAL[engine.state]
-        step = engine.resume(step.kind, *ANSWERS[step.kind])
-    assert [*seen, engine.state] == [
-        State.IDLE,
-        State.AWAITING_ENVIRONMENT,
-        State.AWAITING_AGENT,
-        State.IDLE,
-    ]
+        seen.append(engine.awaiting)
+        instruction = engine.resume(instruction.kind, *ANSWERS[instruction.kind])
+    assert seen == [None, Kind.ENV_START, Kind.AGENT_START]
 
 
-def test_every_call_is_legal_in_exactly_one_state() -> None:
-    assert sorted(kind for kinds in LEGAL.values() for kind in kinds) == sorted(CALLS)
+@pytest.mark.parametrize("kind", [kind for kind, call in CALLS.items() if call.callee is not None])
+def test_a_call_to_a_player_is_no_verb(kind: Kind) -> None:
+    with pytest.raises(LocalProtocolError, match=kind.name):
+        Engine(b"").begin(kind)
 
 
 def test_engine_passes_bodies_through_untouched() -> None:
@@ -510,7 +508,7 @@ def test_after_an_abort_the_next_verb_begins_afresh() -> None:
     drive(engine, Kind.RL_START)
     engine.begin(Kind.RL_STEP)
     engine.abort()
-    assert (engine.state, engine.verb, engine.asked) == (State.IDLE, None, None)
+    assert (engine.awaiting, engine.verb, engine.asked) == (None, None, None)
     assert drive(engine, Kind.RL_STEP)[0] == ["ENV_STEP", "AGENT_STEP"]
 
 
@@ -642,7 +640,7 @@ def test_both_players_replaced_are_initialised_each_in_turn() -> None:
         "ENV_STEP",
         "AGENT_STEP",
     ]
-    assert reply == Step(Kind.RL_EPISODE, (False,), None)
+    assert reply == Instruction(Kind.RL_EPISODE, (False,), None)
 
 
 def test_a_replaced_environment_of_another_task_has_the_agent_initialised_again() -> None:
@@ -651,7 +649,7 @@ def test_a_replaced_environment_of_another_task_has_the_agent_initialised_again(
     engine.begin(Kind.RL_START)
     engine.resume(Kind.ENV_INIT, (), "another spec")
     step = engine.resume(Kind.ENV_START, (), "o")
-    assert step == Step(Kind.AGENT_INIT, (), "another spec")
+    assert step == Instruction(Kind.AGENT_INIT, (), "another spec")
     made, _ = go_on(engine, step)
     assert made == ["AGENT_INIT", "AGENT_START"]
 
