@@ -8,6 +8,7 @@ OPTIONS is JSON. `glue-agent` and `glue-env` are the same for people.
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -16,6 +17,7 @@ import click
 from experiment_runner.rewards import FiniteRewards
 from glue.client.players import serve_agent, serve_environment
 from glue.commands import run
+from glue.entry import EXIT_TERMINATED
 from glue.options import Value, build
 from glue.players.loading import find
 from glue.protocol.messages import Role
@@ -52,11 +54,14 @@ def arguments(
 @click.option("--any-reward", is_flag=True)
 def serve(role: str, name: str, options: str, hub: str, session: str, any_reward: bool) -> None:
     """Serve an agent or environment until the hub says goodbye."""
-    player = build(find(Role(role), name), json.loads(options))
-    if role == Role.AGENT:
-        serve_agent(player, hub, session, log=_ignore)
-    else:
-        serve_environment(player if any_reward else FiniteRewards(player), hub, session, log=_ignore)
+    try:
+        player = build(find(Role(role), name), json.loads(options))
+        if role == Role.AGENT:
+            serve_agent(player, hub, session, log=_ignore)
+        else:
+            serve_environment(player if any_reward else FiniteRewards(player), hub, session, log=_ignore)
+    except KeyboardInterrupt:
+        sys.exit(EXIT_TERMINATED)  # in silence: our parent ended us, and says why
 
 
 def _ignore(line: str) -> None:

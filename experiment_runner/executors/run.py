@@ -113,7 +113,7 @@ def run_trials(
             reporter.say(f"{again} episodes have no checkpoint after them, and will be run again")
         roles = [role for trial in store.trials() for role in (trial.spec.agent, trial.spec.environment)]
         trust = " --trust" if class_files(roles) else ""
-        reporter.say(f"interrupted; go on with: glue-experiment --resume {store.directory}{trust}")
+        reporter.say(f"go on with: glue-experiment --resume {store.directory}{trust}")
         raise
     finally:
         reporter.close()

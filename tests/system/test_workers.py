@@ -203,11 +203,12 @@ def test_interrupted_run_leaves_nobody_and_goes_on(
         process.send_signal(number)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == code, errors
-    assert errors.rstrip().endswith("interrupted; go on with: glue-experiment --resume run"), errors
+    assert "go on with: glue-experiment --resume run\n" in errors
+    assert errors.count("interrupted") == 1, errors
     assert "Traceback" not in errors
     assert not any(map(alive, everybody))
     for episodes, checkpoint in contents(tmp_path / "run").values():
-        if episodes:  # a short one ends, and nothing has to be repeated
+        if episodes and how == ("--in-process",):  # a short one ends in time, and nothing is repeated
             assert checkpoint is not None
             assert checkpoint[0] == len(episodes)
     assert run("--resume", "run", "--in-process", cwd=tmp_path).returncode == 0
