@@ -1,1 +1,1 @@
-"""Original RL-Glue 3.x programs, spoken to in their own binary format."""
+"""The gateway for original RL-Glue 3.x programs, in their own binary protocol."""

@@ -3,15 +3,15 @@
     frame          int32 kind, uint32 payload size, payload
     payload        the scalars, then the body, that `glue.protocol.messages.CALLS` gives its kind;
                    but the scalars in reverse: terminal before reward
-    terminal       int32; anything but zero is taken for true
+    terminal       int32; anything but zero means true
     reward, return float64
     steps, counts  int32; max_steps uint32
     text           uint32 byte count, bytes
     abstract type  uint32 number of ints I, of doubles D, of chars C,
                    then I int32, D float64 and C bytes; nothing in between
 
-Everything is big-endian. Scalars and bodies leave here, and are taken, as our own wire has them. In
-an abstract type only whole bytes are moved, so every bit of a NaN survives.
+Everything is big-endian. On our side of the codec, scalars and bodies are those of our own protocol. Of an
+abstract type only whole bytes are moved, so every bit of a NaN survives.
 
 What the original server did with odd input, and what is done here:
 
@@ -19,12 +19,11 @@ What the original server did with odd input, and what is done here:
 - A payload shorter than needed: the original read on in old memory; here it is an error.
 - A zero byte in a text ends the text, in both directions, as in the original's C strings.
 - More than a million ints, doubles or chars: the original server exited; here it is an error.
-- The Java client counts a text in UTF-16 units, yet sends UTF-8. Beyond ASCII its count, and the
-  size of the frame, are too small, and the end of the text hangs over behind the frame. The first
-  byte of a frame is always zero, that of an overhang hardly ever: so what follows the frame of a
-  text that is not ASCII, up to the next zero byte, is the end of the text. Should the network part
-  the two just there, the text is delivered without its end, as the original did every time,
-  and the end is dropped when it comes.
+- The Java client counts a text in UTF-16 units, yet sends UTF-8. Beyond ASCII its count and the size of
+  the frame are too small, and the end of the text follows the frame as an overhang. The first byte of a
+  frame is always zero, that of an overhang hardly ever. So after a text that is not ASCII, everything up
+  to the next zero byte is taken as the end of the text. If the network delivers the overhang separately,
+  the text is delivered without its end, as the original always did, and the end is dropped on arrival.
 
 Source: RL-Glue core 3.04, RL_network.c; rl-glue-ext, Java codec, Network.java.
 """
@@ -61,13 +60,13 @@ __all__ = [
 ]
 
 MAX_COUNT: Final = 1_000_000
-"""The most ints, doubles or chars in one abstract type; the original's own limit."""
+"""Maximum of ints, doubles or chars in one abstract type; the original's own limit."""
 
 MAX_TEXT: Final = 1_000_000
-"""The most bytes in one text. The original had no limit."""
+"""Maximum size of a text, in bytes. The original had no limit."""
 
 SURPLUS: Final = 65_536
-"""How many bytes a payload may be longer than anything its kind can hold."""
+"""Maximum number of bytes in a payload beyond the longest content of its kind."""
 
 _HEADER: Final = struct.Struct(">iI")
 _COUNT: Final = struct.Struct(">I")
@@ -77,7 +76,7 @@ _KINDS_OF_2: Final = frozenset((9, 15, 16, 17, 18, 28, 29, 30, 31, 32))
 
 
 class Control(IntEnum):
-    """The messages that keep a connection: a newcomer's first, and the server's last."""
+    """The messages about the connection itself: a program's first, and the server's last."""
 
     CONNECT_EXPERIMENT = 1
     CONNECT_AGENT = 2
@@ -94,7 +93,7 @@ class Frame(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """What the payload of one kind holds, and the most bytes it may have."""
+    """What the payload of one kind holds, and its maximum size in bytes."""
 
     kind: Kind | Control
     scalars: struct.Struct
@@ -108,13 +107,13 @@ Vocabulary = Mapping[int, Layout]
 
 
 class Decoder:
-    """Messages out of one direction of one connection, however the network cut it up.
+    """Decodes the messages of one direction of a connection, however the network split them.
 
     Args:
-        vocabulary: what may come; give another one with `expect` once more is known of the peer.
+        vocabulary: the kinds that may be received; `expect` changes it once the role is known.
 
-    Call `next_event` until it returns None after each `receive_data`; then no more is held than one
-    unfinished message, whose size has been checked.
+    After each `receive_data`, call `next_event` until it returns None. Then at most one incomplete message is
+    held, whose size has been checked.
     """
 
     def __init__(self, vocabulary: Vocabulary) -> None:
@@ -124,24 +123,24 @@ class Decoder:
         self._error: str | None = None
 
     def expect(self, vocabulary: Vocabulary) -> None:
-        """Read what comes from here on by `vocabulary`."""
+        """Decode what is received from here on by `vocabulary`."""
         self._vocabulary = vocabulary
 
     @property
     def buffered(self) -> int:
-        """How many bytes are held, whole messages or not."""
+        """Bytes received and not yet returned as a message."""
         return len(self._buffer)
 
     def receive_data(self, data: bytes) -> None:
-        """Take in bytes as they come from the connection."""
+        """Take bytes as they were received from the connection."""
         if self._error is None:
             self._buffer += data
 
     def next_event(self) -> Frame | None:
-        """Return the next message, or None until more bytes have come.
+        """Return the next message, or None until more bytes are received.
 
         Raises:
-            RemoteProtocolError: the bytes are not a message that may come; from then on always.
+            RemoteProtocolError: the bytes are not an expected message; every later call raises it again.
         """
         if self._error is not None:
             raise RemoteProtocolError(self._error)
@@ -200,8 +199,8 @@ def encode(frame: Frame, vocabulary: Vocabulary) -> bytes:
     """Return the bytes of `frame`.
 
     Raises:
-        LocalProtocolError: `vocabulary` lacks its kind, or a value is more than the format, or an
-            original program, can take.
+        LocalProtocolError: its kind is not in `vocabulary`, or a value does not fit the format or the
+            limits of an original program.
     """
     kind, scalars, body = frame
     layout = vocabulary.get(kind)
@@ -216,8 +215,8 @@ def encode(frame: Frame, vocabulary: Vocabulary) -> bytes:
 
 def _unknown(kind: int, vocabulary: Vocabulary) -> str:
     expected = ", ".join(f"{known} ({layout.kind.name})" for known, layout in vocabulary.items())
-    hint = "; this one is of RL-Glue 2.x, which is not spoken here" if kind in _KINDS_OF_2 else ""
-    return f"a message of kind {expected} was expected; kind {int(kind)} came{hint}"
+    hint = "; it belongs to RL-Glue 2.x, which is not supported" if kind in _KINDS_OF_2 else ""
+    return f"expected a message of kind {expected}; received kind {int(kind)}{hint}"
 
 
 def _read_scalars(layout: Layout, payload: bytes) -> tuple[tuple[Value, ...], int]:
@@ -313,7 +312,7 @@ def _reversed(typecode: str, run: bytes) -> bytes:
 def _too_many(ints: int, doubles: int, chars: int) -> str:
     return (
         f"an original program takes at most {MAX_COUNT} of each in an abstract type; "
-        f"{ints} ints, {doubles} doubles, {chars} chars came"
+        f"received {ints} ints, {doubles} doubles, {chars} chars"
     )
 
 

@@ -1,7 +1,7 @@
-"""A client of the original RL-Glue 3.x, for tests: plain sockets and struct.
+"""A client of the original RL-Glue 3.x for tests, with plain sockets and struct.
 
 It shares no code with `glue.legacy`, so that each proves the other. It behaves like the original
-clients, down to the oddities that a server must bear; `STYLES` names them.
+clients, including the quirks that a server must tolerate; `STYLES` lists them.
 
 Source: the wire protocol of RL-Glue core 3.04 and of the C, Java, Python and Lisp codecs.
 """
@@ -224,7 +224,7 @@ class Connection:
                 raise Closed
             self._received += chunk
 
-    def nothing_came(self) -> bool:
+    def nothing_received(self) -> bool:
         """Whether there is nothing to receive, not even the end."""
         return not self._received and not select.select([self._socket], [], [], 0)[0]
 

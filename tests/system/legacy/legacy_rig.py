@@ -1,10 +1,11 @@
-"""A hub with ports for original programs, threads for the programs, and our own programs in disguise."""
+"""A hub with ports for original programs, threads for the programs, and adapters that make ours look original."""
 
 from __future__ import annotations
 
+import socket
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import zmq
@@ -53,7 +54,7 @@ class Log:
 
 
 class Rig:
-    """A hub with one port for each session, and whoever was let loose on them."""
+    """A hub with one port for each session, and the programs that use them."""
 
     def __init__(self, hub: Hub, gateway: Gateway, context: Context, log: Log) -> None:
         self.hub = hub
@@ -77,7 +78,7 @@ class Rig:
         return legacy_client.Experiment(self.connect(style, session))
 
     def settle(self) -> None:
-        """Return when the hub has acted on all that it was sent so far."""
+        """Return when the hub has acted on everything it has received so far."""
         aside = self.experiment(session=_ASIDE)
         for _ in range(2):
             aside.num_steps()
@@ -92,7 +93,7 @@ class Rig:
         self.serve_agent(agent, self.connect(style, session))
 
     def serve_agent(self, agent: legacy_client.Agent, connection: Connection) -> None:
-        """Let an original agent play over a connection that the test has its hands on."""
+        """Let an original agent play over a connection that the test controls."""
         self._start(lambda: legacy_client.serve_agent(agent, connection))
 
     def environment(
@@ -146,6 +147,13 @@ def gateway(*sessions: str, heartbeat: float = 0.5, patience: float = 5.0) -> It
                 yield rig
         finally:
             rig.join()
+
+
+def free_ports(count: int) -> list[int]:
+    """Return ports that nobody listens on."""
+    with ExitStack() as stack:
+        listeners = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
+        return [int(listener.getsockname()[1]) for listener in listeners]
 
 
 def to_numbers(value: AbstractType) -> Numbers:

@@ -1,4 +1,4 @@
-"""Original programs and the commands, each a process of its own."""
+"""Original programs and the commands, each in a process of its own."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from experiment_runner.players import HubOptions, Meeting, listening, open_exper
 from glue.core.config import LegacyPort
 from tests.system.legacy.legacy_client import STYLES, TIMEOUT, Connection, serve_agent
 from tests.system.legacy.legacy_programs import AGENTS
+from tests.system.legacy.legacy_rig import free_ports
 
 BIN = Path(sys.executable).parent
 ROOT = Path(__file__).parents[3]
@@ -115,12 +116,6 @@ def test_an_experiment_waits_for_an_original_agent(tmp_path: Path) -> None:
     assert json.loads(out.splitlines()[-1])["episodes"] == 5
 
 
-def free_port() -> int:
-    """A port that nobody listens on."""
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        return int(listener.getsockname()[1])
-
-
 def play_skeleton(port: int, style: str) -> None:
     """Connect as an original agent as soon as the port is open, and play until the goodbye."""
     serve_agent(AGENTS["skeleton"](), Connection(port, STYLES[style]))
@@ -129,7 +124,7 @@ def play_skeleton(port: int, style: str) -> None:
 @pytest.mark.parametrize("style", ["c", "java", "python"])
 def test_an_original_agent_that_waits_for_its_port_is_never_cut_off(style: str, tmp_path: Path) -> None:
     for attempt in range(3):
-        port = free_port()
+        (port,) = free_ports(1)
         play = ["--env", "skeleton", "--episodes", "2", "--max-steps", "9", "--out", f"run-{attempt}"]
         meet = ["--bind", "tcp://127.0.0.1:*", "--legacy-port", str(port)]
         with ThreadPoolExecutor() as pool:

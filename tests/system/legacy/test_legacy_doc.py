@@ -1,30 +1,34 @@
-"""docs/legacy.md says what is so: its limits, its ids, its commands and its log lines."""
+"""docs/legacy.md is true: its limits, ids, commands, examples, log lines and promises."""
 
 from __future__ import annotations
 
 import re
 import shlex
+from contextlib import closing
 from pathlib import Path
 
 import click
 import pytest
 
 from experiment_runner.commands.experiment import experiment
+from glue.errors import Unsupported
 from glue.hub.command import hub
 from glue.legacy import codec, peers, pending
-from tests.system.legacy.legacy_client import Id
-from tests.system.legacy.legacy_rig import gateway
+from tests.system.legacy.legacy_client import STYLES, Connection, Id, Numbers, serve_agent
+from tests.system.legacy.legacy_programs import FiveStepEnvironment, MirrorAgent, SkeletonAgent
+from tests.system.legacy.legacy_rig import free_ports, gateway
+from tests.terminal import Terminal
 
 TEXT = (Path(__file__).parents[3] / "docs" / "legacy.md").read_text(encoding="utf-8")
 COMMANDS: dict[str, click.Command] = {"glue-hub": hub, "glue-experiment": experiment}
-EXAMPLES = [line.strip() for line in TEXT.splitlines() if line.startswith("    glue-")]
+EXAMPLES = re.findall(r"^    (?:\$ )?(glue-.*)$", TEXT, re.MULTILINE)
 
 
 @pytest.mark.parametrize("example", EXAMPLES)
 def test_an_example_is_understood(example: str) -> None:
     name, *arguments = shlex.split(example)
     context = COMMANDS[name].make_context(name, arguments)
-    assert context.params["legacy_port"]
+    assert context.params["legacy_port"] or context.params["hub"]
 
 
 @pytest.mark.parametrize(
@@ -34,7 +38,7 @@ def test_an_example_is_understood(example: str) -> None:
         ("a task spec or message", codec.MAX_TEXT),
         ("bytes in a payload beyond", codec.SURPLUS),
         ("requests that an experiment sends ahead", peers.READ_AHEAD),
-        ("connections that have not said", pending.MAX_PENDING),
+        ("connections without a role", pending.MAX_PENDING),
     ],
 )
 def test_a_limit_is_the_one_that_holds(what: str, limit: int) -> None:
@@ -53,6 +57,17 @@ def test_the_refused_ids_are_none_of_ours() -> None:
     assert not refused & {int(kind) for vocabulary in spoken for kind in vocabulary}
 
 
+def section(title: str) -> str:
+    """Return the text of a section, up to the next heading of any level."""
+    (found,) = re.findall(rf"^##+ {re.escape(title)}\n(.*?)(?=^#|\Z)", TEXT, re.MULTILINE | re.DOTALL)
+    return str(found)
+
+
+def anonymous(line: str) -> str:
+    """Return a line of the log with the client's port of the document."""
+    return re.sub(r"127\.0\.0\.1:\d+ \(", "127.0.0.1:41360 (", line)
+
+
 def test_the_log_looks_as_shown() -> None:
     with gateway() as rig:
         agent = rig.connect()
@@ -60,6 +75,103 @@ def test_the_log_looks_as_shown() -> None:
         rig.log.wait_for("joined")
         agent.close()
         rig.log.wait_for("closed its connection")
-        logged = re.sub(r":\d+ ", ":41360 ", str(rig.log))
-    shown = re.findall(r"^    (session .*)$", TEXT, re.MULTILINE)
-    assert logged.splitlines() == shown
+    shown = re.findall(r"^    (session .*)$", section("What differs from the original server"), re.MULTILINE)
+    assert [anonymous(line) for line in str(rig.log).splitlines()] == shown
+
+
+class Runner(MirrorAgent):
+    """Runs to the right."""
+
+    def start(self, observation: Numbers) -> Numbers:
+        return Numbers((1, 0, 1))
+
+    def step(self, reward: float, observation: Numbers) -> Numbers:
+        return Numbers((1, 0, 1))
+
+
+def test_the_mixed_example_runs_as_shown(tmp_path: Path) -> None:
+    text = section("An example: an original agent on our Mario")
+    first, second, alone = re.findall(r"^    \$ (glue-.*)$", text, re.MULTILINE)
+    ours, default, b = free_ports(3)
+    here = {"4097": ours, "4096": default, "5096": b}
+
+    def local(shown: str) -> str:
+        return re.sub("4097|4096|5096", lambda match: str(here[match[0]]), shown)
+
+    hub = Terminal(*shlex.split(local(first)), "--bind", f"tcp://127.0.0.1:{ours}", cwd=tmp_path)
+    with closing(hub):
+        for line in re.findall(r"^    (listening .*)$", text, re.MULTILINE):
+            hub.wait_for(f"^{re.escape(local(line))}$")
+        with closing(Terminal(*shlex.split(local(second)), cwd=tmp_path)) as experiment:
+            serve_agent(Runner(), Connection(b, STYLES["java"]))
+            assert experiment.end() == 0
+            experiment.wait_for(r"/mario/0 .* 3/3 ")
+        for line in re.findall(r"^    (session .*)$", text, re.MULTILINE):
+            hub.wait_for(re.escape(line).replace("41360", r"\d+"))
+    options = ["--bind", "tcp://127.0.0.1:*", "--out", "alone"]
+    with closing(Terminal(*shlex.split(local(alone)), *options, cwd=tmp_path)) as experiment:
+        experiment.wait_for(f"127.0.0.1:{default}")
+        serve_agent(Runner(), Connection(default, STYLES["c"]))
+        assert experiment.end() == 0
+
+
+class Noting(SkeletonAgent):
+    """Writes down what it is asked."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.calls: list[str] = []
+
+    def start(self, observation: Numbers) -> Numbers:
+        self.calls.append("start")
+        return super().start(observation)
+
+    def step(self, reward: float, observation: Numbers) -> Numbers:
+        self.calls.append("step")
+        return super().step(reward, observation)
+
+    def end(self, reward: float) -> None:
+        self.calls.append("end")
+
+
+def test_each_trial_takes_another_original_agent_and_goes_on_without_a_seed_for_it(tmp_path: Path) -> None:
+    (port,) = free_ports(1)
+    options = f"--env skeleton --episodes 2 --max-steps 1 --trials 2 --seed 7 --legacy-port {port}"
+    arguments = [*options.split(), "--bind", "tcp://127.0.0.1:*", "--json", "--out", "run"]
+    with closing(Terminal("glue-experiment", *arguments, cwd=tmp_path)) as experiment:
+        for _ in range(2):
+            agent = Noting()
+            serve_agent(agent, Connection(port, STYLES["python"]))
+            # Truncated after its first step, an episode ends without a call.
+            assert agent.calls == ["start"] * 2
+        assert experiment.end() == 0, experiment.lines
+
+
+def test_an_original_experiment_and_environment_are_shown_no_terminal_after_a_truncation() -> None:
+    calls: list[str] = []
+
+    class Endless(FiveStepEnvironment):
+        def start(self) -> Numbers:
+            calls.append("start")
+            return super().start()
+
+        def step(self, action: Numbers) -> tuple[float, Numbers, int]:
+            calls.append("step")
+            return super().step(action)
+
+    with gateway() as rig:
+        rig.agent(MirrorAgent())
+        rig.environment(Endless())
+        glue = rig.experiment()
+        glue.init()
+        for _ in range(2):
+            assert (glue.episode(3), glue.num_steps()) == (0, 3)
+        glue.close()
+    assert calls == ["start", "step", "step"] * 2
+
+
+def test_an_original_player_cannot_be_saved() -> None:
+    with gateway() as rig:
+        rig.agent(MirrorAgent())
+        with rig.native() as glue, pytest.raises(Unsupported):
+            glue.rl_agent_save()

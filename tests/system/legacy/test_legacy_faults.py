@@ -1,4 +1,4 @@
-"""Programs that die, stall, lie or intrude: what the others notice of it, and that nobody else does."""
+"""Programs that die, stall, break the protocol or intrude: what the others notice, and that no other session does."""
 
 from __future__ import annotations
 
@@ -204,7 +204,7 @@ def void_the_start(rig: Rig) -> tuple[Connection, Connection, Experiment]:
     assert environment.receive()[0] == Id.ENV_START
     environment.send(Id.ENV_START, ONE)
     rig.settle()
-    assert agent.nothing_came()
+    assert agent.nothing_received()
     return agent, environment, glue
 
 
@@ -224,7 +224,7 @@ def test_what_was_to_be_asked_next_is_forgotten_when_the_experiment_leaves(rig: 
     glue.close()
     assert ending(environment) == TERMINATE
     rig.settle()
-    assert agent.nothing_came()
+    assert agent.nothing_received()
     agent.send(Id.AGENT_START, EMPTY)
     assert ending(agent) == TERMINATE
 
@@ -237,7 +237,7 @@ def test_the_goodbye_waits_for_the_answer_to_what_nobody_needs_any_more(rig: Rig
     glue.connection.reset()
     rig.log.wait_for("was sent off")
     rig.settle()
-    assert agent.nothing_came()
+    assert agent.nothing_received()
     agent.send(Id.AGENT_START, EMPTY)
     assert ending(agent) == TERMINATE
 
@@ -398,10 +398,10 @@ UNKNOWN = (0, 1, 9, 15, 31, 41, 64, 67, 69, 255, -1, 2**31 - 1)
 
 
 @pytest.mark.parametrize("message_id", [0, 4, 35, 99, -1, 0x47455420])
-def test_a_stranger_with_an_unknown_id_is_dropped(rig: Rig, message_id: int) -> None:
-    stranger = rig.connect()
-    stranger.send(message_id)
-    assert ending(stranger) == b""
+def test_a_connection_without_a_role_that_sends_an_unknown_id_is_dropped(rig: Rig, message_id: int) -> None:
+    connection = rig.connect()
+    connection.send(message_id)
+    assert ending(connection) == b""
     rig.log.wait_for("is not an RL-Glue program")
     run_test_1(rig)
 
