@@ -1,4 +1,4 @@
-"""A hub with ports for original programs, threads for the programs, and adapters that make ours look original."""
+"""A hub with ports for original programs, and adapters that make programs of ours look original."""
 
 from __future__ import annotations
 

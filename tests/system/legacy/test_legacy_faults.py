@@ -1,4 +1,4 @@
-"""Programs that die, stall, break the protocol or intrude: what the others notice, and that no other session does."""
+"""Programs that die, stall or break the protocol: what the others notice, and that no other session does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever bytes are received, from any program in any state: the hub survives, other sessions go on, memory is bounded."""
+"""Any bytes, in any state: the hub survives, other sessions go on, and memory is bounded."""
 
 from __future__ import annotations
 
