@@ -101,7 +101,7 @@ def test_a_hub_joins_original_programs_by_their_ports_and_says_goodbye_when_it_i
                     break
             hub.process.send_signal(signal.SIGTERM)
             assert waiting.wait(TIMEOUT) == 0
-        assert hub.end()[0] == 0
+        assert hub.end()[0] == 128 + signal.SIGTERM
 
 
 def test_an_experiment_waits_for_an_original_agent(tmp_path: Path) -> None:
