@@ -142,17 +142,19 @@ class Closed(Exception):
 class Connection:
     """One TCP connection to the server, in the style of one codec.
 
-    Tries for `TIMEOUT` seconds until the server listens.
+    Tries for `TIMEOUT` seconds until the server listens, and waits `timeout` seconds for each frame.
     """
 
-    def __init__(self, port: int, style: Style = STYLES["c"], host: str = "127.0.0.1") -> None:
+    def __init__(
+        self, port: int, style: Style = STYLES["c"], host: str = "127.0.0.1", timeout: float = TIMEOUT
+    ) -> None:
         self.style = style
         self._received = b""
         self._last_sent = b""
         deadline = time.monotonic() + TIMEOUT
         while True:
             try:
-                self._socket = socket.create_connection((host, port), TIMEOUT)
+                self._socket = socket.create_connection((host, port), timeout)
                 break
             except ConnectionRefusedError:
                 if time.monotonic() > deadline:

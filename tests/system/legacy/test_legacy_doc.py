@@ -79,6 +79,10 @@ def test_the_log_looks_as_shown() -> None:
     assert [anonymous(line) for line in str(rig.log).splitlines()] == shown
 
 
+COMPILATION = 300.0
+"""Seconds in which the simulator is compiled at its first start, whatever else the machine does."""
+
+
 class Runner(MirrorAgent):
     """Runs to the right."""
 
@@ -103,7 +107,7 @@ def test_the_mixed_example_runs_as_shown(tmp_path: Path) -> None:
         for line in re.findall(r"^    (listening .*)$", text, re.MULTILINE):
             hub.wait_for(f"^{re.escape(local(line))}$")
         with closing(Terminal(*shlex.split(local(second)), cwd=tmp_path)) as experiment:
-            serve_agent(Runner(), Connection(b, STYLES["java"]))
+            serve_agent(Runner(), Connection(b, STYLES["java"], timeout=COMPILATION))
             assert experiment.end() == 0
             experiment.wait_for(r"/mario/0 .* 3/3 ")
         for line in re.findall(r"^    (session .*)$", text, re.MULTILINE):
