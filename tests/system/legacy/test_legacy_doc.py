@@ -21,6 +21,8 @@ from tests.terminal import Terminal
 
 TEXT = (Path(__file__).parents[3] / "docs" / "legacy.md").read_text(encoding="utf-8")
 COMMANDS: dict[str, click.Command] = {"glue-hub": hub, "glue-experiment": experiment}
+TIME = r"[\d-]+ [\d:]+"
+NUMBER = r"\d+"
 EXAMPLES = re.findall(r"^    (?:\$ )?(glue-.*)$", TEXT, re.MULTILINE)
 
 
@@ -75,7 +77,9 @@ def test_the_log_looks_as_shown() -> None:
         rig.log.wait_for("joined")
         agent.close()
         rig.log.wait_for("closed its connection")
-    shown = re.findall(r"^    (session .*)$", section("What differs from the original server"), re.MULTILINE)
+    shown = re.findall(
+        rf"^    {TIME} (session .*)$", section("What differs from the original server"), re.MULTILINE
+    )
     assert [anonymous(line) for line in str(rig.log).splitlines()] == shown
 
 
@@ -110,8 +114,8 @@ def test_the_mixed_example_runs_as_shown(tmp_path: Path) -> None:
             serve_agent(Runner(), Connection(b, STYLES["java"], timeout=COMPILATION))
             assert experiment.end() == 0
             experiment.wait_for(r"/mario/0 .* 3/3 ")
-        for line in re.findall(r"^    (session .*)$", text, re.MULTILINE):
-            hub.wait_for(re.escape(line).replace("41360", r"\d+"))
+        for line in re.findall(rf"^    {TIME} (session .*)$", text, re.MULTILINE):
+            hub.wait_for(rf"^{TIME} {re.escape(line).replace('41360', NUMBER)}")
     options = ["--bind", "tcp://127.0.0.1:*", "--out", "alone"]
     with closing(Terminal(*shlex.split(local(alone)), *options, cwd=tmp_path)) as experiment:
         experiment.wait_for(f"127.0.0.1:{default}")
