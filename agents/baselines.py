@@ -23,9 +23,7 @@ class RandomAgent:
     def __init__(
         self,
         *,
-        seed: Annotated[
-            int | None, Option("seed of its random numbers; the experiment's if not given", low=0)
-        ] = None,
+        seed: Annotated[int | None, Option("random seed; the experiment's if not given", low=0)] = None,
     ) -> None:
         self._own_seed = seed
         self._generator = np.random.default_rng(seed or 0)

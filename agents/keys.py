@@ -1,7 +1,7 @@
-"""Keys of learned values: a feature is a row of whole numbers, known by a 64-bit hash of them.
+"""Keys of learned values: a feature is a row of integers, identified by a 64-bit hash of them.
 
-Hashing spares every kind of state its own way to fit a key, and a table of a million values has two
-features under one key with a chance of only 3e-8.
+With a hash, no kind of state needs its own encoding. The chance that a table of a million values has two
+features under one key is 3e-8.
 """
 
 from __future__ import annotations
@@ -26,5 +26,5 @@ def feature(first: int) -> np.uint64:
 
 @jit
 def extend(key: np.uint64, number: int) -> np.uint64:
-    """Return the key of the row that `key` stands for with `number` added at its end."""
+    """Return the key of the row of `key` with `number` appended."""
     return mix(key + np.uint64(number) + _STEP)

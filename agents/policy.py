@@ -1,7 +1,7 @@
-"""Choosing: epsilon-greedy, with ties broken by a given generator.
+"""Epsilon-greedy choice, with ties broken by a given generator.
 
 The generator is SplitMix64, a 64-bit counter put through a mixing function: one word of state, so
-that a draw costs nanoseconds and a saved agent goes on with the same draws. The same function makes
+that a draw costs nanoseconds and a saved agent continues with the same draws. The same function makes
 the keys of value tables (`agents.keys`).
 Source: Steele, Lea and Flood (2014), Fast splittable pseudorandom number generators.
 """
@@ -27,7 +27,7 @@ _31: Final = np.uint64(31)
 
 
 class Chooser(Protocol):
-    """What a record needs in order to choose: a generator's state and the chance to explore.
+    """The fields that a record needs to choose: a generator's state and the chance to explore.
 
     After `cycles` decision cycles that chance is epsilon * reduction ** cycles.
     """
@@ -60,7 +60,7 @@ def uniform(chooser: Chooser) -> float:
 
 @jit
 def below(chooser: Chooser, count: int) -> int:
-    """Draw one of 0 .. count - 1, all as likely; no number is drawn when there is one alone."""
+    """Draw one of 0 .. count - 1, all equally likely; nothing is drawn if there is only one."""
     if count == 1:
         return 0
     return int(uniform(chooser) * count)
@@ -68,7 +68,7 @@ def below(chooser: Chooser, count: int) -> int:
 
 @jit
 def epsilon_greedy(chooser: Chooser, values: npt.NDArray[np.float64], count: int) -> int:
-    """Choose among the first `count` values: by chance any, otherwise one of the greatest.
+    """Choose among the first `count` values: any with the chance to explore, otherwise one of the largest.
 
     Source: Mohan (2010), epsilon-greedy exploration; ties as Soar breaks them, at random.
     """

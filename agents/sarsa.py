@@ -1,7 +1,7 @@
 """SARSA(0) on a table of values, one per key.
 
 A state may have several features; then the value of an action is the sum of one learned value per
-feature, and an update is shared out equally among them. With one feature this is the plain table.
+feature, and an update is divided equally among them. With one feature this is the plain table.
 Keys that were never updated have the value 0.
 Source: Sutton and Barto, chapters 6 and 9; Mohan (2010).
 """
@@ -41,7 +41,7 @@ class Entry:
 
 
 class Learner:
-    """What every learner has beside its table: hyperparameters, generator, and counters.
+    """The state of a learner apart from its table: hyperparameters, generator and counters.
 
     cycles   decision cycles so far, which shrink epsilon
     entries  values in the table
@@ -58,7 +58,7 @@ class Learner:
 
 
 class Taken:
-    """The features of an action that was taken and still waits for its update."""
+    """The features of the action whose value is to be updated next."""
 
     count: Int
     keys: Annotated[Keys, np.uint64, MAX_FEATURES]
@@ -66,7 +66,7 @@ class Taken:
 
 @jit
 def action_values(table: Array, states: Keys, count: int, values: Values) -> None:
-    """Fill in `values`, one per action: the sum of what was learned under each of `count` features."""
+    """Fill in `values`, one per action: the sum of the values learned for each of `count` features."""
     for action in range(len(values)):
         total = 0.0
         for i in range(count):
@@ -76,7 +76,7 @@ def action_values(table: Array, states: Keys, count: int, values: Values) -> Non
 
 @jit
 def take(taken: Taken, states: Keys, count: int, action: int) -> None:
-    """Note that `action` was taken in the state of these `count` features."""
+    """Record that `action` was taken in the state of these `count` features."""
     taken.count = count
     for i in range(count):
         taken.keys[i] = extend(states[i], action)
@@ -93,7 +93,7 @@ def sum_of_values(table: Array, keys: Keys, count: int) -> float:
 
 @jit
 def update(learner: Learner, table: Array, taken: Taken, target: float) -> None:
-    """Move the value of what was taken towards `target` by the step size. The table must have room."""
+    """Move the value of the action taken towards `target` by the step size. The table must have room."""
     if taken.count == 0 or not learner.learning:
         return
     error = target - sum_of_values(table, taken.keys, taken.count)
@@ -108,7 +108,7 @@ def update(learner: Learner, table: Array, taken: Taken, target: float) -> None:
 
 @jit
 def has_room(learner: Learner, table: Array, count: int) -> bool:
-    """Return whether `count` more keys leave half of the table free, which keeps looking up fast."""
+    """Return whether `count` more keys leave half of the table free, which keeps look-ups fast."""
     return 2 * (learner.entries + count) <= len(table)
 
 

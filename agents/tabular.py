@@ -1,4 +1,4 @@
-"""SARSA(0) on a plain table, for tasks of one int observed and one int done. Sutton and Barto, 6.4."""
+"""SARSA(0) on a plain table, for tasks of one int observed and one int as action. Sutton and Barto, 6.4."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class SarsaAgent:
 
 
 def _one_int(spec: TaskSpec, what: str) -> tuple[int, int]:
-    """Return the least value of the one int of `what`, and the number of its values."""
+    """Return the smallest value of the one int of `what`, and the number of its values."""
     space = spec.actions if what == "action" else spec.observations
     if space.counts == (1, 0, 0):
         low, high = space.ints[0].ends

@@ -85,7 +85,7 @@ class MinesEnvironment:
         *,
         random_start: Annotated[bool, Option("start on any free field instead of the upper left")] = False,
         seed: Annotated[
-            int | None, Option("seed of the starts; the experiment's if not given", low=0)
+            int | None, Option("random seed of the starts; the experiment's if not given", low=0)
         ] = None,
     ) -> None:
         self._random_start = random_start
@@ -115,7 +115,7 @@ class MinesEnvironment:
 
     def env_step(self, action: Action) -> tuple[float, Observation, bool]:
         if self._field is None:
-            raise SimulatorError("a step came before the first start")
+            raise SimulatorError("env_step needs env_start first")
         down, right = _DIRECTIONS[_one_int(action, high=3)]
         row, column = divmod(self._field, self._columns)
         if 0 <= row + down < len(_MINES_MAP) and 0 <= column + right < self._columns:
@@ -141,8 +141,8 @@ class MinesEnvironment:
 
 def _one_int(action: Action, high: int) -> int:
     if action.counts != (1, 0, 0):
-        raise SimulatorError(f"an action is one int from 0 to {high}; {action!r} came")
+        raise SimulatorError(f"an action is one int from 0 to {high}, not {action!r}")
     value = int(action.ints[0])
     if not 0 <= value <= high:
-        raise SimulatorError(f"an action is one int from 0 to {high}; {value} came")
+        raise SimulatorError(f"an action is one int from 0 to {high}, not {value}")
     return value

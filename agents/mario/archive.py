@@ -1,8 +1,8 @@
-"""What the agent `best` remembers of one world: how it got to places, and its best episode.
+"""The memory of the agent `best` for one world: how it reached places, and its best episode.
 
-A place is a cell: a column of tiles, a pair of rows, and Mario's kind (small, big, fiery). Of every
-cell the archive keeps the actions that led to it with the greatest return, which in a deterministic
-task is at once the way back and, exactly, the best value known of getting there.
+A place is a cell: a column of tiles, a pair of rows, and Mario's kind (small, big, fiery). For every
+cell the archive keeps the actions that led to it with the highest return. In a deterministic task they
+are the way back, and their return is exactly the best known value of getting there.
 Source: Ecoffet, Huizinga, Lehman, Stanley and Clune (2021), First return, then explore.
 """
 
@@ -23,7 +23,7 @@ from glue.saves import Arrays, Saved
 __all__ = ["MAX_STEPS", "Archive", "Cell", "Place", "Trajectory"]
 
 MAX_STEPS: Final = 4096
-"""Steps of an episode that are remembered, at most."""
+"""Maximum number of steps of an episode that are remembered."""
 _MAX_CELLS: Final = 16384
 _ROWS: Final = 2
 
@@ -33,7 +33,7 @@ Place = tuple[float, float]
 
 @dataclass(slots=True)
 class Cell:
-    """How to get to a cell: the KLOs, the rewards on the way, where that ends, and how often it was used."""
+    """How to get to a cell: the actions, their return, where they end, and how often they were used."""
 
     actions: bytes
     value: float
@@ -45,7 +45,7 @@ class Trajectory:
     """A whole episode.
 
     Args:
-        actions: its KLOs, N of them.
+        actions: the numbers of its N actions.
         places: where Mario was when he chose each, shape (N, 2), in tiles.
         episode_return: the sum of its rewards.
     """
@@ -69,7 +69,7 @@ class Trajectory:
 
 
 class Archive:
-    """The cells of a world, the best episode in it, and whether an episode ever ended with a reward."""
+    """The cells of a world, the best episode in it, and whether any episode has ended with a reward."""
 
     def __init__(self) -> None:
         self.cells: dict[tuple[int, int, int], Cell] = {}
@@ -77,7 +77,7 @@ class Archive:
         self.finished = False
 
     def note(self, kind: int, place: Place, value: float, actions: bytearray) -> None:
-        """Remember how Mario, of this kind, got to a place, unless a better way is known."""
+        """Remember how Mario, of this kind, reached a place, unless a better way is known."""
         x, y = place
         key = (math.floor(x), math.floor(y / _ROWS), kind)
         cell = self.cells.get(key)

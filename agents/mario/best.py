@@ -1,31 +1,31 @@
-"""The agent `best`: it returns to promising places before it explores, and goes on as its best episode did.
+"""The agent `best`: it returns to promising places, explores there, and continues as its best episode did.
 
-Infinite Mario is deterministic, and an episode always replays the same level, so that what was done
-once can be done again. An episode of this agent has four parts:
+Infinite Mario is deterministic, and every episode replays the same level, so whatever was done once can
+be repeated. An episode of this agent has four parts:
 
-    settle   run left for four steps, to the edge of the world: whatever buttons the episode before
-             left pressed, this one now begins in the same state
+    settle   run left for four steps, to the edge of the world: whatever buttons are still pressed from
+             the previous episode, this one now begins in the same state
     return   repeat the actions that once led to a remembered place
     explore  hold random actions, each for a few steps
-    resume   go on as the best episode did from the place nearest to Mario's; once more whenever
-             Mario strays from its path
+    resume   continue as the best episode did from the place nearest to Mario; again whenever Mario
+             strays from its path
 
 Until some episode has ended with a reward, it returns to cells near the farthest one and explores to
-the bitter end. From then on it returns to any step of the best episode, or to any cell, and explores
-for a short while only: what that gained is kept if the resumed rest is as good as it was.
+the end of the episode. From then on it returns to any step of the best episode, or to any cell, and
+explores only briefly: the gain is kept if the resumed rest is as good as it was.
 
 In terms of Sutton and Barto this is Monte Carlo control with exploring starts in a deterministic
-task, where one return is no sample but the value itself, so that a maximum takes the place of an
-average: the value of a cell is the greatest return with which it was reached, that of the policy
-the greatest of an episode. To resume is to act by that policy from states never seen, generalising
-from the nearest seen. An episode explores with probability epsilon * (1 - (n / N)**3), n being the
-number of episodes before it; otherwise it repeats the best one.
+task, where one return is not a sample but the value itself, so a maximum replaces the average: the
+value of a cell is the highest return with which it was reached, that of the policy the highest of an
+episode. Resuming means acting by that policy in states never seen, generalising from the nearest one
+seen. An episode explores with probability epsilon * (1 - (n / N)**3), n being the number of episodes
+before it; otherwise it repeats the best one.
 
-The agent sees observations and rewards alone. Should a remembered place not be where it was, the
-world is another, and the agent begins anew.
+The agent sees only observations and rewards. If the actions to a remembered place lead elsewhere, the
+world has changed, and the agent starts again.
 
 Sources: Mohan (2010), for the primitive actions; J. Asmuth (2009), the sample agent of the
-RL-Competition, which repeats the last episode but for its end; Ecoffet et al. (2021), First return,
+RL-Competition, which repeats the last episode except for its end; Ecoffet et al. (2021), First return,
 then explore, for the archive of cells.
 """
 
@@ -61,7 +61,7 @@ _FADING: Final = 3
 _FRONTIER: Final = 0.8  # chance of the frontier while no episode has ended with a reward
 _DEPTH: Final = 8.0  # mean distance of the cells from the farthest one, at the frontier
 _STRAYED: Final = 1.0  # distance from a path, by the sum of both, from which on Mario has strayed
-_MAX_RESUMED: Final = 30  # times that an episode resumes, or Mario might go in circles
+_MAX_RESUMED: Final = 30  # times that an episode resumes at most, or Mario might go in circles
 
 # How to explore: the chances of the three buttons.
 _AHEAD: Final = 0.87  # right, at the frontier
@@ -75,7 +75,7 @@ class _Plan:
     """What to do in an episode.
 
     actions  the way back to a place, and
-    place    where it ends; None when there is no way to go
+    place    where it ends; None if there is no way to follow
     burst    steps to explore there, before the best episode is resumed
     ahead    chance of the right button meanwhile
     """
@@ -125,7 +125,7 @@ class BestAgent(MarioAgent):
         self._reset()
 
     def agent_start(self, observation: Observation) -> Action:
-        """Begin an episode; of one that was cut off, the places are remembered."""
+        """Begin an episode; the places of a truncated one (cut off) are remembered."""
         self._begin()
         return self._act(observation)
 
@@ -135,7 +135,7 @@ class BestAgent(MarioAgent):
         return self._act(observation)
 
     def agent_end(self, reward: float) -> None:
-        """Keep the episode if it is the best; the best one, repeated, is worth what it gave this time."""
+        """Keep the episode if it is the best; a repetition of the best one replaces its return."""
         self._return += reward
         steps = len(self._actions)
         if not (self._learning and 0 < steps <= MAX_STEPS):
@@ -147,7 +147,7 @@ class BestAgent(MarioAgent):
             archive.best = Trajectory(bytes(self._actions), np.array(self._places), self._return)
 
     def agent_message(self, message: str) -> str:
-        """Answer `best`, the greatest return of an episode, `cells`, how many are known, and `epsilon`."""
+        """Answer `best`, the highest return of an episode, `cells`, how many are known, and `epsilon`."""
         if message == "best":
             found = [archive.best.episode_return for archive in self._worlds.values() if archive.best]
             return repr(max(found)) if found else "none"
@@ -155,7 +155,7 @@ class BestAgent(MarioAgent):
             return str(sum(len(archive.cells) for archive in self._worlds.values()))
         if message == "epsilon":
             return repr(self._chance_to_explore())
-        return f"agent {self.name} answers the messages best, cells and epsilon only"
+        return f"agent {self.name} answers only the messages best, cells and epsilon"
 
     def agent_save(self) -> bytes:
         """Return the memory, the generator's state and the count of episodes."""
@@ -190,7 +190,7 @@ class BestAgent(MarioAgent):
     def _remember(self, generator: np.random.Generator, episodes: int, worlds: dict[int, Archive]) -> None:
         """Set what outlives an episode.
 
-        An archive is known by what is seen when Mario has settled; there is one alone, unless he is
+        An archive is identified by what is seen when Mario has settled; there is only one, unless he is
         too slow to reach the edge of the world in time.
         """
         self._generator = generator
@@ -239,7 +239,7 @@ class BestAgent(MarioAgent):
         self._episodes += self._learning
 
     def _begin_anew(self) -> None:
-        """Forget everything: the world is not what it was."""
+        """Forget everything, because the world has changed."""
         self._archive = Archive()
         self._remember(self._generator, 0, {self._digest: self._archive})
         self._plan = _WANDER
@@ -263,7 +263,7 @@ class BestAgent(MarioAgent):
         return _Plan(best.actions[:step], best.place(step), burst)
 
     def _pick(self, cells: Iterable[Cell], power: float) -> Cell:
-        """Draw a cell, those that were used less being the likelier."""
+        """Draw a cell, more likely one that was used less."""
         candidates = list(cells)
         weights = np.cumsum([(1 + cell.tries) ** -power for cell in candidates])
         cell = candidates[int(np.searchsorted(weights, self._generator.random() * weights[-1], "right"))]
@@ -276,7 +276,7 @@ class BestAgent(MarioAgent):
         if step < len(plan.actions):
             return plan.actions[step]
         if step == len(plan.actions) and plan.place is not None and _apart(plan.place, place):
-            self._begin_anew()  # What was chosen to explore with does for a new world too.
+            self._begin_anew()  # the plan's chances to explore suit a new world too
         best = self._archive.best
         if best is None or step < len(plan.actions) + self._plan.burst:
             return self._explore()
@@ -294,7 +294,7 @@ class BestAgent(MarioAgent):
         return self._held
 
     def _resume(self, best: Trajectory, place: Place) -> int:
-        """Go on as in the best episode; at its end, at random."""
+        """Continue as in the best episode; after its end, at random."""
         strayed = 0 <= self._next < len(best) and _apart(best.place(self._next), place)
         if strayed and self._plan is _REPEAT and self._learning:
             self._begin_anew()

@@ -108,11 +108,11 @@ class Senses:
 
 
 class Object:
-    """Something that an operator may deal with.
+    """Something that an operator may act on.
 
-    id       tells it from others of its kind, and stays while it does: of a coin or question its
-             column * 16 + row, of a pit its first column, of a monster a number of its own
-    type     of a monster its sprite kind, otherwise 0
+    id       identifies it among its kind for as long as it exists: column * 16 + row of a coin or
+             question, the first column of a pit, a unique number of a monster
+    type     sprite kind of a monster, otherwise 0
     related  whether it is a threat, reachable, or dangerous
     """
 
@@ -134,7 +134,7 @@ class Platform:
 
 
 class Scene:
-    """An observation as objects. The fields about monsters carry on from step to step."""
+    """An observation as objects. The fields about monsters persist from step to step."""
 
     screen: Annotated[Screen, Screen]
     count: Int
@@ -166,7 +166,7 @@ def set_senses(
 def look(scene: Scene, senses: Senses, body: bytes) -> bool:
     """Fill in `scene` from an observation's body; return False when its layout is not Mario's.
 
-    Every monster is listed, in the order of the observation; of the rest only what is related.
+    All monsters are listed, in the order of the observation, and all other objects that are related.
     """
     screen = scene.screen
     if not read(body, screen):
@@ -208,9 +208,9 @@ def _add(scene: Scene, kind: int, identity: int, dx: int, dy: int) -> Object:
 
 @jit
 def _recognise_monsters(scene: Scene) -> None:
-    """Give every monster its id: the one last seen at its place in the list, if that is of its type.
+    """Give every monster its id: that of the monster last seen at its position in the list, if of its type.
 
-    From the first place where the type differs, all are new.
+    From the first position where the type differs, all are new.
     """
     screen = scene.screen
     known = 0
@@ -376,7 +376,7 @@ def _add_platform(scene: Scene, start: int, end: int, row: int) -> None:
 def _find_pits(scene: Scene) -> None:
     """List the dangerous pits: runs of columns without solid tiles, between columns solid at the bottom.
 
-    The column of the finish line shows nothing but itself, and is no pit.
+    The column of the finish line hides its ground, and is not a pit.
     """
     screen = scene.screen
     start = 0  # the column in view where a pit may have begun; 0 for none

@@ -1,7 +1,7 @@
-"""The sample agent of the RL-Competition 2009: chance, and a memory of the last episode's actions.
+"""The sample agent of the RL-Competition 2009: random actions, and a memory of the last episode.
 
-It uses no reward. An episode repeats all actions of the one before but the last seven, then goes on
-at random; so it backs up from every death, and keeps a found solution but for its end.
+It ignores rewards. An episode repeats all actions of the previous one except the last seven, then acts
+at random; so it backs up from every death, and keeps a solution once found, except for its end.
 Source: J. Asmuth (2009), the sample agent of the Infinite Mario package.
 """
 
@@ -51,20 +51,20 @@ class SampleAgent(MarioAgent):
         self._hesitating = False
 
     def agent_start(self, observation: Observation) -> Action:
-        """Begin to repeat the episode before."""
+        """Begin to repeat the previous episode."""
         self._this = []
         return self._act(observation)
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
-        """Repeat, or act at random; the reward is of no interest."""
+        """Repeat, or act at random; the reward is ignored."""
         return self._act(observation)
 
     def agent_end(self, reward: float) -> None:
-        """Remember what was done, but for its end."""
+        """Remember the actions, except the last seven."""
         self._last = self._this[:-_FORGOTTEN]
 
     def agent_message(self, message: str) -> str:
-        """Answer nothing in particular."""
+        """Answer that no messages are understood."""
         return "agent sample answers no messages"
 
     def agent_save(self) -> bytes:
@@ -92,7 +92,7 @@ class SampleAgent(MarioAgent):
         return ACTIONS[action]
 
     def _choose(self, observation: Observation) -> int:
-        """Draw an action: to the right, or nowhere while hesitating, jumping the more the more is near."""
+        """Draw an action: to the right, or nowhere while hesitating; obstacles make a jump likelier."""
         neighbourhood = _Neighbourhood(observation)
         pit = neighbourhood.has_pit()
         stay_down, near = neighbourhood.monsters(0.0 if pit else neighbourhood.obstacles(0.95))
@@ -147,7 +147,7 @@ class _Neighbourhood:
     def _tile(self, x: float, height: int) -> int:
         """Return a tile as the original asked for it, one row too low.
 
-        It takes the column right of the view for part of it, and finds there the end of the line.
+        It treats the column right of the view as part of it, and finds the newline there.
         """
         column, row = int(x), ROWS - height
         if column < 0:

@@ -2,7 +2,7 @@
 
 The window is five columns wide and three rows high, with Mario in the middle. A sprite whose place
 rounds to a tile of the window is that tile's occupant.
-Source: Mohan (2010), sections 5.1 to 5.3; what the paper leaves open is told in docs/agents.md.
+Source: Mohan (2010), sections 5.1 to 5.3; what the paper leaves open is listed in docs/agents.md.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _WHOLE: Final = 11
 _PART: Final = 12
 _OBJECTS: Final = 13
 _SPRITE: Final = 256
-"""Added to a sprite's kind to tell it from a tile."""
+"""Added to a sprite's kind to distinguish it from a tile."""
 _NOTHING: Final = -(2**31)
 """Stands for the end of a list, or for a distance to something that is not there."""
 
@@ -47,7 +47,7 @@ def window_whole(screen: Screen) -> np.uint64:
 def window_parts(screen: Screen, keys: Keys) -> int:
     """Fill in one key per tile of the window; return how many.
 
-    It tells the tile's place, its occupant, and the occupant's speed less Mario's, in whole tiles
+    It encodes the tile's place, its occupant, and the occupant's speed minus Mario's, in whole tiles
     per step.
     """
     for i in range(WINDOW):

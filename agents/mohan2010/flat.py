@@ -39,7 +39,7 @@ from glue.saves import Setting
 __all__ = ["ObjectsFlatAgent", "TilesAgent", "TilesCoarseAgent"]
 
 TerminalUpdate = Annotated[
-    bool, Option("whether the last reward of an episode is learned (author's agents: lost, as in Soar)")
+    bool, Option("whether to learn the last reward of an episode (author's agents: lost, as in Soar)")
 ]
 
 _WHOLE_WINDOW: Final = 0
@@ -62,7 +62,7 @@ class Memory:
 
 @entry
 def step(learners: Array, table: Array, memories: Array, body: bytes, reward: float, begins: bool) -> int:
-    """Learn from the reward, and return the action to send; FULL or MALFORMED when that cannot be."""
+    """Learn from the reward, and return the action to send; or FULL or MALFORMED."""
     learner = learners[0]
     memory = memories[0]
     if not sarsa.has_room(learner, table, features.WINDOW):
@@ -83,7 +83,7 @@ def step(learners: Array, table: Array, memories: Array, body: bytes, reward: fl
 
 @entry
 def end(learners: Array, table: Array, memories: Array, reward: float) -> None:
-    """Learn from the last reward of an episode, or lose it."""
+    """Learn from the last reward of an episode, or ignore it."""
     memory = memories[0]
     if memory.terminal_update:
         sarsa.update(learners[0], table, memory.last, reward)

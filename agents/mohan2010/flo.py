@@ -1,7 +1,7 @@
 """Functional-level operators (FLO): a task tied to one object, made of several keystrokes.
 
-An FLO is proposed for every object whose relation to Mario holds, and ends when it holds no longer;
-move-to-goal is proposed always. Of the proposals those are kept to which no other is preferred.
+An FLO is proposed for every object whose relation to Mario holds, and ends when it no longer holds;
+move-to-goal is always proposed. Proposals to which no other is preferred are kept.
 Source: Mohan (2010), section 6; endings and goals from the author's Soar agents.
 """
 
@@ -46,7 +46,7 @@ _BEHIND: Final = 3
 
 @jit
 def is_learned(flo: int) -> bool:
-    """Return whether the keystrokes of an FLO, and when to choose it, are learned."""
+    """Return whether the keystrokes of an FLO, and the choice of it, are learned."""
     return flo in (TACKLE_MONSTER, SEARCH_QUESTION, GRAB_COIN)
 
 
@@ -54,7 +54,7 @@ def is_learned(flo: int) -> bool:
 def keep_preferred(scene: Scene, ranks: Numbers, kept: Numbers) -> int:
     """Fill in `kept` with the objects whose FLO is proposed and ranks best; return how many.
 
-    With none, move-to-goal is all that is left.
+    With none, only move-to-goal is left.
     """
     best = len(ranks)
     count = 0
@@ -81,7 +81,7 @@ def find(scene: Scene, kept: Numbers, count: int, flo: int, identity: int) -> in
 
 @jit
 def describe(level: int, thing: Object) -> np.uint64:
-    """Return the key of what a level's operators know of an object: its kind, type, distance, motion."""
+    """Return the key of an object as a level's operators see it: its kind, type, distance and motion."""
     key = extend(feature(level), thing.kind)
     return extend(extend(extend(extend(key, thing.type), thing.dx), thing.dy), thing.motion)
 
@@ -99,7 +99,7 @@ def context(scene: Scene) -> int:
 
 @jit
 def goal_reached(scene: Scene, flo: int, identity: int, grid: int) -> bool:
-    """Return whether an FLO that has ended did what it is for, at `grid` cells a tile.
+    """Return whether an FLO that has ended reached its goal, with `grid` cells per tile.
 
     A monster must be gone, or more than three tiles behind; a coin or question must have left its
     place, which must be in view.

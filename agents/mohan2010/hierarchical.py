@@ -3,9 +3,9 @@
 At the top a functional-level operator (FLO) is chosen, a task tied to one object; inside it, step by
 step, keystroke-level operators (KLO). Both levels learn by SARSA. A visit to an FLO is a small
 episode of its own: its last KLO is updated with the reward alone. The FLO level learns from the sum
-of the rewards between two choices of a learned FLO, undiscounted, but for the unlearned FLOs
-(move-to-goal, avoid-pit) chosen in between: each discounts all that follows it.
-Source: Mohan (2010), sections 6 and 7; what the paper leaves open is told in docs/agents.md.
+of the rewards between two choices of a learned FLO, undiscounted, except for the unlearned FLOs
+(move-to-goal, avoid-pit) chosen in between: each discounts everything after it.
+Source: Mohan (2010), sections 6 and 7; what the paper leaves open is listed in docs/agents.md.
 """
 
 from __future__ import annotations
@@ -46,11 +46,11 @@ __all__ = [
     "ObjectsCoarseAgent",
 ]
 
-TileAbove = Annotated[bool, Option("whether KLO values tell the tile above (author's agents: yes)")]
+TileAbove = Annotated[bool, Option("whether KLO values depend on the tile above (author's agents: yes)")]
 
 
 class Design:
-    """What the experiments change; see the classes at the end of this module."""
+    """What differs between the experiments; see the classes at the end of this module."""
 
     senses: Annotated[objects.Senses, objects.Senses]
     ranks: Annotated[flo.Numbers, np.int64, 4]
@@ -68,7 +68,7 @@ class Memory:
 
     current, current_id  the running FLO and the id of its object; NONE at the start of an episode
     last_klo             the last KLO, without features in an FLO that does not learn
-    last_flo             the last learned FLO, which waits for its update
+    last_flo             the last learned FLO, to be updated next
     flo_return           the rewards since it was chosen, each times the weight of its time
     weight               the discount to the power of the unlearned FLOs chosen since
     """
@@ -92,7 +92,7 @@ class Memory:
 
 @entry
 def step(learners: Array, table: Array, memories: Array, body: bytes, reward: float, begins: bool) -> int:
-    """Learn from the reward, and return the KLO to send; FULL or MALFORMED when that cannot be."""
+    """Learn from the reward, and return the KLO to send; or FULL or MALFORMED."""
     learner = learners[0]
     memory = memories[0]
     scene = memory.scene
@@ -220,13 +220,13 @@ def _add_state(memory: Memory, thing: objects.Object) -> None:
 
 @jit
 def _klo_reward(memory: Memory, reward: float) -> float:
-    """Return what a KLO is paid whose FLO goes on."""
+    """Return the reward of a KLO whose FLO continues."""
     return memory.design.internal_step if memory.design.internal else reward
 
 
 @jit
 def _last_klo_reward(memory: Memory, reward: float) -> float:
-    """Return what the last KLO of an FLO is paid, before the next FLO is chosen."""
+    """Return the reward of the last KLO of an FLO, before the next FLO is chosen."""
     design = memory.design
     if not design.internal:
         return reward
@@ -239,7 +239,7 @@ def _last_klo_reward(memory: Memory, reward: float) -> float:
 
 @jit
 def _terminal_klo_reward(memory: Memory, reward: float) -> float:
-    """Return what the last KLO of an episode is paid: an end that is paid for is the finish line."""
+    """Return the reward of the last KLO of an episode; one that is not negative means the finish."""
     if not memory.design.internal:
         return reward
     return memory.design.internal_death if reward < 0.0 else 0.0
@@ -310,14 +310,14 @@ class HierarchicalProgrammedAgent(HierarchicalAgent):
 
 
 class HierarchicalFactsAgent(HierarchicalAgent):
-    """Experiment 6: as 5, and it knows that what lies above a reachable platform can be reached."""
+    """Experiment 6: as 5, and whatever lies above a reachable platform is reachable."""
 
     name = "hierarchical-facts"
     _via_platforms = True
 
 
 class HierarchicalInternalAgent(HierarchicalFactsAgent):
-    """Experiment 7: as 6, but KLOs are paid for their FLO's goal, not by the environment."""
+    """Experiment 7: as 6, but KLOs are rewarded for their FLO's goal, not by the environment."""
 
     name = "hierarchical-internal"
 

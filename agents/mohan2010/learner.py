@@ -30,7 +30,7 @@ __all__ = [
 ]  # fmt: skip
 
 FULL: Final = -1
-"""What a step returns, having done nothing, when the table must grow first."""
+"""What a step returns, having done nothing, if the table must grow first."""
 MALFORMED: Final = -2
 """What a step returns for an observation whose layout is not Mario's."""
 
@@ -84,7 +84,7 @@ class MarioLearner(MarioAgent):
         return {}
 
     def agent_start(self, observation: Observation) -> Action:
-        """Begin an episode; one that was cut off teaches nothing more."""
+        """Begin an episode; nothing more is learned from a truncated one (cut off)."""
         return self._act(0.0, observation, True)
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
@@ -96,13 +96,13 @@ class MarioLearner(MarioAgent):
         type(self)._end(self._learner, self._table, self._memory, float(reward))
 
     def agent_message(self, message: str) -> str:
-        """Answer `values`, the number of values learned, and `epsilon`, the present chance to explore."""
+        """Answer `values`, the number of values learned, and `epsilon`, the current chance to explore."""
         if message == "values":
             return str(self._learner["entries"][0])
         if message == "epsilon":
             learner = self._learner[0]
             return repr(float(learner["epsilon"] * learner["reduction"] ** float(learner["cycles"])))
-        return f"agent {self.name} answers the messages values and epsilon only"
+        return f"agent {self.name} answers only the messages values and epsilon"
 
     def agent_save(self) -> bytes:
         """Return the values, the generator's state and the counters."""

@@ -34,11 +34,11 @@ _NO_ACTIONS: Final = np.zeros((0, 3), np.int64)
 
 
 class Batch:
-    """N games. To be closed at the end, or used in a `with` statement, because of its threads.
+    """N games. Close it at the end, or use it in a `with` statement, because it has threads.
 
     Args:
         tasks: one task per game; N is how many there are.
-        threads: how many cores to use; by default as many as are worth it.
+        threads: how many cores to use; by default as many as are useful.
     """
 
     def __init__(self, tasks: Sequence[Parameters], *, threads: int | None = None) -> None:
@@ -119,7 +119,7 @@ class Batch:
             return checked
         if self._worlds[i]["playing"]:
             raise SimulatorError(
-                f"direction is -1 to 1, jump and run 0 or 1; {actions[i].tolist()} came for game {i}"
+                f"direction is -1 to 1, jump and run 0 or 1; received {actions[i].tolist()} for game {i}"
             )
         raise SimulatorError(f"game {i} has no episode being played: start it first")
 

@@ -7,9 +7,9 @@ Messages that `env_message` answers:
 
     parameters                       every parameter in force, as JSON
     level                            level_seed=121 level_type=0 level_difficulty=0
-    level level_seed=7 level_type=1  change what is named, from the next episode on; answers as `level`
+    level level_seed=7 level_type=1  change these from the next episode on; answers like `level`
 
-docs/mario.md is for those who write an agent.
+docs/mario.md is for authors of agents.
 Source: RL-Competition 2009; Mohan (2010), appendix A.
 """
 
@@ -155,7 +155,7 @@ class InfiniteMario:
     def buttons(self) -> tuple[bool, ...]:
         """Left, right, jump, run: those held when the next episode's first tick begins.
 
-        They are as the last episode left them, and all up in a fresh game.
+        They are as the last episode left them; in a fresh game none is held.
 
         Raises:
             SimulatorError: env_init was not called yet.
@@ -197,12 +197,12 @@ class InfiniteMario:
         return self.game.step(*buttons)
 
     def env_cleanup(self) -> None:
-        """Let go of the game, and of any level that a message asked for."""
+        """Release the game, and any level that a message asked for."""
         self._game = None
         self._parameters = self._task
 
     def env_message(self, message: str) -> str:
-        """Answer one of the messages at the top of this module, or say that it is none of them."""
+        """Answer one of the messages at the top of this module, or say which there are."""
         question, *assignments = message.split() or [""]
         if question == "parameters" and not assignments:
             return json.dumps(asdict(self._parameters))
@@ -268,7 +268,7 @@ def _what_is_wrong_with(action: Action) -> str:
     if (ints, doubles, chars) != (3, 0, 0):
         return (
             "an action of Mario's is 3 ints (direction, jump, run), no doubles and no chars; "
-            f"{ints} ints, {doubles} doubles and {chars} chars came"
+            f"received {ints} ints, {doubles} doubles and {chars} chars"
         )
     return "; ".join(
         f"{name} must be from {low} to {high}, not {value}"

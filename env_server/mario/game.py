@@ -46,7 +46,7 @@ class Game:
 
     @property
     def level(self) -> Level:
-        """The level as it is now; blocks and coins that are used up show in its tiles."""
+        """The level as it is now; used blocks and collected coins show in its tiles."""
         world = self.world
         tiles, spawns = world.tiles[: world.columns], world.spawns[: world.columns]
         return Level(
@@ -69,7 +69,7 @@ class Game:
     def step(self, direction: int, jump: int, run: int) -> tuple[float, Observation, bool]:
         """Carry out an action for five ticks; return the reward, the observation and whether it ended.
 
-        With the last reward of an episode comes the observation before it, once more.
+        The observation of an episode's last step is a copy of the previous one.
 
         Args:
             direction: -1 left, 1 right, 0 neither.
@@ -122,7 +122,7 @@ def start_first(worlds: Worlds, body: Body) -> int:
     """Begin an episode in the first of `worlds`; return the length of the observation now in `body`."""
     world: World = worlds[0]
     begin(world)
-    ordinary_reward(world)  # of the first check-in: noted as paid, though nobody receives it
+    ordinary_reward(world)  # of the first check-in: noted as paid, although the agent does not receive it
     return encode(world, body)
 
 

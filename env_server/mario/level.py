@@ -10,7 +10,7 @@ __all__ = ["Level", "Spawn", "level_difference"]
 
 
 class Spawn(NamedTuple):
-    """Where an enemy comes in. `kind` is 0 red koopa, 1 green koopa, 2 goomba, 3 spiky, 4 piranha plant."""
+    """Where an enemy appears. `kind` is 0 red koopa, 1 green koopa, 2 goomba, 3 spiky, 4 piranha plant."""
 
     column: int
     row: int
@@ -19,7 +19,7 @@ class Spawn(NamedTuple):
 
 
 class Level(NamedTuple):
-    """A level, as an episode begins in it.
+    """A level, as it is when an episode begins.
 
     Attributes:
         columns: how wide it is, in tiles.
@@ -35,7 +35,7 @@ class Level(NamedTuple):
 
 
 def level_difference(expected: Level, got: Level) -> str:
-    """Return in words how two levels first differ; "" if they do not."""
+    """Return the first difference between two levels, in words; "" if there is none."""
     for what, old, new in _pairs(expected, got):
         if old != new:
             return f"the level's {what}: expected {old!r}, got {new!r}"

@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 Instance = Annotated[
-    int, Option("published set of all parameters but the level's", low=0, high=INSTANCES - 1)
+    int, Option("published set of all parameters except the level's", low=0, high=INSTANCES - 1)
 ]
 Mdp = Annotated[str | None, Option("published task, level included, instead of an instance", choices=MDPS)]
 LevelSeed = Annotated[int | None, Option("seed of the level, 121 by default", low=-(2**31), high=2**31 - 1)]
@@ -91,8 +91,8 @@ Render = Annotated[
 ]
 Alpha = Annotated[float, Option("how far into the next tick it draws", low=0, high=1, unit="ticks")]
 StartTicks = Annotated[
-    int, Option("5 or 10, before the first observation of all", low=5, high=10, unit="ticks")
+    int, Option("5 or 10, before the very first observation", low=5, high=10, unit="ticks")
 ]
 Velocity = Annotated[
-    str, Option("in tiles per step, or as the first binary release told it", choices=("source", "jar"))
+    str, Option("in tiles per step, or as the first binary release reported it", choices=("source", "jar"))
 ]

@@ -26,5 +26,5 @@ def ordinary_reward(world: World) -> float:
 
 @jit
 def terminal_reward(world: World) -> float:
-    """Return the reward of an episode's last step. To win counts more than to die."""
+    """Return the reward of an episode's last step. Winning takes precedence over dying."""
     return world.reward_goal if world.win_timer > 0 else world.reward_death

@@ -46,7 +46,7 @@ def draw(observation: Observation) -> Picture:
     """Return a picture of an observation, shape (240, 320).
 
     Raises:
-        SimulatorError: it is no observation of Infinite Mario.
+        SimulatorError: it is not an observation of Infinite Mario.
     """
     return _draw(outlined(read_scene(observation)))
 
@@ -56,7 +56,7 @@ def save_png(path: str | os.PathLike[str], observation: Observation, scale: int 
 
     Raises:
         ConfigError: the file cannot be written, or Pillow is missing.
-        SimulatorError: it is no observation of Infinite Mario.
+        SimulatorError: it is not an observation of Infinite Mario.
     """
     _save(path, _image(draw(observation).repeat(scale, 0).repeat(scale, 1)), "PNG")
 
@@ -68,7 +68,7 @@ def save_gif(
 
     Raises:
         ConfigError: there are no observations, the file cannot be written, or Pillow is missing.
-        SimulatorError: one is no observation of Infinite Mario.
+        SimulatorError: one is not an observation of Infinite Mario.
     """
     if not observations:
         raise ConfigError("an animation needs at least one observation")

@@ -1,7 +1,7 @@
-"""Play recordings again: on the environment they were made with, or as they stand.
+"""Replay recordings: in the environment they were made with, or as recorded.
 
-An environment is deterministic, so a recording of its episodes, replayed from the first one of a run
-with the recorded actions, has to give the recorded observations, rewards and ends, bit for bit.
+An environment is deterministic, so the recorded actions of a run, replayed from its first episode, must
+give the recorded observations, rewards and ends, bit for bit.
 """
 
 from __future__ import annotations
@@ -86,8 +86,8 @@ def open_recording(path: str | os.PathLike[str]) -> TrajectoryReader | GoldenRea
 def build_environment(run: RecordedRun) -> Environment:
     """Return the environment a run was recorded with.
 
-    A recording may come from anybody, so it can only name installed environments, never a module or
-    file of its own to import.
+    A recording is untrusted, so it can only name installed environments, never a module or file to
+    import.
 
     Raises:
         ConfigError: it names none, or none that is installed, or the options do not fit.

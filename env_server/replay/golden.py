@@ -233,13 +233,9 @@ class GoldenReader:
             elif kind == "run":
                 run = _run(line)
             elif kind == "start" and run is not None:
-                episode = GoldenEpisode(
-                    run, _keys(line), _seen(line, 0.0, False), self._steps(lines, line, run)
-                )
-                yield episode
-                deque(
-                    episode.steps, maxlen=0
-                )  # those that nobody asked for are in the way of the next episode
+                steps = self._steps(lines, line, run)
+                yield GoldenEpisode(run, _keys(line), _seen(line, 0.0, False), steps)
+                deque(steps, maxlen=0)  # pass over those that were not read
             else:
                 raise line.wrong(f"a line {kind!r} cannot stand here")
 

@@ -1,4 +1,4 @@
-"""What happens to a block that is hit, and to whoever stands on it."""
+"""What happens to a block that is hit, and to actors that stand on it."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ ACTORS: Final = 256
 """How many actors there can be, Mario included. The original has no such bound; see `add_actor`."""
 TICKS_PER_ACTION: Final = 5
 
-# What an actor is: as the observation reports it, but for Mario, whose number there tells his size.
+# What an actor is: as the observation reports it, except Mario, whose number there depends on his size.
 FREE: Final = 0
 RED_KOOPA: Final = 1
 GREEN_KOOPA: Final = 2

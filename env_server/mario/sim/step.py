@@ -36,7 +36,7 @@ def begin(world: World) -> None:
     reset(world)
     _run_to_check_in(world)
     if not world.started and world.start_ticks > TICKS_PER_ACTION:
-        draw(world)  # of the check-in that nobody waited for
+        draw(world)  # for the check-in that is not reported
         _run_to_check_in(world)
     world.started = True
 
@@ -190,7 +190,7 @@ def _mark_leaving(world: World) -> None:
 
 @jit
 def _spawn(world: World) -> None:
-    """Let the spawn points that came into sight make their enemies."""
+    """Create the enemies of the spawn points that came into view."""
     first = int(world.camera) // 16 - 1
     last = int(world.camera + np.float32(_VIEW)) // 16 + 1
     for column in range(max(first, 0), min(last, world.columns - 1) + 1):
@@ -223,7 +223,7 @@ def _towards(world: World, column: int) -> int:
 
 @jit
 def _tidy_list(world: World) -> None:
-    """Put the new actors in front of the list, as a block in the order they came; then remove the leaving."""
+    """Put the new actors in front of the list, as a block, oldest first; then remove those that leave."""
     added = world.added
     if added:
         for i in range(world.listed - 1, -1, -1):
@@ -239,7 +239,7 @@ def _tidy_list(world: World) -> None:
         if actor.leaving:
             actor.kind = FREE
             if world.carrying == slot:
-                world.carrying = 0  # what he holds is gone, and nobody can tell
+                world.carrying = 0  # what he holds is gone, which no observation shows
         else:
             world.order[kept] = slot
             kept += 1

@@ -323,7 +323,7 @@ def test_messages_are_answered(task_spec: str) -> None:
     agent = BestAgent()
     agent.agent_init(task_spec)
     assert [agent.agent_message(each) for each in ("best", "cells", "epsilon")] == ["none", "0", "1.0"]
-    assert "answers the messages best, cells and epsilon only" in agent.agent_message("hello")
+    assert "answers only the messages best, cells and epsilon" in agent.agent_message("hello")
 
 
 def test_every_option_is_explained() -> None:

@@ -197,10 +197,10 @@ def test_parameter_out_of_bounds_is_refused_with_the_bound(options: Options, bou
         (Action(ints=[2, 0, 0]), "direction must be from -1 to 1, not 2"),
         (Action(ints=[-2, 0, 2]), "direction must be from -1 to 1, not -2; run must be from 0 to 1, not 2"),
         (Action(ints=[0, -1, 0]), "jump must be from 0 to 1, not -1"),
-        (Action(ints=[0, 0]), "2 ints, 0 doubles and 0 chars came"),
-        (Action(ints=[0, 0, 0], doubles=[1.0]), "3 ints, 1 doubles and 0 chars came"),
-        (Action(ints=[0, 0, 0], chars=b"x"), "3 ints, 0 doubles and 1 chars came"),
-        (Action(), "0 ints, 0 doubles and 0 chars came"),
+        (Action(ints=[0, 0]), "2 ints, 0 doubles and 0 chars"),
+        (Action(ints=[0, 0, 0], doubles=[1.0]), "3 ints, 1 doubles and 0 chars"),
+        (Action(ints=[0, 0, 0], chars=b"x"), "3 ints, 0 doubles and 1 chars"),
+        (Action(), "0 ints, 0 doubles and 0 chars"),
     ],
 )
 def test_action_out_of_bounds_is_refused_and_changes_nothing(action: Action, complaint: str) -> None:

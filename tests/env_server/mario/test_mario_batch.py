@@ -57,7 +57,7 @@ def test_action_out_of_bounds_is_refused_and_no_game_moves(batch: Batch) -> None
     before = [batch.observation(i) for i in range(3)]
     actions = np.zeros((3, 3), np.int32)
     actions[1, 0] = 2
-    with pytest.raises(SimulatorError, match=r"\[2, 0, 0\] came for game 1"):
+    with pytest.raises(SimulatorError, match=r"\[2, 0, 0\] for game 1"):
         batch.step(actions)
     with pytest.raises(SimulatorError, match=r"shape \(3, 3\), not \(2, 3\)"):
         batch.step(actions[:2])
