@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from glue.core.local import local
     from glue.errors import (
         ConfigError,
+        ExperimentError,
         GlueError,
         HubClosed,
         HubUnreachable,
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     )
     from glue.options import Option
     from glue.roles import Agent, Environment
+    from glue.runs import RunData, load_run
     from glue.types import Action, Observation
 
 __version__ = "0.1.0"
@@ -40,6 +42,7 @@ __all__ = [
     "ConfigError",
     "Environment",
     "Experiment",
+    "ExperimentError",
     "GlueError",
     "HubClosed",
     "HubUnreachable",
@@ -50,10 +53,12 @@ __all__ = [
     "PeerLost",
     "Refused",
     "RemoteProtocolError",
+    "RunData",
     "TaskSpecError",
     "Unsupported",
     "__version__",
     "connect",
+    "load_run",
     "local",
     "serve_agent",
     "serve_environment",
@@ -66,6 +71,7 @@ _HOMES: Final = {
     "glue.core.local": ("local",),
     "glue.errors": (
         "ConfigError",
+        "ExperimentError",
         "GlueError",
         "HubClosed",
         "HubUnreachable",
@@ -79,6 +85,7 @@ _HOMES: Final = {
     ),
     "glue.options": ("Option",),
     "glue.roles": ("Agent", "Environment"),
+    "glue.runs": ("RunData", "load_run"),
     "glue.types": ("Action", "Observation"),
 }
 

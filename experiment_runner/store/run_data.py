@@ -1,4 +1,4 @@
-"""A run for a script or a notebook: its episodes as columns, NumPy arrays."""
+"""The episodes of a run as NumPy arrays, for a script or a notebook: what `glue.load_run` returns."""
 
 from __future__ import annotations
 
@@ -16,29 +16,19 @@ from experiment_runner.store.records import TrialRecord
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 from glue.options import Value
+from glue.runs import RunData
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["RunData", "load_run"]
+__all__ = ["StoredRun", "load_run"]
 
 
-class RunData(Mapping[str, npt.NDArray[Any]]):
-    """The episodes of a run, a column by its name: `run["return"]`. Arrays of one length, (episodes,).
-
-    trial, agent, environment   text: the trial's id, the labels of its players
-    episode                     whole number, counts from 1 in each trial
-    return                      float, undiscounted sum of the rewards; NaN when it is not a number
-    steps                       whole number
-    terminal                    bool, False when the step limit truncated the episode
-    wall_time                   float, seconds
-    seed                        whole number, of the trial
-    agent.NAME,                 an option that the plan sets. Where a trial does not set it, text is
-    environment.NAME            empty, and any other value NaN (such a column is of floats)
+class StoredRun(RunData):
+    """The columns of a run directory.
 
     Attributes:
-        directory: of the run.
-        trials: how far every trial is, in the order of the plan.
+        trials: the record of every trial, in the order of the plan.
     """
 
     def __init__(
@@ -62,11 +52,6 @@ class RunData(Mapping[str, npt.NDArray[Any]]):
         return f"<run {self.directory}: {len(self.trials)} trials, {episodes} episodes; {', '.join(self)}>"
 
     def to_pandas(self) -> pd.DataFrame:
-        """Return a data frame with these columns, a row for each episode.
-
-        Raises:
-            ExperimentError: pandas is not installed.
-        """
         try:
             import pandas as pd
         except ImportError:
@@ -74,23 +59,15 @@ class RunData(Mapping[str, npt.NDArray[Any]]):
         return pd.DataFrame(dict(self._columns))
 
 
-def load_run(directory: str | os.PathLike[str]) -> RunData:
-    """Return the episodes of a run directory, as far as they are recorded.
-
-    Args:
-        directory: made by glue-experiment (its --out), glue-results merge or glue-paper; it may be
-            written to meanwhile.
-
-    Raises:
-        ExperimentError: there is no run, or it cannot be read.
-    """
+def load_run(directory: str | os.PathLike[str]) -> StoredRun:
+    """Return the episodes of a run directory; see `glue.load_run`."""
     with Results.open(Path(directory)) as results:
         types = column_types(results)
         rows = [row for rows in rows_by_trial(results, list(types)) for row in rows]
         trials = tuple(results.trials())
     cells = zip(*rows, strict=True) if rows else ((),) * len(types)
     columns = {name: _array(column, kind) for (name, kind), column in zip(types.items(), cells, strict=True)}
-    return RunData(Path(directory), trials, columns)
+    return StoredRun(Path(directory), trials, columns)
 
 
 def _array(cells: tuple[Value | None, ...], kind: type[Value]) -> npt.NDArray[Any]:

@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import glue
 from experiment_runner.executors.resume import create_run
 from experiment_runner.plan import Plan, RoleSweep
 from experiment_runner.store.records import EpisodeResult
-from experiment_runner.store.run_data import RunData, load_run
+from experiment_runner.store.run_data import StoredRun, load_run
 from glue.errors import ExperimentError
 
 PLAN = Plan(
@@ -22,7 +23,7 @@ RANDOM, WHOLE, HALF = PLAN.expand()
 
 
 @pytest.fixture
-def run(tmp_path: Path) -> RunData:
+def run(tmp_path: Path) -> StoredRun:
     with create_run(tmp_path / "run", PLAN) as store:
         store.record(RANDOM.id, EpisodeResult(1, math.nan, 7, True, 0.25))
         store.record(RANDOM.id, EpisodeResult(2, -1.5, 8, False, 0.5))
@@ -30,7 +31,7 @@ def run(tmp_path: Path) -> RunData:
     return load_run(str(tmp_path / "run"))
 
 
-def test_columns_are_arrays_of_the_episodes(run: RunData) -> None:
+def test_columns_are_arrays_of_the_episodes(run: StoredRun) -> None:
     assert run["trial"].tolist() == [RANDOM.id, RANDOM.id, HALF.id]
     assert run["episode"].tolist() == [1, 2, 1]
     np.testing.assert_array_equal(run["return"], [math.nan, -1.5, math.inf])
@@ -47,19 +48,19 @@ def test_columns_are_arrays_of_the_episodes(run: RunData) -> None:
     assert (kinds["trial"], kinds["episode"], kinds["return"], kinds["terminal"]) == ("U", "i", "f", "b")
 
 
-def test_trials_say_how_far_they_are(run: RunData) -> None:
+def test_trials_say_how_far_they_are(run: StoredRun) -> None:
     assert [(trial.spec, trial.done) for trial in run.trials] == [(RANDOM, 2), (WHOLE, 0), (HALF, 1)]
     assert "3 trials, 3 episodes" in repr(run)
 
 
-def test_data_frame_has_a_row_for_each_episode(run: RunData) -> None:
+def test_data_frame_has_a_row_for_each_episode(run: StoredRun) -> None:
     pytest.importorskip("pandas")
     frame = run.to_pandas()
     assert list(frame.columns) == list(run)
     assert frame.groupby("agent")["steps"].mean().to_dict() == {"random": 7.5, "sarsa": 9.0}
 
 
-def test_without_pandas_it_says_what_to_install(run: RunData, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_pandas_it_says_what_to_install(run: StoredRun, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(ExperimentError, match=r"pip install 'glue-rl\[pandas\]'"):
         run.to_pandas()
@@ -69,6 +70,14 @@ def test_run_without_episodes_has_empty_columns(tmp_path: Path) -> None:
     create_run(tmp_path / "run", PLAN).close()
     run = load_run(tmp_path / "run")
     assert {array.shape for array in run.values()} == {(0,)}
+
+
+def test_glue_loads_a_run_through_the_entry_point(run: StoredRun) -> None:
+    loaded = glue.load_run(run.directory)
+    assert isinstance(loaded, glue.RunData)
+    assert loaded.directory == run.directory
+    assert list(loaded) == list(run)
+    np.testing.assert_array_equal(loaded["return"], run["return"])
 
 
 def test_directory_without_a_run_is_refused(tmp_path: Path) -> None:

@@ -1,0 +1,70 @@
+"""Load the results of experiments, through the entry point that the package which stores them registers.
+
+The group is `glue.runs`, its one entry `load_run`: so users write `glue.load_run`, and glue imports no
+experiment.
+"""
+
+from __future__ import annotations
+
+import os
+from abc import abstractmethod
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, cast
+
+import numpy.typing as npt
+
+from glue.errors import ConfigError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["RunData", "load_run"]
+
+_GROUP: Final = "glue.runs"
+_NAME: Final = "load_run"
+
+
+class RunData(Mapping[str, npt.NDArray[Any]]):
+    """The episodes of a run as columns, `run["return"]`: arrays of one length, (episodes,).
+
+    trial, agent, environment   text: the trial's id, the labels of its players
+    episode                     int, counts from 1 in each trial
+    return                      float, undiscounted sum of the rewards; may be NaN
+    steps                       int
+    terminal                    bool, False when the step limit truncated the episode
+    wall_time                   float, seconds
+    seed                        int, the seed of the trial
+    agent.NAME,                 an option that the plan sets. Where a trial does not set it, text is
+    environment.NAME            empty, and any other value NaN (such a column is of floats)
+
+    Attributes:
+        directory: of the run.
+    """
+
+    directory: Path
+
+    @abstractmethod
+    def to_pandas(self) -> pd.DataFrame:
+        """Return a data frame with these columns, a row for each episode.
+
+        Raises:
+            ExperimentError: pandas is not installed.
+        """
+
+
+def load_run(directory: str | os.PathLike[str]) -> RunData:
+    """Return the episodes of a run directory, as far as they are recorded.
+
+    Args:
+        directory: written by glue-experiment (its --out), glue-results merge or glue-paper. The run may
+            still be under way.
+
+    Raises:
+        ExperimentError: the directory holds no run, or the run cannot be read.
+        ConfigError: the package that reads runs is not installed.
+    """
+    for entry_point in entry_points(group=_GROUP, name=_NAME):
+        return cast(RunData, entry_point.load()(directory))
+    raise ConfigError("load_run needs the package experiment_runner: pip install glue-rl")
