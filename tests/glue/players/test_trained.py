@@ -72,7 +72,7 @@ def test_file_of_more_than_a_gibibyte_is_not_read(tmp_path: Path) -> None:
 
 def test_what_another_task_taught_is_refused_at_init() -> None:
     agent = Trained(SarsaAgent(), sarsa(3).agent_save())
-    with local(agent, SkeletonEnvironment()) as glue, pytest.raises(GlueError, match="saved values"):
+    with local(agent, SkeletonEnvironment()) as glue, pytest.raises(GlueError, match="108 states"):
         glue.rl_init()
 
 
@@ -96,7 +96,7 @@ def test_file_of_another_agent_is_one_line_at_both_ends(tmp_path: Path) -> None:
     status, _, agent = experiment(tmp_path, "sarsa", "--load", "other.agent")
     assert (status, agent.end()) == (1, 1)
     (error,) = [line for line in agent.lines if line.startswith("Error:")]
-    assert "the saved values have 104 bytes" in error
+    assert "104 bytes are not a save of agent sarsa" in error
 
 
 @pytest.mark.parametrize(
