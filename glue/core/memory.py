@@ -21,7 +21,7 @@ class Holder(Protocol):
 
 
 class Memory:
-    """Bytes kept by holders; once they are more than `limit` in all, the largest holder is evicted.
+    """Bytes kept by holders; when they are more than `limit` in all, `relieve` evicts the largest holder.
 
     Args:
         limit: bytes.
@@ -33,10 +33,13 @@ class Memory:
         self._held: dict[Holder, int] = {}
 
     def hold(self, holder: Holder, size: int) -> None:
-        """Note that `size` bytes are kept for `holder` now. It may be evicted at once, or another."""
+        """Note that `size` bytes are kept for `holder` now."""
         self._total += size - self._held.pop(holder, 0)
         if size:
             self._held[holder] = size
+
+    def relieve(self) -> None:
+        """Evict the largest holders until there is room. They may be in use until then, but not after."""
         while self._total > self._limit:
             largest = max(self._held, key=lambda known: (not known.seated, self._held[known]))
             held = self._held.pop(largest)

@@ -193,8 +193,9 @@ class _Dealer:
             return
         if data == b"" and done:
             self._router.drop(self, None)
-            return
-        self._weigh()
+        else:
+            self._weigh()
+        self._router.memory.relieve()
 
     def _work(self, now: float) -> bool:
         """Act on messages received, one for each seat; return whether more must arrive first."""

@@ -327,6 +327,7 @@ def test_when_there_is_no_room_for_more_the_session_that_keeps_most_is_ended_and
         size = 95_000 if n == 2 else 90_000
         start = Observation(chars=bytes(size - 16)).body
         rig.put(f"x{n}", Kind.RL_AGENT_START, 1, body=start, session=f"{n}")
+        rig.board.memory.relieve()
     for n in range(6):
         ended = [m for route in (f"x{n}", f"a{n}") for m in rig.heard(route) if m.kind is Kind.GOODBYE]
         # One is ended when there is a fifth, another, the first of equals, when there is a sixth.
@@ -342,6 +343,7 @@ def test_what_a_session_kept_is_free_again_when_it_is_done_with() -> None:
         rig.hello(f"x{n}", Role.EXPERIMENT, session=f"{n}")
         rig.heard(f"a{n}"), rig.heard(f"x{n}")
         rig.put(f"x{n}", Kind.RL_AGENT_START, 1, body=start, session=f"{n}")
+        rig.board.memory.relieve()
         assert [message.kind for message in rig.heard(f"a{n}")] == [Kind.AGENT_START]
         rig.put(f"x{n}", Kind.GOODBYE, 0, "done", session=f"{n}")
         assert rig.hello(f"y{n}", Role.EXPERIMENT, session=f"{n}")[0].kind is Kind.WELCOME

@@ -1,0 +1,354 @@
+"""One session: an engine, up to three peers, and each step exactly once however often the network drops.
+
+- Every call carries a sequence number, and its answer names it. An answer to anything but the outstanding
+  call changes nothing.
+- When a known peer comes back over a new connection, the outstanding call is sent again; the peer, if it has
+  answered already, repeats its answer. In the same way an experiment is sent the last reply again.
+- When a player is lost, the episode under way is void, and the experiment is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, Protocol
+
+from glue.core.calls import skippable, unsupported
+from glue.core.engine import Engine, Instruction
+from glue.core.memory import Memory
+from glue.errors import PeerLost, RemoteProtocolError
+from glue.protocol.messages import CALLS, ErrorCode, Event, Kind, Message, Role
+from glue.protocol.wire import clip
+from glue.types import Action
+
+__all__ = ["Board", "Peer", "Route", "Session"]
+
+_SLOW_SECONDS: Final = 5.0
+"""How long a player may take for an answer before it is mentioned."""
+
+_RARER: Final = 6.0
+"""Each mention comes after so many times as long as the one before: after 5 s, 30 s, 180 s, ..."""
+
+_LIGHT: Final = 65_536
+"""Bytes of bodies that a session may keep without being accounted for: 64 MiB in 1024 sessions."""
+
+
+class Route(Protocol):
+    """A connection: where messages come from, and where they can go."""
+
+    def deliver(self, message: Message) -> bool:
+        """Send `message`; return False, having sent nothing, if the other side is gone or does not read."""
+        ...
+
+    def admits(self, role: Role, session: str) -> bool:
+        """Return whether this role of this session can be taken from here; see `glue.core.config.Bind`."""
+        ...
+
+
+class Peer:
+    """A role filled: who fills it, and the route to it."""
+
+    __slots__ = (
+        "capabilities",
+        "confirmed",
+        "instance",
+        "label",
+        "role",
+        "route",
+        "session",
+        "unreachable_since",
+    )
+
+    def __init__(
+        self,
+        session: Session,
+        role: Role,
+        route: Route,
+        instance: bytes,
+        label: str,
+        capabilities: frozenset[str],
+        confirmed: bool,
+    ) -> None:
+        self.session = session
+        self.role = role
+        self.route = route
+        self.instance = instance
+        self.label = label
+        self.capabilities = capabilities
+        self.confirmed = confirmed
+        self.unreachable_since: float | None = None
+
+
+class Board(Protocol):
+    """What a session is part of: it carries messages to peers. See `glue.core.sessions.Switchboard`."""
+
+    memory: Memory
+    log: Callable[[str], None]
+
+    def deliver(self, peer: Peer, message: Message) -> None:
+        """Send `message` to `peer`, or note that it cannot be reached."""
+        ...
+
+    def end(self, session: Session, why: str) -> None:
+        """End a session: say goodbye to all its peers."""
+        ...
+
+
+class Session:
+    """One experiment's engine and its players."""
+
+    __slots__ = (
+        "_board",
+        "_confirmed",
+        "_engine",
+        "_heavy",
+        "_outstanding",
+        "_reply",
+        "_request_seq",
+        "_seq",
+        "_slow_after",
+        "_watched",
+        "_watched_since",
+        "name",
+        "peers",
+    )
+
+    def __init__(self, board: Board, name: str) -> None:
+        self.name = name
+        self.peers: dict[Role, Peer] = {}
+        self._board = board
+        self._engine = Engine(Action().body)
+        self._confirmed: dict[Role, bytes] = {}
+        self._seq = 0
+        self._outstanding: Message | None = None
+        self._request_seq = 0
+        self._reply: Message | None = None
+        self._watched: Message | None = None
+        self._watched_since = 0.0
+        self._slow_after = _SLOW_SECONDS
+        self._heavy = False
+
+    @property
+    def num_steps(self) -> int:
+        """What RL_num_steps is at present."""
+        return self._engine.num_steps
+
+    @property
+    def seated(self) -> bool:
+        """A session is not given up before connections that take part in none."""
+        return True
+
+    def evict(self, why: str) -> None:
+        """End the session: it keeps too much."""
+        self._board.end(self, why)
+
+    def _weigh(self) -> None:
+        """Account for the bodies that are kept; those of a session with small ones alone do not count."""
+        engine, call, reply = self._engine, self._outstanding, self._reply
+        bodies = (call and call.body, reply and reply.body, engine.last_action, engine.task_spec)
+        size = sum(len(body) for body in bodies if body)
+        self._heavy = size > _LIGHT
+        self._board.memory.hold(self, size if self._heavy else 0)
+
+    def knows(self, role: Role, instance: bytes) -> bool:
+        """Return whether `instance` is, or was last, in that role, and has sent a request or an answer.
+
+        Before that nobody can tell whether it has read its first WELCOME, which says that it has to forget
+        whatever it did at another hub: that WELCOME may have been lost with its connection.
+        """
+        return instance == self._confirmed.get(role)
+
+    def _confirm(self, peer: Peer) -> None:
+        """Note that `peer` has sent a request or an answer, so it has read that it was unknown before."""
+        peer.confirmed = True
+        self._confirmed[peer.role] = peer.instance
+
+    def join(self, peer: Peer, same: bool, announce: bool) -> None:
+        """Take `peer` in, and send it whatever waits for it.
+
+        `same` says that it goes on in its role, over a new connection or after it was lost; `announce`,
+        that the role was empty.
+        """
+        role = peer.role
+        if not same:
+            self._confirmed.pop(role, None)
+        self.peers[role] = peer
+        if role is Role.EXPERIMENT:
+            for player in self.peers.values():
+                if player is not peer:
+                    self._notify(Event.JOINED, player.role, player.label)
+            if same:
+                self.repeat(peer)
+            else:
+                self._forget_experiment()
+            return
+        if announce:
+            self._notify(Event.RETURNED if same else Event.JOINED, role, peer.label)
+        if not same:
+            self._engine.replace(role)
+        asked = self._engine.asked
+        if asked is None or CALLS[asked.kind].callee is not role:
+            return
+        if announce:
+            # It was asked of an empty seat: nobody has seen it, and what to ask depends on who came.
+            self._call(asked)
+        else:
+            self.repeat(peer)
+
+    def repeat(self, peer: Peer) -> None:
+        """Send again what `peer` may have missed; whatever it has seen already, it ignores."""
+        missed = self._reply if peer.role is Role.EXPERIMENT else self._outstanding
+        if missed is not None and (peer.role is Role.EXPERIMENT or CALLS[missed.kind].callee is peer.role):
+            self._board.deliver(peer, missed)
+
+    def lose(self, peer: Peer, why: str, code: ErrorCode) -> None:
+        """Go on without `peer`: void the episode, or, without the experiment, forget it."""
+        role = peer.role
+        del self.peers[role]
+        if role is Role.EXPERIMENT:
+            self._forget_experiment()
+            return
+        engine = self._engine
+        self._notify(Event.LOST, role, peer.label)
+        awaited = engine.awaiting is not None and CALLS[engine.awaiting].callee is role
+        reason = f"the {role} {peer.label} {why}"
+        stranded = engine.verb is not None and (engine.in_episode or awaited)
+        engine.void(reason)
+        if stranded:
+            self._fail(code, reason)
+
+    def report_if_slow(self, now: float) -> None:
+        """Mention, now and then, a player that has been asked and has not answered."""
+        asked = self._outstanding
+        role = None if asked is None else CALLS[asked.kind].callee
+        player = None if role is None else self.peers.get(role)
+        if asked is None or player is None:
+            self._watched = None
+        elif asked is not self._watched:
+            self._watched, self._watched_since, self._slow_after = asked, now, _SLOW_SECONDS
+        elif now - self._watched_since >= self._slow_after:
+            text = f"{player.label} has not answered {asked.kind.name.lower()} for {self._slow_after:.0f} s"
+            self._slow_after *= _RARER
+            self._board.log(f"session {self.name!r}: {player.role} {text}")
+            self._notify(Event.SLOW, player.role, text)
+
+    def request(self, peer: Peer, message: Message) -> bool:
+        """Begin on a verb of the experiment; return whether it was in turn."""
+        if message.seq <= self._request_seq:
+            if message.seq != self._request_seq or message.seq == 0:
+                text = f"a request {message.seq} came after {self._request_seq}; sequence numbers grow from 1"
+                self._error(peer, message, ErrorCode.NOT_ASKED, text)
+            # Otherwise it was heard; if its reply was missed, the HELLO of the new connection brought it.
+            return False
+        engine = self._engine
+        if engine.verb is not None:
+            text = f"{message.kind.name} came while {engine.verb.name} is still being carried out"
+            self._error(peer, message, ErrorCode.BUSY, text)
+            return False
+        if message.kind not in CALLS or CALLS[message.kind].callee is not None:
+            text = f"{message.kind.name} is not for an experiment to send"
+            self._error(peer, message, ErrorCode.NOT_ASKED, text)
+            return False
+        if not peer.confirmed:
+            self._confirm(peer)
+        self._request_seq = message.seq
+        self._reply = None
+        try:
+            instruction = engine.begin(message.kind, message.scalars, message.body)
+        except PeerLost as error:
+            self._fail(ErrorCode.PEER_LOST, str(error))
+            return True
+        self._advance(instruction)
+        return True
+
+    def answer(self, peer: Peer, message: Message) -> bool:
+        """Take an answer to the outstanding call, and make the next one; return whether it was in turn."""
+        outstanding = self._outstanding
+        seq = message.seq
+        if outstanding is None or seq != outstanding.seq or CALLS[outstanding.kind].callee is not peer.role:
+            # An answer to an older call is a repetition, or comes from an episode that is void by now.
+            never = seq > self._seq or seq == 0
+            if never or (message.kind in CALLS and CALLS[message.kind].callee is not peer.role):
+                text = f"{message.kind.name} {seq} was never asked of this {peer.role}"
+                self._error(peer, message, ErrorCode.NOT_ASKED, text)
+            return False
+        if not peer.confirmed:
+            self._confirm(peer)
+        if message.kind is Kind.ERROR:
+            text = clip(str(message.scalars[1]))
+            what = outstanding.kind.name.lower()
+            self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.label} raised in {what}: {text}")
+            return True
+        try:
+            instruction = self._engine.resume(message.kind, message.scalars, message.body)
+        except RemoteProtocolError as error:
+            self._error(peer, message, ErrorCode.NOT_ASKED, str(error))
+            self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.label} broke the protocol: {error}")
+            return True
+        self._advance(instruction)
+        return True
+
+    def _advance(self, instruction: Instruction) -> None:
+        """Make the call that the engine asks for, or send the experiment its reply."""
+        kind, scalars, body = instruction
+        if CALLS[kind].callee is not None:
+            self._call(instruction)
+            return
+        self._outstanding = None
+        if type(body) is tuple:
+            body = body[0] + body[1]
+        self._answer_experiment(Message(kind, self.name, self._request_seq, scalars, body or b""))
+
+    def _call(self, instruction: Instruction) -> None:
+        kind, scalars, body = instruction
+        call = CALLS[kind]
+        role = call.callee
+        assert role is not None
+        player = self.peers.get(role)
+        offered = player is None or call.capability is None or call.capability in player.capabilities
+        if player is not None and not offered:
+            self._without_capability(kind, role, player)
+            return
+        self._seq += 1
+        self._outstanding = outstanding = Message(kind, self.name, self._seq, scalars, body or b"")
+        if self._heavy or len(outstanding.body) > _LIGHT:
+            self._weigh()
+        if player is not None:
+            self._board.deliver(player, outstanding)
+
+    def _without_capability(self, kind: Kind, role: Role, player: Peer) -> None:
+        if skippable(kind):
+            self._advance(self._engine.resume(kind, (), b""))
+        else:
+            self._fail(ErrorCode.UNSUPPORTED, unsupported(kind, role, player.label))
+
+    def _fail(self, code: ErrorCode, text: str) -> None:
+        """End the verb that is being carried out with an error."""
+        self._engine.abort()
+        self._outstanding = None
+        self._answer_experiment(Message(Kind.ERROR, self.name, self._request_seq, (str(code), clip(text))))
+
+    def _answer_experiment(self, reply: Message) -> None:
+        self._reply = reply
+        if self._heavy or len(reply.body) > _LIGHT:
+            self._weigh()
+        experiment = self.peers.get(Role.EXPERIMENT)
+        if experiment is not None:
+            self._board.deliver(experiment, reply)
+
+    def _notify(self, event: Event, role: Role, text: str) -> None:
+        experiment = self.peers.get(Role.EXPERIMENT)
+        if experiment is not None:
+            self._board.deliver(experiment, Message(Kind.NOTICE, self.name, 0, (str(event), str(role), text)))
+
+    def _error(self, peer: Peer, message: Message, code: ErrorCode, text: str) -> None:
+        self._board.deliver(peer, Message(Kind.ERROR, self.name, message.seq, (str(code), clip(text))))
+
+    def _forget_experiment(self) -> None:
+        self._confirmed.pop(Role.EXPERIMENT, None)
+        self._engine.abort()
+        self._engine = Engine(Action().body)
+        self._outstanding = None
+        self._request_seq = 0
+        self._reply = None
+        if self._heavy:
+            self._weigh()
