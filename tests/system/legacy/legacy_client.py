@@ -84,7 +84,7 @@ class Style:
 STYLES = {
     "c": Style(split=True),
     "java": Style(
-        nodelay=False, greedy=True, utf16_counts=True, farewell="repeat", cleans_up=False, retry=0.002
+        nodelay=False, greedy=True, utf16_counts=True, farewell="repeat", cleans_up=False, retry=0.0003
     ),
     "python": Style(farewell="repeat", cleans_up=False),
     "lisp": Style(farewell="nothing"),
