@@ -313,8 +313,9 @@ def _check(make: Callable[[], _Player], seed: int) -> None:
         loader.init(seed + 1)
         loader.call("load", data)
         _compare(Rule.SAVE, player.play(_partner(seed, 2)), loader.play(_partner(seed, 2)))
-        for damaged in (data[:-1], data[: len(data) // 2], b""):
-            if damaged != data:
+        for damaged in (data[:-1], data[: len(data) // 2], data[:1]):
+            # Empty bytes are what a player without state may save, or saved in an older version.
+            if damaged and damaged != data:
                 other = make()
                 other.init(seed)
                 other.refuse(damaged)
