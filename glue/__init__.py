@@ -30,6 +30,7 @@ if TYPE_CHECKING:
         Unsupported,
     )
     from glue.options import Option
+    from glue.players.loading import make, make_agent
     from glue.roles import Agent, Environment
     from glue.runs import RunData, load_run
     from glue.types import Action, Observation
@@ -60,6 +61,8 @@ __all__ = [
     "connect",
     "load_run",
     "local",
+    "make",
+    "make_agent",
     "serve_agent",
     "serve_environment",
 ]
@@ -84,6 +87,7 @@ _HOMES: Final = {
         "Unsupported",
     ),
     "glue.options": ("Option",),
+    "glue.players.loading": ("make", "make_agent"),
     "glue.roles": ("Agent", "Environment"),
     "glue.runs": ("RunData", "load_run"),
     "glue.types": ("Action", "Observation"),

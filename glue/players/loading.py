@@ -18,15 +18,39 @@ from importlib.machinery import ModuleSpec, PathFinder
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from glue.errors import ConfigError
+from glue.options import Value, build
 from glue.protocol.messages import Role
 from glue.suggestions import did_you_mean
 
-__all__ = ["find", "names", "summaries"]
+if TYPE_CHECKING:
+    from glue.roles import Agent, Environment
+
+__all__ = ["find", "make", "make_agent", "names", "summaries"]
 
 _GROUPS: Final = {Role.AGENT: "glue.agents", Role.ENVIRONMENT: "glue.environments"}
+
+
+def make(name: str, /, **options: Value) -> Environment:
+    """Return the environment called `name`, as in `make("mario", level_seed=3)`.
+
+    Args:
+        name: installed, or `module:Class`, or `path/to/file.py:Class`.
+        options: of its constructor; `glue-env NAME --help` lists them.
+
+    Raises:
+        ConfigError: there is no such environment, or an option is unknown, of another type or out of bounds.
+    """
+    environment: Environment = build(find(Role.ENVIRONMENT, name), options)
+    return environment
+
+
+def make_agent(name: str, /, **options: Value) -> Agent:
+    """Return the agent called `name`, as in `make_agent("sarsa", epsilon=0.1)`; otherwise as `make`."""
+    agent: Agent = build(find(Role.AGENT, name), options)
+    return agent
 
 
 def names(role: Role) -> list[str]:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from glue.testing import check_agent
@@ -15,7 +18,8 @@ ROOT = Path(__file__).parents[2]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted(ROOT.glob("docs/**/*.md")), *sorted(ROOT.glob("docker/**/*.md"))]
 TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", TEXT, re.M | re.S)
-PROGRAMS = [body for language, body in BLOCKS if language == "python"]
+PROGRAMS = [body for language, body in BLOCKS if language == "python" and "class " in body]
+(SCRIPT,) = [body for language, body in BLOCKS if language == "python" and "class " not in body]
 COMMANDS = [
     shlex.split(re.sub(r"--episodes \d+", "--episodes 2", line), comments=True)
     for language, body in BLOCKS
@@ -69,6 +73,19 @@ def test_command_runs(command: list[str], folder: Path) -> None:
     finally:
         for terminal in terminals:
             terminal.close()
+
+
+def test_script_runs_an_experiment_and_reads_its_results(tmp_path: Path) -> None:
+    (command,) = [command for command in COMMANDS if "runs/sarsa" in command]
+    assert run(*command, cwd=tmp_path).returncode == 0
+    (tmp_path / "script.py").write_text(SCRIPT, encoding="utf-8")
+    shown = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=120
+    )
+    assert shown.returncode == 0, shown.stderr
+    *episodes, mean = shown.stdout.splitlines()
+    assert len(episodes) == 100
+    assert np.isfinite(float(mean))
 
 
 @pytest.mark.parametrize("program", PROGRAMS)

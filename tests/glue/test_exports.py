@@ -1,0 +1,46 @@
+"""What `glue` exports: imported when it is used, and nothing before."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+import glue
+from agents.tabular import SarsaAgent
+from env_server.toys import MinesEnvironment
+from glue.errors import ConfigError
+
+
+@pytest.mark.parametrize("name", glue.__all__)
+def test_every_name_is_there(name: str) -> None:
+    assert getattr(glue, name) is not None
+    assert name in dir(glue)
+
+
+def test_import_of_glue_imports_nothing_slow() -> None:
+    program = (
+        "import glue, sys; print(*(name for name in ('numpy', 'zmq', 'msgpack') if name in sys.modules))"
+    )
+    shown = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert shown.stdout == "\n"
+
+
+def test_make_returns_players_with_checked_options() -> None:
+    assert isinstance(glue.make("mines", random_start=True), MinesEnvironment)
+    assert isinstance(glue.make_agent("sarsa", epsilon=0.2), SarsaAgent)
+    with pytest.raises(ConfigError, match=r"did you mean mines\?"):
+        glue.make("minez")
+    with pytest.raises(ConfigError, match=r"did you mean epsilon\?"):
+        glue.make_agent("sarsa", epsilom=0.2)
+
+
+def test_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'loca'"):
+        _ = glue.loca
+
+
+def test_import_that_has_moved_names_the_new_place() -> None:
+    with pytest.raises(ImportError, match="from glue import serve_agent"):
+        from glue.client import serve_agent  # noqa: F401
