@@ -28,16 +28,25 @@ def scratch_folder() -> Iterator[Path]:
     Raises:
         OSError: it cannot be made.
     """
-    _remove_abandoned(Path(tempfile.gettempdir()))
-    folder = Path(tempfile.mkdtemp(prefix=_PREFIX))
-    lock = None
+    parent = Path(tempfile.gettempdir())
+    _remove_abandoned(parent)
+    folder, lock = _make(parent)
     try:
-        lock = RunLock(folder)
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        if lock is not None:
+        lock.release()
+
+
+def _make(parent: Path) -> tuple[Path, RunLock]:
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=parent))
+        with suppress(ExperimentError):
+            lock = RunLock(folder)
+            if (folder / LOCK_FILE).exists():
+                return folder, lock
             lock.release()
+        # Before it was locked, another run took it for abandoned.
 
 
 def _remove_abandoned(parent: Path) -> None:

@@ -20,6 +20,12 @@ BLOCK = re.compile(r"^<!-- (?P<note>.*?) -->\n```(?P<language>\w+)\n(?P<body>.*?
 SECONDS = 120
 
 
+COMMANDS = {
+    "runs in the tests": ["bash", "-euo", "pipefail"],
+    "runs in the tests, with Python": [sys.executable],
+}
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Where the whole text was followed."""
@@ -29,9 +35,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         note, body = block["note"], block["body"]
         if note.startswith("file: "):
             (folder / note.removeprefix("file: ")).write_text(body)
-        elif note == "runs in the tests":
+        elif note in COMMANDS:
             done = subprocess.run(
-                ["bash", "-euo", "pipefail", "-c", body],
+                [*COMMANDS[note], "-c", body],
                 cwd=folder,
                 env={**os.environ, "PATH": path},
                 capture_output=True,
@@ -46,7 +52,7 @@ def test_every_block_is_accounted_for() -> None:
     assert TEXT.count("```") == 2 * len(BLOCK.findall(TEXT))
     notes = {note for note, _, _ in BLOCK.findall(TEXT)}
     cluster = "runs in the tests, where Ray is installed"
-    assert notes == {"runs in the tests", "file: lazy.py", "file: sweep.toml", cluster}
+    assert notes == {*COMMANDS, "file: lazy.py", "file: sweep.toml", cluster}
 
 
 @pytest.mark.slow
