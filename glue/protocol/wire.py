@@ -31,7 +31,7 @@ __all__ = [
     "encode",
 ]
 
-_MAX_TEXT: Final = 1000
+_MAX_NOTE: Final = 1000
 """Bytes of a text for people. Beside the longest session name it leaves a header room to spare."""
 
 _NUMBERS_END: Final = 2**63
@@ -117,7 +117,7 @@ def decode(frames: Sequence[bytes], shapes: Mapping[Kind, Shape], max_body: int 
     return Message(known, session, seq, checked, body)
 
 
-def clip(text: str, limit: int = _MAX_TEXT) -> str:
+def clip(text: str, limit: int = _MAX_NOTE) -> str:
     """Return `text` fit for a header and a terminal: without control characters, about `limit` bytes."""
     clean = "".join(c if c.isprintable() else " " for c in text[: limit + 1]).encode()
     return clean.decode() if len(clean) <= limit else clean[:limit].decode(errors="ignore") + "..."

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from glue.errors import LocalProtocolError, TaskSpecError
 from glue.taskspec import (
     MARIO,
-    MAX_TEXT,
+    MAX_LENGTH,
     NEGINF,
     POSINF,
     RL_GLUE_3,
@@ -379,7 +379,7 @@ def test_error_names_place_and_expectation(text: str, error: str) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "(" * MAX_TEXT,
+        "(" * MAX_LENGTH,
         "VERSION" + " " * 60_000,
         "VERSION RL-Glue-3.0 PROBLEMTYPE " + "DISCOUNTFACTO" * 4_500,
         "VERSION RL-Glue-3.0 PROBLEMTYPE e DISCOUNTFACTOR " + "9" * 60_000,
@@ -403,14 +403,14 @@ def test_hostile_text_is_refused(text: str) -> None:
 
 
 def test_text_of_the_longest_length_is_read_and_no_longer() -> None:
-    text = "VERSION Foo ".ljust(MAX_TEXT, "x")
-    assert len(str(parse_task_spec(text))) == MAX_TEXT
-    with pytest.raises(TaskSpecError, match=f"at most {MAX_TEXT} characters; {MAX_TEXT + 1} came"):
+    text = "VERSION Foo ".ljust(MAX_LENGTH, "x")
+    assert len(str(parse_task_spec(text))) == MAX_LENGTH
+    with pytest.raises(TaskSpecError, match=f"at most {MAX_LENGTH} characters; {MAX_LENGTH + 1} came"):
         parse_task_spec(text + "x")
 
 
 def test_spec_whose_canonical_text_is_too_long_is_refused() -> None:
-    with pytest.raises(TaskSpecError, match=f"at most {MAX_TEXT} characters; the canonical text"):
+    with pytest.raises(TaskSpecError, match=f"at most {MAX_LENGTH} characters; the canonical text"):
         parse_task_spec(space_text("DOUBLES " + "(0 1)(2 3)" * 6_000))
 
 
@@ -523,7 +523,7 @@ def test_counts_out_of_range_are_refused() -> None:
         ({"discount": math.nan}, "a discount factor is from 0 to 1"),
         ({"observations": Space(stated=False)}, "RL-Glue-3.0 has to state the observations"),
         ({"actions": Space(stated=False)}, "RL-Glue-3.0 has to state the actions"),
-        ({"extra": "x" * MAX_TEXT}, "at most 65536 characters"),
+        ({"extra": "x" * MAX_LENGTH}, "at most 65536 characters"),
     ],
 )
 def test_task_spec_that_could_not_be_printed_is_refused(change: dict[str, Any], error: str) -> None:

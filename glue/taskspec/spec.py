@@ -1,0 +1,103 @@
+"""A task spec as a value: what is checked of it, and its canonical text."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Final, Self
+
+from glue.errors import TaskSpecError
+from glue.taskspec.space import Range, Space
+
+__all__ = ["MARIO", "MAX_LENGTH", "RL_GLUE_3", "TaskSpec"]
+
+RL_GLUE_3: Final = "RL-Glue-3.0"
+MARIO: Final = "Mario-v1"
+
+MAX_LENGTH: Final = 2**16
+"""Characters of a task spec."""
+
+PUBLIC: Final = {name.lower(): name for name in (RL_GLUE_3, MARIO)}
+"""The formats that state what a task is like, by their names in lower case; all others are private."""
+
+UNSTATED: Final = Space(stated=False)
+
+# A word ends where the next keyword begins, because published specs leave out spaces. These two are not
+# possessive, which a group cannot be before Python 3.11.5: there it forgets what must not follow.
+VERSION_NAME: Final = re.compile(r"(?:(?!PROBLEMTYPE)\S)+", re.IGNORECASE)
+PROBLEM_TYPE: Final = re.compile(r"(?:(?!DISCOUNTFACTOR)[^\s()])+", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class TaskSpec:
+    """What a task is like, as far as its environment says.
+
+    Args:
+        version: the name of the format. RL-Glue-3.0 states everything; Mario-v1 need not state the
+            observations; any other is private to those who know it, and has nothing but `extra`.
+        problem_type: ``episodic``, ``continuing`` or another single word; empty if private.
+        discount: the discount factor, from 0 to 1, ends included; None if private.
+        observations: what observations are made of.
+        actions: what actions are made of.
+        rewards: the range of the reward of one step.
+        extra: free text; of a private format all that follows its name. White space around it is lost.
+
+    Raises:
+        TaskSpecError: a value is out of range, missing or not for this version, or the text of the
+            task spec would be longer than `MAX_LENGTH`.
+    """
+
+    version: str
+    problem_type: str
+    discount: float | None
+    observations: Space
+    actions: Space
+    rewards: Range
+    extra: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "extra", self.extra.strip())
+        if self.version in PUBLIC.values():
+            self._check_public()
+        else:
+            self._check_private()
+        length = len(str(self))
+        if length > MAX_LENGTH:
+            raise TaskSpecError(
+                f"a task spec has at most {MAX_LENGTH} characters; "
+                f"the canonical text of this one has {length}"
+            )
+
+    @classmethod
+    def private(cls, version: str, text: str = "") -> Self:
+        """Return a task spec in a format of which no more is known than its name."""
+        return cls(version, "", None, UNSTATED, UNSTATED, Range(), text)
+
+    def _check_public(self) -> None:
+        if not PROBLEM_TYPE.fullmatch(self.problem_type):
+            raise TaskSpecError(f"a problem type is one word such as episodic, not {self.problem_type!r}")
+        if self.discount is None or not 0 <= self.discount <= 1:
+            raise TaskSpecError(f"a discount factor is from 0 to 1, not {self.discount}")
+        if not self.actions.stated:
+            raise TaskSpecError(f"{self.version} has to state the actions")
+        if not self.observations.stated and self.version != MARIO:
+            raise TaskSpecError(f"{self.version} has to state the observations")
+
+    def _check_private(self) -> None:
+        if not VERSION_NAME.fullmatch(self.version) or self.version.lower() in PUBLIC:
+            raise TaskSpecError(f"a version is one word, spelt as in {RL_GLUE_3}, not {self.version!r}")
+        rest = self.problem_type, self.discount, self.observations, self.actions, self.rewards
+        if rest != ("", None, UNSTATED, UNSTATED, Range()):
+            raise TaskSpecError(f"{self.version} is a private format: it has nothing but extra text")
+
+    def __str__(self) -> str:
+        parts = ["VERSION", self.version]
+        if self.discount is not None:
+            parts += ["PROBLEMTYPE", self.problem_type, "DISCOUNTFACTOR", repr(float(self.discount))]
+            if self.observations.stated:
+                parts += ["OBSERVATIONS", str(self.observations)]
+            parts += ["ACTIONS", str(self.actions), "REWARDS", str(self.rewards)]
+            # The original C and Java parsers need the word even if nothing follows it.
+            if self.extra or self.version == RL_GLUE_3:
+                parts.append("EXTRA")
+        return " ".join(filter(None, (*parts, self.extra)))
