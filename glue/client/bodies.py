@@ -40,7 +40,7 @@ def write(value: Any) -> bytes:
             return value.encode("utf-8", "surrogateescape")
         except UnicodeEncodeError as error:
             raise LocalProtocolError(
-                f"{value!r:.80} is no text that UTF-8 can carry: {error.reason}"
+                f"{value!r:.80} is not a text that UTF-8 can carry: {error.reason}"
             ) from None
     if type(value) is bytes:
         return value

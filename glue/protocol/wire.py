@@ -97,7 +97,7 @@ def decode(frames: Sequence[bytes], shapes: Mapping[Kind, Shape], max_body: int 
     """
     count = len(frames)
     if not 1 <= count <= 2:
-        raise RemoteProtocolError(f"a message has one or two frames; {count} came")
+        raise RemoteProtocolError(f"a message has one or two frames; {count} received")
     kind, session, seq, scalars = _decode_header(frames[0])
     known = _KINDS.get(kind)
     shape = None if known is None else shapes.get(known)
@@ -108,10 +108,10 @@ def decode(frames: Sequence[bytes], shapes: Mapping[Kind, Shape], max_body: int 
         checked = _coerce_all(known, shape, scalars)
     if shape.body is Body.NONE:
         if count != 1:
-            raise RemoteProtocolError(f"{known.name} has no body; one of {len(frames[1])} bytes came")
+            raise RemoteProtocolError(f"{known.name} has no body; one of {len(frames[1])} bytes was received")
         return Message(known, session, seq, checked)
     if count != 2:
-        raise RemoteProtocolError(f"{known.name} needs a body frame; none came")
+        raise RemoteProtocolError(f"{known.name} needs a body frame; none received")
     body = frames[1]
     _check_body(known, shape.body, body, max_body)
     return Message(known, session, seq, checked, body)
@@ -125,7 +125,7 @@ def clip(text: str, limit: int = _MAX_NOTE) -> str:
 
 def _decode_header(frame: bytes) -> tuple[int, str, int, list[Value]]:
     if len(frame) > MAX_HEADER:
-        raise RemoteProtocolError(f"a header of {len(frame)} bytes came; {MAX_HEADER} are allowed")
+        raise RemoteProtocolError(f"a header of {len(frame)} bytes was received; {MAX_HEADER} are allowed")
     try:
         header = msgpack.unpackb(
             frame,
@@ -155,7 +155,7 @@ def _decode_header(frame: bytes) -> tuple[int, str, int, list[Value]]:
 def _coerce_all(kind: Kind, shape: Shape, scalars: list[Value]) -> tuple[Value, ...]:
     """Return the scalars as `shape` has them; those of the hot path need not come here."""
     if len(scalars) != len(shape.scalars):
-        raise RemoteProtocolError(f"{kind.name} carries {len(shape.scalars)} scalars; {len(scalars)} came")
+        raise RemoteProtocolError(f"{kind.name} has {len(shape.scalars)} scalars; {len(scalars)} received")
     return tuple(
         # A whole number has a range as well as a type.
         value if type(value) is scalar.type is not int else _coerce(kind, scalar, value)
@@ -180,7 +180,7 @@ def _coerce(kind: Kind, scalar: Scalar, value: object) -> Value:
     expected = _EXPECTED[scalar.items or wanted]
     if scalar.items is not None:
         expected = f"an array, each item {expected}"
-    raise RemoteProtocolError(f"{scalar.name} of {kind.name} is {expected}; {value!r:.40} came")
+    raise RemoteProtocolError(f"{scalar.name} of {kind.name} is {expected}; {value!r:.40} received")
 
 
 def _check_body(kind: Kind, body_kind: Body, body: bytes, max_body: int) -> None:
@@ -189,7 +189,7 @@ def _check_body(kind: Kind, body_kind: Body, body: bytes, max_body: int) -> None
         # Each of the two was within the limit when it came to the hub.
         max_body *= 2
     if size > max_body:
-        raise RemoteProtocolError(f"a body of {size} bytes came with {kind.name}; {max_body} are allowed")
+        raise RemoteProtocolError(f"the body of {kind.name} has {size} bytes; {max_body} are allowed")
     if body_kind is Body.OBSERVATION or body_kind is Body.ACTION:
         expected = body_size(body)
     elif body_kind is Body.OBSERVATION_ACTION:
@@ -198,4 +198,6 @@ def _check_body(kind: Kind, body_kind: Body, body: bytes, max_body: int) -> None
     else:
         return
     if expected != size:
-        raise RemoteProtocolError(f"the counts in the body of {kind.name} say {expected} bytes; {size} came")
+        raise RemoteProtocolError(
+            f"the counts in the body of {kind.name} say {expected} bytes; it has {size}"
+        )

@@ -1,4 +1,4 @@
-"""ZMTP 3, in which ZeroMQ's sockets talk, without I/O: what a ROUTER says to a DEALER and hears from it.
+"""ZMTP 3, in which ZeroMQ's sockets talk, without I/O: what a ROUTER says to a DEALER and expects from it.
 
 Bytes go in, messages come out, and bytes to answer at once:
 
@@ -34,7 +34,7 @@ _COMMAND: Final = 4
 _KNOWN_FLAGS: Final = _MORE | _LONG | _COMMAND
 
 _MAX_COMMAND: Final = 4096
-"""The greatest command, in bytes: room for any READY."""
+"""The largest command, in bytes: room for any READY."""
 
 _KEPT: Final = 3
 """Frames of a message that are kept: one more than any message of ours has is enough to tell."""
@@ -81,7 +81,7 @@ class Decoder:
     """What one connection says, from its first byte on.
 
     Args:
-        max_frame: the greatest frame that is taken, in bytes.
+        max_frame: the largest frame that is accepted, in bytes.
     """
 
     def __init__(self, max_frame: int) -> None:
@@ -101,7 +101,7 @@ class Decoder:
         return self._size + sum(map(len, self._frames))
 
     def receive_data(self, data: bytes) -> None:
-        """Take what came."""
+        """Take bytes that were received."""
         if not self._size:
             self._buffer = data
             self._at = 0
@@ -190,7 +190,7 @@ class Decoder:
             raise RemoteProtocolError("a message came before READY")
         limit = _MAX_COMMAND if flags & _COMMAND else self._max_frame
         if size > limit:
-            raise RemoteProtocolError(f"a frame of {size} bytes came; {limit} are allowed")
+            raise RemoteProtocolError(f"a frame of {size} bytes was received; {limit} are allowed")
 
     def _obey(self, command: bytes) -> bytes:
         """Act on a command; return what is to be said to it, if anything."""

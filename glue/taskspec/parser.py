@@ -67,10 +67,10 @@ def parse_task_spec(text: str) -> TaskSpec:
     Raises:
         TaskSpecError: the text is not RL-Glue-3.0, Mario-v1, the colon format or a private format
             (``VERSION name ...``), or is longer than `MAX_LENGTH`. The message names the character,
-            counted from 1, what was expected there and what came.
+            counted from 1, what was expected there and what was received.
     """
     if len(text) > MAX_LENGTH:
-        raise TaskSpecError(f"a task spec has at most {MAX_LENGTH} characters; {len(text)} came")
+        raise TaskSpecError(f"a task spec has at most {MAX_LENGTH} characters; {len(text)} received")
     scan = _Scanner(text)
     if scan.take(_COLON_FORMAT):
         return _read_colon(scan)
@@ -116,7 +116,7 @@ def _read_space(scan: _Scanner, following: str) -> Space:
         if part is None:
             raise scan.unexpected(_either(*left, following))
         if part not in left:
-            raise scan.error(at, f"{part} came a second time")
+            raise scan.error(at, f"{part} is given twice")
         left.remove(part)
         if part == "INTS":
             ints = _read_ranges(scan, whole=True)
@@ -158,7 +158,7 @@ def _read_words(scan: _Scanner) -> list[_Word]:
             raise scan.unexpected("')'" if len(words) > 1 else _either("a number", *_SPECIALS))
         words.append(_Word(at, word))
     if len(words) < 2:
-        raise scan.error(scan.at - 1, f"a range has two bounds, maybe after a repeat; {len(words)} came")
+        raise scan.error(scan.at - 1, f"a range has two bounds, maybe after a repeat; {len(words)} received")
     return words
 
 
@@ -234,7 +234,7 @@ def _read_colon_space(scan: _Scanner) -> Space:
         if not scan.take_sign(","):
             letters.append(scan.expect(_COLON_LETTER, "i, f, ',' or ']'").lower())
     if len(letters) != count:
-        raise scan.error(at, f"{count} dimensions need as many letters; {len(letters)} came")
+        raise scan.error(at, f"{count} dimensions need as many letters; {len(letters)} received")
     ranges: list[Range] = []
     while len(ranges) < count and scan.take_sign("_"):
         scan.expect_sign("[")
@@ -365,7 +365,7 @@ class _Scanner:
         """Return the whole number that `word`, which began at `at`, stands for.
 
         Raises:
-            TaskSpecError: it is no whole number, or has leading zeros, or more than ten digits.
+            TaskSpecError: it is not a whole number, or has leading zeros, or more than ten digits.
         """
         match = _WHOLE.fullmatch(word)
         if match is None:
@@ -381,7 +381,7 @@ class _Scanner:
             raise self.error(at, str(error)) from None
 
     def unexpected(self, what: str) -> TaskSpecError:
-        """Return an error at the place reached: `what` was expected, and what came instead."""
+        """Return an error at the place reached: `what` was expected, and what was received instead."""
         ahead = self.text[self.skip() : self.at + _EXCERPT + 1]
         return self.error(
             self.at, f"expected {what}, " + (f"not {_excerpt(ahead)}" if ahead else "not the end")

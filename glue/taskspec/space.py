@@ -36,8 +36,8 @@ class Range:
     """What one number may be, ends included.
 
     Args:
-        low: the least value; NEGINF if there is none, UNSPEC if it is not stated.
-        high: the greatest value; POSINF if there is none, UNSPEC if it is not stated.
+        low: the minimum; NEGINF if there is none, UNSPEC if it is not stated.
+        high: the maximum; POSINF if there is none, UNSPEC if it is not stated.
 
     Raises:
         TaskSpecError: `low` is above `high`, or a bound is not a number that a double holds exactly.
@@ -245,7 +245,7 @@ def _is_int32(bound: float) -> bool:
 
 def _wrong_counts(expected: tuple[int, int, int], came: tuple[int, int, int]) -> str:
     return "; ".join(
-        f"{name}: {right} expected, {count} came"
+        f"{name}: {right} expected, {count} received"
         for name, right, count in zip(("ints", "doubles", "chars"), expected, came, strict=True)
         if right != count
     )

@@ -26,7 +26,7 @@ def check_hub(url: str, *, wait: float = 10.0) -> None:
         wait: seconds in which whatever is to come must come.
 
     Raises:
-        ContractBroken: the message names the rule that is broken, and what came instead.
+        ContractBroken: the message names the rule that is broken, and what was received instead.
         ConfigError: `url` is malformed.
     """
     check_url(url)

@@ -17,7 +17,7 @@ def greeting(scene: Scene) -> None:
         peer.check(version == PROTOCOL_VERSION, f"version {version:g} was chosen")
         peer.check(heartbeat > 0, f"the heartbeat is {heartbeat:g} s")
         peer.check(patience >= heartbeat, f"the patience is {patience:g} s, the heartbeat {heartbeat:g} s")
-        peer.check(max_body > 0, f"the greatest body is {max_body:g} bytes")
+        peer.check(max_body > 0, f"the largest body is {max_body:g} bytes")
         peer.join(resumed=True)  # The same HELLO over the same connection changes nothing.
 
 
@@ -26,7 +26,7 @@ def version(scene: Scene) -> None:
     scene.agent.hello(versions=(PROTOCOL_VERSION + 98,), seq=3)
     _refused(scene.agent, ErrorCode.VERSION, 3)
     scene.environment.hello(versions=(PROTOCOL_VERSION + 98, PROTOCOL_VERSION))
-    scene.environment.hears(Kind.WELCOME)
+    scene.environment.expects(Kind.WELCOME)
 
 
 def role_taken(scene: Scene) -> None:
@@ -40,12 +40,12 @@ def role_taken(scene: Scene) -> None:
 
 
 def heartbeat(scene: Scene) -> None:
-    """A sign of life from either side."""
+    """A Heartbeat from either side."""
     heartbeat = number(scene.agent.join().scalars[2])
     scene.agent.send(Kind.HEARTBEAT, seq=9)
-    scene.agent.hears(Kind.HEARTBEAT, 9)
+    scene.agent.expects(Kind.HEARTBEAT, 9)
     for _ in range(2):
-        scene.agent.hears(Kind.HEARTBEAT, wait=2 * heartbeat + scene.wait, session="")
+        scene.agent.expects(Kind.HEARTBEAT, wait=2 * heartbeat + scene.wait, session="")
 
 
 def calls(scene: Scene) -> None:
@@ -59,23 +59,23 @@ def calls(scene: Scene) -> None:
     scene.episode(0, 3)
     scene.experiment.ask(Kind.RL_ENV_START)
     scene.environment.answers(Kind.ENV_START, gives=saw(0))
-    scene.experiment.hears_reply(Kind.RL_ENV_START, body=saw(0))
+    scene.experiment.expects_reply(Kind.RL_ENV_START, body=saw(0))
     scene.experiment.ask(Kind.RL_AGENT_START, body=saw(4))
     scene.agent.answers(Kind.AGENT_START, body=saw(4), gives=did(4))
-    scene.experiment.hears_reply(Kind.RL_AGENT_START, body=did(4))
+    scene.experiment.expects_reply(Kind.RL_AGENT_START, body=did(4))
     scene.experiment.ask(Kind.RL_ENV_STEP, body=did(5))
     scene.environment.answers(Kind.ENV_STEP, body=did(5), reply=(0.1, False), gives=saw(6))
-    scene.experiment.hears_reply(Kind.RL_ENV_STEP, 0.1, False, body=saw(6))
+    scene.experiment.expects_reply(Kind.RL_ENV_STEP, 0.1, False, body=saw(6))
     scene.experiment.ask(Kind.RL_AGENT_STEP, -0.3, body=saw(7))
     scene.agent.answers(Kind.AGENT_STEP, -0.3, body=saw(7), gives=did(8))
-    scene.experiment.hears_reply(Kind.RL_AGENT_STEP, body=did(8))
+    scene.experiment.expects_reply(Kind.RL_AGENT_STEP, body=did(8))
     scene.experiment.ask(Kind.RL_AGENT_END, 1e300)
     scene.agent.answers(Kind.AGENT_END, 1e300)
-    scene.experiment.hears_reply(Kind.RL_AGENT_END)
+    scene.experiment.expects_reply(Kind.RL_AGENT_END)
     scene.experiment.ask(Kind.RL_CLEANUP)
     scene.environment.answers(Kind.ENV_CLEANUP)
     scene.agent.answers(Kind.AGENT_CLEANUP)
-    scene.experiment.hears_reply(Kind.RL_CLEANUP)
+    scene.experiment.expects_reply(Kind.RL_CLEANUP)
 
 
 def numbers(scene: Scene) -> None:
@@ -107,7 +107,7 @@ def counters(scene: Scene) -> None:
     scene.experiment.ask(Kind.RL_INIT, None)
     scene.environment.answers(Kind.ENV_INIT)
     scene.agent.answers(Kind.AGENT_INIT)
-    scene.experiment.hears_reply(Kind.RL_INIT)
+    scene.experiment.expects_reply(Kind.RL_INIT)
     scene.counted(0.0, 0, 0)
 
 
@@ -129,7 +129,7 @@ def last_action(scene: Scene) -> None:
     scene.experiment.ask(Kind.RL_STEP)  # Before any start: the empty action.
     scene.environment.answers(Kind.ENV_STEP, body=nothing, reply=(0.0, True), gives=saw(1))
     scene.agent.answers(Kind.AGENT_END, 0.0)
-    scene.experiment.hears_reply(Kind.RL_STEP, 0.0, True, body=saw(1) + nothing)
+    scene.experiment.expects_reply(Kind.RL_STEP, 0.0, True, body=saw(1) + nothing)
     scene.start()
     scene.step(1)
     for _ in range(2):
@@ -148,7 +148,7 @@ def messages(scene: Scene) -> None:
         for text, answer in texts.items():
             scene.experiment.ask(kind, body=text)
             player.answers(call, body=text, gives=answer)
-            scene.experiment.hears_reply(kind, body=answer)
+            scene.experiment.expects_reply(kind, body=answer)
 
 
 def seed(scene: Scene) -> None:
@@ -158,18 +158,18 @@ def seed(scene: Scene) -> None:
     given = []
     for seed in (2026, 2026, 7):
         scene.experiment.ask(Kind.RL_INIT, seed)
-        call = scene.environment.hears(Kind.ENV_SEED)
+        call = scene.environment.expects(Kind.ENV_SEED)
         scene.environment.send(Kind.ENV_SEED, seq=call.seq)
         scene.environment.answers(Kind.ENV_INIT)
         scene.agent.answers(Kind.AGENT_INIT)
-        scene.experiment.hears_reply(Kind.RL_INIT)
+        scene.experiment.expects_reply(Kind.RL_INIT)
         given.append(call.scalars)
     same, different = given[0] == given[1], given[1] != given[2]
-    scene.environment.check(same and different, f"{given} came for the seeds 2026, 2026, 7")
+    scene.environment.check(same and different, f"{given} received for the seeds 2026, 2026, 7")
     scene.experiment.ask(Kind.RL_INIT, None)
     scene.environment.answers(Kind.ENV_INIT)
     scene.agent.answers(Kind.AGENT_INIT)
-    scene.experiment.hears_reply(Kind.RL_INIT)
+    scene.experiment.expects_reply(Kind.RL_INIT)
 
 
 def unsupported(scene: Scene) -> None:
@@ -179,13 +179,13 @@ def unsupported(scene: Scene) -> None:
     saved = bytes(range(256))
     scene.experiment.ask(Kind.RL_ENV_SAVE)
     scene.environment.answers(Kind.ENV_SAVE, gives=saved)
-    scene.experiment.hears_reply(Kind.RL_ENV_SAVE, body=saved)
+    scene.experiment.expects_reply(Kind.RL_ENV_SAVE, body=saved)
     scene.experiment.ask(Kind.RL_ENV_LOAD, body=saved)
     scene.environment.answers(Kind.ENV_LOAD, body=saved)
-    scene.experiment.hears_reply(Kind.RL_ENV_LOAD)
+    scene.experiment.expects_reply(Kind.RL_ENV_LOAD)
     for kind in (Kind.RL_AGENT_SAVE, Kind.RL_AGENT_LOAD):
         scene.experiment.ask(kind, body=saved)
-        scene.experiment.hears_error(ErrorCode.UNSUPPORTED, scene.experiment.seq)
+        scene.experiment.expects_error(ErrorCode.UNSUPPORTED, scene.experiment.seq)
     scene.episode(0, 2)
 
 
@@ -200,30 +200,30 @@ def sessions(scene: Scene) -> None:
     scene.agent.join()
     scene.experiment.ask(Kind.RL_STEP)  # It stays under way while the other session goes on.
     second.ask(Kind.RL_AGENT_MESSAGE, body=b"two")
-    call = scene.agent.hears(Kind.AGENT_MESSAGE)
+    call = scene.agent.expects(Kind.AGENT_MESSAGE)
     scene.agent.send(Kind.AGENT_MESSAGE, seq=call.seq, body=call.body)
-    second.hears_reply(Kind.RL_AGENT_MESSAGE, body=b"two")
+    second.expects_reply(Kind.RL_AGENT_MESSAGE, body=b"two")
     scene.agent.leave()
-    second.hears_notice(Event.LOST, Role.AGENT)
+    second.expects_notice(Event.LOST, Role.AGENT)
     scene.agent.session = names[0]
     scene.stepped(1)
-    scene.experiment.hears_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+    scene.experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
 
 
 def goodbye(scene: Scene) -> None:
-    """An agent, then the experiment leaves; an environment came for one run."""
+    """An agent, then the experiment leaves; an environment offers one-run."""
     scene.environment = scene.peer(Role.ENVIRONMENT, "one-run")
     scene.init()
     scene.agent.leave()
-    scene.experiment.hears_notice(Event.LOST, Role.AGENT)
+    scene.experiment.expects_notice(Event.LOST, Role.AGENT)
     scene.peer(Role.AGENT).join()
     scene.experiment.leave()
-    scene.environment.hears(Kind.GOODBYE)
+    scene.environment.expects(Kind.GOODBYE)
     second = scene.peer(Role.EXPERIMENT)
     second.join()
     second.gets(Kind.RL_NUM_EPISODES, 0)
 
 
 def _refused(peer: ScriptedPeer, code: ErrorCode, seq: int) -> None:
-    refuse = peer.hears(Kind.REFUSE, seq)
-    peer.check(refuse.scalars[0] == code, f"{shown(refuse)} came instead of the code {code}")
+    refuse = peer.expects(Kind.REFUSE, seq)
+    peer.check(refuse.scalars[0] == code, f"{shown(refuse)} received instead of the code {code}")

@@ -68,7 +68,7 @@ def check_agent(
         observation: draws an observation. Needed if the task spec does not state them, or leaves bounds
             open that the agent does not; without it, observations are drawn from the task spec.
         episodes: the number of episodes in each of at most seven rounds; every other is cut off.
-        steps: the greatest number of steps in an episode.
+        steps: the maximum number of steps in an episode.
         seed: of observations and rewards, and of an agent that offers the capability `seed`.
 
     Raises:

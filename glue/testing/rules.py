@@ -50,14 +50,14 @@ class HubRule(StrEnum):
     BUSY = "a request while another is under way gets the error busy, and is not carried out"
     REPEATED = "what comes a second time changes nothing"
     NOT_ASKED = "what is not for a peer to send gets the error not-asked, and changes nothing"
-    UNKNOWN_KIND = "a kind that nobody knows gets the error unknown-kind, and changes nothing"
+    UNKNOWN_KIND = "an unknown kind gets the error unknown-kind, and changes nothing"
     EXCEPTION = "a player's exception ends the request with peer-failed, and the player stays"
-    MALFORMED = "what is malformed gets the error malformed, costs its sender its place, and nobody else's"
+    MALFORMED = "what is malformed gets the error malformed, costs its sender alone its place"
     RESUMED = "an instance that comes back over a new connection goes on where it was"
     WELCOME_LOST = "an instance is told that it was unknown until it has sent a request or an answer"
-    GOODBYE = "GOODBYE gives up a role at once, and sends those off who came for one run"
+    GOODBYE = "GOODBYE gives up a role at once, and sends off the players that offered one-run"
     LOST = "a player that leaves in mid-episode makes it void: NOTICE lost, error peer-lost"
-    SILENT = "a player whose connection ended is lost when the patience is over"
+    SILENT = "a player whose connection ended is lost after `patience`"
     REPLACED = "a new player is initialised before its first other call, and announced"
 
 

@@ -96,9 +96,9 @@ class ScriptedPeer:
     def join(self, resumed: bool = False, seq: int = 0) -> Message:
         """Greet the hub, and be welcomed; return the WELCOME."""
         self.hello(seq=seq)
-        welcome = self.hears(Kind.WELCOME, seq)
+        welcome = self.expects(Kind.WELCOME, seq)
         known = "a known" if resumed else "an unknown"
-        self.check(welcome.scalars[1] is resumed, f"{shown(welcome)} came for {known} instance")
+        self.check(welcome.scalars[1] is resumed, f"{shown(welcome)} received for {known} instance")
         return welcome
 
     def send(self, kind: Kind, *scalars: Value, seq: int = 0, body: bytes = b"") -> None:
@@ -116,7 +116,7 @@ class ScriptedPeer:
         self.seq += 1
         self.send(kind, *scalars, seq=self.seq, body=body)
 
-    def hears(
+    def expects(
         self, kind: Kind, seq: int | None = None, wait: float | None = None, session: str | None = None
     ) -> Message:
         """Return the next message, which must be of this kind and, if one is given, this `seq`.
@@ -133,37 +133,37 @@ class ScriptedPeer:
                 self.notices.append(message.scalars)
             elif message.kind is not Kind.HEARTBEAT:
                 where = "" if message.session == named else f" of session {message.session!r}"
-                raise self.broken(f"{shown(message)}{where} came instead of {expected}")
-        raise self.broken(f"{expected} did not come in time")
+                raise self.broken(f"{shown(message)}{where} received instead of {expected}")
+        raise self.broken(f"{expected} was not received in time")
 
-    def hears_error(self, code: ErrorCode, seq: int | None = None) -> None:
+    def expects_error(self, code: ErrorCode, seq: int | None = None) -> None:
         """Expect an ERROR of this code."""
-        error = self.hears(Kind.ERROR, seq)
-        self.check(error.scalars[0] == code, f"{shown(error)} came instead of the error {code}")
+        error = self.expects(Kind.ERROR, seq)
+        self.check(error.scalars[0] == code, f"{shown(error)} received instead of the error {code}")
 
-    def hears_malformed(self) -> None:
+    def expects_malformed(self) -> None:
         """Expect what is said to whoever sent what is no message."""
-        error = self.hears(Kind.ERROR, 0, session="")
+        error = self.expects(Kind.ERROR, 0, session="")
         self.check(
-            error.scalars[0] == ErrorCode.MALFORMED, f"{shown(error)} came instead of the error malformed"
+            error.scalars[0] == ErrorCode.MALFORMED, f"{shown(error)} received instead of the error malformed"
         )
 
-    def hears_notice(self, event: Event, role: Role) -> None:
+    def expects_notice(self, event: Event, role: Role) -> None:
         """Expect a NOTICE, which may have come already."""
         while not any(notice[:2] == (event, role) for notice in self.notices):
-            self.notices.append(self.hears(Kind.NOTICE).scalars)
+            self.notices.append(self.expects(Kind.NOTICE).scalars)
         self.notices.clear()
 
-    def hears_nothing(self) -> None:
+    def expects_nothing(self) -> None:
         """Expect that nothing was sent but what was heard: messages of a connection keep their order."""
         self.send(Kind.HEARTBEAT, seq=77)
-        self.hears(Kind.HEARTBEAT, 77)
+        self.expects(Kind.HEARTBEAT, 77)
 
-    def hears_call(self, kind: Kind, *scalars: Value, body: bytes = b"") -> int:
+    def expects_call(self, kind: Kind, *scalars: Value, body: bytes = b"") -> int:
         """Expect a call with just these scalars and body; return its number."""
-        call = self.hears(kind)
+        call = self.expects(kind)
         wanted = call._replace(scalars=scalars, body=body)
-        self.check(call == wanted, f"{shown(call)} came instead of {shown(wanted)}")
+        self.check(call == wanted, f"{shown(call)} received instead of {shown(wanted)}")
         self._scene.numbered(call)
         return call.seq
 
@@ -175,19 +175,19 @@ class ScriptedPeer:
         reply: tuple[Value, ...] = (),
         gives: bytes = b"",
     ) -> None:
-        """Expect a call as `hears_call` does, and answer it with `reply` and the body `gives`."""
-        self.send(kind, *reply, seq=self.hears_call(kind, *scalars, body=body), body=gives)
+        """Expect a call as `expects_call` does, and answer it with `reply` and the body `gives`."""
+        self.send(kind, *reply, seq=self.expects_call(kind, *scalars, body=body), body=gives)
 
-    def hears_reply(self, kind: Kind, *scalars: Value, body: bytes = b"") -> None:
+    def expects_reply(self, kind: Kind, *scalars: Value, body: bytes = b"") -> None:
         """Expect the reply to the request that was asked last, with just these scalars and body."""
-        reply = self.hears(kind, self.seq)
+        reply = self.expects(kind, self.seq)
         wanted = reply._replace(scalars=scalars, body=body)
-        self.check(reply == wanted, f"{shown(reply)} came instead of {shown(wanted)}")
+        self.check(reply == wanted, f"{shown(reply)} received instead of {shown(wanted)}")
 
     def gets(self, kind: Kind, *scalars: Value) -> None:
         """Ask something that concerns no player, and expect a reply with these scalars."""
         self.ask(kind)
-        self.hears_reply(kind, *scalars)
+        self.expects_reply(kind, *scalars)
 
     def leave(self) -> None:
         """Say goodbye. Another HELLO may follow."""
@@ -221,7 +221,7 @@ class ScriptedPeer:
         try:
             return decode(frames, FROM_HUB)
         except RemoteProtocolError as error:
-            raise self.broken(f"something came that is no message: {error}") from None
+            raise self.broken(f"something was received that is not at a message: {error}") from None
 
 
 class Scene:
@@ -262,20 +262,20 @@ class Scene:
         self.experiment.ask(Kind.RL_INIT, None)
         self.environment.answers(Kind.ENV_INIT, gives=TASK_SPEC.encode())
         self.agent.answers(Kind.AGENT_INIT, body=TASK_SPEC.encode())
-        self.experiment.hears_reply(Kind.RL_INIT, body=TASK_SPEC.encode())
+        self.experiment.expects_reply(Kind.RL_INIT, body=TASK_SPEC.encode())
 
     def start(self) -> None:
         """Carry out RL_START."""
         self.experiment.ask(Kind.RL_START)
         self.started()
-        self.experiment.hears_reply(Kind.RL_START, body=saw(0) + did(0))
+        self.experiment.expects_reply(Kind.RL_START, body=saw(0) + did(0))
 
     def step(self, step: int, terminal: bool = False) -> None:
         """Carry out RL_STEP number `step`, from 1."""
         self.experiment.ask(Kind.RL_STEP)
         self.stepped(step, terminal)
         last = did(step - 1 if terminal else step)
-        self.experiment.hears_reply(Kind.RL_STEP, reward(step), terminal, body=saw(step) + last)
+        self.experiment.expects_reply(Kind.RL_STEP, reward(step), terminal, body=saw(step) + last)
 
     def episode(self, limit: int, length: int) -> None:
         """Carry out RL_EPISODE; its end is at step `length`."""
@@ -284,7 +284,7 @@ class Scene:
         last = length if limit == 0 else min(length, limit - 1)
         for step in range(1, last + 1):
             self.stepped(step, step == length)
-        self.experiment.hears_reply(Kind.RL_EPISODE, last == length)
+        self.experiment.expects_reply(Kind.RL_EPISODE, last == length)
 
     def started(self) -> None:
         """Answer the players' calls of a start."""
@@ -310,7 +310,7 @@ class Scene:
     def numbered(self, call: Message) -> None:
         """Check that the calls of the session have growing numbers."""
         if call.seq <= self._number:
-            raise ContractBroken(HubRule.NUMBERS, f"{shown(call)} came after call {self._number}")
+            raise ContractBroken(HubRule.NUMBERS, f"{shown(call)} received after call {self._number}")
         self._number = call.seq
 
     def close(self) -> None:

@@ -10,14 +10,14 @@ from glue.testing.scripted import TASK_SPEC, Scene, did, number, reward, saw, sh
 
 
 def unknown_peer(scene: Scene) -> None:
-    """A word from a stranger, and from a known instance over a new connection."""
+    """A message over a connection without a HELLO, and from a known instance over a new connection."""
     for seq, peer in enumerate((scene.agent, scene.environment, scene.experiment), start=5):
         peer.send(Kind.HEARTBEAT, seq=seq)
-        peer.hears_error(ErrorCode.UNKNOWN_PEER, seq)
+        peer.expects_error(ErrorCode.UNKNOWN_PEER, seq)
     scene.init()
     scene.agent.connect()
     scene.agent.send(Kind.HEARTBEAT, seq=1)
-    scene.agent.hears_error(ErrorCode.UNKNOWN_PEER, 1)
+    scene.agent.expects_error(ErrorCode.UNKNOWN_PEER, 1)
 
 
 def busy(scene: Scene) -> None:
@@ -26,9 +26,9 @@ def busy(scene: Scene) -> None:
     scene.experiment.ask(Kind.RL_START)
     under_way = scene.experiment.seq
     scene.experiment.ask(Kind.RL_CLEANUP)
-    scene.experiment.hears_error(ErrorCode.BUSY, scene.experiment.seq)
+    scene.experiment.expects_error(ErrorCode.BUSY, scene.experiment.seq)
     scene.started()
-    scene.experiment.hears(Kind.RL_START, under_way)
+    scene.experiment.expects(Kind.RL_START, under_way)
     scene.step(1)
 
 
@@ -38,14 +38,14 @@ def repeated(scene: Scene) -> None:
     scene.start()
     scene.experiment.ask(Kind.RL_STEP)
     scene.experiment.send(Kind.RL_STEP, seq=scene.experiment.seq)
-    number = scene.environment.hears_call(Kind.ENV_STEP, body=did(0))
+    number = scene.environment.expects_call(Kind.ENV_STEP, body=did(0))
     for _ in range(2):
         scene.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
     scene.agent.answers(Kind.AGENT_STEP, reward(1), body=saw(1), gives=did(1))
-    scene.experiment.hears_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+    scene.experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
     scene.experiment.send(Kind.RL_STEP, seq=scene.experiment.seq)
     for peer in (scene.experiment, scene.environment, scene.agent):
-        peer.hears_nothing()
+        peer.expects_nothing()
     scene.counted(reward(1), 2, 0)
     scene.step(2)
 
@@ -56,16 +56,16 @@ def not_asked(scene: Scene) -> None:
     scene.start()
     scene.experiment.seq += 1
     scene.experiment.send(Kind.AGENT_STEP, seq=scene.experiment.seq, body=did(9))
-    scene.experiment.hears_error(ErrorCode.NOT_ASKED, scene.experiment.seq)
+    scene.experiment.expects_error(ErrorCode.NOT_ASKED, scene.experiment.seq)
     scene.agent.send(Kind.AGENT_STEP, seq=10**6, body=did(9))
-    scene.agent.hears_error(ErrorCode.NOT_ASKED, 10**6)
+    scene.agent.expects_error(ErrorCode.NOT_ASKED, 10**6)
     scene.experiment.ask(Kind.RL_STEP)
-    number = scene.environment.hears_call(Kind.ENV_STEP, body=did(0))
+    number = scene.environment.expects_call(Kind.ENV_STEP, body=did(0))
     scene.agent.send(Kind.ENV_STEP, 100.0, True, seq=number, body=saw(9))  # It is not the agent's turn.
-    scene.agent.hears_error(ErrorCode.NOT_ASKED, number)
+    scene.agent.expects_error(ErrorCode.NOT_ASKED, number)
     scene.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
     scene.agent.answers(Kind.AGENT_STEP, reward(1), body=saw(1), gives=did(1))
-    scene.experiment.hears_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+    scene.experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
     scene.counted(reward(1), 2, 0)
 
 
@@ -75,7 +75,7 @@ def unknown_kind(scene: Scene) -> None:
     scene.start()
     for peer in (scene.agent, scene.environment, scene.experiment):
         peer.send_frames([_unknown(peer.session)])
-        peer.hears_error(ErrorCode.UNKNOWN_KIND, 5)
+        peer.expects_error(ErrorCode.UNKNOWN_KIND, 5)
     scene.step(1)
 
 
@@ -90,29 +90,29 @@ def exception(scene: Scene) -> None:
     scene.init()
     scene.start()
     scene.experiment.ask(Kind.RL_STEP)
-    number = scene.environment.hears_call(Kind.ENV_STEP, body=did(0))
+    number = scene.environment.expects_call(Kind.ENV_STEP, body=did(0))
     scene.environment.send(Kind.ERROR, "exception", "division by zero", seq=number)
-    scene.experiment.hears_error(ErrorCode.PEER_FAILED, scene.experiment.seq)
+    scene.experiment.expects_error(ErrorCode.PEER_FAILED, scene.experiment.seq)
     scene.episode(0, 2)
 
 
 def malformed(scene: Scene) -> None:
-    """No message from a stranger, a body cut short from a player."""
+    """Bytes that are not a message from an unknown peer, a body cut short from a player."""
     scene.init()
     scene.start()
-    stranger = scene.peer(Role.AGENT)
-    stranger.send_frames([b"\xc1"])
-    stranger.hears_malformed()
+    unknown = scene.peer(Role.AGENT)
+    unknown.send_frames([b"\xc1"])
+    unknown.expects_malformed()
     scene.step(1)
     scene.experiment.ask(Kind.RL_STEP)
-    number = scene.environment.hears_call(Kind.ENV_STEP, body=did(1))
+    number = scene.environment.expects_call(Kind.ENV_STEP, body=did(1))
     too_short = saw(2)[:-1]
     scene.environment.send(Kind.ENV_STEP, 0.0, False, seq=number, body=too_short)
-    scene.environment.hears_malformed()
-    scene.experiment.hears_error(ErrorCode.PEER_FAILED, scene.experiment.seq)
-    scene.experiment.hears_notice(Event.LOST, Role.ENVIRONMENT)
+    scene.environment.expects_malformed()
+    scene.experiment.expects_error(ErrorCode.PEER_FAILED, scene.experiment.seq)
+    scene.experiment.expects_notice(Event.LOST, Role.ENVIRONMENT)
     scene.environment.send(Kind.HEARTBEAT, seq=4)
-    scene.environment.hears_error(ErrorCode.UNKNOWN_PEER, 4)
+    scene.environment.expects_error(ErrorCode.UNKNOWN_PEER, 4)
     scene.environment.join(resumed=True)
     scene.episode(0, 2)
 
@@ -122,19 +122,19 @@ def resumed(scene: Scene) -> None:
     scene.init()
     scene.start()
     scene.experiment.ask(Kind.RL_STEP)
-    number = scene.environment.hears_call(Kind.ENV_STEP, body=did(0))
+    number = scene.environment.expects_call(Kind.ENV_STEP, body=did(0))
     scene.environment.connect()
     scene.environment.join(resumed=True)
-    again = scene.environment.hears(Kind.ENV_STEP)
+    again = scene.environment.expects(Kind.ENV_STEP)
     scene.environment.check(
-        (again.seq, again.body) == (number, did(0)), f"{shown(again)} came instead of call {number}"
+        (again.seq, again.body) == (number, did(0)), f"{shown(again)} received instead of call {number}"
     )
     scene.environment.send(Kind.ENV_STEP, reward(1), False, seq=number, body=saw(1))
     scene.agent.answers(Kind.AGENT_STEP, reward(1), body=saw(1), gives=did(1))
-    scene.experiment.hears_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+    scene.experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
     scene.experiment.connect()
     scene.experiment.join(resumed=True)
-    scene.experiment.hears_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
+    scene.experiment.expects_reply(Kind.RL_STEP, reward(1), False, body=saw(1) + did(1))
     scene.step(2)
     scene.counted(reward(1) + reward(2), 3, 0)
 
@@ -147,14 +147,14 @@ def welcome_lost(scene: Scene) -> None:
             peer.join(resumed=False)
             peer.join(resumed=True)
     scene.experiment.ask(Kind.RL_INIT, None)
-    number = scene.environment.hears_call(Kind.ENV_INIT)
+    number = scene.environment.expects_call(Kind.ENV_INIT)
     scene.environment.connect()
     scene.environment.join(resumed=False)
-    again = scene.environment.hears(Kind.ENV_INIT)
-    scene.environment.check(again.seq == number, f"{shown(again)} came instead of call {number}")
+    again = scene.environment.expects(Kind.ENV_INIT)
+    scene.environment.check(again.seq == number, f"{shown(again)} received instead of call {number}")
     scene.environment.send(Kind.ENV_INIT, seq=number, body=TASK_SPEC.encode())
     scene.agent.answers(Kind.AGENT_INIT, body=TASK_SPEC.encode())
-    scene.experiment.hears_reply(Kind.RL_INIT, body=TASK_SPEC.encode())
+    scene.experiment.expects_reply(Kind.RL_INIT, body=TASK_SPEC.encode())
     for peer in (scene.experiment, scene.agent, scene.environment):
         peer.connect()
         peer.join(resumed=True)
@@ -168,16 +168,16 @@ def lost(scene: Scene) -> None:
     scene.step(1)
     scene.experiment.ask(Kind.RL_STEP)
     scene.environment.answers(Kind.ENV_STEP, body=did(1), reply=(0.0, False), gives=saw(2))
-    scene.agent.hears_call(Kind.AGENT_STEP, 0.0, body=saw(2))
+    scene.agent.expects_call(Kind.AGENT_STEP, 0.0, body=saw(2))
     scene.agent.leave()
-    scene.experiment.hears_error(ErrorCode.PEER_LOST, scene.experiment.seq)
-    scene.experiment.hears_notice(Event.LOST, Role.AGENT)
+    scene.experiment.expects_error(ErrorCode.PEER_LOST, scene.experiment.seq)
+    scene.experiment.expects_notice(Event.LOST, Role.AGENT)
     for kind in (Kind.RL_STEP, Kind.RL_ENV_STEP, Kind.RL_AGENT_START):
         scene.experiment.ask(kind, body=did(1))
-        scene.experiment.hears_error(ErrorCode.PEER_LOST, scene.experiment.seq)
+        scene.experiment.expects_error(ErrorCode.PEER_LOST, scene.experiment.seq)
     scene.experiment.gets(Kind.RL_NUM_EPISODES, 1)
     scene.agent.join(resumed=True)
-    scene.experiment.hears_notice(Event.RETURNED, Role.AGENT)
+    scene.experiment.expects_notice(Event.RETURNED, Role.AGENT)
     scene.episode(0, 2)
     scene.experiment.gets(Kind.RL_NUM_EPISODES, 2)
 
@@ -188,31 +188,31 @@ def silent(scene: Scene) -> None:
     scene.start()
     heartbeat, patience = map(number, scene.agent.join(resumed=True).scalars[2:4])
     scene.experiment.ask(Kind.RL_STEP)
-    scene.environment.hears_call(Kind.ENV_STEP, body=did(0))
+    scene.environment.expects_call(Kind.ENV_STEP, body=did(0))
     scene.environment.vanish()
     scene.wait += patience + 2 * heartbeat
-    scene.experiment.hears_error(ErrorCode.PEER_LOST, scene.experiment.seq)
-    scene.experiment.hears_notice(Event.LOST, Role.ENVIRONMENT)
+    scene.experiment.expects_error(ErrorCode.PEER_LOST, scene.experiment.seq)
+    scene.experiment.expects_notice(Event.LOST, Role.ENVIRONMENT)
 
 
 def replaced(scene: Scene) -> None:
     """Others take the roles of environment and agent."""
     scene.init()
     scene.environment.leave()
-    scene.experiment.hears_notice(Event.LOST, Role.ENVIRONMENT)
-    scene.experiment.ask(Kind.RL_START)  # It waits for whoever comes.
+    scene.experiment.expects_notice(Event.LOST, Role.ENVIRONMENT)
+    scene.experiment.ask(Kind.RL_START)  # It waits until somebody fills the role.
     scene.environment = scene.peer(Role.ENVIRONMENT)
     scene.environment.join()
-    scene.experiment.hears_notice(Event.JOINED, Role.ENVIRONMENT)
+    scene.experiment.expects_notice(Event.JOINED, Role.ENVIRONMENT)
     scene.environment.answers(Kind.ENV_INIT, gives=TASK_SPEC.encode())
     scene.started()
-    scene.experiment.hears_reply(Kind.RL_START, body=saw(0) + did(0))
+    scene.experiment.expects_reply(Kind.RL_START, body=saw(0) + did(0))
     scene.agent.leave()
     scene.agent = scene.peer(Role.AGENT)
     scene.agent.join()
-    scene.experiment.hears_notice(Event.JOINED, Role.AGENT)
+    scene.experiment.expects_notice(Event.JOINED, Role.AGENT)
     scene.experiment.ask(Kind.RL_EPISODE, 1)
     scene.environment.answers(Kind.ENV_START, gives=saw(0))
     scene.agent.answers(Kind.AGENT_INIT, body=TASK_SPEC.encode())
     scene.agent.answers(Kind.AGENT_START, body=saw(0), gives=did(0))
-    scene.experiment.hears_reply(Kind.RL_EPISODE, False)
+    scene.experiment.expects_reply(Kind.RL_EPISODE, False)

@@ -323,7 +323,7 @@ def test_colon_ints_and_doubles_are_separated_in_order() -> None:
         ("4:e:1_[i]:1_[i]", "character 1: expected VERSION, or the colon format"),
         ("2:?:1_[i]:1_[i]", "character 3: expected e, c or another word, not '?:1_[i]:1_[i]'"),
         ("2:e:x_[i]:1_[i]", "character 5: expected a number of dimensions, not 'x_[i]:1_[i]'"),
-        ("2:e:2_[i]:1_[i]", "character 5: 2 dimensions need as many letters; 1 came"),
+        ("2:e:2_[i]:1_[i]", "character 5: 2 dimensions need as many letters; 1 received"),
         ("2:e:1_[x]:1_[i]", "character 8: expected i, f, ',' or ']', not 'x]:1_[i]'"),
         (
             "2:e:1_[i]_[0,-inf]:1_[i]",
@@ -339,7 +339,7 @@ def test_colon_ints_and_doubles_are_separated_in_order() -> None:
         ("2:e:1_[i]_[0,1]_[2,3]:1_[i]", "character 16: expected ':', not '_[2,3]:1_[i]'"),
         ("2:e:1_[i]", "character 10: expected ':', not the end"),
         ("2:e:1_[i]:1_[i]:[0,1] x", "character 23: expected ':' or the end, not 'x'"),
-        ("2:e:99999999_[i]:1_[i]", "character 5: 99999999 dimensions need as many letters; 1 came"),
+        ("2:e:99999999_[i]:1_[i]", "character 5: 99999999 dimensions need as many letters; 1 received"),
     ],
 )
 def test_colon_error_names_place_and_expectation(text: str, error: str) -> None:
@@ -405,7 +405,7 @@ def test_hostile_text_is_refused(text: str) -> None:
 def test_text_of_the_longest_length_is_read_and_no_longer() -> None:
     text = "VERSION Foo ".ljust(MAX_LENGTH, "x")
     assert len(str(parse_task_spec(text))) == MAX_LENGTH
-    with pytest.raises(TaskSpecError, match=f"at most {MAX_LENGTH} characters; {MAX_LENGTH + 1} came"):
+    with pytest.raises(TaskSpecError, match=f"at most {MAX_LENGTH} characters; {MAX_LENGTH + 1} received"):
         parse_task_spec(text + "x")
 
 
@@ -425,7 +425,7 @@ def test_long_repeat_takes_no_memory() -> None:
         tracemalloc.stop()
     assert spec.observations.ints[16_777_215] == Range(0, 1)
     assert spec.observations.doubles[-1] == Range(6, POSINF)
-    assert reason == "ints: 16777216 expected, 1 came; doubles: 16777216 expected, 0 came"
+    assert reason == "ints: 16777216 expected, 1 received; doubles: 16777216 expected, 0 received"
     assert peak < 200_000
 
 
@@ -576,7 +576,7 @@ def test_check_gives_number_and_range(count: int) -> None:
     space = read_space(f"INTS ({count} 0 4) DOUBLES ({count} NEGINF 1.5) CHARCOUNT 2")
     ints, doubles = np.full(count, 4), np.full(count, 1.5)
     assert space.check(Observation(ints, doubles, b"ab")) is None
-    assert space.check(Observation(ints, doubles, b"abc")) == "chars: 2 expected, 3 came"
+    assert space.check(Observation(ints, doubles, b"abc")) == "chars: 2 expected, 3 received"
     doubles[2] = math.nan
     assert space.check(Observation(ints, doubles, b"ab")) == "double 2 is nan, not in (NEGINF 1.5)"
     ints[1] = -1

@@ -25,7 +25,7 @@ CHARACTERS: Final = {
 """What the text below the grammar says of its undefined names."""
 
 BEYOND: Final = (
-    "came a second time",
+    "is given twice",
     "without leading zeros",  # ten digits, or more
     "from 0 to 16777216",
     "more than the 16777216",

@@ -448,14 +448,14 @@ def test_a_msgpack_bomb_is_answered_with_an_error(stranger: Stranger, name: str)
 def test_a_message_of_many_frames_is_answered_with_an_error(stranger: Stranger, count: int) -> None:
     stranger.join("agent", session=f"{count} frames")
     stranger.send(*[b"frame"] * count)
-    assert stranger.error() == (ErrorCode.MALFORMED, "a message has one or two frames; 3 came")
+    assert stranger.error() == (ErrorCode.MALFORMED, "a message has one or two frames; 3 received")
 
 
 def test_a_body_too_large_is_answered_with_an_error(stranger: Stranger) -> None:
     stranger.send(msgpack.packb([19, "bad", 1]), bytes(MAX_BODY + 1))
     code, text = stranger.error()
     assert code == ErrorCode.MALFORMED
-    assert f"a body of {MAX_BODY + 1} bytes came with ENV_MESSAGE; {MAX_BODY} are allowed" in text
+    assert f"the body of ENV_MESSAGE has {MAX_BODY + 1} bytes; {MAX_BODY} are allowed" in text
 
 
 def test_counts_that_do_not_add_up_are_answered_with_an_error(stranger: Stranger) -> None:

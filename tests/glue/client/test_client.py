@@ -790,5 +790,5 @@ def test_a_text_that_utf_8_cannot_carry_is_a_local_error(hub: HandHub, lines: li
         glue.rl_env_message("half a pair \ud800")
 
     running = experiment(hub, verbs, lines)
-    with pytest.raises(LocalProtocolError, match=r"'half a pair \\ud800' is no text that UTF-8 can carry"):
+    with pytest.raises(LocalProtocolError, match=r"'half a pair \\ud800' is not a text that UTF-8 can carry"):
         running.result(TIMEOUT)

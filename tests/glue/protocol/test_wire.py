@@ -133,20 +133,20 @@ def test_a_seed_may_be_missing() -> None:
 @pytest.mark.parametrize(
     ("scalars", "complaint"),
     [
-        ((), "carries 2 scalars; 0 came"),
-        ((0.0,), "carries 2 scalars; 1 came"),
-        ((0.0, False, 0), "carries 2 scalars; 3 came"),
-        (("1", False), "reward of ENV_STEP is a number; '1' came"),
-        ((None, False), "reward of ENV_STEP is a number; None came"),
-        ((True, False), "reward of ENV_STEP is a number; True came"),
-        ((2**53 + 1, False), "reward of ENV_STEP is a number; 9007199254740993 came"),
-        ((0.0, 1.0), "terminal of ENV_STEP is true or false; 1.0 came"),
-        ((0.0, None), "terminal of ENV_STEP is true or false; None came"),
-        ((0.0, []), "terminal of ENV_STEP is true or false; [] came"),
-        ((0.0, {}), "terminal of ENV_STEP is true or false; {} came"),
+        ((), "has 2 scalars; 0 received"),
+        ((0.0,), "has 2 scalars; 1 received"),
+        ((0.0, False, 0), "has 2 scalars; 3 received"),
+        (("1", False), "reward of ENV_STEP is a number; '1' received"),
+        ((None, False), "reward of ENV_STEP is a number; None received"),
+        ((True, False), "reward of ENV_STEP is a number; True received"),
+        ((2**53 + 1, False), "reward of ENV_STEP is a number; 9007199254740993 received"),
+        ((0.0, 1.0), "terminal of ENV_STEP is true or false; 1.0 received"),
+        ((0.0, None), "terminal of ENV_STEP is true or false; None received"),
+        ((0.0, []), "terminal of ENV_STEP is true or false; [] received"),
+        ((0.0, {}), "terminal of ENV_STEP is true or false; {} received"),
         (
             (0.0, msgpack.ExtType(5, b"")),
-            "terminal of ENV_STEP is true or false; ExtType(code=5, data=b'') came",
+            "terminal of ENV_STEP is true or false; ExtType(code=5, data=b'') received",
         ),
     ],
 )
@@ -233,7 +233,7 @@ def test_a_header_that_would_grow_is_refused(name: str) -> None:
 
 @pytest.mark.parametrize("count", [0, 3, 1000])
 def test_a_message_has_one_or_two_frames(count: int) -> None:
-    assert rejected(*[header(67, "s", 0)] * count) == f"a message has one or two frames; {count} came"
+    assert rejected(*[header(67, "s", 0)] * count) == f"a message has one or two frames; {count} received"
 
 
 # Bodies that are refused
@@ -248,11 +248,11 @@ def counts(ints: int, doubles: int, chars: int, reserved: int = 0) -> bytes:
     [
         (b"", "starts with 16 bytes of counts; 0 came"),
         (counts(0, 0, 0)[:15], "starts with 16 bytes of counts; 15 came"),
-        (counts(1, 0, 0), "say 20 bytes; 16 came"),
-        (counts(0, 1, 0) + bytes(7), "say 24 bytes; 23 came"),
-        (counts(0, 0, 1) + bytes(2), "say 17 bytes; 18 came"),
+        (counts(1, 0, 0), "say 20 bytes; it has 16"),
+        (counts(0, 1, 0) + bytes(7), "say 24 bytes; it has 23"),
+        (counts(0, 0, 1) + bytes(2), "say 17 bytes; it has 18"),
         (counts(0, 0, 0, reserved=1), "bytes 12 to 15 of an abstract type must be zero"),
-        (counts(2**32 - 1, 2**32 - 1, 2**32 - 1), "say 55834574851 bytes; 16 came"),
+        (counts(2**32 - 1, 2**32 - 1, 2**32 - 1), "say 55834574851 bytes; it has 16"),
     ],
 )
 def test_an_abstract_type_whose_counts_do_not_add_up_is_refused(body: bytes, complaint: str) -> None:
@@ -260,14 +260,12 @@ def test_an_abstract_type_whose_counts_do_not_add_up_is_refused(body: bytes, com
 
 
 def test_a_body_is_refused_by_its_size_before_anything_else() -> None:
-    assert "a body of 101 bytes came with ENV_MESSAGE; 100 are allowed" in rejected(
-        header(19, "s", 1), bytes(101), max_body=100
-    )
+    assert "101 bytes; 100 are allowed" in rejected(header(19, "s", 1), bytes(101), max_body=100)
 
 
 def test_a_body_that_is_missing_or_too_many_is_refused() -> None:
-    assert "ENV_STEP needs a body frame; none came" in rejected(env_step()[0])
-    assert "HEARTBEAT has no body; one of 2 bytes came" in rejected(header(67, "s", 0), b"xx")
+    assert "ENV_STEP needs a body frame; none received" in rejected(env_step()[0])
+    assert "HEARTBEAT has no body; one of 2 bytes was received" in rejected(header(67, "s", 0), b"xx")
 
 
 def test_an_observation_and_an_action_are_each_within_the_limit() -> None:

@@ -95,7 +95,7 @@ def test_of_a_message_of_many_frames_three_are_kept() -> None:
 
 def test_a_frame_that_is_too_large_is_refused_before_it_comes() -> None:
     decoder = greeted()
-    with pytest.raises(RemoteProtocolError, match=f"a frame of {MAX_FRAME + 1} bytes came; {MAX_FRAME} are"):
+    with pytest.raises(RemoteProtocolError, match=f"{MAX_FRAME + 1} bytes .* {MAX_FRAME} are"):
         events(decoder, b"\x02" + struct.pack(">Q", MAX_FRAME + 1))
 
 

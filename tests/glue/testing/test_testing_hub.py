@@ -38,7 +38,7 @@ def test_our_hub_keeps_every_rule_also_while_it_is_at_work(scheme: str, tmp_path
 
 
 def test_hub_that_is_not_there_is_no_hub() -> None:
-    with pytest.raises(ContractBroken, match=r"WELCOME .* did not come in time"):
+    with pytest.raises(ContractBroken, match=r"WELCOME .* was not received in time"):
         check_hub("tcp://127.0.0.1:1", wait=0.1)
     with pytest.raises(ConfigError, match="tcp://host:port"):
         check_hub("localhost")
@@ -66,12 +66,12 @@ class Spoiled(Switchboard):
         return [(route, self.says(message))]
 
     def heard(self, route: Route, message: Message) -> list[Message]:
-        return [self.hears(message)]
+        return [self.expects(message)]
 
     def says(self, message: Message) -> Message:
         return message
 
-    def hears(self, message: Message) -> Message:
+    def expects(self, message: Message) -> Message:
         return message
 
 
@@ -127,9 +127,9 @@ class RoundsRewards(Spoiled):
 
 class CountsBackwards(Spoiled):
     def says(self, message: Message) -> Message:
-        return self.hears(message)
+        return self.expects(message)
 
-    def hears(self, message: Message) -> Message:
+    def expects(self, message: Message) -> Message:
         called = message.kind in CALLS and CALLS[message.kind].callee is not None
         return message._replace(seq=1000 - message.seq) if called and message.seq < 1000 else message
 
@@ -140,7 +140,7 @@ class ReturnsTheLastReward(Spoiled):
             return message._replace(scalars=(self.seen.get(message.session, 0.0),))
         return message
 
-    def hears(self, message: Message) -> Message:
+    def expects(self, message: Message) -> Message:
         if message.kind is Kind.ENV_STEP:
             self.seen[message.session] = message.scalars[0]
         if message.kind in (Kind.ENV_INIT, Kind.ENV_START):
@@ -174,14 +174,14 @@ class EndsTextsAtAZero(Spoiled):
 
 
 class SpeaksEveryVersion(Spoiled):
-    def hears(self, message: Message) -> Message:
+    def expects(self, message: Message) -> Message:
         if message.kind is not Kind.HELLO:
             return message
         return message._replace(scalars=((1,), *message.scalars[1:]))
 
 
 class TakesEverybodyForTheSame(Spoiled):
-    def hears(self, message: Message) -> Message:
+    def expects(self, message: Message) -> Message:
         if message.kind is not Kind.HELLO:
             return message
         return message._replace(scalars=(*message.scalars[:2], bytes(16), *message.scalars[3:]))
@@ -231,7 +231,7 @@ class KnowsOneSessionOfAConnection(Spoiled):
 
 
 class CarriesOutWhatIsRepeated(Spoiled):
-    def hears(self, message: Message) -> Message:
+    def expects(self, message: Message) -> Message:
         key = message.session, message.kind, message.seq
         if message.kind is Kind.RL_STEP and key in self.seen:
             return message._replace(seq=message.seq + 1)
@@ -245,7 +245,7 @@ class DropsWhoSaysWhatIsUnknown(Spoiled):
 
 
 class DropsWhoFails(Spoiled):
-    def hears(self, message: Message) -> Message:
+    def expects(self, message: Message) -> Message:
         return message._replace(kind=Kind.GOODBYE, scalars=("",)) if message.kind is Kind.ERROR else message
 
 
