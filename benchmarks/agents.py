@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from agents.mohan2010.flat import ObjectsFlatAgent, TilesAgent, TilesCoarseAgent
 from agents.mohan2010.hierarchical import HierarchicalAgent, HierarchicalInternalAgent, ObjectsCoarseAgent
-from benchmarks.measure import Table, count, interleaved, ratio
+from benchmarks.measure import Table, count, medians, ratio
 from env_server.mario.environment import InfiniteMario
 from glue.core.experiment import Experiment
 from glue.core.local import local
@@ -42,7 +42,7 @@ def _steps() -> Table:
     for kind in _AGENTS:
         agent = kind(seed=1)
         measures += [_together(agent), _alone(agent)]
-    results = interleaved(measures)
+    results = medians(measures)
     rows = [
         (kind.name, count(together), count(alone), ratio(together / 15_000))
         for kind, together, alone in zip(_AGENTS, results[::2], results[1::2], strict=True)

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from typing import Final
 
-from benchmarks.measure import Table, count, interleaved, ratio
+from benchmarks.measure import Table, count, medians, ratio
 from benchmarks.players import SIZES, serving
 from glue.client.experiment import connect
 from glue.core.sessions import INSTANCE_SIZE
@@ -67,7 +67,7 @@ def run() -> list[Table]:
             for name, (attack, numbers) in _CASES.items()
             for number in numbers
         ]
-        alone, *results = interleaved([undisturbed, *(measure for _, measure in cases)])
+        alone, *results = medians([undisturbed, *(measure for _, measure in cases)])
     rows = [("undisturbed", count(alone), ratio(1.0))]
     rows += [
         (name, count(value), ratio(value / alone)) for (name, _), value in zip(cases, results, strict=True)

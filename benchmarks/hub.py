@@ -1,19 +1,20 @@
-"""Steps per second: in one process, in two, in three, and with many sessions on one hub."""
+"""Steps per second: three programs, beside the original and what others use, and many sessions on one hub."""
 
 from __future__ import annotations
 
+import os
 import tempfile
-import threading
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from pathlib import Path
 
-from benchmarks.measure import Table, count, interleaved, ratio
+from benchmarks.measure import Rate, Table, count, rate, rates, ratio
+from benchmarks.original import SERVER, compiler, original_programs, original_server, through_the_gateway
+from benchmarks.peers import async_vector_env, dm_env_rpc_stream, installed
 from benchmarks.players import SIZES, Still, Walk, serving
-from benchmarks.raw import tcp_round_trips, zmq_round_trips
+from benchmarks.raw import socket_round_trips, zmq_round_trips
 from glue.client.experiment import connect
-from glue.client.players import serve_environment
 from glue.core.config import HubConfig
 from glue.core.experiment import Experiment
 from glue.core.local import local
@@ -23,125 +24,164 @@ __all__ = ["run"]
 
 _STEPS = 5000
 _ACTION_SIZE = 20
-_SESSIONS = (1, 8, 64)
+_SESSIONS = (1, 64, 256, 1024)
+_SMALL, _MARIO = SIZES
+_VERBS = {"episode": "RL_EPISODE", "step": "RL_STEP"}
+
+Measure = Callable[[], Rate]
 
 
 def run() -> list[Table]:
     """Measure everything about the hub."""
-    return [_topologies(), _sessions()]
+    return [_three_programs(), _sizes(), _sessions()]
 
 
-def _topologies() -> Table:
+def _three_programs() -> Table:
+    """Measure Mario-sized steps of three programs, beside all that they can be compared with."""
+    size = len(SIZES[_MARIO].body)
+    measures: dict[str, AbstractContextManager[Measure]] = {}
+    for verb, name in _VERBS.items():
+        if compiler and SERVER:
+            measures[f"original RL-Glue, C programs, {name}"] = _original(original_server, verb)
+        for transport in ("ipc", "tcp"):
+            measures[f"three Python processes, {transport}, {name}"] = _three(_MARIO, transport, verb)
+        if compiler:
+            measures[f"C programs through the gateway, {name}"] = _original(through_the_gateway, verb)
+    measures["raw round trips, Unix socket"] = socket_round_trips("ipc", size, _ACTION_SIZE)
+    measures["raw round trips, TCP"] = socket_round_trips("tcp", size, _ACTION_SIZE)
+    measures["raw round trips, pyzmq over ipc"] = zmq_round_trips("ipc", size, _ACTION_SIZE)
+    if installed("gymnasium"):
+        measures["Gymnasium's AsyncVectorEnv, one environment"] = async_vector_env()
+    if installed("dm_env_rpc"):
+        measures["dm_env_rpc"] = dm_env_rpc_stream()
+    with ExitStack() as stack:
+        ready = [stack.enter_context(measure) for measure in measures.values()]
+        results = dict(zip(measures, rates(ready), strict=True))
+    two_round_trips = results["raw round trips, Unix socket"].per_second / 2
     rows = []
-    for size, observation in SIZES.items():
-        body = len(observation.body)
-        with ExitStack() as stack:
-            measures = {
-                "in process": stack.enter_context(_in_process(size)),
-                "two processes, ipc": stack.enter_context(_two_processes(size)),
-                "three processes, ipc": stack.enter_context(_three_processes(size, "ipc")),
-                "three processes, tcp": stack.enter_context(_three_processes(size, "tcp")),
-                "raw pyzmq round trips, ipc": stack.enter_context(zmq_round_trips("ipc", body, _ACTION_SIZE)),
-                "raw pyzmq round trips, tcp": stack.enter_context(zmq_round_trips("tcp", body, _ACTION_SIZE)),
-                "raw TCP round trips": stack.enter_context(tcp_round_trips(body, _ACTION_SIZE)),
-            }
-            results = dict(zip(measures, interleaved(list(measures.values())), strict=True))
-        for name, value in results.items():
-            share = ""
-            if name.startswith("three"):
-                transport = name[-3:]
-                share = ratio(value / (results[f"raw pyzmq round trips, {transport}"] / 2))
-            rows.append((name, size, count(value), share))
+    for name, result in results.items():
+        verb = name.rpartition(", ")[2]
+        original = results.get(f"original RL-Glue, C programs, {verb}")
+        rows.append(
+            (
+                name,
+                count(result.per_second),
+                f"{result.cpu:.0f}",
+                ratio(result.per_second / two_round_trips) if verb.startswith("RL_") else "",
+                ratio(result.per_second / original.per_second) if original else "",
+            )
+        )
     return Table(
-        "Steps per second",
-        "One episode after the other, the agent and the environment doing nothing. The last column is the "
-        "share of what two raw pyzmq round trips of the same bytes allow, measured in the same run "
-        "(the aim is 0.7). Two processes: environment and hub in one, the agent in the other.",
-        ("topology", "observation", "per second", "of two raw round trips"),
+        "Three programs",
+        "Steps with an observation of Mario's size (23 ints, 44 doubles, 352 chars), agent and environment "
+        "doing nothing. CPU is that of all processes. A step needs two round trips; raw ones are those of "
+        "two Python processes over a Unix socket with the same bytes. AsyncVectorEnv and dm_env_rpc have no "
+        "agent, and make one round trip a step. Aims: ipc at least 0.35 of two raw round trips and at most "
+        "120 us of CPU, tcp at least 0.75 of ipc; at least 0.9 of the original where RLGLUE_C names it.",
+        ("programs", "steps per second", "CPU, us", "of two raw round trips", "of the original"),
         rows,
+    )
+
+
+def _sizes() -> Table:
+    with ExitStack() as stack:
+        measures: dict[tuple[str, str], Measure] = {}
+        for size in SIZES:
+            measures["in process", size] = stack.enter_context(_in_process(size))
+            measures["three processes, ipc", size] = stack.enter_context(_three(size, "ipc", "episode"))
+        results = rates(list(measures.values()))
+    return Table(
+        "Topologies",
+        "RL_EPISODE, agent and environment doing nothing.",
+        ("topology", "observation", "steps per second", "CPU, us"),
+        [
+            (*name, count(result.per_second), f"{result.cpu:.1f}")
+            for name, result in zip(measures, results, strict=True)
+        ],
     )
 
 
 def _sessions() -> Table:
+    rows = []
     with ExitStack() as stack:
-        measures = [stack.enter_context(_many_sessions(number)) for number in _SESSIONS]
-        results = interleaved(measures)
-    rows = [
-        (str(number), count(value), ratio(value / results[0]))
-        for number, value in zip(_SESSIONS, results, strict=True)
-    ]
+        measures, memories = [], []
+        for number in _SESSIONS:
+            before = _resident()
+            measures.append(stack.enter_context(_many_sessions(number)))
+            memories.append((_resident() - before) / number / 1024)
+        results = rates(measures)
+    for number, result, memory in zip(_SESSIONS, results, memories, strict=True):
+        share = ratio(result.per_second / results[0].per_second)
+        rows.append((f"{number:,}", count(result.per_second), share, f"{memory:.0f} KiB"))
     return Table(
         "Many sessions on one hub",
         "All over tcp: one process serves every agent, one every environment, one is hub and experiments. "
-        "The aim is 2.5 times the total of one session with 64.",
-        ("sessions", "steps per second in all", "times one"),
+        "Memory is what the last one grew by, its threads included (the aim is 64 KiB).",
+        ("sessions", "steps per second in all", "times one", "memory a session"),
         rows,
     )
 
 
-def _measure(glue: Experiment) -> Callable[[], float]:
+def _resident() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
+
+
+def _measure(glue: Experiment, verb: str, pids: list[int]) -> Measure:
     glue.rl_init()
 
-    def measure() -> float:
-        began = time.perf_counter()
-        glue.rl_episode(_STEPS)
-        return _STEPS / (time.perf_counter() - began)
+    def step() -> None:
+        glue.rl_start()
+        for _ in range(_STEPS):
+            glue.rl_step()
 
-    return measure
+    work = step if verb == "step" else lambda: glue.rl_episode(_STEPS)
+    work()
+    return lambda: rate(work, _STEPS, pids)
 
 
 @contextmanager
-def _in_process(size: str) -> Iterator[Callable[[], float]]:
+def _in_process(size: str) -> Iterator[Measure]:
     with local(Still(), Walk(SIZES[size])) as glue:
-        yield _measure(glue)
+        yield _measure(glue, "episode", [])
 
 
 @contextmanager
-def _two_processes(size: str) -> Iterator[Callable[[], float]]:
-    with _hub("ipc") as url, serving("agent", size, url):
-        environment = threading.Thread(
-            target=serve_environment,
-            args=(Walk(SIZES[size]), url, "0"),
-            kwargs={"log": lambda line: None},
-        )
-        environment.start()
-        with connect(url, "0") as glue:
-            yield _measure(glue)
-    environment.join()
-
-
-@contextmanager
-def _three_processes(size: str, transport: str) -> Iterator[Callable[[], float]]:
+def _three(size: str, transport: str, verb: str) -> Iterator[Measure]:
     with ExitStack() as stack:
-        url = stack.enter_context(_hub(transport))
-        for role in ("environment", "agent"):
-            stack.enter_context(serving(role, size, url))
-        yield _measure(stack.enter_context(connect(url, "0")))
+        hub = stack.enter_context(_hub(transport))
+        url = hub.endpoints[0]
+        pids = [stack.enter_context(serving(role, size, url)) for role in ("environment", "agent")]
+        yield _measure(stack.enter_context(connect(url, "0")), verb, pids)
 
 
 @contextmanager
-def _hub(transport: str) -> Iterator[str]:
+def _original(
+    serve: Callable[[], AbstractContextManager[tuple[int, list[int]]]], verb: str
+) -> Iterator[Measure]:
+    with (
+        serve() as (port, servers),
+        original_programs(port, servers, SIZES[_MARIO], verb, _STEPS) as measure,
+    ):
+        yield measure
+
+
+@contextmanager
+def _hub(transport: str) -> Iterator[Hub]:
     with tempfile.TemporaryDirectory() as folder:
         address = f"ipc://{folder}/hub" if transport == "ipc" else "tcp://127.0.0.1:*"
-        with Hub(HubConfig(bind=(address,))).in_background() as hub:
-            yield hub.endpoints[0]
+        with Hub(HubConfig(bind=(address,), max_sessions=2048)).in_background() as hub:
+            yield hub
 
 
 @contextmanager
-def _many_sessions(number: int) -> Iterator[Callable[[], float]]:
-    size = next(iter(SIZES))
+def _many_sessions(number: int) -> Iterator[Measure]:
     with ExitStack() as stack:
-        url = stack.enter_context(_hub("tcp"))
-        for role in ("environment", "agent"):
-            stack.enter_context(serving(role, size, url, number))
+        url = stack.enter_context(_hub("tcp")).endpoints[0]
+        pids = [stack.enter_context(serving(role, _SMALL, url, number)) for role in ("environment", "agent")]
         glues = [stack.enter_context(connect(url, str(i))) for i in range(number)]
         pool = stack.enter_context(ThreadPoolExecutor(number))
         list(pool.map(lambda glue: glue.rl_init(), glues))
-        steps = max(_STEPS // number, 200)
-
-        def measure() -> float:
-            began = time.perf_counter()
-            list(pool.map(lambda glue: glue.rl_episode(steps), glues))
-            return number * steps / (time.perf_counter() - began)
-
-        yield measure
+        steps = max(_STEPS // number, 20)
+        yield lambda: rate(
+            lambda: list(pool.map(lambda glue: glue.rl_episode(steps), glues)), number * steps, pids
+        )

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 
-from benchmarks.measure import Table, count, interleaved, ratio
+from benchmarks.measure import Table, count, medians, ratio
 from benchmarks.players import SIZES, serving
 from glue.client.experiment import connect
 from glue.core.config import HubConfig, LegacyPort
@@ -33,7 +33,7 @@ def run() -> list[Table]:
                 "original agent and environment": stack.enter_context(_originals(size)),
                 "original experiment as well": stack.enter_context(_all_original(size)),
             }
-            results = interleaved(list(measures.values()))
+            results = medians(list(measures.values()))
         rows += [
             (name, size, count(value), ratio(value / results[0]))
             for name, value in zip(measures, results, strict=True)

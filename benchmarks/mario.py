@@ -12,7 +12,7 @@ from itertools import cycle
 
 import numpy as np
 
-from benchmarks.measure import Table, count, interleaved, ratio
+from benchmarks.measure import Table, count, medians, ratio
 from env_server.mario.batch import Batch
 from env_server.mario.environment import InfiniteMario
 from glue.core.local import local
@@ -70,7 +70,7 @@ def _steps() -> Table:
         "one game through glue.local": _through_glue,
         **{f"a batch of {games} in one call": _batched(games) for games in sizes},
     }
-    values = interleaved(list(measures.values()))
+    values = medians(list(measures.values()))
     return Table(
         "Infinite Mario",
         "Steps of five ticks per second, observation included; Mario runs right and reaches the goal.",
@@ -136,7 +136,7 @@ def _copies() -> Table:
         "restore a game": lambda: game.restore(saved),
         "start an episode, level included": mario.env_start,
     }
-    values = interleaved([_microseconds(measure) for measure in measures.values()])
+    values = medians([_microseconds(measure) for measure in measures.values()])
     return Table(
         "Copying a game",
         f"A game is {game.world.nbytes:,} bytes of memory.",  # type: ignore[attr-defined]
@@ -158,7 +158,7 @@ def _microseconds(call: Callable[[], object], times: int = 2000) -> Callable[[],
 def _readiness() -> Table:
     with tempfile.TemporaryDirectory() as folder:
         _first_step(folder)
-        warm, cold = interleaved([lambda: _first_step(folder), _first_step_ever])
+        warm, cold = medians([lambda: _first_step(folder), _first_step_ever])
     return Table(
         "Ready to play",
         "Seconds from the start of a Python process to the end of its first step (the aims are 2 and 30).",

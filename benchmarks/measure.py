@@ -1,14 +1,19 @@
-"""What every measurement shares: repeats, medians, tables."""
+"""What every measurement shares: repeats, medians, CPU time, tables."""
 
 from __future__ import annotations
 
+import os
 import statistics
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple, TypeVar
 
-__all__ = ["REPEATS", "Table", "count", "interleaved", "ratio"]
+__all__ = ["REPEATS", "Rate", "Table", "count", "interleaved", "medians", "rate", "rates", "ratio"]
 
 REPEATS = 5
+_TICKS = os.sysconf("SC_CLK_TCK")
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,16 +40,48 @@ class Table:
         return "\n".join(lines) + "\n"
 
 
-def interleaved(measures: Sequence[Callable[[], float]], repeats: int = REPEATS) -> list[float]:
-    """Return the median of each measure, all of them repeated in turn.
+class Rate(NamedTuple):
+    """How fast something was: `per_second`, and `cpu`, the microseconds of all its processes for each."""
 
-    In turn, so that whatever else the machine does falls on all alike, and their ratios hold.
+    per_second: float
+    cpu: float
+
+
+def rate(work: Callable[[], object], number: int, pids: Collection[int] = ()) -> Rate:
+    """Return how fast `work`, done by this process and by `pids`, does `number` things."""
+    pids = {os.getpid(), *pids}
+    used, began = _cpu_seconds(pids), time.perf_counter()
+    work()
+    took = time.perf_counter() - began
+    return Rate(number / took, (_cpu_seconds(pids) - used) / number * 1e6)
+
+
+_T = TypeVar("_T")
+
+
+def interleaved(measures: Sequence[Callable[[], _T]], repeats: int = REPEATS) -> list[list[_T]]:
+    """Return the results of each measure, all of them repeated in turn.
+
+    In turn, so that whatever else the machine does affects all alike, and their ratios hold.
     """
-    results: list[list[float]] = [[] for _ in measures]
+    results: list[list[_T]] = [[] for _ in measures]
     for _ in range(repeats):
         for measure, values in zip(measures, results, strict=True):
             values.append(measure())
-    return [statistics.median(values) for values in results]
+    return results
+
+
+def medians(measures: Sequence[Callable[[], float]], repeats: int = REPEATS) -> list[float]:
+    """Return the median of each measure, all of them repeated in turn."""
+    return [statistics.median(values) for values in interleaved(measures, repeats)]
+
+
+def rates(measures: Sequence[Callable[[], Rate]], repeats: int = REPEATS) -> list[Rate]:
+    """Return the median rate, and the median CPU time, of each measure, all of them repeated in turn."""
+    return [
+        Rate(*(statistics.median(column) for column in zip(*values, strict=True)))
+        for values in interleaved(measures, repeats)
+    ]
 
 
 def count(value: float) -> str:
@@ -58,3 +95,12 @@ def count(value: float) -> str:
 def ratio(value: float) -> str:
     """Return a ratio to two decimals."""
     return f"{value:.2f}"
+
+
+def _cpu_seconds(pids: Collection[int]) -> float:
+    """Return the CPU time that processes have used, all of their threads together."""
+    ticks = 0
+    for pid in pids:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        ticks += int(fields[11]) + int(fields[12])
+    return ticks / _TICKS

@@ -24,7 +24,7 @@ _ACTION = Action(ints=(1,))
 
 
 class Walk:
-    """Shows the same observation for ever; an episode ends when its experiment cuts it off."""
+    """Shows the same observation forever; an episode ends when its experiment cuts it off."""
 
     def __init__(self, observation: Observation) -> None:
         self._body = observation.body
@@ -46,7 +46,7 @@ class Walk:
 
 
 class Still:
-    """Does the same thing for ever."""
+    """Does the same thing forever."""
 
     def agent_init(self, task_spec: str) -> None:
         pass
@@ -68,12 +68,12 @@ class Still:
 
 
 @contextmanager
-def serving(role: str, size: str, url: str, sessions: int = 1) -> Iterator[None]:
-    """Serve `sessions` agents or environments from a process of their own; it ends with its hub."""
+def serving(role: str, size: str, url: str, sessions: int = 1) -> Iterator[int]:
+    """Serve `sessions` agents or environments from a process of their own, whose number is given."""
     command = [sys.executable, "-m", "benchmarks.players", role, size, url, str(sessions)]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     try:
-        yield
+        yield process.pid
     finally:
         process.terminate()
         process.wait()

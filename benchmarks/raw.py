@@ -1,4 +1,4 @@
-"""Round trips without RL-Glue: pyzmq DEALER/ROUTER and plain TCP, with the bytes of one step.
+"""Round trips without RL-Glue: plain sockets and pyzmq DEALER/ROUTER, with the bytes of one step.
 
 One end is a process of its own, as the players of an experiment are.
 """
@@ -9,19 +9,21 @@ import socket
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import zmq
 
-__all__ = ["tcp_round_trips", "zmq_round_trips"]
+from benchmarks.measure import Rate, rate
+
+__all__ = ["socket_round_trips", "zmq_round_trips"]
 
 _HEADER = b"\x95" + bytes(19)  # as long as the header of a step
+_COUNT = 5000
 
 
 @contextmanager
-def zmq_round_trips(transport: str, size: int, reply_size: int) -> Iterator[Callable[[], float]]:
+def zmq_round_trips(transport: str, size: int, reply_size: int) -> Iterator[Callable[[], Rate]]:
     """Give a measure of round trips per second between a ROUTER here and a DEALER elsewhere."""
     with (
         zmq.Context() as context,
@@ -29,47 +31,55 @@ def zmq_round_trips(transport: str, size: int, reply_size: int) -> Iterator[Call
         context.socket(zmq.ROUTER) as router,
     ):
         router.bind(f"ipc://{folder}/raw" if transport == "ipc" else "tcp://127.0.0.1:*")
-        with _other_end("zmq", router.getsockopt_string(zmq.LAST_ENDPOINT), reply_size):
+        with _other_end("zmq", router.getsockopt_string(zmq.LAST_ENDPOINT), reply_size) as pid:
             route, _ = router.recv_multipart()
             body = bytes(size)
 
-            def measure(count: int = 5000) -> float:
-                began = time.perf_counter()
-                for _ in range(count):
+            def exchange() -> None:
+                for _ in range(_COUNT):
                     router.send_multipart((route, _HEADER, body))
                     router.recv_multipart()
-                return count / (time.perf_counter() - began)
 
-            yield measure
+            yield lambda: rate(exchange, _COUNT, [pid])
 
 
 @contextmanager
-def tcp_round_trips(size: int, reply_size: int) -> Iterator[Callable[[], float]]:
-    """Give a measure of round trips per second over one plain TCP connection."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        address = f"127.0.0.1:{server.getsockname()[1]}"
-        with _other_end("tcp", address, reply_size, size):
+def socket_round_trips(transport: str, size: int, reply_size: int) -> Iterator[Callable[[], Rate]]:
+    """Give a measure of round trips per second over one plain connection, `ipc` or `tcp`."""
+    with tempfile.TemporaryDirectory() as folder, _listening(transport, folder) as server:
+        name = server.getsockname()
+        address = name if transport == "ipc" else f"{name[0]}:{name[1]}"
+        with _other_end(transport, address, reply_size, size) as pid:
             connection, _ = server.accept()
             with connection:
-                connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                _no_delay(connection)
                 body = bytes(len(_HEADER) + size)
                 expected = len(_HEADER) + reply_size
 
-                def measure(count: int = 5000) -> float:
-                    began = time.perf_counter()
-                    for _ in range(count):
+                def exchange() -> None:
+                    for _ in range(_COUNT):
                         connection.sendall(body)
                         _receive_exactly(connection, expected)
-                    return count / (time.perf_counter() - began)
 
-                yield measure
+                yield lambda: rate(exchange, _COUNT, [pid])
+
+
+def _listening(transport: str, folder: str) -> socket.socket:
+    if transport == "tcp":
+        return socket.create_server(("127.0.0.1", 0))
+    return socket.create_server(f"{folder}/raw", family=socket.AF_UNIX)
+
+
+def _no_delay(connection: socket.socket) -> None:
+    if connection.family != socket.AF_UNIX:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
 @contextmanager
-def _other_end(kind: str, address: str, *sizes: int) -> Iterator[None]:
+def _other_end(kind: str, address: str, *sizes: int) -> Iterator[int]:
     process = subprocess.Popen([sys.executable, "-m", "benchmarks.raw", kind, address, *map(str, sizes)])
     try:
-        yield
+        yield process.pid
     finally:
         process.terminate()
         process.wait()
@@ -93,11 +103,12 @@ def _echo_zmq(url: str, reply_size: str) -> None:
             dealer.send_multipart((_HEADER, body))
 
 
-def _echo_tcp(address: str, reply_size: str, size: str) -> None:
-    host, port = address.split(":")
+def _echo_socket(transport: str, address: str, reply_size: str, size: str) -> None:
     reply = bytes(len(_HEADER) + int(reply_size))
-    with socket.create_connection((host, int(port))) as connection:
-        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    with socket.socket(socket.AF_UNIX if transport == "ipc" else socket.AF_INET) as connection:
+        host, _, port = address.rpartition(":")
+        connection.connect(address if transport == "ipc" else (host, int(port)))
+        _no_delay(connection)
         try:
             while True:
                 _receive_exactly(connection, len(_HEADER) + int(size))
@@ -110,4 +121,4 @@ if __name__ == "__main__":
     if sys.argv[1] == "zmq":
         _echo_zmq(*sys.argv[2:])
     else:
-        _echo_tcp(*sys.argv[2:])
+        _echo_socket(*sys.argv[1:])

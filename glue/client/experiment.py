@@ -10,16 +10,19 @@ with connect() as glue:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from glue.client.bodies import READ, write
 from glue.client.link import Link, Log
-from glue.client.transport import Context
+from glue.client.transport import Transport
 from glue.console import say
 from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.core.experiment import Experiment
 from glue.errors import GlueError, HubClosed, LocalProtocolError, PeerFailed, PeerLost, Unsupported
 from glue.protocol.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value
+
+if TYPE_CHECKING:
+    from glue.client.libzmq import Context
 
 __all__ = ["RemoteExperiment", "connect"]
 
@@ -33,6 +36,7 @@ def connect(
     context: Context | None = None,
     log: Log = say,
     on_notice: Callable[[str, str, str], None] | None = None,
+    transport: Transport | None = None,
 ) -> RemoteExperiment:
     """Return an experiment of `session` at `hub`, once the hub has let it in.
 
@@ -41,16 +45,17 @@ def connect(
         session: name of the session.
         name: what the hub calls this program in its messages.
         wait: seconds after which a hub that has not answered is given up; None waits forever.
-        context: the ZeroMQ context; by default the process's own.
+        context: the ZeroMQ context, if the connection is to be libzmq's.
         log: takes lines for people; by default they go to standard error.
         on_notice: called with event (`joined`, `lost`, `returned`), role and name of a player.
+        transport: the connection, if there is one already: `glue.hub.inside.InsideTransport`.
 
     Raises:
         ConfigError: an address or a session name is malformed, or the host's name does not resolve.
         HubUnreachable: no hub has answered within `wait` seconds.
         Refused: the hub does not let it in.
     """
-    return RemoteExperiment(hub, session, name, wait, context, log, on_notice)
+    return RemoteExperiment(hub, session, name, wait, context, log, on_notice, transport)
 
 
 class RemoteExperiment(Experiment):
@@ -65,6 +70,7 @@ class RemoteExperiment(Experiment):
         context: Context | None,
         log: Log,
         on_notice: Callable[[str, str, str], None] | None,
+        transport: Transport | None,
     ) -> None:
         self._session = session
         self._log = log
@@ -74,7 +80,7 @@ class RemoteExperiment(Experiment):
         self._players: set[Role] = set()
         self._loss: str | None = None
         self._given_up: str | None = None
-        self._link = Link(Role.EXPERIMENT, hub, {session: (name, ())}, wait, context, log)
+        self._link = Link(Role.EXPERIMENT, hub, {session: (name, ())}, wait, context, log, transport)
         self._closed = False
         try:
             while not self._link.ready(session):

@@ -10,16 +10,18 @@ import os
 import platform
 import time
 from collections.abc import Callable, Mapping
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-import zmq
-
-from glue.client.transport import Context, DealerTransport
-from glue.core.config import check_session, check_url
+from glue.client.transport import Transport, open_transport
+from glue.core.config import check_session
 from glue.core.sessions import INSTANCE_SIZE
 from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolError, Refused
-from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
-from glue.protocol.wire import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, UnknownKind, clip, decode, encode
+from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role, Value
+from glue.protocol.steps import StepFormat
+from glue.protocol.wire import FROM_HUB, MAX_BODY, TO_HUB, UnknownKind, clip, decode, encode
+
+if TYPE_CHECKING:
+    from glue.client.libzmq import Context
 
 __all__ = ["Link", "Log"]
 
@@ -38,8 +40,9 @@ class Link:
         hub: URL of the hub.
         names: for each session, the name to show to people, and the capabilities offered.
         wait: seconds after which a hub that has not welcomed it is given up; None waits forever.
-        context: the ZeroMQ context; by default the process's own.
+        context: the ZeroMQ context, if the connection is to be libzmq's.
         log: takes lines for people.
+        transport: the connection, if there is one already; `hub` is then only shown to people.
 
     Raises:
         ConfigError: an address or a session name is malformed, or the host's name does not resolve.
@@ -53,8 +56,8 @@ class Link:
         wait: float | None,
         context: Context | None,
         log: Log,
+        transport: Transport | None = None,
     ) -> None:
-        check_url(hub)
         if wait is not None and not wait >= 0:
             raise ConfigError(f"the seconds to wait for a hub are 0 or more, not {wait}")
         self._role = role
@@ -65,9 +68,7 @@ class Link:
         self._instance = os.urandom(INSTANCE_SIZE)
         self._max_body = MAX_BODY
         self._heartbeat, self._patience = _HEARTBEAT, _PATIENCE
-        self._transport = DealerTransport(
-            context or zmq.Context.instance(), hub, _PATIENCE, 2 * MAX_BODY + MAX_HEADER
-        )
+        self._transport = transport or open_transport(hub, context)
         self._transport.wait_at_most(_HEARTBEAT if wait is None else min(_HEARTBEAT, wait))
         self._greeted = 0  # the connection that was greeted last; also the `seq` of that HELLO
         self._welcomed: set[str] = set()  # sessions, over that connection
@@ -90,10 +91,7 @@ class Link:
             LocalProtocolError: the body is larger than the hub accepts.
         """
         if len(message.body) > self._max_body:
-            raise LocalProtocolError(
-                f"the body of {message.kind.name} has {len(message.body)} bytes; "
-                f"the hub takes {self._max_body}"
-            )
+            raise self._too_large(message.kind, message.body)
         self._transport.send(encode(message, TO_HUB))
 
     def receive(self) -> Message | None:
@@ -123,11 +121,32 @@ class Link:
             return message
         return self._control(message)
 
+    def receive_step(self, step: StepFormat, seq: int) -> tuple[tuple[Value, ...], bytes] | None:
+        """Return scalars and body of the message `seq` of `step`, if that is exactly what comes next.
+
+        None: `receive` has whatever came instead, or returns None if nothing did.
+        """
+        found = self._transport.receive_step(step, seq)
+        if found is not None:
+            self._received = time.monotonic()
+        return found
+
+    def send_step(self, step: StepFormat, seq: int, scalars: tuple[Value, ...], body: bytes) -> None:
+        """Send a message of a step; as `send`."""
+        if len(body) > self._max_body:
+            raise self._too_large(step.kind, body)
+        self._transport.send_step(step, seq, scalars, body)
+
     def close(self, reason: str) -> None:
         """Say goodbye to the hub, if there is one, and close."""
         for session in self._welcomed:
             self._transport.send(encode(Message(Kind.GOODBYE, session, 0, (clip(reason),)), TO_HUB))
         self._transport.close(None if self._welcomed else 0)
+
+    def _too_large(self, kind: Kind, body: bytes) -> LocalProtocolError:
+        return LocalProtocolError(
+            f"the body of {kind.name} has {len(body)} bytes; the hub takes {self._max_body}"
+        )
 
     def _control(self, message: Message) -> Message | None:
         kind, session, _, scalars, _ = message

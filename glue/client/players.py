@@ -17,17 +17,21 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from glue.client.bodies import READ, write
 from glue.client.link import Link, Log
-from glue.client.transport import Context
 from glue.console import say
 from glue.core.calls import Handler, name_of, role_calls
 from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.errors import GlueError, HubClosed, PeerFailed, RemoteProtocolError
 from glue.protocol.messages import CALLS, ErrorCode, Kind, Message, Role
+from glue.protocol.steps import step_formats
 from glue.protocol.wire import clip
 from glue.roles import Agent, Environment, capabilities
+
+if TYPE_CHECKING:
+    from glue.client.libzmq import Context
 
 __all__ = ["serve_agent", "serve_environment"]
 
@@ -49,7 +53,7 @@ def serve_agent(
         hub: URL of the hub.
         session: name of the session; not used with a mapping.
         wait: seconds after which a hub that has not answered is given up; None waits forever.
-        context: the ZeroMQ context; by default the process's own.
+        context: the ZeroMQ context, if the connection is to be libzmq's.
         log: takes lines for people; by default they go to standard error.
 
     Raises:
@@ -77,14 +81,22 @@ def serve_environment(
 
 
 class _Player:
-    """One agent or environment, in one session: what it can be asked, and its last answer."""
+    """One agent or environment, in one session: what it can be asked, and its last answer.
 
-    def __init__(self, role: Role, player: Agent | Environment) -> None:
+    Attributes:
+        name: what people call it.
+        capabilities: what it offers beyond its role.
+        last_call: the call that was answered last, or that is being answered.
+    """
+
+    def __init__(self, role: Role, session: str, player: Agent | Environment) -> None:
+        self._session = session
+        self._step = Kind.AGENT_STEP if role is Role.AGENT else Kind.ENV_STEP
         self.name = name_of(player)
         self.capabilities = capabilities(player)
         self._handlers: dict[Kind, Handler] = role_calls(role, player)
         self._last_seq = 0
-        self._last_call: Message | None = None
+        self.last_call: Message | None = None
         self._last_answer: Message | None = None
 
     def forget(self) -> None:
@@ -100,18 +112,34 @@ class _Player:
         kind, session, seq, scalars, body = message
         if seq <= self._last_seq:
             return self._last_answer if seq == self._last_seq else None
-        if message == self._last_call:
+        if message == self.last_call:
             self._last_seq = seq
             return self._last_answer
+        self.last_call = message
         handler = self._handlers.get(kind)
         if handler is None:
             raise RemoteProtocolError(f"the hub asked {self.name} for {kind.name}")
         replied, result = handler(scalars, READ[CALLS[kind].request.body](body))
         answer = Message(kind, session, seq, replied, write(result))
         self._last_seq = seq
-        self._last_call = message
         self._last_answer = answer
         return answer
+
+    def answer_steps(self, link: Link) -> None:
+        """Answer one step after the other, each in two system calls, until something else arrives."""
+        kind, session = self._step, self._session
+        handler, read = self._handlers[kind], READ[CALLS[kind].request.body]
+        request, reply = step_formats(kind, session)
+        receive, send = link.receive_step, link.send_step
+        seq = self._last_seq + 1
+        while (step := receive(request, seq)) is not None:
+            scalars, body = step
+            self.last_call = Message(kind, session, seq, scalars, body)
+            replied, result = handler(scalars, read(body))
+            self._last_seq = seq
+            self._last_answer = Message(kind, session, seq, replied, result.body)
+            send(reply, seq, replied, result.body)
+            seq += 1
 
 
 def _serve(
@@ -122,7 +150,7 @@ def _serve(
     context: Context | None,
     log: Log,
 ) -> str:
-    served = {session: _Player(role, player) for session, player in players.items()}
+    served = {session: _Player(role, session, player) for session, player in players.items()}
     names = {session: (player.name, player.capabilities) for session, player in served.items()}
     link = Link(role, hub, names, wait, context, log)
     reason = "interrupted"
@@ -143,10 +171,12 @@ def _serve(
                     answer = player.answer(message)
                     if answer is not None:
                         link.send(answer)
+                    player.answer_steps(link)
                 except Exception as error:
-                    what = message.kind.name.lower()
+                    call = player.last_call or message
+                    what = call.kind.name.lower()
                     reason = f"{type(error).__name__} in {what}"
-                    text = _report(link, message, error)
+                    text = _report(link, call, error)
                     raise PeerFailed(f"{role} {player.name} raised in {what}: {text}") from error
     except HubClosed as goodbye:
         return str(goodbye)
@@ -154,10 +184,10 @@ def _serve(
         link.close(reason)
 
 
-def _report(link: Link, message: Message, error: Exception) -> str:
+def _report(link: Link, call: Message, error: Exception) -> str:
     """Print where the user's code failed; send the hub a short text, and return it."""
     if not isinstance(error, GlueError):
         traceback.print_exception(error)
     text = str(error) if isinstance(error, GlueError) else f"{type(error).__name__}: {error}"
-    link.send(Message(Kind.ERROR, message.session, message.seq, (str(ErrorCode.EXCEPTION), clip(text))))
+    link.send(Message(Kind.ERROR, call.session, call.seq, (str(ErrorCode.EXCEPTION), clip(text))))
     return text

@@ -1,140 +1,100 @@
-"""A peer's end of ZeroMQ: a DEALER socket.
+"""How a peer's messages reach a hub and come back: the seam between a link and its socket.
 
-The only module that knows libzmq. A connection ends when the process at its other end does, or when what
-was sent over it stays unacknowledged for too long, because a cable was cut: both are the kernel's to know,
-so a peer that computes for hours stays connected.
-
-libzmq reconnects without saying so; its monitor says so, and with it a peer greets the hub once for each
-connection.
+A connection ends when the process at its other end does, or when what was sent over it stays unacknowledged
+for too long, because a cable was cut. Both are the kernel's to find out, so a peer that computes for hours
+stays connected. A transport connects again by itself.
 """
 
 from __future__ import annotations
 
 import socket
 from collections.abc import Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final, Protocol
 from urllib.parse import urlsplit
 
-import zmq
-from zmq.utils.monitor import recv_monitor_message
-
+from glue.client.sockets import SocketTransport
+from glue.core.config import check_url
 from glue.errors import ConfigError
+from glue.protocol.messages import Value
+from glue.protocol.steps import StepFormat
+from glue.protocol.wire import MAX_BODY, MAX_HEADER
 
-__all__ = ["Context", "DealerTransport"]
+if TYPE_CHECKING:
+    from glue.client.libzmq import Context
 
-Context = zmq.Context[zmq.Socket[bytes]]
+__all__ = ["Transport", "open_transport"]
 
-# As plain ints: on the hot path, pyzmq's flags cost more than what they say.
-_MORE: Final = int(zmq.SNDMORE)
-_AT_ONCE: Final = int(zmq.DONTWAIT)
-
-_LINGER_MS: Final = 1000
-"""How long a closing socket tries to deliver its last messages, in milliseconds."""
+_TIMEOUT: Final = 5.0
+"""Seconds after which a connection attempt, or data that is not acknowledged, is given up."""
 
 
-class DealerTransport:
-    """A peer's end. It connects when the hub is there, and again whenever the connection breaks.
+class Transport(Protocol):
+    """A peer's end of the connection to a hub."""
 
-    Args:
-        context: the ZeroMQ context.
-        url: address of the hub, as `glue.core.config.check_url` accepts it.
-        timeout: seconds after which a connection attempt, or data that is not acknowledged, is given up.
-        max_frame: longest frame that is received, in bytes.
+    @property
+    def connected(self) -> bool:
+        """Whether there is a connection, as far as `receive` has noticed."""
+        ...
 
-    Attributes:
-        connected: whether there is a connection, as far as `receive` has noticed.
-        connections: how many connections there have been, this one included: the hub knows none of them
-            until it is greeted over it.
-
-    Raises:
-        ConfigError: the host's name does not resolve, or libzmq refuses the address.
-    """
-
-    def __init__(self, context: Context, url: str, timeout: float, max_frame: int) -> None:
-        _check_host(url)
-        self.connected = False
-        self.connections = 0
-        self._wait_ms = -1
-        self.socket = context.socket(zmq.DEALER)
-        milliseconds = max(1, int(timeout * 1000))
-        for option, value in {
-            zmq.LINGER: _LINGER_MS,
-            zmq.SNDHWM: 4096,
-            # No limit: the hub's heartbeats pile up while a player computes.
-            zmq.RCVHWM: 0,
-            zmq.MAXMSGSIZE: max_frame,
-            zmq.TCP_MAXRT: milliseconds,
-            zmq.CONNECT_TIMEOUT: milliseconds,
-            zmq.RECONNECT_IVL: 50,
-            zmq.RECONNECT_IVL_MAX: 1000,
-            zmq.SNDTIMEO: 0,
-            zmq.IPV6: int("[" in url),
-        }.items():
-            self.socket.setsockopt(option, value)
-        self._monitor = self.socket.get_monitor_socket(zmq.Event.HANDSHAKE_SUCCEEDED | zmq.Event.DISCONNECTED)
-        self._poller = zmq.Poller()
-        self._poller.register(self.socket, zmq.POLLIN)
-        self._poller.register(self._monitor, zmq.POLLIN)
-        try:
-            self.socket.connect(url)
-        except zmq.ZMQError as error:
-            self.close(0)
-            raise ConfigError(f"cannot connect to {url}: {error.strerror}") from None
-
-    def wait_at_most(self, seconds: float) -> None:
-        """Set how long `receive` waits."""
-        self._wait_ms = max(1, int(seconds * 1000))
-        self.socket.setsockopt(zmq.RCVTIMEO, self._wait_ms)
-
-    def send(self, frames: Sequence[bytes]) -> bool:
-        """Queue a message; return False if the queue is full."""
-        try:
-            for frame in frames[:-1]:
-                self.socket.send(frame, _MORE)
-            self.socket.send(frames[-1], 0)
-        except zmq.Again:
-            return False
-        return True
-
-    def receive(self) -> list[bytes] | None:
-        """Return the next message; None if none received in time, or as soon as there is a connection."""
-        flags = 0
-        if not self.connected:
-            self._poller.poll(self._wait_ms)
-            self.notice_connections()
-            if self.connected:
-                return None
-            flags = _AT_ONCE
-        try:
-            frame = self.socket.recv(flags, False)
-            frames = [frame.bytes]
-            while frame.more:
-                frame = self.socket.recv(0, False)
-                frames.append(frame.bytes)
-            return frames
-        except zmq.Again:
-            self.notice_connections()
-            return None
+    @property
+    def connections(self) -> int:
+        """How many there have been, this one included; the hub has to be greeted over each of them."""
+        ...
 
     def notice_connections(self) -> None:
         """Bring `connected` and `connections` up to date."""
-        try:
-            while True:
-                event = recv_monitor_message(self._monitor, _AT_ONCE)["event"]
-                self.connected = event == zmq.Event.HANDSHAKE_SUCCEEDED
-                self.connections += self.connected
-        except zmq.Again:
-            return
+        ...
+
+    def wait_at_most(self, seconds: float) -> None:
+        """Set how long `receive` waits."""
+        ...
+
+    def send(self, frames: Sequence[bytes]) -> bool:
+        """Send a message; return False, having sent nothing, if there is no connection or no room."""
+        ...
+
+    def send_step(self, step: StepFormat, seq: int, scalars: tuple[Value, ...], body: bytes) -> bool:
+        """Send a message of a step; as `send`."""
+        ...
+
+    def receive(self) -> Sequence[bytes] | None:
+        """Return the next message; None if none came in time, or as soon as there is a connection."""
+        ...
+
+    def receive_step(self, step: StepFormat, seq: int) -> tuple[tuple[Value, ...], bytes] | None:
+        """Return scalars and body of the message `seq` of `step`, if that is exactly what comes next.
+
+        None: `receive` has whatever came instead, or returns None if nothing did.
+        """
+        ...
 
     def close(self, linger: float | None = None) -> None:
         """Close, giving the last messages at most `linger` seconds (by default one) to leave."""
-        self.socket.disable_monitor()
-        self._monitor.close(0)
-        self.socket.close(_LINGER_MS if linger is None else int(linger * 1000))
+        ...
+
+
+def open_transport(url: str, context: Context | None = None) -> Transport:
+    """Return a transport to the hub at `url`: a plain socket, or libzmq's where a context is given.
+
+    Args:
+        url: address of the hub.
+        context: the ZeroMQ context.
+
+    Raises:
+        ConfigError: the address is malformed, or the host's name does not resolve.
+    """
+    check_url(url)
+    _check_host(url)
+    max_frame = 2 * MAX_BODY + MAX_HEADER
+    if context is None:
+        return SocketTransport(url, _TIMEOUT, max_frame)
+    from glue.client.libzmq import DealerTransport  # libzmq takes long to load, and few need it
+
+    return DealerTransport(context, url, _TIMEOUT, max_frame)
 
 
 def _check_host(url: str) -> None:
-    """Refuse the name of a host that does not resolve, which libzmq would look up again and again."""
+    """Refuse the name of a host that does not resolve, which would be looked up again and again."""
     parts = urlsplit(url)
     if parts.scheme == "tcp":
         host = parts.netloc.rpartition(":")[0].strip("[]")

@@ -9,11 +9,15 @@ time: however many peers flood the hub, a session that plays has the rest.
 
 from __future__ import annotations
 
+import math
+import os
 import select
 import socket
+import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final
 
 __all__ = ["FAILURE", "READ", "WRITE", "Loop"]
@@ -28,6 +32,20 @@ _SHARE: Final = 0.2
 
 _MOST_SAVED: Final = 0.02
 """Seconds of the queue's share that can be saved up while it is empty."""
+
+_LOOK_SECONDS: Final = 50e-6
+"""How long an expected answer is looked for before the loop sleeps: fast players answer within it."""
+
+_MAX_VAIN: Final = 8
+"""After n looks in succession that were in vain, the next 2**n waits do without one; n is at most this."""
+
+_SEVERAL_CORES: Final = not hasattr(os, "sched_getaffinity") or len(os.sched_getaffinity(0)) > 1
+"""On one core nobody could answer while the loop looks."""
+
+_GRACE_SECONDS: Final = 0.05
+"""How long the thread in `run` waits for another to take the loop again, before it goes on itself."""
+
+_WAKE_SIZE: Final = 4096
 
 Work = Callable[[float], None]
 """Takes the time, as `time.monotonic` returns it."""
@@ -50,21 +68,30 @@ class Loop:
         self.stopping: str | None = None
         self._every = every
         self._tick_at = time.monotonic() + every
-        self._poller = select.poll()
+        self._poller = select.epoll() if hasattr(select, "epoll") else _Poll()
         self._ready: dict[int, Work] = {}
         self._tickers: list[Work] = []
         self._queue: deque[Work] = deque()
         self._saved = _MOST_SAVED
         self._saved_at = 0.0
+        self._expecting = False
+        self._vain = 0
+        self._without_look = 0
+        self._mutex = threading.Lock()  # held by the thread that takes a turn
+        self._taken = False  # lately, by another thread than the one in `run`
+        self._times_given = 0
         self._wake, self._waker = socket.socketpair()
         self._wake.setblocking(False)
         self._waker.setblocking(False)
-        self.watch(self._wake.fileno(), READ, lambda now: None)
+        self.watch(self._wake.fileno(), READ, self._woken)
 
     def watch(self, fd: int, events: int, ready: Work) -> None:
         """Call `ready` whenever `fd` is ready or has failed; `events` are READ and WRITE."""
+        if fd in self._ready:
+            self._poller.modify(fd, events)
+        else:
+            self._poller.register(fd, events)
         self._ready[fd] = ready
-        self._poller.register(fd, events)
 
     def unwatch(self, fd: int) -> None:
         """Undo `watch`, if it was called."""
@@ -79,18 +106,45 @@ class Loop:
         """Call `tick` at every tick; several are called in the order in which they were given."""
         self._tickers.append(tick)
 
-    def run(self) -> None:
-        """Take turns until `stop`."""
-        while self.stopping is None:
-            self.turn()
+    def expect(self) -> None:
+        """Note that a peer was sent what it usually answers at once."""
+        self._expecting = _SEVERAL_CORES
 
-    def turn(self) -> None:
-        """Wait until there is something to do, and do it: what is ready, one piece of the queue, a tick."""
+    def run(self) -> None:
+        """Take turns until `stop`, but for the time in which other threads take the loop."""
+        while self.stopping is None:
+            if self._taken:
+                times = self._times_given
+                time.sleep(_GRACE_SECONDS)
+                self._taken = self._times_given != times
+            else:
+                with self._mutex:
+                    if not self._taken:
+                        self.turn()
+
+    def take(self) -> None:
+        """Take the loop over from the thread in `run`; then this thread may take turns, until `give`."""
+        if not self._mutex.acquire(blocking=False):
+            self._taken = True
+            self._wake_up()
+            self._mutex.acquire()
+        self._taken = True
+
+    def give(self) -> None:
+        """Give the loop back. The thread in `run` waits a moment, so that to take it again soon is cheap."""
+        self._times_given += 1
+        self._mutex.release()
+
+    def turn(self, seconds: float = math.inf) -> None:
+        """Wait, at most so long, until there is something to do, and do it.
+
+        That is what is ready, one piece of the queue, and a tick.
+        """
         ready = self._ready
-        wait = self._tick_at - time.monotonic()
+        wait = min(seconds, self._tick_at - time.monotonic())
         if self._queue:
             wait = min(wait, -self._saved / _SHARE)
-        events = self._poller.poll(int(wait * 1000) + 1 if wait > 0 else 0)
+        events = self._poll(wait)
         now = time.monotonic()
         for fd, _ in events:
             # What was called before it may have ended the wait for it.
@@ -104,6 +158,30 @@ class Loop:
                 tick(now)
             self._tick_at = now + self._every
 
+    def _poll(self, seconds: float) -> list[tuple[int, int]]:
+        """Return events, waiting for them at most so long.
+
+        To fall asleep and be woken takes longer than most answers do, so an expected one is looked for first.
+        """
+        poll = self._poller.poll
+        if self._expecting:
+            self._expecting = False
+            if self._without_look:
+                self._without_look -= 1
+            else:
+                clock = time.monotonic
+                until = clock() + _LOOK_SECONDS
+                while True:
+                    events = poll(0)
+                    if events:
+                        self._vain = 0
+                        return events
+                    if clock() >= until:
+                        break
+                self._vain = min(self._vain + 1, _MAX_VAIN)
+                self._without_look = 2**self._vain
+        return poll(max(seconds, 0))
+
     def _work_off(self) -> None:
         now = time.monotonic()
         self._saved = min(_MOST_SAVED, self._saved + (now - self._saved_at) * _SHARE)
@@ -115,13 +193,34 @@ class Loop:
     def stop(self, reason: str) -> None:
         """Let `run` end; may be called from any thread or signal handler."""
         self.stopping = self.stopping or reason
-        try:
+        self._wake_up()
+
+    def _wake_up(self) -> None:
+        with suppress(OSError):  # full or closed: the loop is awake or over
             self._waker.send(b"\0")
-        except OSError:
-            # Full or closed: the loop is awake or over.
-            return
+
+    def _woken(self, now: float) -> None:
+        self._wake.recv(_WAKE_SIZE)
 
     def close(self) -> None:
         """Close what the loop itself holds."""
         self._wake.close()
         self._waker.close()
+        self._poller.close()
+
+
+class _Poll:
+    """`select.poll` in the form of `select.epoll`, for systems that have none."""
+
+    def __init__(self) -> None:
+        self._poller = select.poll()
+        self.register = self._poller.register
+        self.modify = self._poller.modify
+        self.unregister = self._poller.unregister
+
+    def poll(self, seconds: float) -> list[tuple[int, int]]:
+        """Return events, waiting for them at most so long."""
+        return self._poller.poll(math.ceil(seconds * 1000))
+
+    def close(self) -> None:
+        """Do nothing: it has no descriptor of its own."""

@@ -24,7 +24,8 @@ from glue.hub.listener import Listener, OpenAddress
 from glue.hub.log import Log
 from glue.hub.loop import Loop
 from glue.protocol import zmtp
-from glue.protocol.messages import Message
+from glue.protocol.messages import Kind, Message
+from glue.protocol.steps import StepFormat, step_formats
 from glue.protocol.wire import FROM_HUB, MAX_HEADER, encode
 
 __all__ = ["MAX_UNSEATED", "MAX_UNSENT", "Router"]
@@ -37,6 +38,8 @@ GREETING_SECONDS: Final = 1.0
 
 MAX_UNSENT: Final = 64 * 2**20
 """Bytes that wait for one peer, beyond which it is out of reach: it does not read."""
+
+_STEPS: Final = frozenset({Kind.ENV_STEP, Kind.AGENT_STEP})
 
 _FAREWELL_SECONDS: Final = 1.0
 """How long the end of the hub is put off, at most, for the last words to be read."""
@@ -51,6 +54,7 @@ class Router:
         addresses: where peers connect; whoever opened them closes them.
         receive: takes the route to answer by, the frames received and the time; returns whether the message
             was in turn. RemoteProtocolError ends the connection.
+        receive_message: the same, for a message that needs no decoding.
         failed: takes the route of a connection that was dropped after an error of the hub, and the time.
         num_seats: returns in how many sessions a route takes part.
         memory: accounts for what is kept of messages that are not complete, and of those not yet read.
@@ -62,13 +66,16 @@ class Router:
         loop: Loop,
         config: HubConfig,
         addresses: Sequence[tuple[Bind, OpenAddress]],
-        receive: Callable[[Route, list[bytes], float], bool],
+        receive: Callable[[Route, Sequence[bytes], float], bool],
+        receive_message: Callable[[Route, Message, float], bool],
         failed: Callable[[Route, float], None],
         num_seats: Callable[[Route], int],
         memory: Memory,
         log: Log,
     ) -> None:
         self.receive = receive
+        self.receive_message = receive_message
+        self.expect = loop.expect
         self.failed = failed
         self.memory = memory
         self._loop = loop
@@ -115,8 +122,7 @@ class Router:
         self._make_room()
         limit_silence(connected, self._config.patience)
         connection = Connection(self._loop, connected, name, self._config.heartbeat)
-        # What is only a little too long is read, and answered with an error that says so.
-        dealer = _Dealer(self, connection, bind, self._config.max_body + MAX_HEADER)
+        dealer = _Dealer(self, connection, bind, self._config.max_body)
         self._dealers.add(dealer)
         self._unseated[dealer] = now
         connection.send(zmtp.GREETING)
@@ -146,11 +152,14 @@ class _Dealer:
         connection: as it is.
     """
 
-    def __init__(self, router: Router, connection: Connection, bind: Bind, max_frame: int) -> None:
+    def __init__(self, router: Router, connection: Connection, bind: Bind, max_body: int) -> None:
         self.connection = connection
         self.admits = bind.admits
         self._router = router
-        self._decoder = zmtp.Decoder(max_frame)
+        self._max_body = max_body
+        # What is only a little too long is read, and answered with an error that says so.
+        self._decoder = zmtp.Decoder(zmtp.ROUTER, max_body + MAX_HEADER)
+        self._step: tuple[StepFormat, Message] | None = None  # sent last: the form of its answer, and itself
         self._held = 0
         self._dismissed = False
         connection.ready = self._ready
@@ -161,7 +170,13 @@ class _Dealer:
         connection = self.connection
         if connection.closed or self._dismissed or connection.unsent > MAX_UNSENT:
             return False
-        connection.send(zmtp.encode(encode(message, FROM_HUB)))
+        if message.kind in _STEPS:
+            request, reply = step_formats(message.kind, message.session)
+            self._step = (reply, message)
+            connection.send(request.encode(message.seq, message.scalars, message.body))
+            self._router.expect()
+        else:
+            connection.send(zmtp.encode(encode(message, FROM_HUB)))
         if connection.unsent:
             self._weigh()
         return True
@@ -185,6 +200,8 @@ class _Dealer:
     def _ready(self, now: float) -> None:
         data = self.connection.receive()
         if data:
+            if self._step is not None and self._is_step(data, now):
+                return
             self._decoder.receive_data(data)
         try:
             done = self._work(now)
@@ -196,6 +213,21 @@ class _Dealer:
         else:
             self._weigh()
         self._router.memory.relieve()
+
+    def _is_step(self, data: bytes, now: float) -> bool:
+        """Act on data that is exactly the answer to the step sent last; return whether it is."""
+        assert self._step is not None
+        reply, step = self._step
+        if len(data) > self._max_body or not self._decoder.between_messages or self.connection.unsent:
+            return False
+        found = reply.decode(data, step.seq)
+        if found is None:
+            return False
+        self._step = None
+        scalars, body = found
+        answer = Message(step.kind, step.session, step.seq, scalars, body)
+        self.connection.in_turn = self._router.receive_message(self, answer, now)
+        return True
 
     def _work(self, now: float) -> bool:
         """Act on messages received, one for each seat; return whether more must arrive first."""
@@ -229,7 +261,7 @@ class _Dealer:
     def _dismiss(self, why: str) -> None:
         """End the connection, once what it was sent has arrived; from now on it is sent nothing."""
         self._dismissed = True
-        self._decoder = zmtp.Decoder(0)
+        self._decoder = zmtp.Decoder(zmtp.ROUTER, 0)
         self._weigh()
         self._router.complain(self, why)
         self.connection.in_turn = False

@@ -10,7 +10,7 @@ peer. Other sources of messages, such as the gateway for RL-Glue's original prog
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from types import TracebackType
 from typing import Final, Self
@@ -74,7 +74,8 @@ class Hub:
                 self.loop,
                 config,
                 addresses,
-                self._receive,
+                self.receive,
+                self.switchboard.receive,
                 self._failed,
                 self.switchboard.num_seats,
                 self.switchboard.memory,
@@ -144,7 +145,12 @@ class Hub:
         for close in self._closers:
             close()
 
-    def _receive(self, route: Route, frames: list[bytes], now: float) -> bool:
+    def receive(self, route: Route, frames: Sequence[bytes], now: float) -> bool:
+        """Act on a message; return whether it was in turn. For the thread that takes the loop's turns.
+
+        Raises:
+            RemoteProtocolError: it is malformed, and its sender has no seat.
+        """
         try:
             message = decode(frames, TO_HUB, self.config.max_body)
         except RemoteProtocolError as error:

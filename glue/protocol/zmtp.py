@@ -1,15 +1,15 @@
-"""ZMTP 3, in which ZeroMQ's sockets talk, without I/O: what a ROUTER says to a DEALER and expects from it.
+"""ZMTP 3, the protocol between ZeroMQ's sockets, without I/O: both ends of a DEALER's connection to a ROUTER.
 
 Bytes go in, messages come out, and bytes to answer at once:
 
-    decoder = Decoder(max_frame=2**20)
+    decoder = Decoder(ROUTER, max_frame=2**20)
     decoder.receive_data(data)
     while (event := decoder.next_event()) is not None:
         ...
 
-Only the mechanism NULL is spoken, and only with a DEALER. Commands that are not understood are passed over,
-as the standard asks for. Sizes are checked before anything of that size is kept; frames beyond those that a
-caller wants to see are not kept.
+Only the mechanism NULL is spoken. Commands that are not understood are ignored, as the standard requires.
+Sizes are checked before anything of that size is kept; frames beyond those that a caller wants to see are not
+kept.
 
 Source: ZeroMQ RFC 23 (ZMTP 3.0) and RFC 37 (ZMTP 3.1).
 """
@@ -22,7 +22,10 @@ from typing import Final
 
 from glue.errors import RemoteProtocolError
 
-__all__ = ["GREETING", "Decoder", "encode"]
+__all__ = ["DEALER", "GREETING", "ROUTER", "Decoder", "encode"]
+
+DEALER: Final = b"DEALER"
+ROUTER: Final = b"ROUTER"
 
 GREETING: Final = b"\xff" + bytes(8) + b"\x7f" + b"\x03\x01" + b"NULL".ljust(20, b"\0") + bytes(32)
 """What either side says first: a signature, version 3.1, the mechanism, and that this is no matter of server
@@ -74,17 +77,23 @@ def _property(name: bytes, value: bytes) -> bytes:
     return bytes((len(name),)) + name + struct.pack(">I", len(value)) + value
 
 
-_READY: Final = _command(b"READY", _property(b"Socket-Type", b"ROUTER"))
+_READY: Final = {own: _command(b"READY", _property(b"Socket-Type", own)) for own in (DEALER, ROUTER)}
+_PARTNER: Final = {DEALER: ROUTER, ROUTER: DEALER}
 
 
 class Decoder:
     """What one connection says, from its first byte on.
 
     Args:
+        own: this end of the connection, ROUTER or DEALER; the other end has to be its partner.
         max_frame: the largest frame that is accepted, in bytes.
+
+    Attributes:
+        ready: the handshake is complete.
     """
 
-    def __init__(self, max_frame: int) -> None:
+    def __init__(self, own: bytes, max_frame: int) -> None:
+        self._own = own
         self._max_frame = max_frame
         self._buffer = b""
         self._at = 0  # what comes before it is done with
@@ -93,7 +102,12 @@ class Decoder:
         self._needed = len(GREETING)  # bytes without which there is nothing to do
         self._frames: list[bytes] = []  # of a message that is not complete
         self._greeted = False
-        self._ready = False
+        self.ready = False
+
+    @property
+    def between_messages(self) -> bool:
+        """Whether the next byte begins a message: nothing is kept, and nothing of the handshake is left."""
+        return self.ready and not self._size and not self._frames
 
     @property
     def buffered(self) -> int:
@@ -131,7 +145,7 @@ class Decoder:
                 self._check_greeting(self._take(0, len(GREETING)))
                 self._greeted = True
                 self._needed = 2
-                return _READY
+                return _READY[self._own]
             flags, size = self._buffer[self._at], self._buffer[self._at + 1]
             head = 2
             if flags & _LONG:
@@ -186,7 +200,7 @@ class Decoder:
     def _check_head(self, flags: int, size: int) -> None:
         if flags & ~_KNOWN_FLAGS or (flags & _COMMAND and flags & _MORE):
             raise RemoteProtocolError(f"a frame cannot have the flags {flags}")
-        if not self._ready and not flags & _COMMAND:
+        if not self.ready and not flags & _COMMAND:
             raise RemoteProtocolError("a message came before READY")
         limit = _MAX_COMMAND if flags & _COMMAND else self._max_frame
         if size > limit:
@@ -201,7 +215,7 @@ class Decoder:
             return _command(b"PONG", data[2:18])
         if name == b"READY":
             self._check_socket(data)
-            self._ready = True
+            self.ready = True
         elif name == b"ERROR":
             raise RemoteProtocolError(f"it ended the handshake: {data[1:]!r:.80}")
         return b""
@@ -215,8 +229,10 @@ class Decoder:
                 name, value = properties[at + 1 : value_at], properties[value_at + 4 : value_at + 4 + size]
                 at = value_at + 4 + size
                 if name.lower() == b"socket-type":
-                    if value != b"DEALER":
-                        raise RemoteProtocolError(f"it is a socket of type {value!r:.20}; peers use a DEALER")
+                    if value != _PARTNER[self._own]:
+                        raise RemoteProtocolError(
+                            f"it is a socket of type {value!r:.20}, not {_PARTNER[self._own].decode()}"
+                        )
                     return
         except struct.error:
             pass

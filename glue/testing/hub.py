@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from glue.client.transport import Context
+from glue.client.libzmq import Context
 from glue.core.config import check_url
 from glue.testing import play, trouble
 from glue.testing.rules import HubRule

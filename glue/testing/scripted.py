@@ -12,7 +12,7 @@ import time
 from collections.abc import Sequence
 from typing import Final
 
-from glue.client.transport import Context, DealerTransport
+from glue.client.libzmq import Context, DealerTransport
 from glue.core.sessions import INSTANCE_SIZE
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.protocol.messages import PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role, Value

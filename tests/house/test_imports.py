@@ -22,8 +22,8 @@ IMPURE = ("asyncio", "select", "signal", "socket", "subprocess", "threading", "t
 MODULES_IN_A_FOLDER = 16
 
 HOMES: Mapping[str, Sequence[str]] = {
-    "zmq": ["glue/client/transport.py", "glue/client/link.py", "experiment_runner/players.py"],
-    "msgpack": ["glue/protocol/wire.py", "experiment_runner/executors/job.py"],
+    "zmq": ["glue/client/libzmq.py", "experiment_runner/players.py"],
+    "msgpack": ["glue/protocol/*", "experiment_runner/executors/job.py"],
     "numba": ["glue/compiled/jit.py"],
     "click": ["*command.py", "*/commands/*", "glue/commands.py", "glue/players/naming.py"],
     "matplotlib": ["experiment_runner/report/*", "experiment_runner/paper/figures.py"],

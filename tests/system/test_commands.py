@@ -53,7 +53,7 @@ ENDLESS_COMMANDS = {
 IMPORTS = [
     *((command, "click") for command in ENDLESS_COMMANDS),
     *((command, "numpy.linalg") for command in ENDLESS_COMMANDS),
-    ("glue-agent", "zmq.backend"),
+    ("glue-agent", "msgpack"),
     ("glue-agent", "numba.core"),
     ("glue-experiment", "sqlite3"),
 ]

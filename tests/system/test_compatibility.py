@@ -20,8 +20,8 @@ import pytest
 import zmq
 
 from glue.client.experiment import connect
+from glue.client.libzmq import Context
 from glue.client.players import serve_agent, serve_environment
-from glue.client.transport import Context
 from glue.core.config import HubConfig
 from glue.hub.server import Hub
 from glue.protocol.messages import Kind

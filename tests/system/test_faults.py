@@ -16,8 +16,8 @@ import zmq
 
 from env_server.toys import SkeletonEnvironment
 from glue.client.experiment import RemoteExperiment, connect
+from glue.client.libzmq import Context
 from glue.client.players import serve_agent, serve_environment
-from glue.client.transport import Context
 from glue.core.config import HubConfig
 from glue.core.experiment import Experiment
 from glue.core.local import local

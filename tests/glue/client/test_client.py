@@ -15,8 +15,8 @@ import pytest
 import zmq
 
 from glue.client.experiment import RemoteExperiment, connect
+from glue.client.libzmq import Context
 from glue.client.players import serve_agent, serve_environment
-from glue.client.transport import Context
 from glue.core.sessions import INSTANCE_SIZE
 from glue.errors import (
     ConfigError,

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from glue.errors import RemoteProtocolError
-from glue.protocol.zmtp import GREETING, Decoder, encode
+from glue.protocol.zmtp import GREETING, ROUTER, Decoder, encode
 
 READY = b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER"
 ANSWER = b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06ROUTER"
@@ -31,7 +31,7 @@ def events(decoder: Decoder, data: bytes) -> list[list[bytes] | bytes]:
 
 def greeted() -> Decoder:
     """A decoder that has met a DEALER."""
-    decoder = Decoder(MAX_FRAME)
+    decoder = Decoder(ROUTER, MAX_FRAME)
     assert events(decoder, GREETING + READY) == [ANSWER]
     return decoder
 
@@ -55,7 +55,7 @@ def test_short_and_long_frames() -> None:
 def test_messages_come_out_as_they_went_in_however_they_are_cut(
     messages: list[list[bytes]], cuts: list[int]
 ) -> None:
-    decoder = Decoder(MAX_FRAME)
+    decoder = Decoder(ROUTER, MAX_FRAME)
     data = GREETING + READY + b"".join(map(encode, messages))
     found = []
     for size in [*cuts, len(data)]:
@@ -67,7 +67,7 @@ def test_messages_come_out_as_they_went_in_however_they_are_cut(
 
 @given(st.lists(st.binary(max_size=400), max_size=5))
 def test_random_bytes_raise_nothing_else(chunks: list[bytes]) -> None:
-    for decoder in (Decoder(1000), greeted()):
+    for decoder in (Decoder(ROUTER, 1000), greeted()):
         try:
             for chunk in chunks:
                 events(decoder, chunk)
@@ -118,7 +118,7 @@ def test_of_what_comes_to_nothing_a_little_is_taken_at_once(frame: bytes) -> Non
 )
 def test_what_is_wrong_is_said_in_printable_characters(said: bytes) -> None:
     with pytest.raises(RemoteProtocolError) as raised:
-        events(Decoder(MAX_FRAME), said)
+        events(Decoder(ROUTER, MAX_FRAME), said)
     assert str(raised.value).isprintable()
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import zmq
 
 from glue.client.experiment import RemoteExperiment, connect
+from glue.client.libzmq import Context
 from glue.client.players import serve_agent, serve_environment
-from glue.client.transport import Context
 from glue.core.config import HubConfig, LegacyPort
 from glue.core.experiment import Experiment
 from glue.hub.server import Hub

@@ -1,0 +1,135 @@
+"""A DEALER of libzmq: a peer's end where a ZeroMQ context is given.
+
+The only module that knows libzmq. It reconnects without saying so; its monitor says so, and with it a peer
+greets the hub once for each connection.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import zmq
+from zmq.utils.monitor import recv_monitor_message
+
+from glue.errors import ConfigError
+from glue.protocol.messages import Value
+from glue.protocol.steps import StepFormat
+
+__all__ = ["Context", "DealerTransport"]
+
+Context = zmq.Context[zmq.Socket[bytes]]
+
+# As plain ints: on the hot path, pyzmq's flags cost more than what they say.
+_MORE: Final = int(zmq.SNDMORE)
+_AT_ONCE: Final = int(zmq.DONTWAIT)
+
+_LINGER_MS: Final = 1000
+"""How long a closing socket tries to deliver its last messages, in milliseconds."""
+
+
+class DealerTransport:
+    """A peer's end. It connects when the hub is there, and again whenever the connection breaks.
+
+    Args:
+        context: the ZeroMQ context.
+        url: address of the hub, as `glue.core.config.check_url` accepts it.
+        timeout: seconds after which a connection attempt, or data that is not acknowledged, is given up.
+        max_frame: longest frame that is received, in bytes.
+
+    Attributes:
+        connected: whether there is a connection, as far as `receive` has noticed.
+        connections: how many connections there have been, this one included: the hub knows none of them
+            until it is greeted over it.
+
+    Raises:
+        ConfigError: libzmq refuses the address.
+    """
+
+    def __init__(self, context: Context, url: str, timeout: float, max_frame: int) -> None:
+        self.connected = False
+        self.connections = 0
+        self._wait_ms = -1
+        self.socket = context.socket(zmq.DEALER)
+        milliseconds = max(1, int(timeout * 1000))
+        for option, value in {
+            zmq.LINGER: _LINGER_MS,
+            zmq.SNDHWM: 4096,
+            # No limit: the hub's heartbeats pile up while a player computes.
+            zmq.RCVHWM: 0,
+            zmq.MAXMSGSIZE: max_frame,
+            zmq.TCP_MAXRT: milliseconds,
+            zmq.CONNECT_TIMEOUT: milliseconds,
+            zmq.RECONNECT_IVL: 50,
+            zmq.RECONNECT_IVL_MAX: 1000,
+            zmq.SNDTIMEO: 0,
+            zmq.IPV6: int("[" in url),
+        }.items():
+            self.socket.setsockopt(option, value)
+        self._monitor = self.socket.get_monitor_socket(zmq.Event.HANDSHAKE_SUCCEEDED | zmq.Event.DISCONNECTED)
+        self._poller = zmq.Poller()
+        self._poller.register(self.socket, zmq.POLLIN)
+        self._poller.register(self._monitor, zmq.POLLIN)
+        try:
+            self.socket.connect(url)
+        except zmq.ZMQError as error:
+            self.close(0)
+            raise ConfigError(f"cannot connect to {url}: {error.strerror}") from None
+
+    def wait_at_most(self, seconds: float) -> None:
+        """Set how long `receive` waits."""
+        self._wait_ms = max(1, int(seconds * 1000))
+        self.socket.setsockopt(zmq.RCVTIMEO, self._wait_ms)
+
+    def send(self, frames: Sequence[bytes]) -> bool:
+        """Queue a message; return False if the queue is full."""
+        try:
+            for frame in frames[:-1]:
+                self.socket.send(frame, _MORE)
+            self.socket.send(frames[-1], 0)
+        except zmq.Again:
+            return False
+        return True
+
+    def receive(self) -> list[bytes] | None:
+        """Return the next message; None if none came in time, or as soon as there is a connection."""
+        flags = 0
+        if not self.connected:
+            self._poller.poll(self._wait_ms)
+            self.notice_connections()
+            if self.connected:
+                return None
+            flags = _AT_ONCE
+        try:
+            frame = self.socket.recv(flags, False)
+            frames = [frame.bytes]
+            while frame.more:
+                frame = self.socket.recv(0, False)
+                frames.append(frame.bytes)
+            return frames
+        except zmq.Again:
+            self.notice_connections()
+            return None
+
+    def notice_connections(self) -> None:
+        """Bring `connected` and `connections` up to date."""
+        try:
+            while True:
+                event = recv_monitor_message(self._monitor, _AT_ONCE)["event"]
+                self.connected = event == zmq.Event.HANDSHAKE_SUCCEEDED
+                self.connections += self.connected
+        except zmq.Again:
+            return
+
+    def receive_step(self, step: StepFormat, seq: int) -> None:
+        """Return None: messages of libzmq come frame by frame, and `receive` has them all."""
+
+    def send_step(self, step: StepFormat, seq: int, scalars: tuple[Value, ...], body: bytes) -> bool:
+        """Queue a message of a step; as `send`."""
+        return self.send((step.header(seq, scalars), body))
+
+    def close(self, linger: float | None = None) -> None:
+        """Close, giving the last messages at most `linger` seconds (by default one) to leave."""
+        self.socket.disable_monitor()
+        self._monitor.close(0)
+        self.socket.close(_LINGER_MS if linger is None else int(linger * 1000))

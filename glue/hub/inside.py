@@ -1,0 +1,91 @@
+"""An experiment's end of a hub in its own process: messages are handed over, with no socket in between.
+
+While a verb is carried out, the experiment's thread takes the turns of the hub's loop. So a verb costs no
+switch between threads, which would take longer than a step.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Sequence
+
+from glue.hub.server import Hub
+from glue.protocol.messages import Message, Role, Value
+from glue.protocol.steps import StepFormat
+from glue.protocol.wire import FROM_HUB, encode
+
+__all__ = ["InsideTransport"]
+
+
+class InsideTransport:
+    """A connection to a hub that runs in another thread of this process.
+
+    Attributes:
+        connected: always true.
+        connections: always one.
+    """
+
+    connected = True
+    connections = 1
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+        self._wait = 1.0
+        self._received: deque[tuple[bytes, ...]] = deque()
+
+    # The peer's side.
+
+    def wait_at_most(self, seconds: float) -> None:
+        """Set how long `receive` waits, in seconds."""
+        self._wait = seconds
+
+    def send(self, frames: Sequence[bytes]) -> bool:
+        """Hand the hub a message."""
+        loop = self._hub.loop
+        loop.take()
+        try:
+            self._hub.receive(self, frames, time.monotonic())
+        finally:
+            loop.give()
+        return True
+
+    def receive(self) -> Sequence[bytes] | None:
+        """Return the next message; None if none came in time."""
+        loop, received = self._hub.loop, self._received
+        loop.take()
+        try:
+            until = time.monotonic() + self._wait
+            while not received and loop.stopping is None and (left := until - time.monotonic()) > 0:
+                loop.turn(left)
+        except BaseException:
+            # Whatever it was doing was done by half.
+            self._hub.stop("the experiment was interrupted in the middle of a verb")
+            raise
+        finally:
+            loop.give()
+        return received.popleft() if received else None
+
+    def receive_step(self, step: StepFormat, seq: int) -> None:
+        """Return None: an experiment is not asked for steps."""
+
+    def send_step(self, step: StepFormat, seq: int, scalars: tuple[Value, ...], body: bytes) -> bool:
+        """Return False: an experiment answers no steps."""
+        return False
+
+    def notice_connections(self) -> None:
+        """Do nothing: there is one."""
+
+    def close(self, linger: float | None = None) -> None:
+        """Do nothing: nothing is left to deliver."""
+
+    # The hub's side: it is a route of the switchboard.
+
+    def deliver(self, message: Message) -> bool:
+        """Hand the experiment a message."""
+        self._received.append(encode(message, FROM_HUB))
+        return True
+
+    def admits(self, role: Role, session: str) -> bool:
+        """Return True: whoever runs a hub may take any part in it."""
+        return True
