@@ -18,6 +18,7 @@ from experiment_runner.rewards import FiniteRewards
 from glue.client.players import serve_agent, serve_environment
 from glue.commands import run
 from glue.entry import EXIT_TERMINATED
+from glue.errors import PeerFailed
 from glue.options import Value, build
 from glue.players.loading import find
 from glue.protocol.messages import Role
@@ -60,6 +61,10 @@ def serve(role: str, name: str, options: str, hub: str, session: str, any_reward
             serve_agent(player, hub, session, log=_ignore)
         else:
             serve_environment(player if any_reward else FiniteRewards(player), hub, session, log=_ignore)
+    except PeerFailed as failure:
+        if failure.__cause__ is None:
+            raise
+        sys.exit(1)  # the hub was told why, and our parent says it
     except KeyboardInterrupt:
         sys.exit(EXIT_TERMINATED)  # in silence: our parent ended us, and says why
 

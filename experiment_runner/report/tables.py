@@ -86,9 +86,13 @@ def _wrap(text: str, width: int) -> str:
 
 
 def tabulate(results: Results, seconds: float, width: int | None = None) -> str:
-    """Return a table with a line for each trial, and why it failed if it did."""
+    """Return a table with a line for each trial; where there are several, also why some of them failed.
+
+    Why a single one has failed was the last line that was shown before.
+    """
     rows, failures = [], []
-    for record in results.trials():
+    trials = results.trials()
+    for record in trials:
         totals = results.totals(record.spec.id)
         means = [_mean([part]) for part in (totals, results.totals(record.spec.id, _LAST))]
         rows.append(
@@ -101,7 +105,7 @@ def tabulate(results: Results, seconds: float, width: int | None = None) -> str:
                 f"{record.voids}",
             )
         )
-        if record.failure is not None:
+        if record.failure is not None and len(trials) > 1:
             failures.append(f"failed: {record.spec.id}: {record.failure}")
     lines = [format_table(_COLUMNS, rows, width=width), "", *failures]
     return "\n".join([*lines, f"{seconds:.1f} s; results in {results.directory}"])

@@ -45,13 +45,17 @@ class Route(Protocol):
 
 
 class Peer:
-    """A role filled: who fills it, and the route to it."""
+    """A role filled: who fills it, and the route to it.
+
+    `name` is what error messages call it; `label` adds its language and library, for notices and the log.
+    """
 
     __slots__ = (
         "capabilities",
         "confirmed",
         "instance",
         "label",
+        "name",
         "role",
         "route",
         "session",
@@ -64,6 +68,7 @@ class Peer:
         role: Role,
         route: Route,
         instance: bytes,
+        name: str,
         label: str,
         capabilities: frozenset[str],
         confirmed: bool,
@@ -72,6 +77,7 @@ class Peer:
         self.role = role
         self.route = route
         self.instance = instance
+        self.name = name
         self.label = label
         self.capabilities = capabilities
         self.confirmed = confirmed
@@ -210,7 +216,7 @@ class Session:
         engine = self._engine
         self._notify(Event.LOST, role, peer.label)
         awaited = engine.awaiting is not None and CALLS[engine.awaiting].callee is role
-        reason = f"the {role} {peer.label} {why}"
+        reason = f"the {role} {peer.name} {why}"
         stranded = engine.verb is not None and (engine.in_episode or awaited)
         engine.void(reason)
         if stranded:
@@ -226,7 +232,7 @@ class Session:
         elif asked is not self._watched:
             self._watched, self._watched_since, self._slow_after = asked, now, _SLOW_SECONDS
         elif now - self._watched_since >= self._slow_after:
-            text = f"{player.label} has not answered {asked.kind.name.lower()} for {self._slow_after:.0f} s"
+            text = f"{player.name} has not answered {asked.kind.name.lower()} for {self._slow_after:.0f} s"
             self._slow_after *= _RARER
             self._board.log(f"session {self.name!r}: {player.role} {text}")
             self._notify(Event.SLOW, player.role, text)
@@ -276,13 +282,13 @@ class Session:
         if message.kind is Kind.ERROR:
             text = clip(str(message.scalars[1]))
             what = outstanding.kind.name.lower()
-            self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.label} raised in {what}: {text}")
+            self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.name} raised in {what}: {text}")
             return True
         try:
             instruction = self._engine.resume(message.kind, message.scalars, message.body)
         except RemoteProtocolError as error:
             self._error(peer, message, ErrorCode.NOT_ASKED, str(error))
-            self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.label} broke the protocol: {error}")
+            self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.name} broke the protocol: {error}")
             return True
         self._advance(instruction)
         return True
@@ -319,7 +325,7 @@ class Session:
         if skippable(kind):
             self._advance(self._engine.resume(kind, (), b""))
         else:
-            self._fail(ErrorCode.UNSUPPORTED, unsupported(kind, role, player.label))
+            self._fail(ErrorCode.UNSUPPORTED, unsupported(kind, role, player.name))
 
     def _fail(self, code: ErrorCode, text: str) -> None:
         """End the verb that is being carried out with an error."""

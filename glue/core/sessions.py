@@ -196,7 +196,8 @@ class Switchboard:
                 return None
             self._unseat(current)
         label = clip(f"{name} ({codec})", _MAX_LABEL)
-        peer = Peer(session, role, route, instance, label, frozenset(map(str, capabilities)), known)
+        named = clip(str(name), _MAX_LABEL), label
+        peer = Peer(session, role, route, instance, *named, frozenset(map(str, capabilities)), known)
         self._sessions[session.name] = session
         self._seats.setdefault(route, {})[session.name] = peer
         if current is None:

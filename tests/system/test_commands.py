@@ -239,18 +239,19 @@ class Broken(Suicidal):
 """
 
 
-def test_agent_that_raises_shows_its_traceback_and_ends_the_experiment(tmp_path: Path) -> None:
+@pytest.mark.parametrize("topology", [[], ["--in-process"]], ids=["processes", "in-process"])
+def test_agent_that_raises_shows_its_traceback_and_one_error(tmp_path: Path, topology: list[str]) -> None:
     (tmp_path / "mine.py").write_text(_ENDLESS, encoding="utf-8")
     shown = run(
         *("glue-experiment", "--env", "mine.py:Endless", "--agent", "mine.py:Broken"),
-        *("--episodes", "2", "--out", "run"),
+        *("--episodes", "2", "--out", "run", *topology),
         cwd=tmp_path,
     )
     assert shown.returncode == 1
-    assert 'raise ArithmeticError("cannot add up")' in shown.stderr
-    assert re.search(
-        r"Error: agent Broken .* raised in agent_step: ArithmeticError: cannot add up", shown.stderr
-    )
+    assert shown.stderr.count('raise ArithmeticError("cannot add up")') == 1
+    error = "Error: agent Broken raised in agent_step: ArithmeticError: cannot add up"
+    assert shown.stderr.splitlines().count(error) == 1
+    assert (shown.stdout + shown.stderr).count("agent Broken raised") == 1
 
 
 @pytest.mark.parametrize("topology", [[], ["--in-process"]], ids=["processes", "in-process"])

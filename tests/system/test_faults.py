@@ -406,7 +406,7 @@ def test_a_player_that_is_told_to_stop_tells_the_hub(number: signal.Signals, cod
         process = ending.enter_context(running("-c", agent, "skeleton", "--hub", url))
         glue = ending.enter_context(connect(url, log=quiet))
         glue.rl_init()
-        with pytest.raises(PeerLost, match=r"the agent SkeletonAgent .* left: interrupted"):
+        with pytest.raises(PeerLost, match=r"the agent SkeletonAgent left: interrupted"):
             play_on(glue)
         assert process.wait(TIMEOUT) == code
 
@@ -420,7 +420,7 @@ def test_an_exception_shows_its_traceback_where_it_happened_and_its_name_at_the_
         agent = ending.enter_context(running(*peer("agent", url, "tests.players:FailingAgent")))
         glue = ending.enter_context(connect(url, log=quiet))
         glue.rl_init()
-        text = "agent FailingAgent .* raised in agent_step: ValueError: the second step is too much"
+        text = "agent FailingAgent raised in agent_step: ValueError: the second step is too much"
         with pytest.raises(PeerFailed, match=text):
             glue.rl_episode()
         _, shown = agent.communicate(timeout=TIMEOUT)

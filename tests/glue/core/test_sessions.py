@@ -484,7 +484,7 @@ def test_a_player_that_does_not_answer_is_mentioned_again_and_again_but_ever_mor
     playing.logged.clear()
     for _ in range(200):
         playing.tick(1.0)
-    expected = [f"environment e (test) has not answered env_step for {seconds} s" for seconds in (5, 30, 180)]
+    expected = [f"environment e has not answered env_step for {seconds} s" for seconds in (5, 30, 180)]
     assert playing.logged == [f"session 's': {line}" for line in expected]
     shown = [m.scalars for m in playing.heard("x") if m.kind is Kind.NOTICE]
     assert [f"{role!s} {text!s}" for event, role, text in shown if event == "slow"] == expected
@@ -494,7 +494,7 @@ def test_a_player_that_does_not_answer_is_mentioned_again_and_again_but_ever_mor
     playing.tick(4.0)
     assert playing.logged == [], "the next call has a time of its own"
     playing.tick(1.0)
-    assert "agent a (test) has not answered agent_step for 5 s" in playing.logged[0]
+    assert "agent a has not answered agent_step for 5 s" in playing.logged[0]
 
 
 def test_a_role_that_nobody_fills_is_not_slow(rig: Rig) -> None:
@@ -522,13 +522,13 @@ def test_a_player_out_of_reach_for_longer_than_patience_makes_the_episode_void(
     assert notices([notice]) == [("lost", "agent" if lost == "a" else "environment")]
     code, text = error([failed])
     assert code == ErrorCode.PEER_LOST
-    assert f"{lost} (test) was out of reach for 5.0 s" in text
+    assert f"{lost} was out of reach for 5.0 s" in text
 
 
 def test_a_player_that_says_goodbye_makes_the_episode_void_at_once(playing: Rig) -> None:
     playing.say("a", Kind.GOODBYE, 0, "interrupted")
     _, failed = playing.heard("x")
-    assert error([failed]) == (ErrorCode.PEER_LOST, "the agent a (test) left: interrupted")
+    assert error([failed]) == (ErrorCode.PEER_LOST, "the agent a left: interrupted")
 
 
 def test_a_late_answer_to_a_void_episode_changes_nothing(playing: Rig) -> None:
@@ -704,7 +704,7 @@ def test_an_answer_of_the_wrong_kind_fails_the_verb_and_names_the_player(playing
     assert (code, text) == (ErrorCode.NOT_ASKED, "ENV_START was answered; ENV_STEP was asked")
     code, text = error(playing.heard("x"))
     assert code == ErrorCode.PEER_FAILED
-    assert text.startswith("environment e (test) broke the protocol")
+    assert text.startswith("environment e broke the protocol")
 
 
 def test_an_exception_of_a_player_fails_the_verb_and_names_the_player(playing: Rig) -> None:
@@ -712,13 +712,13 @@ def test_an_exception_of_a_player_fails_the_verb_and_names_the_player(playing: R
     playing.say("e", Kind.ERROR, call.seq, "exception", "ValueError: no such thing\nas this")
     code, text = error(playing.heard("x"))
     assert code == ErrorCode.PEER_FAILED
-    assert text == "environment e (test) raised in env_step: ValueError: no such thing as this"
+    assert text == "environment e raised in env_step: ValueError: no such thing as this"
 
 
 def test_a_capability_that_a_player_lacks_is_an_error_for_the_experiment(rig: Rig) -> None:
     code, text = error(rig.say("x", Kind.RL_AGENT_SAVE, 1))
     assert code == ErrorCode.UNSUPPORTED
-    assert text == "agent a (test) cannot do that: it has no agent_save"
+    assert text == "agent a cannot do that: it has no agent_save"
 
 
 @pytest.mark.parametrize(
