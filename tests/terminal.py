@@ -7,6 +7,7 @@ import pty
 import re
 import subprocess
 import sys
+import termios
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -78,13 +79,14 @@ class Terminal:
         self.process.stdout.close()
 
 
-def run_in_terminal(*command: str, cwd: Path) -> tuple[int, str]:
-    """Run one of our commands in a terminal; return its status and all that was written there."""
+def run_in_terminal(*command: str, cwd: Path, columns: int = 80) -> tuple[int, str]:
+    """Run one of our commands in a terminal; return its exit status and everything written there."""
     with watched_terminal() as (writing, seen):
+        termios.tcsetwinsize(writing, (24, columns))
         process = subprocess.Popen(
             [BIN / command[0], *command[1:]],
             cwd=cwd,
-            env={**os.environ, "TERM": "xterm"},
+            env={name: value for name, value in os.environ.items() if name != "COLUMNS"} | {"TERM": "xterm"},
             stdin=writing,
             stdout=writing,
             stderr=writing,

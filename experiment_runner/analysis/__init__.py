@@ -1,1 +1,1 @@
-"""Numbers of finished trials."""
+"""Statistics of a run's trials."""

@@ -1,4 +1,4 @@
-"""The settings of one or more runs: trials that differ in nothing but their seed, together."""
+"""The settings of one or more runs: groups of trials that differ only in their random seed."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from experiment_runner.analysis.stats import FloatArray
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import TrialRecord
 from experiment_runner.store.results import Results
@@ -20,17 +20,15 @@ from glue.errors import ExperimentError
 __all__ = ["Setting", "collect"]
 
 _JOINED: Final = re.compile(r"(?P<role>agent|environment) (?P<name>.*?)( \([^()]*\))? joined")
-"""An event of `experiment_runner.players`; the language that the player is written in is left out."""
-
-FloatArray = npt.NDArray[np.float64]
+"""An event of `experiment_runner.players`; the player's programming language is ignored."""
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
     """Trials of one agent in one environment.
 
-    agent        what to call the agent among these runs: its label, and the options that tell it apart
-    environment  the same of the environment; empty when all settings share it
+    agent        the agent's label, and the options that distinguish it from others of that label
+    environment  the same for the environment; empty when all settings share it
     trials       the record of each trial
     returns      each trial's episode returns, (episodes so far,)
     """
@@ -42,13 +40,13 @@ class Setting:
 
     @property
     def label(self) -> str:
-        """What to call the setting among these runs."""
+        """The setting's name, unique among these runs."""
         return f"{self.agent}, {self.environment}" if self.environment else self.agent
 
     def curves(self) -> FloatArray:
-        """Return the returns of the trials that are finished, shape (trials, episodes).
+        """Return the returns of the finished trials, shape (trials, episodes).
 
-        While none is, those of all that have begun, as far as the shortest of them went.
+        If no trial is finished, of all trials that have begun, up to the length of the shortest.
         """
         finished = [r for r, trial in zip(self.returns, self.trials, strict=True) if trial.finished]
         used = finished or [r for r in self.returns if r.size]
@@ -57,10 +55,10 @@ class Setting:
 
 
 def collect(runs: Iterable[Results]) -> list[Setting]:
-    """Return the settings of all runs taken together, in order of appearance.
+    """Return the settings of all runs together, in order of appearance.
 
     Raises:
-        ExperimentError: a trial is in two of the runs, or one of them cannot be read.
+        ExperimentError: two runs have a trial in common, or a run cannot be read.
     """
     groups: dict[str, list[tuple[TrialRecord, FloatArray]]] = defaultdict(list)
     seen: dict[tuple[str, str, int], Results] = {}
@@ -90,7 +88,7 @@ def collect(runs: Iterable[Results]) -> list[Setting]:
 
 
 def _joined(run: Results) -> dict[tuple[str, str], RoleSpec]:
-    """Return the players that joined from outside, by trial and role, under the names that they gave."""
+    """Return the players that joined from outside, by trial and role, with the names that they gave."""
     players = {}
     for event in run.events():
         found = _JOINED.fullmatch(event.text) if event.kind == "joined" and event.trial_id else None
@@ -112,10 +110,10 @@ def _limits(spec: TrialSpec) -> dict[str, object]:
 
 
 def _names(described: Sequence[tuple[str, Mapping[str, object]]]) -> list[str]:
-    """Return each label, followed by the fields that tell it from another of the same label."""
+    """Return each label, followed by the fields in which it differs from others of the same label."""
     names = []
     for label, fields in described:
-        namesakes = [theirs for other, theirs in described if other == label]
-        telling = [name for name in fields if any(theirs.get(name) != fields[name] for theirs in namesakes)]
-        names.append(" ".join([label, *(f"{name}={fields[name]}" for name in telling)]))
+        same_label = [other_fields for other, other_fields in described if other == label]
+        differing = [name for name in fields if any(o.get(name) != fields[name] for o in same_label)]
+        names.append(" ".join([label, *(f"{name}={fields[name]}" for name in differing)]))
     return names

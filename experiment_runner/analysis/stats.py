@@ -1,7 +1,7 @@
-"""Statistics of episode returns. Pure functions; random numbers come from a generator handed over.
+"""Statistics of episode returns. Pure functions; random numbers come from a generator that is passed in.
 
-Intervals are percentile bootstrap intervals over trials, stratified: trials are drawn again within
-each setting (a level, say), never across. Resampling and trimming are SciPy's (extra `plot`).
+Intervals are stratified percentile bootstrap intervals over trials: trials are resampled within each
+setting (such as a level), never across settings. Resampling and trimming are SciPy's (extra `plot`).
 Source of the method: Agarwal et al. (2021), "Deep Reinforcement Learning at the Edge of the
 Statistical Precipice". Their library, rliable, is not used: its random_state has no effect.
 """
@@ -19,6 +19,7 @@ from glue.errors import ExperimentError
 
 __all__ = [
     "Estimate",
+    "FloatArray",
     "bootstrap_rng",
     "convergence_episode",
     "estimate",
@@ -33,11 +34,11 @@ FloatArray = npt.NDArray[np.float64]
 Statistic = Callable[..., Any]
 """Called with an array and `axis`; returns the array without that axis."""
 
-_ELEMENTS_AT_ONCE: Final = 4_000_000  # of a resampled array, 32 MB
+_ELEMENTS_AT_ONCE: Final = 4_000_000  # of one batch of resamples, 32 MB
 
 
 class Estimate(NamedTuple):
-    """A statistic and its interval: arrays of one shape, () for a single number."""
+    """A statistic and its confidence interval: three arrays of the same shape, () for a single number."""
 
     value: FloatArray
     low: FloatArray
@@ -45,7 +46,7 @@ class Estimate(NamedTuple):
 
 
 def bootstrap_rng() -> np.random.Generator:
-    """Return the generator that tables and figures draw resamples from: the same runs, the same interval."""
+    """Return the generator for resampling, with a fixed seed: the same runs give the same interval."""
     return np.random.default_rng(0)
 
 
@@ -53,8 +54,11 @@ def mean_of_last(returns: FloatArray, window: int = 100) -> float:
     """Return the mean of the last `window` episode returns, or of all if there are fewer.
 
     Args:
-        returns: (episodes,); NaN when there are none.
+        returns: (episodes,)
         window: at least 1.
+
+    Returns:
+        The mean; NaN if there are no episodes.
     """
     last = returns[-window:]
     return float(last.mean()) if last.size else math.nan
@@ -68,7 +72,8 @@ def running_mean(returns: FloatArray, window: int = 100) -> FloatArray:
         window: at least 1.
 
     Returns:
-        (..., episodes - window + 1), or (..., 0); element i is known after episode i + window.
+        (..., episodes - window + 1), or (..., 0) if there are fewer than `window` episodes. Element i is the
+        mean after episode i + window, where episodes count from 1.
     """
     if returns.shape[-1] < window:
         return np.empty((*returns.shape[:-1], 0))
@@ -79,13 +84,13 @@ def running_mean(returns: FloatArray, window: int = 100) -> FloatArray:
 def convergence_episode(returns: FloatArray, window: int = 100, tolerance: float = 2.0) -> int | None:
     """Return the first episode from which the running mean stays close to its final value.
 
-    The running mean of `window` episodes has converged at episode e when from e on it stays within
-    `tolerance` (in reward, ends included) of its value at the last episode. It must have stayed for
-    at least `window` further episodes, which the mean at e does not contain; a curve that comes
-    close only at its very end has not converged.
+    The running mean of `window` episodes has converged at episode e if from e on it stays within
+    `tolerance` (in reward, inclusive) of its value at the last episode, for at least `window` further
+    episodes, none of which are part of the mean at e. A curve that gets close only at its very end has
+    not converged.
 
     Returns:
-        The episode, counting from 1, so `window` at the earliest; None when it has not converged.
+        The episode, counting from 1, so at least `window`; None if it has not converged.
     """
     means = running_mean(returns, window)
     if not means.size:
@@ -101,7 +106,7 @@ def mean(values: FloatArray, axis: int = 0) -> Any:
 
 
 def interquartile_mean(values: FloatArray, axis: int = 0) -> Any:
-    """Return the mean along an axis of the middle half: a quarter is cut at either end, rounded down.
+    """Return the mean along an axis of the middle half: a quarter, rounded down, is trimmed at either end.
 
     Raises:
         ExperimentError: SciPy is not installed.
@@ -117,17 +122,17 @@ def estimate(
     confidence: float = 0.95,
     resamples: int = 2000,
 ) -> Estimate:
-    """Return a statistic of all trials together, and its stratified bootstrap interval.
+    """Return a statistic of the pooled trials, and its stratified bootstrap interval.
 
     Args:
-        strata: one array (trials, ...) for each setting; all alike after the first axis.
-        statistic: `mean`, `interquartile_mean`, or alike; over axis `axis`.
-        rng: draws the resamples; the same state gives the same interval.
-        confidence: of the interval, 0 to 1, ends excluded.
-        resamples: how many.
+        strata: one array (trials, ...) for each setting; they differ at most in the first axis.
+        statistic: `mean`, `interquartile_mean` or the like, along an axis.
+        rng: for resampling; the same state gives the same interval.
+        confidence: level of the interval, between 0 and 1, exclusive.
+        resamples: number of resamples.
 
     Returns:
-        Arrays of shape (...). Low and high are NaN when a stratum has fewer than two trials.
+        Arrays of shape (...). Low and high are NaN if a stratum has fewer than two trials.
 
     Raises:
         ExperimentError: SciPy is not installed.
@@ -155,7 +160,7 @@ def estimate(
 
 
 def has_scipy() -> bool:
-    """Return whether SciPy is there, and so intervals and interquartile means."""
+    """Return whether SciPy, which intervals and interquartile means need, is installed."""
     try:
         _scipy_stats()
     except ExperimentError:

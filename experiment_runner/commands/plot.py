@@ -1,4 +1,4 @@
-"""`glue-plot`: draw the results of experiments."""
+"""`glue-plot`: plot the results of experiments."""
 
 from __future__ import annotations
 
@@ -17,25 +17,27 @@ __all__ = ["main", "plot"]
 
 @click.command("glue-plot")
 @click.argument("directories", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--out", "-o", required=True, type=click.Path(path_type=Path), help="File, .png or .svg.")
+@click.option(
+    "--out", "-o", required=True, type=click.Path(path_type=Path), help="File to write, .png or .svg."
+)
 @click.option(
     "--kind",
     type=click.Choice(["curves", "scatter", "comparison"]),
     default="curves",
     show_default=True,
-    help="Learning curves with confidence bands; every episode as a dot, a panel for each setting; or "
-    "what each agent reached in the end.",
+    help="Learning curves with confidence bands; every episode as a dot, in a panel for each setting; or a "
+    "comparison of the agents' final performance.",
 )
 @click.option(
     "--window",
     type=click.IntRange(1),
     default=100,
     show_default=True,
-    help="Episodes in the running mean, or that count as the end.",
+    help="Episodes in the running mean, or last episodes that count as final performance.",
 )
 @click.version_option(__version__, prog_name="glue-plot")
 def plot(directories: tuple[Path, ...], out: Path, kind: str, window: int) -> None:
-    """Draw the results of each RUN, a directory that glue-experiment made, also while it runs.
+    """Plot the results of each RUN, a directory that glue-experiment created, also while it runs.
 
     \b
     Examples:

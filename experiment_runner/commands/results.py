@@ -1,4 +1,4 @@
-"""`glue-results`: list runs, show one, export, merge and remove them, take an agent out."""
+"""`glue-results`: list, show, export, merge and remove runs, and save a trained agent of one."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 __all__ = ["main", "results"]
 
 _directory = click.Path(path_type=Path, file_okay=False)
-_as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON, for a script.")
+_as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 
 
 @click.group("glue-results")
 @click.version_option(__version__, prog_name="glue-results")
 def results() -> None:
-    """Look at the results of experiments, also while they run.
+    """Work with the results of experiments, also while they run.
 
-    A run is the directory that glue-experiment made (its --out).
+    A run is a directory that glue-experiment created (its --out).
 
     \b
     Examples:
@@ -51,7 +51,7 @@ def results() -> None:
 @click.argument("folder", type=_directory, default="runs")
 @_as_json
 def list_runs(folder: Path, as_json: bool) -> int:
-    """List the runs in FOLDER (by default runs) and the folders within.
+    """List the runs in FOLDER (by default runs) and its subfolders.
 
     \b
     Examples:
@@ -87,7 +87,7 @@ def list_runs(folder: Path, as_json: bool) -> int:
 @click.argument("directory", metavar="RUN", type=_directory)
 @_as_json
 def show(directory: Path, as_json: bool) -> None:
-    """Show what a RUN has come to: a line for each setting, and what went wrong.
+    """Show the results of a RUN: a line for each setting, then failures and other events.
 
     \b
     Examples:
@@ -114,9 +114,9 @@ def show(directory: Path, as_json: bool) -> None:
     "--out", type=click.Path(path_type=Path, dir_okay=False), help="File. [default: standard output]"
 )
 def export(directory: Path, kind: str, out: Path | None) -> None:
-    """Write the episodes of a RUN as one table: trial, episode, return, steps, terminal, ...
+    """Export the episodes of a RUN as one table: trial, episode, return, steps, terminal, ...
 
-    An episode is a row; each option of agent and environment is a column. Parquet needs --out.
+    Each episode is a row, each option of agent and environment a column. Parquet needs --out.
 
     \b
     Examples:
@@ -131,7 +131,9 @@ def export(directory: Path, kind: str, out: Path | None) -> None:
     with Results.open(directory) as found:
         if kind == "parquet":
             if out is None:
-                raise ConfigError("a Parquet file is not for the terminal: say where with --out FILE")
+                raise ConfigError(
+                    "Parquet is binary and cannot go to standard output: name a file with --out FILE"
+                )
             write_parquet(found, out)
             say(f"wrote {out}")
             return
@@ -150,10 +152,10 @@ def export(directory: Path, kind: str, out: Path | None) -> None:
 @click.argument("directories", metavar="RUN...", nargs=-1, required=True, type=_directory)
 @click.option("--out", required=True, type=_directory, help="Directory of the new run.")
 def merge(directories: tuple[Path, ...], out: Path) -> None:
-    """Make one run of several; they stay as they are.
+    """Merge runs into a new one; the originals stay unchanged.
 
-    Parts of one plan that ran on different machines become a run of that plan, which can go on where
-    something is missing (glue-experiment --resume). Other runs become one to look at.
+    Runs of the same plan, from different machines, become a run of that plan, which glue-experiment
+    --resume completes if episodes are missing. Runs of different plans become one for viewing only.
 
     \b
     Examples:
@@ -169,19 +171,19 @@ def merge(directories: tuple[Path, ...], out: Path) -> None:
 
 @results.command()
 @click.argument("directory", metavar="RUN", type=_directory)
-@click.option("--trial", "trial_id", metavar="ID", help="Of this trial. [default: the only one]")
+@click.option("--trial", "trial_id", metavar="ID", help="The trial; not needed if the run has one only.")
 @click.option(
     "--out",
     "-o",
     required=True,
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="File to write; an older one is replaced.",
+    help="File to write; an existing file is replaced.",
 )
 def agent(directory: Path, trial_id: str | None, out: Path) -> None:
-    """Write what an agent had learned by the newest checkpoint of its trial in a RUN.
+    """Write the agent of a RUN, as of the newest checkpoint of its trial, to a file.
 
-    An agent of the same name and options begins with it: glue-agent NAME --load FILE, glue-watch --load.
+    glue-agent NAME --load FILE and glue-watch --load FILE load it into an agent of the same name and options.
 
     \b
     Examples:
@@ -205,11 +207,11 @@ def agent(directory: Path, trial_id: str | None, out: Path) -> None:
 
 @results.command()
 @click.argument("directories", metavar="RUN...", nargs=-1, required=True, type=_directory)
-@click.option("--yes", "-y", is_flag=True, help="Do not ask.")
+@click.option("--yes", "-y", is_flag=True, help="Do not ask for confirmation.")
 def remove(directories: tuple[Path, ...], yes: bool) -> None:
-    """Remove each RUN, which asks first.
+    """Remove each RUN, after confirmation.
 
-    Only the files of the run are removed: what else its directory holds, a recording say, stays.
+    Only the files of the run are removed; other files in its directory, such as recordings, are kept.
 
     \b
     Examples:
@@ -229,15 +231,20 @@ def remove(directories: tuple[Path, ...], yes: bool) -> None:
             click.confirm(f"remove {directory} ({amount})?", abort=True, err=True)
         with reported(f"cannot remove {directory}"):
             left = remove_run(directory)
-        say(f"removed {directory}" + (f", except what is not the run's: {', '.join(left)}" if left else ""))
+        say(
+            f"removed {directory}"
+            + (f", except files that are not part of the run: {', '.join(left)}" if left else "")
+        )
 
 
 def _trial(found: Results, trial_id: str | None) -> TrialRecord:
     trials = {trial.spec.id: trial for trial in found.trials()}
     if trial_id is None:
+        if not trials:
+            raise ExperimentError(f"{found.directory} has no trials")
         if len(trials) > 1:
             raise ConfigError(
-                f"{found.directory} has {len(trials)} trials: say which, as --trial {next(iter(trials))}"
+                f"{found.directory} has {len(trials)} trials: name one, as in --trial {next(iter(trials))}"
             )
         return next(iter(trials.values()))
     if trial_id not in trials:
@@ -248,12 +255,12 @@ def _trial(found: Results, trial_id: str | None) -> TrialRecord:
 def _why_unsaved(found: Results, trial: TrialRecord) -> str:
     reasons = [e.text for e in found.events() if e.kind == "unsaved" and e.trial_id == trial.spec.id]
     if reasons:
-        return f"nothing is saved of {trial.spec.id}: {reasons[-1]}"
-    if trial.finished:  # every player that can be saved is saved at the end
-        return f"nothing is saved of {trial.spec.id}: its agent or environment cannot save itself"
+        return f"{trial.spec.id} has no checkpoint: {reasons[-1]}"
+    if trial.finished:  # players that can be saved are saved at the end
+        return f"{trial.spec.id} has no checkpoint: its agent or environment cannot save itself"
     return (
         f"{trial.spec.id} has no checkpoint yet, after {trial.done} of {trial.spec.episodes} episodes: "
-        "there is one at its end, and before as often as --checkpoint-every says"
+        "one is written at its end, and before that as often as --checkpoint-every says"
     )
 
 

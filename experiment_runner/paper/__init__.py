@@ -1,1 +1,1 @@
-"""The experiments of Mohan (2010), from plan to report. Nothing outside this folder needs it."""
+"""The experiments of Mohan (2010), from plan to report. No other folder depends on this one."""

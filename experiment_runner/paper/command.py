@@ -28,23 +28,33 @@ _ALL: Final = "all"
     type=click.Path(path_type=Path, file_okay=False),
     default="runs/paper",
     show_default=True,
-    help="Directory of the results: a run for each experiment, the tables and the figures. What is there "
-    "already is continued.",
+    help="Directory of the results: a run for each experiment, the tables and the figures. Existing runs "
+    "are continued.",
 )
-@click.option("--trials", type=click.IntRange(1), default=TRIALS, show_default=True, help="Of each setting.")
-@click.option("--episodes", type=click.IntRange(1), default=EPISODES, show_default=True, help="Of a trial.")
+@click.option(
+    "--trials",
+    type=click.IntRange(1),
+    default=TRIALS,
+    show_default=True,
+    help="Trials of each agent on each level.",
+)
+@click.option(
+    "--episodes", type=click.IntRange(1), default=EPISODES, show_default=True, help="Episodes of a trial."
+)
 @click.option(
     "--workers",
     type=click.IntRange(1),
     default=os.cpu_count() or 1,
     show_default="the number of cores",
-    help="Trials at a time, each in a process of its own.",
+    help="Number of trials at a time, each in its own process.",
 )
-@click.option("--report-only", is_flag=True, help="Run nothing; make tables and figures of what is there.")
+@click.option(
+    "--report-only", is_flag=True, help="Do not run anything; write tables and figures of the existing runs."
+)
 @click.option(
     "--docs",
     type=click.Path(path_type=Path, dir_okay=False, exists=True),
-    help="Also write the tables between the marks of this file, and the figures to images/paper beside it.",
+    help="Also write the tables to this page, between its marks, and the figures to images/paper beside it.",
 )
 @click.version_option(__version__, prog_name="glue-paper")
 def paper(
@@ -58,9 +68,9 @@ def paper(
 ) -> int:
     """Reproduce experiments of Mohan (2010), "Reinforcement Learning in Infinite Mario".
 
-    An EXPERIMENT is a number of the paper's, 1 to 8; sample, the competition's sample agent, which
-    stands in every figure; best, an agent beyond the paper's; or all. Tables and figures are made at
-    the end, of every experiment that --out holds.
+    An EXPERIMENT is one of the paper's numbers, 1 to 8; sample, the competition's sample agent, which is
+    in every figure; best, an agent that is not in the paper; or all. At the end, tables and figures of
+    all experiments in --out are written.
 
     \b
     Examples:
@@ -74,9 +84,9 @@ def paper(
     from experiment_runner.report.tables import terminal_width
 
     if not names and not report_only:
-        raise click.UsageError("say which experiments: numbers from 1 to 8, sample, best, or all")
+        raise click.UsageError("name the experiments: numbers from 1 to 8, sample, best, or all")
     if names and report_only:
-        raise click.UsageError("--report-only reports on all that is there: name no experiment")
+        raise click.UsageError("--report-only reports on all existing runs: omit the experiments")
     chosen = [name for name in EXPERIMENTS if name in names or _ALL in names]
     plans = {
         name: check_options(
@@ -96,7 +106,7 @@ def paper(
 
 
 def _run(directory: Path, plan: Plan, workers: int) -> int:
-    """Run what remains of a plan; return how many trials failed."""
+    """Run the remaining trials of a plan; return the number of trials that failed."""
     from experiment_runner.executors.resume import open_run
     from experiment_runner.executors.run import RunConfig, run_trials
     from experiment_runner.players import Meeting

@@ -1,7 +1,6 @@
-"""The experiments of Mohan (2010) as data: which agents on which levels, and the numbers of the paper.
+"""The experiments of Mohan (2010) as data: which agents on which levels, and the paper's numbers.
 
-An experiment is a plan, and so a run directory: its trials are those of `glue-experiment`, and
-`glue-results` and `glue-plot` read them too.
+Each experiment is an ordinary plan with a run directory, which `glue-results` and `glue-plot` read too.
 Source: S. Mohan (2010), "Reinforcement Learning in Infinite Mario".
 """
 
@@ -28,11 +27,11 @@ __all__ = [
 
 TRIALS: Final = 10
 EPISODES: Final = 5000
-SEED: Final = 0  # the random seed; the paper, run on a clock, has none
+SEED: Final = 0  # the random seed; the paper's agents were seeded by the clock
 
 
 class Level(NamedTuple):
-    """A level of type 0 (overground), the game's parameters those of instance 0."""
+    """A level of type 0 (overground), with the game's parameters of instance 0."""
 
     seed: int
     difficulty: int
@@ -43,7 +42,7 @@ _OTHER_SEEDS: Final = tuple(range(1, 11))
 
 
 class Published(NamedTuple):
-    """What the paper reports of an agent: mean return of the last 100 episodes, and when it converged."""
+    """The paper's numbers for an agent: mean return of the last 100 episodes, and when it converged."""
 
     reward: float | None
     convergence: str
@@ -51,15 +50,15 @@ class Published(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class PaperExperiment:
-    """One experiment: every agent meets every level.
+    """One experiment: every agent plays every level.
 
     Args:
-        name: what the command calls it; the paper's number, if it has one.
-        title: what tells it from the others.
-        agents: the paper's agent, then others to compare it with.
+        name: its name on the command line: the paper's number, if it has one.
+        title: a short description.
+        agents: the paper's agent first, then others for comparison.
         difficulties: of the levels.
         level_seeds: of the levels.
-        figure: the paper's figure of it, if any.
+        figure: the number of its figure in the paper, None if it has none.
         published: the paper's numbers for the first agent, by difficulty.
     """
 
@@ -87,19 +86,19 @@ def plan_of(experiment: PaperExperiment, episodes: int = EPISODES, trials: int =
 
 
 def level_of(environment: RoleSpec) -> Level:
-    """Return the level of a trial of such a plan.
+    """Return the level of an environment of such a plan.
 
     Raises:
-        ExperimentError: its environment does not say the level.
+        ExperimentError: the environment does not set the level.
     """
     seed, difficulty = (environment.options.get(name) for name in ("level_seed", "level_difficulty"))
     if not isinstance(seed, int) or not isinstance(difficulty, int):
-        raise ExperimentError(f"{environment.label} does not name its level, as those of glue-paper do")
+        raise ExperimentError(f"{environment.label} does not set the level, as those of glue-paper do")
     return Level(seed, difficulty)
 
 
 def _flat(name: str) -> tuple[RoleSweep, ...]:
-    """Return an agent that loses the terminal reward, as published, and the textbook's beside it."""
+    """Return an agent without the update by the terminal reward, as published, and the textbook version."""
     return RoleSweep(name), RoleSweep(name, {"terminal_update": True}, f"{name}-textbook")
 
 
@@ -130,4 +129,4 @@ EXPERIMENTS: Final[Mapping[str, PaperExperiment]] = {
             (PAPER_LEVEL.seed, *_OTHER_SEEDS)),
     )
 }  # fmt: skip
-"""Every experiment by name, in the order in which they run: the sample agent stands in all figures."""
+"""All experiments by name, in the order in which they run. The sample agent is in every figure."""

@@ -1,13 +1,13 @@
-"""Figures of the experiments of Mohan (2010): the paper's, and learning curves of all beside each other."""
+"""Figures of the experiments of Mohan (2010): the paper's, and learning curves of all agents together."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
-from experiment_runner.analysis.stats import bootstrap_rng
+from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
 from experiment_runner.paper.experiments import EXPERIMENTS, PAPER_LEVEL, Level
-from experiment_runner.paper.outcomes import WINDOW, FloatArray, Outcome
+from experiment_runner.paper.outcomes import WINDOW, Outcome
 from experiment_runner.report.plots import learning_curves, scatter
 
 if TYPE_CHECKING:
@@ -21,13 +21,13 @@ _IN_CURVES: Final = (_SAMPLE, "4", "5", "6", "7", "8", _BEST)
 
 
 def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
-    """Return the figures that these outcomes allow, by name.
+    """Return the figures that can be drawn of these outcomes, by name.
 
-    figure-2, ...        the paper's: every episode of every trial as a dot, on the level of the paper
-    figure-13-nearest    of experiment 8, the other level on which our reward comes nearest the paper's
-    curves-0, curves-1   the agents that learn, and the sample agent, on the paper's level and at
-                         difficulty 1
-    best                 every episode of the agent beyond the paper, on the paper's seed
+    figure-2, ...        the paper's: every episode of every trial as a dot, on the paper's level
+    figure-13-nearest    the same for experiment 8 on the level where our reward is closest to the paper's
+    curves-0, curves-1   learning curves of the hierarchical agents, `best` and the sample agent, on the
+                         paper's level seed at difficulty 0 and 1
+    best                 every episode of `best` on the paper's level seed, by difficulty
 
     Raises:
         ExperimentError: matplotlib or SciPy is not installed.
@@ -39,10 +39,10 @@ def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
         if experiment.figure is not None and panels:
             reference = _sample(outcomes, level)
             drawn[f"figure-{experiment.figure}"] = scatter(panels, window=WINDOW, reference=reference)
-    near = _nearest([outcome for outcome in outcomes if outcome.level.seed != PAPER_LEVEL.seed])
-    if near is not None:
-        name = f"{near.agent}, level seed {near.level.seed}"
-        drawn[f"figure-{near.experiment.figure}-nearest"] = scatter({name: near.curves}, window=WINDOW)
+    nearest = _nearest([outcome for outcome in outcomes if outcome.level.seed != PAPER_LEVEL.seed])
+    if nearest is not None:
+        name = f"{nearest.agent}, level seed {nearest.level.seed}"
+        drawn[f"figure-{nearest.experiment.figure}-nearest"] = scatter({name: nearest.curves}, window=WINDOW)
     for difficulty in (0, 1):
         level = Level(PAPER_LEVEL.seed, difficulty)
         curves = {o.agent: o.curves for o in outcomes if o.experiment.name in _IN_CURVES and o.level == level}
@@ -59,7 +59,7 @@ def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
 
 
 def _nearest(outcomes: Sequence[Outcome]) -> Outcome | None:
-    """Return the outcome whose reward is nearest to the published one."""
+    """Return the outcome whose reward is closest to the published one."""
     distances = {
         abs(float(outcome.reward.value) - outcome.published.reward): outcome
         for outcome in outcomes

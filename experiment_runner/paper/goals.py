@@ -1,6 +1,6 @@
-"""What was required of the agents before the full run, and what was found.
+"""The goals that were set for the agents before the full run, and whether they were met.
 
-The goals are for the whole study, so fewer or shorter trials are not judged.
+The goals are for the full study: fewer or shorter trials are not judged.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from experiment_runner.paper.outcomes import Outcome
 __all__ = ["Verdict", "verdicts"]
 
 _ORIGINAL_SAMPLE: Final = 130.45
-"""The reward of the competition's sample agent itself: ten runs of 500 episodes on the paper's level."""
+"""The reward of the original sample agent: the mean of ten runs of 500 episodes on the paper's level."""
 
 Number = Callable[[Outcome], float]
 
 
 class Verdict(NamedTuple):
-    """Something that was required, what was found, and whether that is enough; None if not judged."""
+    """A goal, the result, and whether the goal is met; None if not judged."""
 
     required: str
     found: str
@@ -31,9 +31,9 @@ class Verdict(NamedTuple):
 
 
 class _Goal(NamedTuple):
-    """What is required of the first of `agents`, on the paper's seed at a difficulty.
+    """A goal for the first of `agents`, on the paper's level seed at a difficulty.
 
-    `check` is called with the outcome of each; it returns what was found, and whether that is enough.
+    `check` is called with the outcomes of all `agents`; it returns the result, and whether the goal is met.
     """
 
     agents: tuple[str, ...]
@@ -43,7 +43,7 @@ class _Goal(NamedTuple):
 
 
 def verdicts(outcomes: Sequence[Outcome]) -> list[Verdict]:
-    """Return a verdict on every goal whose agents have played."""
+    """Return the verdict on each goal whose agents all have outcomes."""
     known = {(outcome.agent, outcome.level): outcome for outcome in outcomes}
     given = []
     for goal in _GOALS:
@@ -81,8 +81,8 @@ def _at_least(reward: float) -> Callable[[Outcome], tuple[str, bool]]:
     return lambda agent: (_show(_reward, agent), _reward(agent) >= reward)
 
 
-def _by(number: Number, most: float) -> Callable[[Outcome], tuple[str, bool]]:
-    return lambda agent: (_show(number, agent), number(agent) <= most)
+def _at_most(number: Number, limit: float) -> Callable[[Outcome], tuple[str, bool]]:
+    return lambda agent: (_show(number, agent), number(agent) <= limit)
 
 
 def _least(number: Number) -> Callable[..., tuple[str, bool]]:
@@ -116,7 +116,7 @@ def _spread(outcome: Outcome) -> float:
 
 
 def _show(number: Number, agent: Outcome, *others: Outcome) -> str:
-    """Return an agent's number, and against whose it was held."""
+    """Return an agent's number, and those it was compared with."""
     form = "{:g}" if number in (_reached, _median_reached) else "{:.2f}"
     shown = form.format(number(agent))
     return f"{shown} against {', '.join(form.format(number(o)) for o in others)}" if others else shown
@@ -134,18 +134,18 @@ _GOALS: Final = (
         for lost, _ in _FLAT
     ),
     *(
-        _Goal((textbook.label, lost.label), "learns: more reward than where the terminal one is lost", _more)
+        _Goal((textbook.label, lost.label), "learns: more reward than without the terminal update", _more)
         for lost, textbook in _FLAT
     ),
     _Goal((_FOUR,), "reward of 143.5 or more", _at_least(143.5)),
     _Goal((_FIVE,), "reward of 144 or more", _at_least(144)),
-    _Goal((_FIVE,), "mean curve reached by episode 1000", _by(_reached, 1000)),
+    _Goal((_FIVE,), "mean curve reached by episode 1000", _at_most(_reached, 1000)),
     _Goal((_FIVE, _FOUR), f"mean curve reached no later than that of `{_FOUR}`", _least(_reached)),
     _Goal((_FIVE, _FOUR), f"median trial reached no later than that of `{_FOUR}`", _least(_median_reached)),
     _Goal((_SIX,), "reward of 144.5 or more", _at_least(144.5)),
     _Goal((_SIX, _FIVE), f"reward above that of `{_FIVE}`, or in its interval", _no_worse),
     _Goal((_SEVEN,), "reward of 143.5 or more", _at_least(143.5)),
-    _Goal((_SEVEN,), "mean curve reached by episode 200", _by(_reached, 200)),
+    _Goal((_SEVEN,), "mean curve reached by episode 200", _at_most(_reached, 200)),
     _Goal((_SEVEN, _FOUR, _FIVE, _SIX), "mean curve reached before those of 4, 5 and 6", _least(_reached)),
     _Goal((_SEVEN, _FOUR, _FIVE, _SIX), "median trial reached before theirs", _least(_median_reached)),
     _Goal((_SEVEN, _FOUR, _FIVE, _SIX), "deviation between trials less than theirs", _least(_spread)),

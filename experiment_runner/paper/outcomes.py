@@ -1,4 +1,4 @@
-"""What the experiments of Mohan (2010) came to: numbers from the run directories."""
+"""The results of the experiments of Mohan (2010), computed from the run directories."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from experiment_runner.analysis.settings import Setting, collect
 from experiment_runner.analysis.stats import (
     Estimate,
+    FloatArray,
     bootstrap_rng,
     convergence_episode,
     estimate,
@@ -30,32 +30,30 @@ from glue.options import build
 from glue.players.loading import find
 from glue.protocol.messages import Role
 
-__all__ = ["FINISHED", "TOLERANCE", "WINDOW", "FloatArray", "Outcome", "load", "reach_episode"]
-
-FloatArray = npt.NDArray[np.float64]
+__all__ = ["FINISHED", "TOLERANCE", "WINDOW", "Outcome", "load", "reach_episode"]
 
 WINDOW: Final = 100
 TOLERANCE: Final = 2.0
-"""How far from its end, in reward, a running mean of `WINDOW` episodes counts as converged."""
+"""A running mean of `WINDOW` episodes has converged within this distance, in reward, of its final value."""
 FINISHED: Final = 90.0
-"""The least return of an episode that reached the goal: 100, less 0.01 for each of at most 1000 steps.
+"""The minimum return of an episode that reached the goal: 100, less 0.01 for each of at most 1000 steps.
 
-No level has so many coins and monsters that an episode which ends in death comes near it.
+No level has enough coins and monsters for an episode that ends in death to get close to it.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What one agent of an experiment did on one level.
+    """The results of one agent of an experiment on one level.
 
-    experiment  it belongs to
-    agent       its label in the plan
-    level       it played
-    planned     how many trials there are to be
-    curves      returns, (trials, episodes): of the trials that are finished; see `Setting.curves`
-    values      of each trial that has a checkpoint, how many values the agent had learned by then
-    steps       of all trials
-    seconds     all episodes took, one after the other
+    experiment  that it belongs to
+    agent       the agent's label in the plan
+    level       that was played
+    planned     number of trials in the plan
+    curves      returns of the finished trials, (trials, episodes); see `Setting.curves`
+    values      number of learned values at the newest checkpoint, for each trial that has one
+    steps       total of all trials
+    seconds     total duration of all episodes
     """
 
     experiment: PaperExperiment
@@ -69,13 +67,13 @@ class Outcome:
 
     @property
     def published(self) -> Published | None:
-        """The paper's numbers, where it has any for this."""
+        """The paper's numbers, None if it has none for this agent and level."""
         faithful = self.agent == self.experiment.agents[0].label
         return self.experiment.published.get(self.level.difficulty) if faithful else None
 
     @property
     def rewards(self) -> FloatArray:
-        """The mean of each trial's last episodes, (trials,)."""
+        """The mean return of each trial's last `WINDOW` episodes, (trials,)."""
         return np.array([mean_of_last(trial, WINDOW) for trial in self.curves])
 
     @property
@@ -85,52 +83,55 @@ class Outcome:
 
     @property
     def reached(self) -> int | None:
-        """When the mean curve first came where it ends; see `reach_episode`."""
+        """The episode at which the mean curve first reached its final value; see `reach_episode`."""
         return reach_episode(mean(self.curves))
 
     @property
     def trials_reached(self) -> list[int]:
-        """The same of each trial, ascending."""
+        """The same for each trial, ascending."""
         return _ascending(map(reach_episode, self.curves))
 
     @property
     def settled(self) -> int | None:
-        """From when on the mean curve stayed where it ends: a relapse of a single trial can delay it."""
+        """The episode from which the mean curve stayed at its final value, None if it did not.
+
+        A relapse of a single trial can delay it; see `convergence_episode`.
+        """
         return convergence_episode(mean(self.curves), WINDOW, TOLERANCE)
 
     @property
     def trials_settled(self) -> list[int]:
-        """The same of each trial that settled, ascending."""
+        """The same for each trial that settled, ascending."""
         return _ascending(convergence_episode(trial, WINDOW, TOLERANCE) for trial in self.curves)
 
     @property
     def finishing(self) -> FloatArray:
-        """The share of each trial's last episodes that reached the goal, (trials,)."""
+        """The share of each trial's last `WINDOW` episodes that reached the goal, 0 to 1, (trials,)."""
         return np.array([np.mean(trial[-WINDOW:] >= FINISHED) for trial in self.curves])
 
     @property
     def trials_finishing(self) -> int:
-        """How many trials reached the goal in at least half of their last episodes."""
+        """The number of trials that reached the goal in at least half of their last `WINDOW` episodes."""
         return int(np.sum(self.finishing >= 0.5))
 
 
 def reach_episode(returns: FloatArray) -> int | None:
-    """Return the episode at which the running mean first came within `TOLERANCE` of its end, or above it.
+    """Return the episode at which the running mean is first at least its final value less `TOLERANCE`.
 
-    That is how fast an agent learned, whatever befell it later; None for less than `WINDOW` episodes.
+    It measures how fast an agent learns, regardless of later relapses. None for fewer than `WINDOW` episodes.
     """
     means = running_mean(returns, WINDOW)
     return int(np.argmax(means >= means[-1] - TOLERANCE)) + WINDOW if means.size else None
 
 
 def load(directory: Path) -> list[Outcome]:
-    """Return what every agent did on every level, in the order of `EXPERIMENTS`, as far as it got.
+    """Return the results so far of each agent on each level, in the order of `EXPERIMENTS`.
 
     Args:
-        directory: holds a run directory for each experiment that was begun, by its name.
+        directory: contains the run directories, each with the name of its experiment.
 
     Raises:
-        ExperimentError: one of them is the run of something else, or cannot be read.
+        ExperimentError: one of the runs is not of this study, or cannot be read.
     """
     outcomes = []
     for name, experiment in EXPERIMENTS.items():
@@ -161,7 +162,7 @@ def _outcome(experiment: PaperExperiment, setting: Setting, results: Results) ->
 
 
 def _values(agent: RoleSpec, environment: RoleSpec, setting: Setting, results: Results) -> tuple[int, ...]:
-    """Return what agents brought back from the newest checkpoints answer to `values`."""
+    """Return the number of learned values at each newest checkpoint: the agent's reply to `values`."""
     found = [results.checkpoint(trial.spec.id) for trial in setting.trials]
     saved = [checkpoint.agent for _, checkpoint in filter(None, found)]
     if not saved:

@@ -22,26 +22,26 @@ END: Final = "<!-- to here -->"
 
 
 class Report(NamedTuple):
-    """What `write_report` reported on, and the files and groups of files that it wrote."""
+    """The outcomes that were reported, and descriptions of the files that were written."""
 
     outcomes: list[Outcome]
     written: list[str]
 
 
 def write_report(out: Path, docs: Path | None = None) -> Report:
-    """Write tables and figures of all that `out` holds to the folder `REPORT` in it.
+    """Write tables and figures of all runs in `out` to its subfolder `REPORT`.
 
     Args:
-        out: holds the run directories.
-        docs: a page in Markdown: the tables go between its marks `BEGIN` and `END`, the figures to
+        out: contains the run directories.
+        docs: a Markdown page; the tables are written between its marks `BEGIN` and `END`, the figures to
             images/paper beside it.
 
     Raises:
-        ExperimentError: there is nothing yet, a mark is missing, or something cannot be read or written.
+        ExperimentError: no episode is finished yet, a mark is missing, or a file cannot be read or written.
     """
     outcomes = load(out)
     if not outcomes:
-        raise ExperimentError(f"{out} holds no finished episode of any experiment")
+        raise ExperimentError(f"{out} contains no finished episode of any experiment")
     tables = as_markdown(outcomes)
     page = None if docs is None else _with_tables(docs, tables)
     drawn = figures(outcomes)
@@ -64,7 +64,7 @@ def write_report(out: Path, docs: Path | None = None) -> Report:
 
 
 def _with_tables(docs: Path, tables: str) -> str:
-    """Return the text of a page with these tables between its marks."""
+    """Return the text of a page with `tables` between its marks."""
     with reported(f"cannot read {docs}"):
         text = docs.read_text(encoding="utf-8")
     before, begin, rest = text.partition(BEGIN)

@@ -1,4 +1,4 @@
-"""Tables of the experiments of Mohan (2010), ours beside the paper's: Markdown to read, CSV to go on with."""
+"""Tables of our results and the paper's (Mohan 2010): Markdown, plain text for a terminal, and CSV."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ _GOALS_HEADER: Final = ("required", "found", "met")
 _NOT_JUDGED: Final = f"not judged: needs {TRIALS} trials of {EPISODES} episodes"
 _MET: Final = {True: "yes", False: "**no**", None: _NOT_JUDGED}
 _SHORT_HEADER: Final = ("agent", "level", "paper", "ours", "95 % interval", "trials finish")
-_WORDS: Final = 3  # the first columns; the others are numbers
+_TEXT_COLUMNS: Final = 3  # the first columns; the others are numbers
 _LEGEND: Final = f"""\
 A *level* is a seed and a difficulty. *Ours* is the mean over trials of the mean return of the last
-{WINDOW} episodes, with its 95 % bootstrap interval; *single trials* are the lowest and the highest of them.
-The running mean of {WINDOW} episodes, over all trials, has *reached* its end when it first comes within
-{TOLERANCE:g} of its last value, or above it; it has *settled* when from then on it stays within
-{TOLERANCE:g}. *Trials reached* is the median of the episodes at which the single trials reached theirs.
-*Values* is how many values a trial has learned in the end, on average. A trial *finishes* when at least
-half of its last {WINDOW} episodes reach the goal, that is, return {FINISHED:g} or more."""
+{WINDOW} episodes, with its 95 % bootstrap interval; *single trials* are the lowest and the highest trial.
+The running mean of {WINDOW} episodes, over all trials, has *reached* its final value when it is first at
+most {TOLERANCE:g} below it, and has *settled* when from then on it stays within {TOLERANCE:g} of it.
+*Trials reached* is the median of the episodes at which the single trials reached their final values.
+*Values* is the mean number of values that a trial has learned at its end. A trial *finishes* when at
+least half of its last {WINDOW} episodes reach the goal, that is, return {FINISHED:g} or more."""
 
 
 def as_markdown(outcomes: Sequence[Outcome]) -> str:
-    """Return a table for the paper's level, one for its higher difficulties, one for all other seeds."""
+    """Return tables in Markdown: the paper's level, its higher difficulties, other seeds, the goals."""
     seed = PAPER_LEVEL.seed
     groups = {
         f"The paper's level: seed {seed}, difficulty {PAPER_LEVEL.difficulty}": [
@@ -58,11 +58,11 @@ def as_markdown(outcomes: Sequence[Outcome]) -> str:
 
 
 def as_text(outcomes: Sequence[Outcome], width: int | None = None) -> str:
-    """Return a table for a terminal: the rewards, the paper's and ours, and how many trials finish.
+    """Return a table for a terminal: the paper's rewards and ours, and how many trials finish.
 
     Args:
         outcomes: a row for each.
-        width: as in `format_table`.
+        width: see `format_table`.
     """
     rows = []
     for outcome in outcomes:
@@ -73,7 +73,7 @@ def as_text(outcomes: Sequence[Outcome], width: int | None = None) -> str:
 
 
 def as_csv(outcomes: Sequence[Outcome]) -> str:
-    """Return a row for each agent and level, with a header; a number that there is none of is empty."""
+    """Return a header and a row for each agent and level; a number that is not available is empty."""
     text = io.StringIO()
     records = [_record(outcome) for outcome in outcomes]
     writer = csv.DictWriter(text, records[0] if records else (), lineterminator="\n")
@@ -83,7 +83,7 @@ def as_csv(outcomes: Sequence[Outcome]) -> str:
 
 
 def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    rule = ["---" if number < _WORDS else "---:" for number in range(len(header))]
+    rule = ["---" if number < _TEXT_COLUMNS else "---:" for number in range(len(header))]
     return "\n".join(f"| {' | '.join(row)} |" for row in (header, rule, *rows))
 
 

@@ -1,1 +1,1 @@
-"""What people see: progress, tables and figures."""
+"""Output for people: progress, tables and figures."""

@@ -1,4 +1,4 @@
-"""What a run has come to, in one line and in full: for people, and as JSON for scripts."""
+"""The state and results of a run, in one line and in full: for people, and as JSON for scripts."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ __all__ = ["Overview", "as_object", "as_text", "overview"]
 _WINDOW: Final = 100
 _SETTING_COLUMNS: Final = ("setting", "finished", "episodes", "mean", "95 % interval", "IQM", "converged")
 _LEGEND: Final = f"""\
-mean, IQM  over trials, of the mean of their last {_WINDOW} episodes; IQM is the interquartile mean
+mean, IQM  over trials, of the mean return of the last {_WINDOW} episodes; IQM is the interquartile mean
 interval   of the mean, by bootstrap
-converged  the episode from which the mean of {_WINDOW}, over all trials, stays within 2 of its end"""
+converged  the episode from which the mean of {_WINDOW}, over all trials, stays within 2 of its final value"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +40,11 @@ class Overview:
     """A run in one line.
 
     directory  of the run
-    started    seconds since 1970; None if nothing says
-    trials     how many are finished, and how many there are
-    episodes   how many are recorded, and how many there are to be
+    started    seconds since 1970, UTC; None if not recorded
+    trials     how many are finished, and how many there are in all
+    episodes   how many are recorded, and how many are planned
     state      running, failed, finished or interrupted
-    reason     who runs it, or why the first trial that failed did; empty if there is nothing to say
+    reason     which process runs it, or why the first failed trial failed; otherwise empty
     """
 
     COLUMNS: ClassVar = ("run", "started", "trials", "episodes", "state", "reason")
@@ -57,12 +57,12 @@ class Overview:
     reason: str
 
     def cells(self) -> tuple[str, ...]:
-        """Return a text for each of `COLUMNS`."""
+        """Return the cell of each of `COLUMNS`."""
         counts = ("{}/{}".format(*self.trials), "{}/{}".format(*self.episodes))
         return (str(self.directory), _date(self.started), *counts, self.state, self.reason)
 
     def as_json(self) -> dict[str, object]:
-        """Return the same for a script."""
+        """Return the overview as a JSON object."""
         return {
             "run": str(self.directory),
             "started": self.started,
@@ -76,10 +76,10 @@ class Overview:
 
 
 def overview(results: Results) -> Overview:
-    """Return a run in one line.
+    """Return the overview of a run.
 
     Raises:
-        ExperimentError: it cannot be read.
+        ExperimentError: the run cannot be read.
     """
     trials = results.trials()
     starts = [event.time for event in results.events() if event.kind == "start"]
@@ -93,14 +93,14 @@ def overview(results: Results) -> Overview:
 
 
 def as_text(results: Results, width: int | None = None) -> str:
-    """Return what a run has come to: a line for each setting, and what went wrong.
+    """Return the results of a run: a line for each setting, then failures, voids and events.
 
     Args:
         results: of the run.
-        width: as in `format_table`.
+        width: see `format_table`.
 
     Raises:
-        ExperimentError: it cannot be read.
+        ExperimentError: the run cannot be read.
     """
     run = overview(results)
     lines = [f"{run.directory}: {run.state}" + (f" ({run.reason})" if run.state == "running" else "")]
@@ -121,10 +121,10 @@ def as_text(results: Results, width: int | None = None) -> str:
 
 
 def as_object(results: Results) -> dict[str, object]:
-    """Return the same for a script; a number that there is none of is None.
+    """Return the results of a run as a JSON object; numbers that are not available are None.
 
     Raises:
-        ExperimentError: it cannot be read.
+        ExperimentError: the run cannot be read.
     """
     return {
         **overview(results).as_json(),
@@ -162,7 +162,7 @@ def _date(time: float | None) -> str:
 
 
 def _programs(results: Results) -> list[str]:
-    """Return the versions of the program that ran a run, each once."""
+    """Return the distinct versions of the program that executed a run."""
     return list(dict.fromkeys(e.text for e in results.events() if e.kind in ("start", "resume")))
 
 

@@ -1,8 +1,8 @@
-"""Figures of episode returns: curves, dots, comparisons; to PNG and SVG.
+"""Figures of episode returns as PNG and SVG: learning curves, scatter plots, comparisons.
 
-Drawn with matplotlib (extra `plot`), without leaving a trace in its global state. Sized to be read
-at half a page; the colours are those of Okabe and Ito, which the colour-blind tell apart, and lines
-differ in dash too. With one matplotlib, the same data make the same file, byte for byte.
+Drawn with matplotlib (extra `plot`), whose global state is left as it was. Figures are legible at half a
+page. The colors are Okabe and Ito's, which color-blind people can distinguish; lines also differ in dash.
+With the same version of matplotlib, the same data give the same file, byte for byte.
 """
 
 from __future__ import annotations
@@ -15,9 +15,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
-from experiment_runner.analysis.stats import estimate, interquartile_mean, mean, mean_of_last, running_mean
+from experiment_runner.analysis.stats import (
+    FloatArray,
+    estimate,
+    interquartile_mean,
+    mean,
+    mean_of_last,
+    running_mean,
+)
+from experiment_runner.report.tables import counted
 from experiment_runner.store.output import written
 from glue.errors import ExperimentError
 
@@ -27,9 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = ["comparison", "learning_curves", "save", "scatter"]
 
-FloatArray = npt.NDArray[np.float64]
-
-_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+_COLORS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _DASHES: Final = ("-", "--", ":", "-.")
 _STYLE: Final[dict[Any, Any]] = {
     "axes.axisbelow": True,
@@ -64,10 +69,10 @@ def learning_curves(
     """Return a figure of running means over trials, each with its 95 % bootstrap band.
 
     Args:
-        curves: (trials, episodes) by name; a single trial has no band, a curve that is shorter than
-            the window is left out.
-        rng: draws the resamples.
-        window: episodes in the running mean; a tenth of the longest curve if that is less.
+        curves: (trials, episodes) by name. A single trial has no band, and a curve shorter than the window
+            is left out.
+        rng: for resampling.
+        window: episodes in the running mean; at most a tenth of the longest curve is used.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
@@ -78,14 +83,14 @@ def learning_curves(
         for number, (name, returns) in enumerate(curves.items()):
             means = running_mean(returns, window)
             if not means.size:
-                continue  # not that far yet
+                continue  # too short yet
             shown = np.unique(np.linspace(0, means.shape[1] - 1, _POINTS).astype(int))
             value, low, high = estimate([means[:, shown]], mean, rng)
-            colour, dash = _look(number)
-            axes.plot(shown + window, value, label=name, color=colour, linestyle=dash)
-            axes.fill_between(shown + window, low, high, color=colour, alpha=0.2, linewidth=0)
+            color, dash = _look(number)
+            axes.plot(shown + window, value, label=name, color=color, linestyle=dash)
+            axes.fill_between(shown + window, low, high, color=color, alpha=0.2, linewidth=0)
         axes.set_title(
-            f"running mean of {_count(window, 'episode')} over {_trials(curves.values())}, "
+            f"running mean of {counted(window, 'episode')} over {_trials(curves.values())}, "
             "with 95 % bootstrap bands"
         )
         axes.set_xlabel("episode")
@@ -98,17 +103,17 @@ def learning_curves(
 def scatter(
     curves: Mapping[str, FloatArray], *, window: int = 100, reference: tuple[str, FloatArray] | None = None
 ) -> Figure:
-    """Return a figure with a panel for each curve: a dot for every episode of every trial, and the mean.
+    """Return a figure with a panel for each curve: a dot for each episode of each trial, and their mean.
 
     Args:
         curves: (trials, episodes) by name.
-        window: episodes in the running mean; a tenth of the longest curve if that is less.
-        reference: name and returns, (trials, episodes), of one whose mean stands in every panel.
+        window: episodes in the running mean; at most a tenth of the longest curve is used.
+        reference: name and returns, (trials, episodes), of a curve whose running mean is in every panel.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
 
-    Source of this kind of figure: Mohan (2010), figures 2 to 13.
+    Source of the design: Mohan (2010), figures 2 to 13.
     """
     window = _fitting(window, curves)
     columns = 1 if len(curves) == 1 else 2
@@ -125,13 +130,13 @@ def scatter(
                 marker=".",
                 markersize=3,
                 markeredgewidth=0,
-                color=_COLOURS[0],
+                color=_COLORS[0],
                 alpha=min(1.0, max(0.08, 2000 / returns.size)),
-                rasterized=True,  # tens of thousands of dots would make an SVG that nobody can open
+                rasterized=True,  # as vectors, tens of thousands of dots make an SVG too large to open
             )
             if reference is not None:
                 _plot_mean(axes, reference[1], window, reference[0], "--", "0.4")
-            _plot_mean(axes, returns, window, f"mean of {_count(window, 'episode')}", "-", "black")
+            _plot_mean(axes, returns, window, f"mean of {counted(window, 'episode')}", "-", "black")
             count = _trials([returns]).replace(" ", "\N{NO-BREAK SPACE}")
             axes.set_title(textwrap.fill(f"{name} ({count})", _TITLE_LETTERS // columns))
             axes.set_xlim(left=0)
@@ -139,7 +144,9 @@ def scatter(
                 axes.set_xlabel("episode")
                 axes.tick_params(labelbottom=True)
         figure.supylabel(_RETURN, fontsize="medium")
-        panels[0].plot([], [], ".", color=_COLOURS[0], label="an episode")  # the dots are too faint to see
+        panels[0].plot(
+            [], [], ".", color=_COLORS[0], label="an episode"
+        )  # the dots in the panels are too faint for a legend
         _legend_below(figure, panels[0])
     return figure
 
@@ -147,13 +154,13 @@ def scatter(
 def comparison(
     agents: Mapping[str, Sequence[FloatArray]], rng: np.random.Generator, *, window: int = 100
 ) -> Figure:
-    """Return a figure of what each agent reached in the end, with 95 % stratified bootstrap intervals.
+    """Return a figure of the final performance of each agent, with 95 % stratified bootstrap intervals.
 
     Args:
-        agents: for each name its returns in each environment, (trials, episodes). Each environment
-            counts alike: where one has more trials than another, the last of them are left out.
-        rng: draws the resamples.
-        window: how many last episodes of a trial count.
+        agents: the returns of each agent in each environment, (trials, episodes), by name. Environments
+            have equal weight: if one has more trials than another, its last trials are left out.
+        rng: for resampling.
+        window: the performance is the mean return of this many last episodes of a trial.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
@@ -174,27 +181,27 @@ def comparison(
             axes.plot(
                 trials, np.full(len(trials), row), "|", color="0.5", markersize=9, label=_once(row, "trial")
             )
-            for statistic, name, marker, shift, colour in (
-                (mean, "mean", "o", -0.2, _COLOURS[0]),
-                (interquartile_mean, "interquartile mean", "D", 0.2, _COLOURS[1]),
+            for statistic, name, marker, shift, color in (
+                (mean, "mean", "o", -0.2, _COLORS[0]),
+                (interquartile_mean, "interquartile mean", "D", 0.2, _COLORS[1]),
             ):
                 value, low, high = estimate(strata, statistic, rng)
-                axes.plot([low, high], [row + shift] * 2, color=colour)
-                axes.plot(value, row + shift, marker, color=colour, markersize=4, label=_once(row, name))
+                axes.plot([low, high], [row + shift] * 2, color=color)
+                axes.plot(value, row + shift, marker, color=color, markersize=4, label=_once(row, name))
         axes.set_yticks(range(len(agents)), list(agents))
         axes.set_ylim(len(agents) - 0.5, -0.5)
         axes.grid(visible=False, axis="y")
-        axes.set_title(f"last {_count(window, 'episode')} of each trial, with 95 % bootstrap intervals")
+        axes.set_title(f"last {counted(window, 'episode')} of each trial, with 95 % bootstrap intervals")
         axes.set_xlabel(_RETURN)
         _legend_below(figure, axes)
     return figure
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG or SVG, by the ending of the file's name.
+    """Write a figure as PNG or SVG, depending on the suffix of the file name.
 
     Raises:
-        ExperimentError: the ending is another, or the file cannot be written.
+        ExperimentError: the suffix is neither .png nor .svg, or the file cannot be written.
     """
     if path.suffix not in _METADATA:
         raise ExperimentError(f"a figure is saved as .png or .svg, not as {path.name}")
@@ -212,7 +219,7 @@ def _style() -> Iterator[None]:
     except ImportError:
         raise ExperimentError("figures need matplotlib: pip install 'glue-rl[plot]'") from None
     with matplotlib.rc_context():
-        matplotlib.rcdefaults()  # whatever the user's own style is
+        matplotlib.rcdefaults()  # independent of the user's own style
         matplotlib.rcParams.update(_STYLE)
         yield
 
@@ -228,9 +235,9 @@ def _panels(rows: int, columns: int, height: float, used: int = 1) -> tuple[Figu
     return figure, panels[:used]
 
 
-def _plot_mean(axes: Axes, returns: FloatArray, window: int, name: str, dash: str, colour: str) -> None:
+def _plot_mean(axes: Axes, returns: FloatArray, window: int, name: str, dash: str, color: str) -> None:
     means = mean(running_mean(returns, window))
-    axes.plot(np.arange(len(means)) + window, means, dash, color=colour, linewidth=1.2, label=name)
+    axes.plot(np.arange(len(means)) + window, means, dash, color=color, linewidth=1.2, label=name)
 
 
 def _legend_below(figure: Figure, axes: Axes) -> None:
@@ -247,16 +254,12 @@ def _fitting(window: int, curves: Mapping[str, FloatArray]) -> int:
 
 
 def _look(number: int) -> tuple[str, str]:
-    return _COLOURS[number % len(_COLOURS)], _DASHES[number % len(_DASHES)]
+    return _COLORS[number % len(_COLORS)], _DASHES[number % len(_DASHES)]
 
 
 def _trials(curves: Iterable[FloatArray]) -> str:
     counts = sorted({len(returns) for returns in curves})
-    return _count(counts[0], "trial") if len(counts) == 1 else f"{counts[0]} to {counts[-1]} trials"
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+    return counted(counts[0], "trial") if len(counts) == 1 else f"{counts[0]} to {counts[-1]} trials"
 
 
 def _once(row: int, name: str) -> str | None:

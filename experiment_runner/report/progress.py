@@ -1,6 +1,6 @@
-"""What a person sees while an experiment runs, and what a script reads.
+"""The progress of an experiment: for people, and as JSON lines for scripts.
 
-Everything for people goes to standard error, so that standard output is free for `--json`.
+Output for people goes to standard error, which leaves standard output to `--json`.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _LOG_SECONDS: Final = 10.0
 _COLUMNS: Final = ("trial", "episode", "steps/s", "return", f"mean of last {_WINDOW}", "left")
 
 _DISPENSABLE: Final = (2, 3, 4, 5)
-"""Columns that a narrow terminal does without, the first of them first."""
+"""Columns that are omitted on a narrow terminal, in this order."""
 
 _BAR_WIDTH: Final = 60
 _FULL, _EMPTY = "#", "."
@@ -39,14 +39,14 @@ _CLEAR_BELOW: Final = "\x1b[J"
 
 
 class Reporter(Protocol):
-    """Shows what happens to the trials; an episode is stored before it is passed on."""
+    """Is notified of the progress of the trials; an episode is stored before it is reported."""
 
     def start(self, trials: Sequence[TrialRecord]) -> None:
-        """All trials of the run, and how far they are."""
+        """The run starts; `trials` are all of its trials."""
         ...
 
     def begin(self, spec: TrialSpec, done: int) -> None:
-        """A trial starts, or goes on after `done` episodes."""
+        """A trial starts, or continues after `done` episodes."""
         ...
 
     def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
@@ -58,7 +58,7 @@ class Reporter(Protocol):
         ...
 
     def say(self, line: str) -> None:
-        """A line for people."""
+        """Show a line of text."""
         ...
 
     def close(self) -> None:
@@ -67,12 +67,12 @@ class Reporter(Protocol):
 
 
 class Progress:
-    """A table of the trials under way, redrawn in place on a terminal; a line now and then elsewhere.
+    """A table of the trials under way, redrawn in place on a terminal; elsewhere a line every few seconds.
 
-    The terminal also shows a bar, in color unless the variable NO_COLOR is set.
+    On a terminal there is also a progress bar, in color unless the variable NO_COLOR is set.
 
     Args:
-        stream: where to write; None for standard error.
+        stream: to write to; None for standard error.
         clock: returns seconds.
     """
 
@@ -83,7 +83,7 @@ class Progress:
         self._color = self._live and not os.environ.get("NO_COLOR")
         self._every = _TTY_SECONDS if self._live else _LOG_SECONDS
         self._shown_at = clock() - (self._every if self._live else 0)
-        self._drawn = 0  # lines of the table that stand on the terminal
+        self._drawn = 0  # lines on the terminal, which the next drawing replaces
         self._rows: dict[str, _Row] = {}
         self._total = _Total([], clock())
 
@@ -161,7 +161,7 @@ class _Row:
 
     def add(self, result: EpisodeResult, now: float) -> None:
         if not self.recent:
-            self._began = now - result.wall_time  # the time that players took to start says nothing
+            self._began = now - result.wall_time  # without the time that the players took to start
         self._done = result.episode
         self._steps += result.steps
         self.recent.append(result.episode_return)
@@ -180,7 +180,7 @@ class _Row:
         )
 
     def line(self, now: float) -> str:
-        """Return the same as a line."""
+        """Return the row as one line."""
         trial, episode, rate, latest, mean, left = self.cells(now)
         return (
             f"{trial}  episode {episode}  {rate} steps/s  return {latest}  "
@@ -192,8 +192,8 @@ class _Total:
     """All trials of a run together.
 
     Attributes:
-        trials: how many there are.
-        done: episodes of each, by id.
+        trials: their number.
+        done: episodes done in each, by id.
     """
 
     def __init__(self, trials: Sequence[TrialRecord], now: float) -> None:
@@ -202,7 +202,7 @@ class _Total:
         self._episodes = {trial.spec.id: trial.spec.episodes for trial in trials}
         self._began = now
         self._steps = 0
-        self._run = 0  # episodes, since the beginning
+        self._run = 0  # episodes, in this process
 
     def add(self, spec: TrialSpec, result: EpisodeResult) -> None:
         self.done[spec.id] = result.episode
@@ -211,7 +211,7 @@ class _Total:
 
     @property
     def share(self) -> float:
-        """How much of the episodes is done, 0 to 1."""
+        """The share of the planned episodes that is done, 0 to 1."""
         return sum(self.done.values()) / max(sum(self._episodes.values()), 1)
 
     def line(self, now: float) -> str:
@@ -226,7 +226,7 @@ class _Total:
 
 
 class JsonLines:
-    """An object a line on standard output for every episode; for people, what `inner` shows."""
+    """Writes a JSON object for each episode, one on each line; `inner` shows the progress to people."""
 
     def __init__(self, inner: Reporter, stream: TextIO | None = None) -> None:
         self._inner = inner
@@ -260,13 +260,13 @@ class JsonLines:
         self._inner.close()
 
     def write(self, value: dict[str, Any]) -> None:
-        """Write one object; a number that is infinite or not a number is null."""
+        """Write one object on a line; numbers that are infinite or NaN are null."""
         numbers = {name: finite(number) for name, number in value.items()}
         print(json.dumps(numbers), file=self._stream, flush=True)
 
 
 def _table(rows: Sequence[tuple[str, ...]], width: int) -> list[str]:
-    """Return the lines of a table that is no wider than `width`, if need be without its later columns."""
+    """Return the lines of a table no wider than `width`, without `_DISPENSABLE` columns if necessary."""
     names = list(range(len(_COLUMNS)))
     for column in (*_DISPENSABLE, None):
         header = [_COLUMNS[number] for number in names]

@@ -1,4 +1,4 @@
-"""Tables for people: of anything, and of what a run has come to."""
+"""Plain-text tables, and the table and summary that `glue-experiment` ends with."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ __all__ = ["counted", "format_table", "one_line", "summarize", "tabulate", "term
 _LAST: Final = 100
 _COLUMNS: Final = ("trial", "episodes", "steps", "mean return", f"mean of last {_LAST}", "cut off", "void")
 _GAP: Final = "  "
-_LEAST_PROSE: Final = 30  # characters that a wrapped column has at least
+_LEAST_PROSE: Final = 30  # minimum width of a wrapped column, in characters
 
 
 def terminal_width() -> int | None:
-    """Return how many characters fit on a line of standard output; None when it is not a terminal."""
+    """Return the width of the terminal in characters; None if standard output is not a terminal."""
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else None
 
 
@@ -31,7 +31,7 @@ def counted(number: int, thing: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """Return a text from a run in one line that a terminal shows as it is, without control characters."""
+    """Return a text from a run as one line, safe for a terminal: without control characters."""
     return re.sub(r"[\x00-\x1f\x7f-\x9f]+", " ", text).strip()
 
 
@@ -42,14 +42,14 @@ def format_table(
     width: int | None = None,
     prose: bool = False,
 ) -> str:
-    """Return lines of columns under their names, the first to the left and the others to the right.
+    """Return a table with a header line; the first column is aligned left, the others right.
 
     Args:
         header: the names of the columns.
-        rows: a text for each column.
-        width: characters in a line. A table that is wider becomes a paragraph for each row, with a line
-            for each column, so that no word is broken. None for a table of any width.
-        prose: whether the last column is text, which is aligned to the left and may be wrapped.
+        rows: the cells, one for each column.
+        width: maximum length of a line, None for no limit. A wider table becomes a paragraph for each row,
+            with a line for each column, so that no word is broken.
+        prose: whether the last column is text, which is aligned left and may be wrapped.
     """
     cells = [[one_line(cell) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
@@ -86,9 +86,9 @@ def _wrap(text: str, width: int) -> str:
 
 
 def tabulate(results: Results, seconds: float, width: int | None = None) -> str:
-    """Return a table with a line for each trial; where there are several, also why some of them failed.
+    """Return a table with a line for each trial, followed by the reasons of failures.
 
-    Why a single one has failed was the last line that was shown before.
+    If there is only one trial, its reason is left out: it has just been shown.
     """
     rows, failures = [], []
     trials = results.trials()
@@ -112,7 +112,7 @@ def tabulate(results: Results, seconds: float, width: int | None = None) -> str:
 
 
 def summarize(results: Results, seconds: float) -> dict[str, object]:
-    """Return the last line of `--json`; means are None when there are no episodes."""
+    """Return the object of the last line of `--json`; means are None if there are no episodes."""
     trials = results.trials()
     totals = [results.totals(trial.spec.id) for trial in trials]
     return {
@@ -130,6 +130,6 @@ def summarize(results: Results, seconds: float) -> dict[str, object]:
 
 
 def _mean(totals: Sequence[Totals]) -> float | None:
-    """Return the mean return of all episodes in `totals`; None when there are none."""
+    """Return the mean return of all episodes in `totals`; None if there are none."""
     episodes = sum(trial.episodes for trial in totals)
     return sum(trial.sum_of_returns for trial in totals) / episodes if episodes else None

@@ -1,9 +1,9 @@
-"""What an experiment leaves behind: a run directory.
+"""A run directory: what an experiment stores on disk.
 
     plan.toml        the plan, resolved; `glue-experiment --plan` reads it
     run.json         code version, packages, machine
     results.sqlite   trials, episodes, voids, events, checkpoints
-    lock             held by the one process that writes
+    lock             held by the process that writes; there is at most one
 
-`Store` writes, one process at a time; `Results` reads, at any time, also while a run goes on.
+`Store` writes, one process at a time. `Results` reads, also while a run is under way.
 """

@@ -1,11 +1,11 @@
 """A run's SQLite database: how it is opened, read and written.
 
 WAL mode with `synchronous` NORMAL: readers never wait and never delay the writer, and a commit
-outlives every process, whatever kills it. What was committed since the last flush may be missing
-after the machine itself lost power, always from the end, and never damages the rest.
+survives the process, however it ends. If the machine loses power, the commits since the last flush may
+be lost; what was committed before them is intact.
 
-A database is not trusted: a run may have been sent by anybody. Its tables are checked before they are
-used (see `schema`), and a query may not do more work than the size of the files explains.
+A database is not trusted, since a run may come from anyone. Its tables are checked before they are used
+(see `schema`), and the work of a query is limited in proportion to the size of the files.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ DATABASE_FILES: Final = (_DATABASE, _WAL, _SHM)
 
 _BUSY_SECONDS: Final = 10.0
 
-# SQLite's virtual machine takes some 20 instructions a row, a row at least 10 bytes, and most queries
-# read each row once; so a query that exceeds this many instructions is not one of a run's.
+# SQLite's virtual machine executes some 20 instructions a row, a row takes at least 10 bytes, and most
+# queries read each row once: a query of an intact run never gets near this limit.
 _INSTRUCTIONS_PER_BYTE: Final = 100
 _INSTRUCTIONS_AT_LEAST: Final = 10_000_000  # a fraction of a second
 _INSTRUCTIONS_A_TICK: Final = 100_000
@@ -52,12 +52,12 @@ class StorageError(ExperimentError):
 
 
 class Database:
-    """A connection whose queries end: by themselves, by a limit on their work, or by Ctrl-C."""
+    """A connection whose queries always end: when done, at a limit on their work, or on Ctrl-C."""
 
     def __init__(self, connection: sqlite3.Connection, directory: Path) -> None:
         self.connection = connection
         self._directory = directory
-        self._work = 0  # of the query that runs, in instructions
+        self._work = 0  # of the current query, in instructions
         self._stopped = False
         connection.set_progress_handler(self._tick, _INSTRUCTIONS_A_TICK)
 
@@ -66,7 +66,7 @@ class Database:
 
         Raises:
             sqlite3.Error: the database cannot be read.
-            ExperimentError: the query takes more work than the size of the database explains.
+            ExperimentError: the query exceeds the work that a database of this size may need.
         """
         self._work = 0
         self._stopped = False
@@ -78,7 +78,7 @@ class Database:
             if not self._stopped:  # Ctrl-C was raised in `_tick`, where SQLite swallows exceptions
                 raise KeyboardInterrupt from None
             raise ExperimentError(
-                f"cannot read {self._directory}: {_DATABASE} is damaged: reading it does not end"
+                f"cannot read {self._directory}: {_DATABASE} is damaged: a query does not end"
             ) from None
 
     def close(self) -> None:
@@ -96,7 +96,7 @@ def holds_run(directory: Path) -> bool:
     """Return whether a directory holds a run.
 
     Raises:
-        ExperimentError: its database is not a run's, or too new.
+        ExperimentError: the database is not that of a run, or a newer release wrote it.
         sqlite3.Error: its database cannot be read.
     """
     if not (directory / _DATABASE).is_file():
@@ -106,11 +106,11 @@ def holds_run(directory: Path) -> bool:
 
 
 def open_to_read(directory: Path) -> Database:
-    """Return a database that cannot be written to, with today's tables.
+    """Return a read-only database with the current tables; an older one is migrated in memory.
 
     Raises:
-        ExperimentError: there is no run, or its database is not a run's, or too new.
-        sqlite3.Error: it cannot be read.
+        ExperimentError: there is no run, the database is not that of a run, or a newer release wrote it.
+        sqlite3.Error: the database cannot be read.
     """
     if not holds_run(directory):
         raise ExperimentError(f"{directory} holds no run")
@@ -129,11 +129,11 @@ def open_to_read(directory: Path) -> Database:
 
 
 def open_to_write(directory: Path) -> Database:
-    """Return a database with today's tables, which are made if the directory has no database.
+    """Return a writable database with the current tables; it is created, or migrated, if necessary.
 
     Raises:
-        ExperimentError: it is not a run's, or too new.
-        sqlite3.Error: it cannot be written to.
+        ExperimentError: the database is not that of a run, or a newer release wrote it.
+        sqlite3.Error: the database cannot be written to.
     """
     connection = sqlite3.connect(directory / _DATABASE, isolation_level=None, timeout=_BUSY_SECONDS)
     try:
@@ -149,7 +149,7 @@ def open_to_write(directory: Path) -> Database:
 
 @contextlib.contextmanager
 def transaction(connection: sqlite3.Connection) -> Iterator[None]:
-    """Commit what is done within, or on an exception nothing of it."""
+    """Commit on exit, or roll back on an exception."""
     connection.execute("BEGIN IMMEDIATE")
     try:
         yield
@@ -162,10 +162,10 @@ def transaction(connection: sqlite3.Connection) -> Iterator[None]:
 
 @contextlib.contextmanager
 def reported(failed: str, hint: str = "") -> Iterator[None]:
-    """Turn an error of the disk or the database into one for people: `failed`, the reason, `hint`."""
+    """Turn an error of the disk or the database into a `StorageError`: `failed`, the reason, `hint`."""
     try:
         yield
-    except BrokenPipeError:  # the reader of our output has closed it, which is not an error
+    except BrokenPipeError:  # the program that reads our output has closed it: not an error
         raise
     except (OSError, sqlite3.Error, UnicodeDecodeError) as error:
         raise StorageError(f"{failed}: {_reason(error)}{hint}") from error
@@ -173,7 +173,7 @@ def reported(failed: str, hint: str = "") -> Iterator[None]:
 
 def _reason(error: OSError | sqlite3.Error | UnicodeDecodeError) -> str:
     if isinstance(error, UnicodeDecodeError):
-        return "it holds a text that is not UTF-8"
+        return "it contains text that is not UTF-8"
     if isinstance(error, OSError):
         return "the disk is full" if error.errno == errno.ENOSPC else error.strerror or str(error)
     code = getattr(error, "sqlite_errorcode", None)
@@ -191,12 +191,12 @@ def _connect_to_read(directory: Path) -> sqlite3.Connection:
         connection.execute("PRAGMA user_version")
     except sqlite3.OperationalError:
         connection.close()
-        # Reading in WAL mode makes the -shm file. Where it is missing and cannot be made, nobody writes.
+        # Reading in WAL mode creates the -shm file. Where that is impossible, there is no writer either.
         if (directory / _SHM).exists():
             raise
         if (directory / _WAL).exists():
             return _connect_to_copy(directory)
-        # Without a WAL, the database file is all there is.
+        # Without a WAL, everything is in the database file.
         connection = sqlite3.connect(uri + "&immutable=1", uri=True, isolation_level=None)
     except BaseException:
         connection.close()
@@ -205,14 +205,16 @@ def _connect_to_read(directory: Path) -> sqlite3.Connection:
 
 
 def _connect_to_copy(directory: Path) -> sqlite3.Connection:
-    """Return a connection to a copy of a killed run on a read-only medium, with what its WAL holds."""
+    """Return a connection to a copy, with the WAL applied: for a killed run on a read-only medium."""
     with tempfile.TemporaryDirectory() as folder:
         for name in (_DATABASE, _WAL):
             shutil.copyfile(directory / name, Path(folder, name))
         connection = sqlite3.connect(Path(folder, _DATABASE), isolation_level=None)
         try:
-            connection.execute("PRAGMA journal_mode = DELETE")  # now the database file is all there is
+            connection.execute(
+                "PRAGMA journal_mode = DELETE"
+            )  # moves what the WAL holds into the database file
         except BaseException:
             connection.close()
             raise
-        return connection  # the open file outlives its name
+        return connection  # the open file remains readable after its name is gone

@@ -1,8 +1,8 @@
 """A run's episodes as one table: CSV, JSON, Parquet.
 
-A row is an episode. Its columns: trial, episode (from 1), return, steps, terminal (false when the step
-limit truncated it), wall_time (seconds), seed of the trial, agent and environment (their labels), and
-then a column for each option, `agent.step_size`, empty where the trial does not set it.
+Each row is an episode. The columns: trial, episode (from 1), return, steps, terminal (false when the step
+limit truncated the episode), wall_time (seconds), seed (of the trial), agent and environment (labels), and
+one for each option, such as `agent.step_size`, which is empty where the trial does not set it.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ _FIXED: Final[dict[str, type[Value]]] = {
     "agent": str,
     "environment": str,
 }
-_OWN: Final = 6  # of these columns are the episode's, the rest its trial's
+_EPISODE_COLUMNS: Final = 6  # the first of these; the others are the same in all episodes of a trial
 
 Cell = Value | None
 
 
 def column_types(results: Results) -> dict[str, type[Value]]:
-    """Return the name of each column of a run, and the type that holds all its values.
+    """Return the name of each column of a run, and the type of its values.
 
-    Options of several types are of floats if that holds them all, and of text if not.
+    An option whose values are ints and floats is a column of floats; of any other mixture, one of text.
     """
     found: dict[str, set[type[Value]]] = {}
     for record in results.trials():
@@ -50,22 +50,22 @@ def column_types(results: Results) -> dict[str, type[Value]]:
 
 
 def rows_by_trial(results: Results, names: Sequence[str]) -> Iterator[list[list[Cell]]]:
-    """Return the rows of one trial after the other, with these columns; None where there is no value.
+    """Yield the rows of each trial, with the given columns; None where there is no value.
 
-    Trials without an episode are passed over.
+    Trials without an episode are skipped.
     """
     for record in results.trials():
         spec = record.spec
-        last: dict[str, Cell] = {"seed": spec.seed, "agent": _label(spec.agent)}
-        last |= {"environment": _label(spec.environment), **_options(spec)}
-        cells = [last.get(name) for name in names[_OWN:]]
+        shared: dict[str, Cell] = {"seed": spec.seed, "agent": _label(spec.agent)}
+        shared |= {"environment": _label(spec.environment), **_options(spec)}
+        cells = [shared.get(name) for name in names[_EPISODE_COLUMNS:]]
         rows: list[list[Cell]] = [[spec.id, *episode, *cells] for episode in results.episodes(spec.id)]
         if rows:
             yield rows
 
 
 def write_csv(results: Results, file: TextIO) -> None:
-    """Write a header and a line for each episode; true and false in lower case."""
+    """Write a header and a line for each episode; booleans are `true` and `false`."""
     names = list(column_types(results))
     writer = csv.writer(file, lineterminator="\n")
     writer.writerow(names)
@@ -74,7 +74,7 @@ def write_csv(results: Results, file: TextIO) -> None:
 
 
 def write_json(results: Results, file: TextIO) -> None:
-    """Write an array of objects, one a line; a return that is infinite or not a number is null."""
+    """Write an array of objects, one on each line; a return that is infinite or NaN is null."""
     names = list(column_types(results))
     file.write("[")
     separator = "\n"
@@ -87,7 +87,7 @@ def write_json(results: Results, file: TextIO) -> None:
 
 
 def write_parquet(results: Results, path: Path) -> None:
-    """Write a Parquet file, a row group for each trial.
+    """Write a Parquet file with a row group for each trial.
 
     Raises:
         ExperimentError: pyarrow is not installed, or the file cannot be written.

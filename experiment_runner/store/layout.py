@@ -1,8 +1,8 @@
-"""The files of a run directory: how they come to be there, whole or not at all, and how they are removed.
+"""The files of a run directory: they are created all or none, and removed.
 
-A run is made in a folder of its own within the directory, and its files are moved out at the end, the
-database last: from then on, and not before, the directory holds a run. Nothing that was there is ever
-replaced or removed, and what a killed process leaves in that folder does not count.
+A new run is written to a subfolder of the directory, and its files are then moved up, the database last.
+Only then does the directory hold a run; a subfolder that a killed process leaves behind is ignored. Files
+that were there before are never replaced or removed.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ __all__ = ["ABOUT_FILE", "PLAN_FILE", "UNFINISHED", "NewRun", "new_run", "remove
 
 PLAN_FILE: Final = "plan.toml"
 ABOUT_FILE: Final = "run.json"
-UNFINISHED: Final = ".unfinished"  # the folder that a run is made in
+UNFINISHED: Final = ".unfinished"  # the subfolder in which a new run is written
 
 
 class NewRun(NamedTuple):
-    """A run directory that is being made: the folder to put its files in, and its lock."""
+    """A run directory under construction: the folder for its files, and its lock."""
 
     folder: Path
     lock: RunLock
@@ -34,16 +34,16 @@ class NewRun(NamedTuple):
 
 @contextlib.contextmanager
 def new_run(directory: Path) -> Iterator[NewRun]:
-    """Make a run directory; at the end it holds the files put in `NewRun.folder`, and the lock is held.
+    """Create a run directory from the files that are put in `NewRun.folder`; the lock stays held.
 
-    On an exception nothing is left of what was made, and the lock is released.
+    On an exception everything that was created is removed, and the lock is released.
 
     Args:
-        directory: is made, with its parents; if it exists, it is empty.
+        directory: created with its parents; if it exists, it must be empty.
 
     Raises:
-        ExperimentError: the directory holds a run or anything else, or another process makes one in it.
-        OSError: it cannot be written to.
+        ExperimentError: the directory is not empty, or another process is creating a run in it.
+        OSError: the directory cannot be written to.
     """
     made = not directory.exists()
     directory.mkdir(parents=True, exist_ok=True)
@@ -57,7 +57,7 @@ def new_run(directory: Path) -> Iterator[NewRun]:
         lock = RunLock(directory)
         _check_free(directory)
         folder = directory / UNFINISHED
-        shutil.rmtree(folder, ignore_errors=True)  # of a process that was killed
+        shutil.rmtree(folder, ignore_errors=True)  # left by a process that was killed
         folder.mkdir()
         yield NewRun(folder, lock)
         _publish(folder, directory)
@@ -68,13 +68,16 @@ def new_run(directory: Path) -> Iterator[NewRun]:
                 (directory / LOCK_FILE).unlink(missing_ok=True)
             lock.release()
         if made:
-            with contextlib.suppress(OSError):  # another process puts something in
+            with contextlib.suppress(OSError):  # another process has put something in it
                 directory.rmdir()
         raise
 
 
 def remove_run(directory: Path) -> list[str]:
-    """Remove a run, and its directory unless it holds anything else; return the names of what stays.
+    """Remove a run, and its directory unless it holds anything else.
+
+    Returns:
+        The names of the other files, which stay.
 
     Raises:
         ExperimentError: there is no run, or another process writes to it.
@@ -84,7 +87,7 @@ def remove_run(directory: Path) -> list[str]:
         raise ExperimentError(f"{directory} holds no run")
     lock = RunLock(directory)
     try:
-        # The database first: once it is gone, what a kill may leave does not count as a run.
+        # The database first: without it, what is left if this process is killed does not count as a run.
         for name in (*DATABASE_FILES, PLAN_FILE, ABOUT_FILE, LOCK_FILE):
             (directory / name).unlink(missing_ok=True)
         shutil.rmtree(directory / UNFINISHED, ignore_errors=True)
@@ -97,7 +100,7 @@ def remove_run(directory: Path) -> list[str]:
 
 
 def write_flushed(path: Path, text: str) -> None:
-    """Write a text file so that it survives a loss of power."""
+    """Write a text file and flush it to the disk."""
     with path.open("w", encoding="utf-8") as file:
         file.write(text)
         file.flush()
@@ -123,7 +126,7 @@ def _taken(directory: Path, name: str) -> ExperimentError:
 
 
 def _publish(folder: Path, directory: Path) -> None:
-    """Move the files of a run out of its folder, the database last; on an exception none is moved."""
+    """Move the files of a new run up into its directory, the database last; on an exception, none."""
     _check_free(directory)
     names = sorted((path.name for path in folder.iterdir()), key=lambda name: name in DATABASE_FILES)
     moved = []

@@ -1,8 +1,8 @@
-"""Several runs into one.
+"""Merge several runs into one.
 
-Parts of one plan, run on several machines, become a run of that plan: of each trial the longest
-record is kept. Runs of different plans become a run without a plan, to be read and drawn; trials
-of one id that are not the same get their run's name in front.
+Runs of the same plan, from several machines, become one run of that plan; of each trial the longest
+record is kept. Runs of different plans become a run without a plan, which can be read and plotted.
+Different trials with the same id are prefixed with the name of their run.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ class _Source(NamedTuple):
 
 
 def merge(runs: Sequence[Results], directory: Path) -> None:
-    """Make a new run directory that holds the trials of all `runs`.
+    """Create a run directory that holds the trials of all `runs`.
 
     Raises:
-        ExperimentError: a trial came out differently in two runs, two trials would have one name, or
-            the directory cannot be made; then nothing of it is left, and what was there stays.
+        ExperimentError: a trial has different results in two runs, two trials would have the same name,
+            or the directory cannot be created. Then it is as it was before.
     """
     sources = _choose(runs)
     plans = {_text(run.directory / PLAN_FILE) for run in runs}
@@ -52,7 +52,7 @@ def merge(runs: Sequence[Results], directory: Path) -> None:
 
 
 def _about(run: Results) -> object:
-    """Return what run.json says, whatever that is: it is kept, not used."""
+    """Return the contents of run.json, which are kept but not interpreted."""
     text = _text(run.directory / ABOUT_FILE)
     try:
         return json.loads(text)
@@ -61,7 +61,7 @@ def _about(run: Results) -> object:
 
 
 def _choose(runs: Sequence[Results]) -> dict[str, _Source]:
-    """Return where each trial is taken from, under its id in the merged run."""
+    """Return the source of each trial of the merged run, by its id there."""
     found: dict[str, list[_Source]] = defaultdict(list)
     for run in runs:
         for record in run.trials():
@@ -79,7 +79,9 @@ def _choose(runs: Sequence[Results]) -> dict[str, _Source]:
         for group in groups:
             name = trial_id if len(groups) == 1 else f"{group[0].run.directory.name}/{trial_id}"
             if name in chosen:
-                raise ExperimentError(f"two trials would be called {name}: rename a run's directory")
+                raise ExperimentError(
+                    f"two trials would be called {name}: rename the directory of one of the runs"
+                )
             chosen[name] = _longest(group)
     return chosen
 
@@ -92,8 +94,8 @@ def _longest(sources: Sequence[_Source]) -> _Source:
         for ours, theirs in zip(episodes, other.run.episodes(trial_id), strict=False):
             if ours._replace(wall_time=0) != theirs._replace(wall_time=0):
                 raise ExperimentError(
-                    f"episode {ours.episode} of {trial_id} is not the same in {longest.run.directory} "
-                    f"and {other.run.directory}, though the plan is"
+                    f"episode {ours.episode} of {trial_id} differs between {longest.run.directory} "
+                    f"and {other.run.directory}, although the plan is the same"
                 )
     return longest
 

@@ -1,4 +1,4 @@
-"""What is written for others: a file that is there whole or not at all, numbers that JSON has."""
+"""Writing files for users: complete or not at all, and only with numbers that JSON can represent."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ __all__ = ["finite", "written"]
 
 
 def finite(value: object) -> object:
-    """Return `value`, or None if it is infinite or not a number, for which JSON has no word."""
+    """Return `value`, or None if it is infinite or NaN, which JSON cannot represent."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @contextlib.contextmanager
 def written(path: Path) -> Iterator[Path]:
-    """Give a path to write to, which becomes `path` at the end, or vanishes on an exception.
+    """Yield a temporary path to write to; it is renamed to `path` at the end, or removed on an exception.
 
     A device or pipe, such as /dev/stdout, is written to directly.
 
     Raises:
         ExperimentError: the file cannot be written.
     """
-    target = path.resolve()  # a link stays a link
+    target = path.resolve()  # a symbolic link is not replaced
     with reported(f"cannot write {path}"):
         if target.exists() and not target.is_file():
             yield target

@@ -29,14 +29,20 @@ class EpisodeResult(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """What a trial continues from: the bytes of `agent_save` and `env_save`, empty where there are none."""
+    """The state a trial continues from: the bytes of `agent_save` and `env_save`, which may be empty."""
 
     agent: bytes
     environment: bytes = b""
 
 
 class TrialRecord(NamedTuple):
-    """How far a trial is: episodes recorded, episodes voided, and why it failed if it did."""
+    """The progress of a trial.
+
+    spec     the trial
+    done     episodes recorded
+    voids    attempts at an episode that do not count
+    failure  why it failed; None if it did not
+    """
 
     spec: TrialSpec
     done: int
@@ -64,7 +70,7 @@ class Totals(NamedTuple):
 
 
 class Void(NamedTuple):
-    """An attempt at an episode that does not count, because a peer was lost. Time: seconds since 1970."""
+    """An attempt at an episode that does not count, because a peer was lost. `time`: seconds since 1970."""
 
     time: float
     trial_id: str
@@ -73,7 +79,7 @@ class Void(NamedTuple):
 
 
 class Event(NamedTuple):
-    """Something that happened to a run, or to one of its trials. Time: seconds since 1970."""
+    """An event of a run, or of one of its trials. `time`: seconds since 1970, UTC."""
 
     time: float
     trial_id: str | None

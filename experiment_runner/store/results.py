@@ -30,10 +30,10 @@ _LAST_SECOND: Final = 253_402_300_799  # of the year 9999, the last that a date 
 
 
 class Results:
-    """Reads a run directory, also while it is written to. Use as a context, or `close` it.
+    """Reads a run directory, also while it is written to. A context manager that closes it.
 
-    A run may have been sent by anybody, so what is read is checked. Every method raises `ExperimentError`
-    when the database cannot be read, or holds what no run does.
+    A run may come from anyone, so everything read is checked. Every method raises `ExperimentError` when
+    the database cannot be read, or contains values that no run has.
     """
 
     def __init__(self, directory: Path, database: Database) -> None:
@@ -63,7 +63,7 @@ class Results:
         self.close()
 
     def trials(self) -> list[TrialRecord]:
-        """Return how far every trial is, in the order of the plan."""
+        """Return the record of every trial, in the order of the plan."""
         rows = self._query(
             """SELECT id, agent, environment, trials.episodes, max_steps, seed,
                 (SELECT count(*) FROM episodes WHERE trial = key), ifnull(voided, 0), failure
@@ -75,7 +75,7 @@ class Results:
         return [self._trial(*row) for row in rows]
 
     def episodes(self, trial_id: str) -> list[EpisodeResult]:
-        """Return the episodes of a trial so far, in order; a return that is not a number is NaN."""
+        """Return the episodes of a trial so far, in order; a return may be NaN."""
         rows = self._query(
             """SELECT episode, episode_return, steps, terminal, wall_time FROM episodes
                 WHERE trial = (SELECT key FROM trials WHERE id = ?) ORDER BY episode""",
@@ -98,7 +98,7 @@ class Results:
         return np.array([total for _, total in rows], np.float64)  # None becomes NaN
 
     def totals(self, trial_id: str, last: int | None = None) -> Totals:
-        """Return sums over the episodes of a trial so far, or over the last few; in constant memory."""
+        """Return sums over the episodes of a trial so far, or over the last `last`; in constant memory."""
         rows = self._query(
             """SELECT count(*), ifnull(sum(steps), 0), ifnull(sum(NOT terminal), 0),
                 sum(episode_return), count(episode_return) FROM
@@ -111,12 +111,12 @@ class Results:
         (episodes, steps, cut_off, total, numbers) = rows[0]
         if not episodes:
             total = 0.0
-        elif numbers < episodes or total is None:  # infinities of both signs have no sum
+        elif numbers < episodes or total is None:  # the sum of infinities of both signs is NaN
             total = math.nan
         return Totals(episodes, steps, cut_off, total)
 
     def checkpoint(self, trial_id: str) -> tuple[int, Checkpoint] | None:
-        """Return the newest checkpoint of a trial and the episode it follows."""
+        """Return the newest checkpoint of a trial and the episode after which it was taken, None if none."""
         rows = self._query(
             """SELECT episode, agent, environment FROM checkpoints
                 WHERE trial = (SELECT key FROM trials WHERE id = ?)""",
@@ -126,7 +126,7 @@ class Results:
         return (rows[0][0], Checkpoint(*rows[0][1:])) if rows else None
 
     def checkpointed(self) -> dict[str, int]:
-        """Return which trials have a checkpoint, and the episode it follows."""
+        """Return the episode after which the newest checkpoint was taken, for each trial that has one."""
         rows = self._query(
             """SELECT id, episode, (SELECT count(*) FROM episodes WHERE trial = key)
                 FROM checkpoints JOIN trials ON key = trial"""
@@ -146,7 +146,7 @@ class Results:
         return [Void(*row) for row in rows]
 
     def events(self) -> list[Event]:
-        """Return what happened to the run, oldest first."""
+        """Return the events of the run, oldest first."""
         rows = self._query(
             "SELECT time, id, kind, text FROM events LEFT JOIN trials ON key = trial ORDER BY events.rowid"
         )
@@ -165,11 +165,11 @@ class Results:
         numbered: bool = False,
         timed: bool = False,
     ) -> None:
-        """Check each column's types, and that the first counts from 1 or is a time, where it is to."""
+        """Check the types of each column, and whether the first counts from 1 or is a time, if it should."""
         columns: list[tuple[Any, ...]] = list(zip(*rows, strict=True))
         for column, allowed in zip(columns, types, strict=False):
             for found in set(map(type, column)).difference(allowed):
-                raise self._damaged(f"a {found.__name__} where there should be a {allowed[0].__name__}")
+                raise self._damaged(f"a {found.__name__} where a {allowed[0].__name__} was expected")
         if not columns:
             return
         if numbered and columns[0] != tuple(range(1, len(rows) + 1)):

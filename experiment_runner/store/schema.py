@@ -1,4 +1,4 @@
-"""The tables of a run's database, and how older ones become today's."""
+"""The tables of a run's database, and the migrations from older versions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _APPLICATION_ID: Final = int.from_bytes(b"GLUE", "big")
 
 Migration = tuple[str, ...]
 
-# Entry n makes version n + 1 out of version n. Never change one that was released: add another.
+# Entry n migrates version n to version n + 1. Never change one that was released: add another.
 MIGRATIONS: tuple[Migration, ...] = (
     (
         f"PRAGMA application_id = {_APPLICATION_ID}",
@@ -30,7 +30,7 @@ MIGRATIONS: tuple[Migration, ...] = (
             max_steps INTEGER NOT NULL,
             seed INTEGER NOT NULL,
             failure TEXT)""",
-        # episode counts from 1; SQLite has no NaN, so a return that is not a number is NULL;
+        # episode counts from 1; SQLite has no NaN, so such a return is NULL;
         # terminal is 0 when the step limit truncated the episode; wall_time is in seconds.
         """CREATE TABLE episodes (
             trial INTEGER NOT NULL REFERENCES trials,
@@ -40,7 +40,7 @@ MIGRATIONS: tuple[Migration, ...] = (
             terminal INTEGER NOT NULL CHECK (terminal IN (0, 1)),
             wall_time REAL NOT NULL,
             PRIMARY KEY (trial, episode)) WITHOUT ROWID""",
-        # The newest checkpoint of each trial: what agent and environment were after `episode`.
+        # The newest checkpoint of each trial: the state of agent and environment after `episode`.
         """CREATE TABLE checkpoints (
             trial INTEGER PRIMARY KEY REFERENCES trials,
             episode INTEGER NOT NULL,
@@ -62,14 +62,15 @@ MIGRATIONS: tuple[Migration, ...] = (
 
 
 def check(connection: sqlite3.Connection, directory: Path) -> int:
-    """Return the version of the database of `directory`; 0 for one that is empty.
+    """Return the version of the database of `directory`; 0 if it is empty.
 
-    A run directory may come from anybody, and SQL that reads a table also runs what a view in its place
-    computes. So nothing but the tables of that version may be there.
+    A run directory may come from anyone, and a view in place of a table could execute any query when it
+    is read. So the database may contain only the tables of its version.
 
     Raises:
-        ExperimentError: it is not a run's, was written by a newer release, or holds anything else.
-        sqlite3.Error: it cannot be read.
+        ExperimentError: the database is not that of a run, was written by a newer release, or contains
+            anything else.
+        sqlite3.Error: the database cannot be read.
     """
     version = int(connection.execute("PRAGMA user_version").fetchone()[0])
     application = int(connection.execute("PRAGMA application_id").fetchone()[0])
@@ -79,8 +80,8 @@ def check(connection: sqlite3.Connection, directory: Path) -> int:
         raise ExperimentError(f"{database} was not written by glue-experiment")
     if version > len(MIGRATIONS):
         raise ExperimentError(
-            f"{database} has version {version} and this program knows versions up to {len(MIGRATIONS)}: "
-            "a newer release wrote it; install that one"
+            f"{database} has version {version}, and this program reads versions up to {len(MIGRATIONS)}: "
+            "a newer release wrote it; install that release"
         )
     for kind, name, _ in sorted(found ^ _expected(MIGRATIONS[: max(version, 0)])):
         raise ExperimentError(f"{database} was changed by another program, as its {kind} {name!r} shows")
@@ -88,11 +89,11 @@ def check(connection: sqlite3.Connection, directory: Path) -> int:
 
 
 def migrate(connection: sqlite3.Connection, directory: Path) -> None:
-    """Bring a database, empty or old, to the newest version. To be called within a transaction.
+    """Migrate a database, empty or old, to the newest version. Call it within a transaction.
 
     Raises:
-        ExperimentError: as `check`.
-        sqlite3.Error: it cannot be written.
+        ExperimentError: see `check`.
+        sqlite3.Error: the database cannot be written to.
     """
     _apply(connection, MIGRATIONS[check(connection, directory) :])
     connection.execute(f"PRAGMA user_version = {len(MIGRATIONS)}")
@@ -112,6 +113,6 @@ def _expected(migrations: tuple[Migration, ...]) -> frozenset[tuple[str, str, st
 
 
 def _objects(connection: sqlite3.Connection) -> frozenset[tuple[str, str, str]]:
-    """Return the kind, the name and the definition of all that a database holds."""
+    """Return the kind, name and definition of everything in a database's schema."""
     rows = connection.execute("SELECT type, name, sql FROM sqlite_master LIMIT 1000").fetchall()
     return frozenset((str(kind), str(name), " ".join(str(sql).split())) for kind, name, sql in rows)

@@ -1,14 +1,14 @@
 """Writing a run directory.
 
-An episode is committed before `Store.record` returns, together with the checkpoint that follows it, so
-whatever moment a process is killed at, the database holds whole episodes, and a checkpoint never knows
-of an episode that the database lacks.
+`Store.record` commits an episode and the checkpoint taken after it in one transaction. So the database
+contains whole episodes at whatever moment a process is killed, and every episode that a checkpoint
+includes.
 
-A commit outlives every process, whatever kills them. It reaches the disk with the next checkpoint at
-the latest, so if the machine itself loses power, the newest episodes back to that checkpoint may be
-missing, as if they had not been run; nothing is damaged, and resuming runs them again to the same
-numbers. (A commit takes some 20 microseconds this way; flushing each to the disk takes six times that
-on a fast virtual disk, and far more on a spinning one.)
+A commit survives the process, however it ends. It is flushed to the disk with the next checkpoint at the
+latest: if the machine loses power, the episodes since the last checkpoint may be lost, as if they had not
+been run. Nothing is damaged, and a resumed run repeats them with the same results. (A commit takes some
+20 microseconds; flushing each one would take six times that on a fast virtual disk, and far more on a
+spinning one.)
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _PUT_EVENT: Final = "INSERT INTO events VALUES (?, ?, ?, ?)"
 
 
 class Store(Results):
-    """Writes a run directory, and reads it. One process at a time; see the top of this module."""
+    """Writes and reads a run directory, one process at a time; see the top of this module."""
 
     def __init__(
         self, directory: Path, database: Database, lock: RunLock, clock: Callable[[], float]
@@ -61,18 +61,18 @@ class Store(Results):
         fill: Callable[[Self], None] | None = None,
         clock: Callable[[], float] = time.time,
     ) -> Self:
-        """Make a run directory.
+        """Create a run directory.
 
         Args:
-            directory: is made, with its parents; if it exists, it is empty.
+            directory: created with its parents; if it exists, it must be empty.
             trials: every trial of the run.
-            files: texts to put beside the database, by name (`PLAN_FILE`, `ABOUT_FILE`).
-            fill: writes what the run holds from the beginning; until it returns there is no run.
+            files: the contents of the other files, by name (`PLAN_FILE`, `ABOUT_FILE`).
+            fill: writes the initial records; the run exists only after it has returned.
             clock: returns seconds since 1970.
 
         Raises:
-            ExperimentError: the directory holds a run or anything else, is in use, or cannot be
-                written to. What was there stays as it was, and nothing of the run is left behind.
+            ExperimentError: the directory is not empty, is in use, or cannot be written to. Then it is
+                as it was before.
         """
         with reported(f"cannot make {directory}"):
             with new_run(directory) as made:
@@ -87,10 +87,10 @@ class Store(Results):
 
     @classmethod
     def open(cls, directory: Path, *, clock: Callable[[], float] = time.time) -> Self:
-        """Return the store of a run that exists, to go on with it.
+        """Open an existing run, to continue it.
 
         Raises:
-            ExperimentError: there is no run, another process writes to it, or it cannot be written to.
+            ExperimentError: there is no run, another process has its lock, or it cannot be written to.
         """
         with reported(f"cannot open {directory}"):
             if not holds_run(directory):
@@ -115,11 +115,11 @@ class Store(Results):
         self._lock.release()
 
     def record(self, trial_id: str, result: EpisodeResult, checkpoint: Checkpoint | None = None) -> None:
-        """Commit a finished episode, and the checkpoint that follows it.
+        """Commit a finished episode, and the checkpoint taken after it.
 
         Raises:
-            ExperimentError: it is not the trial's next episode, or cannot be written. Then it is not
-                recorded, and everything before it is.
+            ExperimentError: it is not the trial's next episode, or cannot be written. The episodes before
+                it remain recorded.
         """
         key = self._key(trial_id)
         expected = self._done[trial_id] + 1
@@ -127,7 +127,7 @@ class Store(Results):
             raise ExperimentError(
                 f"episode {result.episode} of {trial_id} was recorded where episode {expected} was expected"
             )
-        # With a checkpoint, flush: a loss of power then never costs more than the episodes since.
+        # Flush with each checkpoint: then a power loss costs at most the episodes since.
         self._execute(f"PRAGMA synchronous = {'NORMAL' if checkpoint is None else 'FULL'}")
         with (
             reported(
@@ -147,19 +147,19 @@ class Store(Results):
         self._execute(_PUT_VOID, self._clock(), self._key(trial_id), episode, why)
 
     def record_event(self, kind: str, text: str, trial_id: str | None = None) -> None:
-        """Commit that something happened; `kind` is one word, `text` is for people."""
+        """Commit an event; `kind` is one word, `text` a sentence for people."""
         key = None if trial_id is None else self._key(trial_id)
         self._execute(_PUT_EVENT, self._clock(), key, kind, text)
 
     def record_failure(self, trial_id: str, why: str) -> None:
-        """Commit that a trial cannot go on; its episodes stay."""
+        """Commit that a trial has failed; its episodes are kept."""
         self._execute("UPDATE trials SET failure = ? WHERE key = ?", why, self._key(trial_id))
 
     def rewind(self, trial_id: str, episode: int) -> None:
-        """Forget what a trial did after an episode, 0 for all, and that it failed; for it to go on there.
+        """Delete the episodes of a trial after `episode` (0: all of them) and its failure, to repeat them.
 
         Raises:
-            ExperimentError: it cannot be written.
+            ExperimentError: the database cannot be written to.
         """
         key = self._key(trial_id)
         with reported(f"cannot write to {self.directory}"), transaction(self._connection):
@@ -171,14 +171,14 @@ class Store(Results):
         self._done[trial_id] = min(self._done[trial_id], episode)
 
     def adopt(self, results: Results, trial_id: str, as_id: str) -> None:
-        """Copy everything that another run recorded of a trial into a trial of this one that is empty.
+        """Copy all records of a trial of another run to a trial of this run that has none.
 
         Raises:
-            ExperimentError: it cannot be read or written; then nothing of it is copied.
+            ExperimentError: they cannot be read or written; then nothing is copied.
         """
         key = self._key(as_id)
         failures = [record.failure for record in results.trials() if record.spec.id == trial_id]
-        # Before the episodes: in a run under way it must not know of one that is not copied.
+        # Read before the episodes: in a run under way, it must not include one that is not copied.
         checkpoint = results.checkpoint(trial_id)
         episodes = results.episodes(trial_id)
         voids = [void for void in results.voids() if void.trial_id == trial_id]

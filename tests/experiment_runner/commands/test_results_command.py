@@ -25,9 +25,11 @@ from experiment_runner.plan import Plan, RoleSweep
 from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
 from experiment_runner.store.records import Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results
+from experiment_runner.store.store import Store
 from glue.core.local import local
 from glue.errors import ConfigError, ExperimentError
 from glue.players.trained import load_trained
+from tests.terminal import run_in_terminal
 
 PLAN = Plan(
     episodes=4,
@@ -65,6 +67,16 @@ def call(*arguments: object) -> str:
 
 
 # list and show
+
+
+@pytest.mark.parametrize(("command", "shown"), [("list", "episodes  15/16"), ("show", "finished       2/2")])
+def test_narrow_terminal_shows_whole_lines(command: str, shown: str, run: Path) -> None:
+    status, text = run_in_terminal("glue-results", command, run.name, cwd=run.parent, columns=40)
+    # Around the table, `show` prints lines of text, which the terminal wraps.
+    table = text.replace("\r", "").partition("\nmean, IQM")[0].split("\n\n", 1)[-1]
+    assert status == 0
+    assert shown in table
+    assert max(map(len, table.splitlines())) <= 40
 
 
 def test_list_shows_every_run_below(tmp_path: Path, run: Path) -> None:
@@ -358,7 +370,7 @@ def test_runs_that_contradict_each_other_do_not_merge(tmp_path: Path) -> None:
     with store:
         store.rewind(TRIALS[0], 1)
         store.record(TRIALS[0], EpisodeResult(2, 99.0, 2, True, 1.0))
-    with pytest.raises(ExperimentError, match=f"episode 2 of {TRIALS[0]} is not the same in .*/a and .*/b"):
+    with pytest.raises(ExperimentError, match=f"episode 2 of {TRIALS[0]} differs between .*/a and .*/b"):
         call("merge", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "ab")
     assert not (tmp_path / "ab").exists()
 
@@ -437,7 +449,7 @@ def test_agent_of_the_only_trial_needs_no_name(tmp_path: Path) -> None:
 
 def test_agent_that_is_not_there_is_explained(run: Path, tmp_path: Path) -> None:
     out = tmp_path / "some.agent"
-    with pytest.raises(ConfigError, match=f"run has 4 trials: say which, as --trial {TRIALS[0]}"):
+    with pytest.raises(ConfigError, match=f"run has 4 trials: .* --trial {TRIALS[0]}"):
         call("agent", run, "--out", out)
     with pytest.raises(ConfigError, match=f"has no trial sarsa/mario; did you mean .*{TRIALS[2]}"):
         call("agent", run, "--trial", "sarsa/mario", "--out", out)
@@ -449,13 +461,19 @@ def test_agent_that_is_not_there_is_explained(run: Path, tmp_path: Path) -> None
     assert not out.exists()
 
 
+def test_run_without_trials_has_no_agent(tmp_path: Path) -> None:
+    Store.create(tmp_path / "empty", [], {}).close()
+    with pytest.raises(ExperimentError, match="has no trials"):
+        call("agent", tmp_path / "empty", "--out", tmp_path / "some.agent")
+
+
 def test_agent_that_cannot_be_saved_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("mine.py").write_text(
         "from agents.baselines import RandomAgent\nclass Mine(RandomAgent):\n    agent_save = None\n"
     )
     train("--env", "mines", "--agent", "mine.py:Mine", "--episodes", "1", "--out", "run")
-    with pytest.raises(ExperimentError, match="nothing is saved of Mine/mines/0: its agent or"):
+    with pytest.raises(ExperimentError, match="Mine/mines/0 has no checkpoint: its agent or"):
         call("agent", "run", "--out", "mine.agent")
 
 

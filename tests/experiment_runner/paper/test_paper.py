@@ -54,5 +54,5 @@ def test_every_figure_of_the_paper_that_shows_an_agent_is_there() -> None:
 
 
 def test_level_of_another_plan_is_refused() -> None:
-    with pytest.raises(ExperimentError, match="mines does not name its level"):
+    with pytest.raises(ExperimentError, match="mines does not set the level"):
         level_of(RoleSpec("mines"))

@@ -119,7 +119,7 @@ def test_docs_without_marks_stay_as_they_are(study: Path, tmp_path: Path, text: 
 
 
 def test_nothing_to_report_says_so(tmp_path: Path) -> None:
-    with pytest.raises(ExperimentError, match="holds no finished episode"):
+    with pytest.raises(ExperimentError, match="no finished episode"):
         write_report(tmp_path)
 
 
@@ -162,8 +162,8 @@ def test_another_number_of_trials_wants_another_directory(study: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "say which experiments"),
-        (("--report-only", "4"), "name no experiment"),
+        ((), "from 1 to 8"),
+        (("--report-only", "4"), "omit the experiments"),
         (("9",), "'9' is not one of"),
     ],
 )

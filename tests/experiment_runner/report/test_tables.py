@@ -1,4 +1,4 @@
-"""What `glue-experiment` says at its end."""
+"""Tables on terminals of any width, and the summary at the end of `glue-experiment`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 
 from experiment_runner.executors.resume import create_run
 from experiment_runner.plan import Plan, RoleSweep
-from experiment_runner.report.tables import summarize, tabulate
+from experiment_runner.report.tables import format_table, summarize, tabulate
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.store import Store
 
@@ -29,6 +29,56 @@ def store(tmp_path: Path) -> Iterator[Store]:
 def record(store: Store, trial_id: str, *returns: float) -> None:
     for episode, value in enumerate(returns, store.done(trial_id) + 1):
         store.record(trial_id, EpisodeResult(episode, value, episode, episode % 3 > 0, 0.5))
+
+
+HEADER = ("run", "episodes", "reason")
+ROWS = (
+    ("runs/first", "200/200", ""),
+    ("runs/b", "7/5000", "sarsa/mines/0: the agent raised an error in step 7"),
+)
+SPACIOUS = """\
+run         episodes  reason
+runs/first   200/200
+runs/b        7/5000  sarsa/mines/0: the agent raised an error in step 7"""
+WRAPPED = """\
+run         episodes  reason
+runs/first   200/200
+runs/b        7/5000  sarsa/mines/0: the agent raised
+                      an error in step 7"""
+PARAGRAPHS = """\
+runs/first
+  episodes  200/200
+  reason
+
+runs/b
+  episodes  7/5000
+  reason    sarsa/mines/0: the agent
+            raised an error in step 7"""
+
+
+@pytest.mark.parametrize(
+    ("width", "table"), [(None, SPACIOUS), (72, SPACIOUS), (55, WRAPPED), (40, PARAGRAPHS)]
+)
+def test_narrow_table_wraps_its_last_column_and_then_becomes_paragraphs(
+    width: int | None, table: str
+) -> None:
+    assert format_table(HEADER, ROWS, width=width, prose=True) == table
+
+
+def test_narrow_table_of_numbers_becomes_paragraphs() -> None:
+    paragraphs = format_table(
+        ("agent", "steps", "mean"), [("a", "1,000", "-2.50"), ("b", "7", "1.00")], width=14
+    )
+    assert paragraphs == "a\n  steps  1,000\n  mean   -2.50\n\nb\n  steps  7\n  mean   1.00"
+
+
+def test_long_words_are_never_broken_nor_rows_merged() -> None:
+    table = format_table(("run", "out"), [("x" * 30, "y" * 30)], width=20)
+    assert table.split() == ["x" * 30, "out", "y" * 30]
+
+
+def test_control_characters_do_not_reach_the_terminal() -> None:
+    assert format_table(("a", "b"), [("x\x1b[2J\ny", "1\r2")]) == "a          b\nx [2J y  1 2"
 
 
 def test_table_and_summary_are_of_all_episodes_and_of_the_last(store: Store) -> None:
