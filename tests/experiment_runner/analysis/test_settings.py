@@ -15,7 +15,7 @@ from glue.errors import ExperimentError
 
 
 def make_run(directory: Path, text: str, lengths: list[int] | None = None) -> Results:
-    """Make a run whose trials have so many episodes; trial t's episode e returned 100 t + e."""
+    """Make a run with these numbers of episodes in its trials; episode e of trial t has return 100 t + e."""
     plan = parse_plan(text)
     with create_run(directory, plan) as store:
         for number, (spec, length) in enumerate(zip(plan.expand(), lengths or [], strict=False)):
@@ -38,7 +38,7 @@ def test_trials_that_differ_in_their_seed_are_one_setting(tmp_path: Path) -> Non
     assert [returns.tolist() for returns in sample.returns] == [[], [301, 302]]
 
 
-def test_labels_say_what_varies_and_nothing_else(tmp_path: Path) -> None:
+def test_labels_contain_only_what_varies(tmp_path: Path) -> None:
     text = """
         episodes = 1
         [environments.mario]
@@ -62,7 +62,7 @@ def test_labels_say_what_varies_and_nothing_else(tmp_path: Path) -> None:
     assert [setting.agent for setting in settings[2:4]] == ["sarsa step_size=0.1"] * 2
 
 
-def test_settings_of_several_runs_are_told_apart_or_joined(tmp_path: Path) -> None:
+def test_settings_of_several_runs_are_distinguished_or_joined(tmp_path: Path) -> None:
     common = "trials = 2\n[environments.mario]\n[agents.sarsa]\nstep_size = "
     with (
         make_run(tmp_path / "a", f"episodes = 1\n{common} 0.1") as first,
@@ -94,7 +94,7 @@ def test_trial_given_twice_is_refused(tmp_path: Path) -> None:
     ("lengths", "curves"),
     [
         ([2, 1, 2], [[1, 2], [201, 202]]),  # the finished ones, in full
-        ([1, 1, 0], [[1], [101]]),  # none finished: those begun, as far as all went
+        ([1, 1, 0], [[1], [101]]),  # none finished: those that have begun, up to the shortest
         ([0, 0, 0], []),
     ],
 )

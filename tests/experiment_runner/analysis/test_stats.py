@@ -56,14 +56,14 @@ def test_running_mean_forgets_what_is_past() -> None:
     [
         # Means of 2: 0 0 5 10 10 10, the last is 10: within 2 from the mean after episode 5 on.
         ([0, 0, 0, 10, 10, 10, 10], 5),
-        # The same, an episode shorter: episode 5 is followed by only one.
+        # The same, but one episode shorter: only one episode follows episode 5.
         ([0, 0, 0, 10, 10, 10], None),
-        # Level from the start: the earliest mean there is.
+        # Constant from the start: the earliest possible episode.
         ([10, 10, 10, 10], 2),
-        # Ends included: |8 - 10| is within 2.
+        # Inclusive: |8 - 10| is within 2.
         ([8, 8, 8, 10, 10, 10], 2),
         ([7.9, 7.9, 7.9, 10, 10, 10], 4),
-        # It was close once, and strayed: only the last return counts.
+        # It was close once, and left again: only the last time counts.
         ([10, 10, 0, 0, 10, 10, 10, 10], 6),
         # Still rising.
         ([0, 5, 10, 15, 20, 25], None),
@@ -78,7 +78,7 @@ def test_convergence_by_hand(returns: list[float], episode: int | None) -> None:
 
 
 @given(st.lists(st.integers(-5, 5), max_size=40), st.integers(1, 6))
-def test_convergence_is_what_its_rule_says(values: list[int], window: int) -> None:
+def test_convergence_follows_its_rule(values: list[int], window: int) -> None:
     means = {e: sum(values[e - window : e]) / window for e in range(window, len(values) + 1)}
     final = means.get(len(values), math.nan)
     stays = [

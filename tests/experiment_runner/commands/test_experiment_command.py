@@ -36,7 +36,7 @@ def invoke(*arguments: str) -> Result:
 
 
 def refused(*arguments: str) -> str:
-    """Return what is said; nothing is made."""
+    """Return the message of a command that fails and creates nothing."""
     result = invoke(*arguments)
     assert isinstance(result.exception, ConfigError | ExperimentError | click.ClickException), result
     assert not Path("runs").exists()
@@ -207,7 +207,7 @@ def test_finished_trial_that_an_earlier_version_left_as_failed_is_mended_by_resu
     assert invoke("--resume", "run", "--in-process").return_value == 0
 
 
-def test_resume_says_what_is_run_again() -> None:
+def test_resume_reports_what_is_repeated() -> None:
     assert invoke(*MINES, "--episodes", "6", "--checkpoint-every", "2", "--out", "run").return_value == 0
     with Store.open(Path("run")) as store:
         found = store.checkpoint("random/mines/0")

@@ -45,7 +45,7 @@ def result(trial: int, episode: int) -> EpisodeResult:
 
 
 def make(directory: Path, lengths: list[int], plan: Plan = PLAN) -> Path:
-    """Make a run whose trials have so many episodes."""
+    """Make a run with these numbers of episodes in its trials."""
     with create_run(directory, plan, clock=lambda: 1_000_000_000.0) as store:
         for trial, (spec, length) in enumerate(zip(plan.expand(), lengths, strict=True)):
             for episode in range(1, length + 1):
@@ -115,7 +115,7 @@ def test_list_goes_on_past_a_run_that_cannot_be_read(tmp_path: Path, run: Path) 
     assert "broken: file is not a database" in done.stderr
 
 
-def test_list_of_nothing_says_so(tmp_path: Path) -> None:
+def test_list_without_runs_prints_a_note(tmp_path: Path) -> None:
     done = CliRunner().invoke(results, ["list", str(tmp_path)], standalone_mode=False)
     assert (done.stdout, done.stderr) == ("", f"there are no runs in {tmp_path}\n")
     with pytest.raises(ConfigError, match="there is no folder"):
@@ -304,9 +304,7 @@ def test_export_of_a_run_without_episodes_is_an_empty_table(tmp_path: Path) -> N
     assert parquet.read_table(tmp_path / "out").num_rows == 0
 
 
-def test_export_that_cannot_be_done_says_why(
-    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failed_export_gives_the_reason(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ConfigError, match="say where with --out FILE"):
         call("export", run, "--format", "parquet")
     with pytest.raises(ExperimentError, match=r"cannot write .*absent/x.csv: No such file"):

@@ -1,4 +1,4 @@
-"""`glue-watch`: what a person sees, and what somebody does who made a mistake."""
+"""`glue-watch`: its output, and its messages for mistakes."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tests.terminal import drawings, run, run_in_terminal, watched_terminal
 
 
 def learned(episodes: int) -> bytes:
-    """What SARSA has learned in the mines after so many episodes."""
+    """Return the save of a SARSA agent after `episodes` episodes in the mines."""
     agent = SarsaAgent()
     with local(agent, MinesEnvironment()) as glue:
         glue.rl_init(seed=1)
@@ -62,7 +62,7 @@ def test_play_waits_between_the_steps_that_a_person_sees() -> None:
     assert waits == [0.25] * 4
 
 
-def test_play_draws_nothing_where_nobody_looks_and_does_not_wait() -> None:
+def test_play_without_a_terminal_draws_nothing_and_does_not_wait() -> None:
     stream = io.StringIO()
     waits: list[float] = []
     with local(SarsaAgent(), MinesEnvironment()) as glue:
@@ -105,8 +105,8 @@ def test_watch_shows_what_was_learned(tmp_path: Path) -> None:
 MISTAKES = {
     "no file": (["sarsa", "--load", "nothing.agent"], "cannot read nothing.agent"),
     "a folder": (["sarsa", "--load", "folder"], "is a directory"),
-    "a damaged file": (["sarsa", "--load", "damaged.agent"], "bytes"),
-    "another agent's file": (["hierarchical", "--load", "mines.agent"], "not a saved agent"),
+    "a damaged file": (["sarsa", "--load", "damaged.agent"], "save is damaged"),
+    "another agent's file": (["hierarchical", "--load", "mines.agent"], "saved by 'sarsa'"),
     "an agent that cannot load": (["mine.py:Plain", "--load", "mines.agent"], "Plain cannot load"),
     "a misspelt agent": (["sarsaa"], "did you mean sarsa"),
     "a misspelt option": (["sarsa", "--agent-option", "stepsize=1"], "did you mean step_size"),

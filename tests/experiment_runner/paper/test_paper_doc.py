@@ -1,4 +1,4 @@
-"""docs/paper.md shows a whole study, and calls the command as it is."""
+"""docs/paper.md shows a complete study, and its commands are valid."""
 
 from __future__ import annotations
 

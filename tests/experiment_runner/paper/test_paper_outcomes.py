@@ -31,7 +31,7 @@ def constant(reward: float, trials: int = 10, episodes: int = 5000) -> FloatArra
 
 
 def learned_at(episode: int, reward: float = 140.0, trials: int = 10, episodes: int = 5000) -> FloatArray:
-    """Trials that get nothing up to an episode, and then always the same."""
+    """Trials with a return of 0 up to an episode, and a constant one after it."""
     curves = constant(reward, trials, episodes)
     curves[:, :episode] = 0.0
     return curves
@@ -47,7 +47,7 @@ def test_reward_is_the_mean_of_the_last_hundred_and_its_interval_spans_the_trial
 def test_relapse_delays_settling_but_not_reaching() -> None:
     curves = learned_at(100, trials=2, episodes=2000)
     assert (outcome("4", curves).reached, outcome("4", curves).settled) == (199, 199)
-    curves[0, 1000:1010] = 0.0  # 0 is 140 below, so ten episodes of one of two trials cost the mean 7
+    curves[0, 1000:1010] = 0.0  # 0 is 140 below, so ten episodes of one of two trials lower the mean by 7
     relapsed = outcome("4", curves)
     assert (relapsed.reached, relapsed.settled) == (199, 1108)
     assert (relapsed.trials_reached, relapsed.trials_settled) == ([199, 199], [199, 1109])
@@ -65,7 +65,7 @@ def test_fewer_episodes_than_the_window_reach_nothing() -> None:
 
 def test_trial_finishes_that_reaches_the_goal_in_half_of_its_last_episodes() -> None:
     curves = np.full((3, 200), 45.0)  # dead, with every coin of the level
-    curves[0, 150:] = 90.0  # the goal, at the last moment, without a coin
+    curves[0, 150:] = 90.0  # the goal, at the last possible step, without a coin
     curves[1, 151:] = 150.0
     found = outcome("4", curves)
     assert found.finishing.tolist() == [0.5, 0.49, 0.0]

@@ -24,7 +24,7 @@ def call(*arguments: object) -> Result:
 
 
 def make(out: Path, name: str, reward: float, trials: int = 2, finished: int | None = None) -> None:
-    """Make the run of an experiment whose trials get `reward`, the next trial 1 more, and so on."""
+    """Make a run of an experiment whose trials have the rewards `reward`, `reward` + 1, and so on."""
     plan = plan_of(EXPERIMENTS[name], episodes=200, trials=trials)
     with create_run(out / name, plan) as store:
         for number, spec in enumerate(plan.expand()[:finished]):
@@ -34,7 +34,7 @@ def make(out: Path, name: str, reward: float, trials: int = 2, finished: int | N
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of runs, one of them not finished, and the report on them."""
+    """A folder of runs, one of them unfinished, and the report on them."""
     out = tmp_path_factory.mktemp("study")
     make(out, "sample", 130.0)
     make(out, "1", 20.0)
@@ -89,7 +89,7 @@ def test_csv_has_a_row_for_each_agent_and_level(study: Path) -> None:
 def test_figures_are_those_whose_runs_are_there(study: Path) -> None:
     names = {path.name for path in (study / REPORT).iterdir()}
     assert names == {"tables.md", "tables.csv"} | {f"{n}.{e}" for n in FIGURES for e in ("png", "svg")}
-    # the sample agent stands beside, on the level of the figure
+    # with the sample agent, on the level of the figure
     assert "the sample agent" in (study / REPORT / "figure-13.svg").read_text(encoding="utf-8")
 
 
@@ -118,7 +118,7 @@ def test_docs_without_marks_stay_as_they_are(study: Path, tmp_path: Path, text: 
     assert docs.read_text(encoding="utf-8") == text
 
 
-def test_nothing_to_report_says_so(tmp_path: Path) -> None:
+def test_report_without_episodes_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(ExperimentError, match="no finished episode"):
         write_report(tmp_path)
 
@@ -146,7 +146,7 @@ def test_command_runs_what_is_missing_and_reports(tmp_path: Path) -> None:
     with (tmp_path / REPORT / "tables.csv").open(newline="", encoding="utf-8") as file:
         table = list(csv.DictReader(file))
     assert [row["level_difficulty"] for row in table] == ["0", "1"]
-    assert float(table[0]["values"]) > 50  # asked of the agent, from its checkpoint
+    assert float(table[0]["values"]) > 50  # reported by the agent, loaded from its checkpoint
     again = call("7", "--trials", 1, "--episodes", 3, "--workers", 2, "--out", tmp_path)
     assert again.stdout == first.stdout
     with Results.open(tmp_path / "7") as results:
@@ -167,7 +167,7 @@ def test_another_number_of_trials_wants_another_directory(study: Path) -> None:
         (("9",), "'9' is not one of"),
     ],
 )
-def test_wrong_call_says_what_was_expected(arguments: tuple[str, ...], message: str) -> None:
+def test_usage_error_names_the_remedy(arguments: tuple[str, ...], message: str) -> None:
     done = CliRunner().invoke(paper, arguments)
     assert done.exit_code == 2
     assert message in done.stderr

@@ -112,7 +112,7 @@ def test_comparison_counts_each_environment_alike() -> None:
 
 
 @pytest.mark.parametrize("empty", [{}, {"a": np.empty((0, 0))}])
-def test_nothing_to_draw_is_said(empty: dict[str, FloatArray]) -> None:
+def test_nothing_to_draw_is_an_error(empty: dict[str, FloatArray]) -> None:
     with pytest.raises(ExperimentError, match="nothing to draw yet"):
         learning_curves(empty, rng())
     with pytest.raises(ExperimentError, match="nothing to draw yet"):

@@ -25,7 +25,7 @@ class Clock:
 
 
 class Terminal(io.StringIO):
-    """Carries out what `Progress` writes, as a terminal does."""
+    """Interprets the output of `Progress` as a terminal does."""
 
     def isatty(self) -> bool:
         return True
@@ -47,7 +47,7 @@ class Terminal(io.StringIO):
                 else:
                     assert what == "K"
             elif part and part != "\r":
-                lines[row] = part  # whole lines are written, and the rest of them is cleared
+                lines[row] = part  # whole lines are written, and the rest of each is cleared
         return lines
 
 
@@ -169,7 +169,7 @@ def test_trial_that_goes_back_counts_its_episodes_once(terminal: Terminal, clock
     assert "0 of 2 trials finished  episode 3/100" in terminal.screen()[-3]
 
 
-def test_elsewhere_a_line_comes_now_and_then(clock: Clock) -> None:
+def test_without_a_terminal_a_line_is_written_every_few_seconds(clock: Clock) -> None:
     stream = io.StringIO()
     progress = Progress(stream, clock)
     progress.start(records(FIRST))

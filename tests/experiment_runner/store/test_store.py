@@ -49,7 +49,7 @@ def store(tmp_path: Path) -> Iterator[Store]:
 
 @pytest.fixture
 def open_folder() -> Iterator[Path]:
-    """A folder that everybody can reach and only its owner can write to."""
+    """A folder that everyone can read and only its owner can write to."""
     folder = Path(tempfile.mkdtemp())
     folder.chmod(0o755)
     yield folder
@@ -57,8 +57,8 @@ def open_folder() -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def as_somebody_else(folder: Path) -> Iterator[None]:
-    """Take away the right to write: permissions do not bind root, so become nobody."""
+def without_write_permission(folder: Path) -> Iterator[None]:
+    """Give up write permission. Permissions do not restrict root, so root becomes the user nobody."""
     if os.geteuid() == 0:
         os.seteuid(NOBODY)
         try:
@@ -308,7 +308,7 @@ def test_directory_without_a_run_is_refused(tmp_path: Path, opener: type[Results
     assert list(tmp_path.iterdir()) == []
 
 
-def test_somebody_elses_database_is_refused(tmp_path: Path) -> None:
+def test_database_of_another_program_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "results.sqlite"
     with contextlib.closing(sqlite3.connect(path)) as connection:
         connection.execute("CREATE TABLE recipes (name TEXT)")
@@ -346,7 +346,7 @@ def test_run_of_version_1_opens_today(tmp_path: Path) -> None:
 
 @pytest.fixture
 def next_version(monkeypatch: pytest.MonkeyPatch, store: Store) -> Store:
-    """A closed run, and a program in which the next version of the tables is today's."""
+    """A closed run, which is then read by a program whose database version is one higher."""
     store.record(FIRST, result(1))
     store.close()
     added = ("ALTER TABLE trials ADD COLUMN note TEXT NOT NULL DEFAULT 'none'",)
@@ -430,7 +430,7 @@ def test_killed_writer_lets_go_though_its_child_lives_on(store: Store) -> None:
             Store.open(store.directory)
         process.kill()
         process.wait()
-        os.kill(child, 0)  # it is there
+        os.kill(child, 0)  # the process exists
         Store.open(store.directory).close()
 
 
@@ -529,7 +529,7 @@ def check_stopped_writer(process: subprocess.Popen[str], directory: Path, reason
 
 
 def test_file_that_may_not_grow_stops_the_run_cleanly(store: Store) -> None:
-    """Stands in, everywhere, for a full disk: to SQLite it is the same failing write."""
+    """A limit on the size of files fails a write of SQLite as a full disk does, and needs no privileges."""
     store.close()
     with start(f"{LIMITED}\n{WRITE}", store.directory, FIRST) as process:
         check_stopped_writer(process, store.directory, "disk I/O error")
@@ -558,7 +558,7 @@ from pathlib import Path
 from experiment_runner.store.results import Results
 print("read", [episode.episode for episode in Results.open(Path(sys.argv[1])).episodes(sys.argv[2])][-1])
 """
-    # The disk is there only for programs started in the same breath.
+    # Only programs started in the same shell see the disk.
     steps = (
         '"$2" -c "$3" "$1/run" && "$2" -c "$4" "$1/run" "$6"; code=$?; "$2" -c "$5" "$1/run" "$6"; exit $code'
     )
@@ -573,7 +573,7 @@ print("read", [episode.episode for episode in Results.open(Path(sys.argv[1])).ep
     assert "Traceback" not in done.stderr
 
 
-def test_nothing_is_left_of_a_run_that_could_not_be_made(tmp_path: Path) -> None:
+def test_nothing_is_left_of_a_run_that_could_not_be_created(tmp_path: Path) -> None:
     program = f"""{LIMITED.replace("150_000", "6_000")}
 import sys
 from pathlib import Path
@@ -593,7 +593,10 @@ except ExperimentError as error:
 
 
 def test_read_only_directory_is_refused(open_folder: Path) -> None:
-    with as_somebody_else(open_folder), pytest.raises(ExperimentError, match=r"cannot make .*: Permission"):
+    with (
+        without_write_permission(open_folder),
+        pytest.raises(ExperimentError, match=r"cannot make .*: Permission"),
+    ):
         Store.create(open_folder / "run", PLAN.expand(), FILES)
     assert list(open_folder.iterdir()) == []
 
@@ -605,7 +608,7 @@ def test_run_in_a_read_only_directory_is_read_but_not_written(open_folder: Path,
     store.record(FIRST, result(1))
     if not under_way:
         store.close()
-    with as_somebody_else(directory):
+    with without_write_permission(directory):
         with Results.open(directory) as results:
             assert results.episodes(FIRST) == [result(1)]
         with pytest.raises(ExperimentError, match=r"cannot open .*: Permission denied|in use"):
