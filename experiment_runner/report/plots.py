@@ -144,9 +144,8 @@ def scatter(
                 axes.set_xlabel("episode")
                 axes.tick_params(labelbottom=True)
         figure.supylabel(_RETURN, fontsize="medium")
-        panels[0].plot(
-            [], [], ".", color=_COLORS[0], label="an episode"
-        )  # the dots in the panels are too faint for a legend
+        # The dots in the panels are too faint for a legend.
+        panels[0].plot([], [], ".", color=_COLORS[0], label="an episode")
         _legend_below(figure, panels[0])
     return figure
 

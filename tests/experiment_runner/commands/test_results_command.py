@@ -305,7 +305,7 @@ def test_export_of_a_run_without_episodes_is_an_empty_table(tmp_path: Path) -> N
 
 
 def test_failed_export_gives_the_reason(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(ConfigError, match="say where with --out FILE"):
+    with pytest.raises(ConfigError, match="--out FILE"):
         call("export", run, "--format", "parquet")
     with pytest.raises(ExperimentError, match=r"cannot write .*absent/x.csv: No such file"):
         call("export", run, "--out", tmp_path / "absent" / "x.csv")

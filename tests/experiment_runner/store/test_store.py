@@ -386,7 +386,7 @@ def test_run_of_a_newer_release_is_refused(next_version: Store, monkeypatch: pyt
     Store.open(next_version.directory).close()
     monkeypatch.undo()
     for opener in (Results.open, Store.open):
-        with pytest.raises(ExperimentError, match=r"version 2 .* up to 1: .* newer release"):
+        with pytest.raises(ExperimentError, match=r"version 2\b.* up to 1: .*newer release"):
             opener(next_version.directory)
 
 
