@@ -29,7 +29,7 @@ Log = Callable[[str], None]
 
 _CODEC: Final = f"Python {platform.python_version()}"
 _HEARTBEAT: Final = 1.0
-_PATIENCE: Final = 5.0
+_TIMEOUT: Final = 5.0
 
 
 class Link:
@@ -67,7 +67,7 @@ class Link:
         self._log = log
         self._instance = os.urandom(INSTANCE_SIZE)
         self._max_body = MAX_BODY
-        self._heartbeat, self._patience = _HEARTBEAT, _PATIENCE
+        self._heartbeat, self._timeout = _HEARTBEAT, _TIMEOUT
         self._transport = transport or open_transport(hub, context)
         self._transport.wait_at_most(_HEARTBEAT if wait is None else min(_HEARTBEAT, wait))
         self._greeted = 0  # the connection that was greeted last; also the `seq` of that HELLO
@@ -177,12 +177,12 @@ class Link:
             self.send(Message(Kind.HELLO, session, self._greeted, scalars))
 
     def _welcome(self, message: Message) -> None:
-        _, _, heartbeat, patience, max_body = message.scalars
+        _, _, heartbeat, timeout, max_body = message.scalars
         assert isinstance(heartbeat, float)
-        assert isinstance(patience, float)
+        assert isinstance(timeout, float)
         assert isinstance(max_body, int)
         self._heartbeat = min(max(heartbeat, 0.01), 60.0)
-        self._patience = max(patience, self._heartbeat)
+        self._timeout = max(timeout, self._heartbeat)
         self._max_body = min(max_body, MAX_BODY)
         self._transport.wait_at_most(self._heartbeat)
         self._known = True
@@ -202,7 +202,7 @@ class Link:
                 f"start one with glue-hub or glue-experiment, or check the address"
             )
         quiet = now - self._received
-        if not self._silent and quiet >= (self._patience if self._welcomed else self._heartbeat):
+        if not self._silent and quiet >= (self._timeout if self._welcomed else self._heartbeat):
             self._silent = True
             self._log(
                 f"no hub answers at {self._hub} yet; waiting for one "

@@ -6,7 +6,7 @@ A `Switchboard` takes messages and the time, and hands messages to the routes of
   a new connection is the same peer, and goes on where it was (see `glue.core.session`). Until an instance has
   sent a request or an answer it is told that it is unknown, as often as it comes: the WELCOME that said so
   before may have been lost.
-- A peer that stays unreachable for longer than the hub's patience, or whose seat another takes meanwhile, is
+- A peer that stays unreachable for longer than the hub's timeout, or whose seat another takes meanwhile, is
   lost.
 """
 
@@ -117,7 +117,7 @@ class Switchboard:
                     peer.unreachable_since = None
                     peer.session.repeat(peer)
                 since = peer.unreachable_since
-                if since is not None and now - since >= self._config.patience:
+                if since is not None and now - since >= self._config.timeout:
                     self._lose(peer, f"was out of reach for {now - since:.1f} s")
         for session in self._sessions.values():
             session.report_if_slow(now)
@@ -188,7 +188,7 @@ class Switchboard:
         # Over one connection nothing is lost: the sender has read, or will read, the WELCOME before this one.
         resumed = known or (current is not None and current.route == route)
         config = self._config
-        welcome = (PROTOCOL_VERSION, resumed, config.heartbeat, config.patience, config.max_body)
+        welcome = (PROTOCOL_VERSION, resumed, config.heartbeat, config.timeout, config.max_body)
         self.send(route, Message(Kind.WELCOME, session.name, message.seq, welcome))
         if current is not None:
             if current.route == route:

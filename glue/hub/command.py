@@ -38,11 +38,13 @@ _DEFAULTS: Final = HubConfig()
     help="Seconds between heartbeats.",
 )
 @click.option(
-    "--patience",
+    "--timeout",
+    "--patience",  # its name in version 0.1.0
+    "timeout",
     type=float,
-    default=_DEFAULTS.patience,
+    default=_DEFAULTS.timeout,
     show_default=True,
-    help="Seconds that a peer may be unreachable before its episode is void.",
+    help="Seconds that a peer may be unreachable before it is given up and its episode is void.",
 )
 @click.option(
     "--max-sessions",
@@ -68,7 +70,7 @@ _DEFAULTS: Final = HubConfig()
 def hub(
     bind: tuple[str, ...],
     heartbeat: float,
-    patience: float,
+    timeout: float,
     max_sessions: int,
     max_memory: int,
     legacy_port: tuple[str, ...],
@@ -91,7 +93,7 @@ def hub(
     config = HubConfig(
         bind=bind,
         heartbeat=heartbeat,
-        patience=patience,
+        timeout=timeout,
         max_sessions=max_sessions,
         max_memory=max_memory * 2**20,
         insecure=insecure,

@@ -120,7 +120,7 @@ class Router:
 
     def _accept(self, bind: Bind, connected: socket.socket, name: str, now: float) -> None:
         self._make_room()
-        limit_silence(connected, self._config.patience)
+        limit_silence(connected, self._config.timeout)
         connection = Connection(self._loop, connected, name, self._config.heartbeat)
         dealer = _Dealer(self, connection, bind, self._config.max_body)
         self._dealers.add(dealer)

@@ -60,7 +60,7 @@ class Pending:
         hub.on_close(self._close)
 
     def add(self, connection: Connection, time_out: Callable[[float], None], closing: bool = False) -> None:
-        """Keep `connection`; after the hub's patience, call `time_out` with the time."""
+        """Keep `connection`; after the hub's timeout, call `time_out` with the time."""
         self._entries[connection] = _Entry(time_out, closing)
 
     def remove(self, connection: Connection) -> None:
@@ -96,7 +96,7 @@ class Pending:
                 entry.since = now
             if connection.closed:
                 del self._entries[connection]
-            elif now - entry.since >= self.hub.config.patience:
+            elif now - entry.since >= self.hub.config.timeout:
                 del self._entries[connection]
                 entry.time_out(now)
         self._dropped.tick(now)

@@ -249,7 +249,7 @@ CONTROL: Final[Mapping[Kind, Shape]] = MappingProxyType(
                 Scalar("version", int),
                 Scalar("resumed", bool),
                 Scalar("heartbeat", float),
-                Scalar("patience", float),
+                Scalar("timeout", float),
                 Scalar("max_body", int),
             )
         ),

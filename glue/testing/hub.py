@@ -18,7 +18,7 @@ def check_hub(url: str, *, wait: float = 10.0) -> None:
     """Check that the hub at `url`, ours or one that you wrote, keeps the rules of `HubRule`.
 
     Each rule is checked in a session of its own with a name that nobody else uses, so the hub may be at
-    work. It takes about as long as the hub's patience. What cannot be seen without ending or filling the
+    work. It takes about as long as the hub's timeout. What cannot be seen without ending or filling the
     hub is not checked: its farewell, its limits.
 
     Args:

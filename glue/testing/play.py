@@ -13,10 +13,10 @@ from glue.types import Action
 def greeting(scene: Scene) -> None:
     """HELLO, twice, in each role."""
     for seq, peer in enumerate((scene.agent, scene.environment, scene.experiment), start=5):
-        version, _, heartbeat, patience, max_body = map(number, peer.join(seq=seq).scalars)
+        version, _, heartbeat, timeout, max_body = map(number, peer.join(seq=seq).scalars)
         peer.check(version == PROTOCOL_VERSION, f"version {version:g} was chosen")
         peer.check(heartbeat > 0, f"the heartbeat is {heartbeat:g} s")
-        peer.check(patience >= heartbeat, f"the patience is {patience:g} s, the heartbeat {heartbeat:g} s")
+        peer.check(timeout >= heartbeat, f"the timeout is {timeout:g} s, the heartbeat {heartbeat:g} s")
         peer.check(max_body > 0, f"the largest body is {max_body:g} bytes")
         peer.join(resumed=True)  # The same HELLO over the same connection changes nothing.
 

@@ -57,7 +57,7 @@ class HubRule(StrEnum):
     WELCOME_LOST = "an instance is told that it was unknown until it has sent a request or an answer"
     GOODBYE = "GOODBYE gives up a role at once, and sends off the players that offered one-run"
     LOST = "a player that leaves in mid-episode makes it void: NOTICE lost, error peer-lost"
-    SILENT = "a player whose connection ended is lost after `patience`"
+    SILENT = "a player whose connection ended is lost after `timeout`"
     REPLACED = "a new player is initialised before its first other call, and announced"
 
 

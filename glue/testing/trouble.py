@@ -186,11 +186,11 @@ def silent(scene: Scene) -> None:
     """An environment's connection ends without a word."""
     scene.init()
     scene.start()
-    heartbeat, patience = map(number, scene.agent.join(resumed=True).scalars[2:4])
+    heartbeat, timeout = map(number, scene.agent.join(resumed=True).scalars[2:4])
     scene.experiment.ask(Kind.RL_STEP)
     scene.environment.expects_call(Kind.ENV_STEP, body=did(0))
     scene.environment.vanish()
-    scene.wait += patience + 2 * heartbeat
+    scene.wait += timeout + 2 * heartbeat
     scene.experiment.expects_error(ErrorCode.PEER_LOST, scene.experiment.seq)
     scene.experiment.expects_notice(Event.LOST, Role.ENVIRONMENT)
 

@@ -120,7 +120,7 @@ def target() -> Iterator[Target]:
     settings = [
         "--heartbeat",
         "0.2",
-        "--patience",
+        "--timeout",
         "1",
         "--max-sessions",
         str(SESSIONS),
@@ -350,7 +350,7 @@ def test_whoever_sends_a_little_may_finish_while_others_fill_the_room(hub: Targe
 
 
 def test_of_connections_without_a_seat_the_oldest_make_room() -> None:
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=60.0, patience=600.0))
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=60.0, timeout=600.0))
     port = int(hub.endpoints[0].rpartition(":")[2])
     with hub.in_background(), ExitStack() as stack:
         connections = [

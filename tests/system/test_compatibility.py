@@ -31,7 +31,7 @@ from tests.system.peer import TIMEOUT
 
 RECORDED: Final = Path(__file__).parents[1] / "golden/conversation.jsonl"
 ROLES: Final = ("agent", "environment", "experiment")
-CONFIG: Final = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.5, patience=60.0)
+CONFIG: Final = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.5, timeout=60.0)
 
 Sockets = Callable[[int], dict[str, "zmq.Socket[bytes]"]]
 

@@ -120,8 +120,8 @@ def play_on(glue: Experiment) -> NoReturn:
 class Run:
     """A hub with an experiment, one player in a process and the other in a thread."""
 
-    def __init__(self, patience: float) -> None:
-        config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, patience=patience)
+    def __init__(self, timeout: float) -> None:
+        config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=timeout)
         self.hub = Hub(config)
         self.notices: list[tuple[str, str]] = []
         self.on_notice: dict[str, Callable[[], None]] = {}
@@ -177,7 +177,7 @@ def count(glue: Experiment, role: str, call: str) -> int:
 @pytest.mark.parametrize("role", CASES)
 def test_a_killed_player_is_noticed_replaced_and_the_episodes_are_completed(role: str) -> None:
     player, partner, moment, first_calls = CASES[role]
-    run = Run(patience=1.0)
+    run = Run(timeout=1.0)
     kill = At(moment, 5, lambda: processes.signal(signal.SIGKILL))
     with run.experiment(role, player, partner(before=kill)) as (glue, processes):
         run.on_notice["lost"] = processes.start
@@ -191,9 +191,9 @@ def test_a_killed_player_is_noticed_replaced_and_the_episodes_are_completed(role
 
 
 @pytest.mark.parametrize("role", CASES)
-def test_a_player_cut_off_for_longer_than_patience_returns_as_it_was(role: str) -> None:
+def test_a_player_cut_off_for_longer_than_the_timeout_returns_as_it_was(role: str) -> None:
     player, partner, moment, first_calls = CASES[role]
-    run = Run(patience=1.0)
+    run = Run(timeout=1.0)
     proxy = Proxy(port(run.hub))
     shut = At(moment, 5, proxy.shut)
     with (
@@ -212,7 +212,7 @@ def test_a_player_cut_off_for_longer_than_patience_returns_as_it_was(role: str) 
 @pytest.mark.parametrize("role", CASES)
 def test_a_player_that_is_stopped_and_continued_is_waited_for(role: str) -> None:
     player, partner, moment, _ = CASES[role]
-    run = Run(patience=1.0)
+    run = Run(timeout=1.0)
     stopped = threading.Event()
 
     def stop() -> None:
@@ -246,7 +246,7 @@ def chain(glue: Experiment, episodes: int) -> list[float]:
 def test_a_run_over_connections_that_break_a_hundred_times_has_the_same_returns() -> None:
     episodes = 60
     expected = chain(local(ChainAgent(), ChainEnvironment()), episodes)
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, patience=60.0))
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, timeout=60.0))
     with hub.in_background():
         proxy = Proxy(port(hub), cuts=100, seed=1)
         with (
@@ -265,7 +265,7 @@ HUB = "from glue.hub.command import main; main()"
 @contextmanager
 def hub_process(bind: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """`glue-hub` in a process, and its address."""
-    with running("-c", HUB, "--bind", bind, "--heartbeat", str(HEARTBEAT), "--patience", "1") as hub:
+    with running("-c", HUB, "--bind", bind, "--heartbeat", str(HEARTBEAT), "--timeout", "1") as hub:
         assert hub.stderr is not None
         yield hub, hub.stderr.readline().split()[-1]
 
@@ -294,7 +294,7 @@ def test_players_come_back_to_a_hub_that_was_killed_and_started_again() -> None:
 @pytest.fixture
 def two_hubs() -> Iterator[tuple[Hub, Hub]]:
     """Two hubs, one to take the place of the other behind a proxy, as if it had been started again."""
-    config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, patience=60.0)
+    config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=60.0)
     with Hub(config).in_background() as first, Hub(config).in_background() as second:
         yield first, second
 
@@ -398,7 +398,7 @@ def test_a_player_that_is_told_to_stop_tells_the_hub(number: signal.Signals, cod
             return super().env_step(action)
 
     agent = "from agents.command import main; main()"
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, patience=60.0))
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=60.0))
     with hub.in_background(), ExitStack() as ending:
         (url,) = hub.endpoints
         ending.enter_context(serving(url, Walk()))
@@ -412,7 +412,7 @@ def test_a_player_that_is_told_to_stop_tells_the_hub(number: signal.Signals, cod
 
 
 def test_an_exception_shows_its_traceback_where_it_happened_and_its_name_at_the_experiment() -> None:
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, patience=60.0))
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=60.0))
     with hub.in_background(), ExitStack() as ending:
         (url,) = hub.endpoints
         ending.enter_context(serving(url, ScriptedEnvironment()))
@@ -430,7 +430,7 @@ def test_an_exception_shows_its_traceback_where_it_happened_and_its_name_at_the_
 
 
 def test_a_slow_session_delays_no_other() -> None:
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, patience=1.0))
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=1.0))
     release = threading.Event()
     waits = threading.Event()
 
@@ -465,7 +465,7 @@ def test_a_slow_session_delays_no_other() -> None:
 def test_a_player_may_compute_for_many_heartbeats() -> None:
     # Heartbeats pile up while it does; that must not cost it its connection.
     heartbeat = 0.01
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=heartbeat, patience=0.5))
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=heartbeat, timeout=0.5))
     computes = threading.Event()
     done = threading.Event()
     ticks = iter(range(10_000))

@@ -8,7 +8,7 @@ const GREETING_SIZE = 64;
 const RECONNECT_MS = 100;
 
 // The hub sends a heartbeat every second; a connection without any for this long is dead.
-const PATIENCE_MS = 5000;
+const TIMEOUT_MS = 5000;
 
 const GREETING = Buffer.alloc(GREETING_SIZE);
 GREETING.set([0xff, 0, 0, 0, 0, 0, 0, 0, 0, 0x7f, 3, 1]);
@@ -65,7 +65,7 @@ export class Dealer {
     return new Promise((resolve) => {
       const socket = net.connect(this.#address);
       const read = this.#reader(socket);
-      const dead = setTimeout(() => socket.destroy(), PATIENCE_MS);
+      const dead = setTimeout(() => socket.destroy(), TIMEOUT_MS);
       socket.on("connect", () => socket.write(GREETING));
       socket.on("data", (chunk) => {
         dead.refresh();

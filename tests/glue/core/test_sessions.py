@@ -17,7 +17,7 @@ from glue.types import Action, Observation
 
 OBSERVATION = Observation(ints=[3], chars=b"o").body
 ACTION = Action(ints=[4]).body
-CONFIG = HubConfig(heartbeat=1.0, patience=5.0, max_sessions=8)
+CONFIG = HubConfig(heartbeat=1.0, timeout=5.0, max_sessions=8)
 
 
 def instance(name: str) -> bytes:
@@ -157,7 +157,7 @@ class Rig:
         """Break the connection of a route, and wait until the hub gives it up."""
         self.cut(route)
         self.tick(CONFIG.heartbeat)
-        self.tick(CONFIG.patience)
+        self.tick(CONFIG.timeout)
 
 
 @pytest.fixture
@@ -510,12 +510,12 @@ def test_a_role_that_nobody_fills_is_not_slow(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("lost", ["a", "e"])
-def test_a_player_out_of_reach_for_longer_than_patience_makes_the_episode_void(
+def test_a_player_out_of_reach_for_longer_than_the_timeout_makes_the_episode_void(
     playing: Rig, lost: str
 ) -> None:
     playing.cut(lost)
     playing.tick(CONFIG.heartbeat)
-    playing.tick(CONFIG.patience - 0.1)
+    playing.tick(CONFIG.timeout - 0.1)
     assert playing.heard("x") == []
     playing.tick(0.1)
     notice, failed = playing.heard("x")

@@ -139,7 +139,7 @@ def test_a_name_stands_for_its_ipv4_address(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_the_longest_heartbeat_lets_peers_in() -> None:
-    listening = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=7 * 86400, patience=7 * 86400))
+    listening = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=7 * 86400, timeout=7 * 86400))
     port = port_of(listening)
     with listening.in_background(), socket.create_connection(("127.0.0.1", port)) as peer:
         assert peer.recv(64) == zmtp.GREETING
@@ -191,7 +191,7 @@ def test_all_that_a_peer_said_before_it_broke_off_is_heard() -> None:
             if event in line:
                 semaphore.release()
 
-    listening = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, patience=60.0), log)
+    listening = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, timeout=60.0), log)
     sessions = [f"{number}" for number in range(listening.config.max_seats)]
 
     def say(peer: socket.socket, kind: Kind, *scalars: Value) -> None:

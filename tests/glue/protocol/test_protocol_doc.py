@@ -326,7 +326,7 @@ def test_limits_and_defaults_are_those_of_the_program() -> None:
         f"`{DEFAULT_HUB}`",
         f"`{DEFAULT_SESSION}`",
         f"{config.heartbeat:g} s",
-        f"{config.patience:g} s",
+        f"{config.timeout:g} s",
         f"{config.max_sessions}",
     ]
     assert (config.bind, PROTOCOL_VERSION) == ((DEFAULT_HUB,), 1)

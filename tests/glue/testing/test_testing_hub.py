@@ -24,7 +24,7 @@ WAIT = 5.0
 
 @contextmanager
 def hub(url: str = "tcp://127.0.0.1:*") -> Iterator[str]:
-    config = HubConfig(bind=(url,), heartbeat=0.05, patience=0.3)
+    config = HubConfig(bind=(url,), heartbeat=0.05, timeout=0.3)
     with Hub(config).in_background() as running:
         yield running.endpoints[0]
 

@@ -135,11 +135,11 @@ class Rig:
 
 
 @contextmanager
-def gateway(*sessions: str, heartbeat: float = 0.5, patience: float = 5.0) -> Iterator[Rig]:
+def gateway(*sessions: str, heartbeat: float = 0.5, timeout: float = 5.0) -> Iterator[Rig]:
     """Run a hub with a port for each session, or for `default`; with it all programs must end."""
     log = Log()
     with zmq.Context() as context:
-        hub = Hub(HubConfig(("tcp://127.0.0.1:*",), heartbeat, patience), log)
+        hub = Hub(HubConfig(("tcp://127.0.0.1:*",), heartbeat, timeout), log)
         ports = [LegacyPort(0, session) for session in (*(sessions or ("default",)), _ASIDE)]
         rig = Rig(hub, Gateway(hub, ports, log), context, log)
         try:

@@ -197,7 +197,7 @@ def test_a_hub_out_of_descriptors_serves_those_it_has_and_later_the_others() -> 
     def few_descriptors() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40))
 
-    options = ("--bind", "tcp://127.0.0.1:*", "--heartbeat", "0.1", "--patience", "0.5", "--legacy-port", "*")
+    options = ("--bind", "tcp://127.0.0.1:*", "--heartbeat", "0.1", "--timeout", "0.5", "--legacy-port", "*")
     with command("glue-hub", *options, before=few_descriptors) as hub:
         port = hub.ports["default"]
         crowd = [socket.create_connection(("127.0.0.1", port), TIMEOUT) for _ in range(60)]

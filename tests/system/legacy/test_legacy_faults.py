@@ -243,8 +243,8 @@ def test_the_goodbye_waits_for_the_answer_to_what_nobody_needs_any_more(rig: Rig
 
 
 def test_an_experiment_that_died_in_a_call_is_missed_at_once_and_another_may_come() -> None:
-    # Nothing is done here by the hub's patience.
-    with gateway(patience=3600.0) as rig:
+    # Nothing is done here by the hub's timeout.
+    with gateway(timeout=3600.0) as rig:
         agent = join(rig, Id.AGENT_CONNECTION)
         glue = rig.experiment()
         glue.connection.send(Id.RL_AGENT_START, EMPTY)
@@ -279,7 +279,7 @@ def test_an_experiment_that_leaves_while_nobody_is_there_to_answer_is_missed(rig
 
 
 def test_nobody_waits_for_a_silent_connection_and_it_is_dropped_after_a_while() -> None:
-    with gateway(heartbeat=0.05, patience=0.5) as rig:
+    with gateway(heartbeat=0.05, timeout=0.5) as rig:
         silent, halting = rig.connect(), rig.connect()
         halting.send_raw(b"\0\0\0\2\0\0")
         run_test_1(rig)
