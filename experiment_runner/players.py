@@ -15,8 +15,6 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-import zmq
-
 from experiment_runner import player_command
 from experiment_runner.children import KeptAlive, Say
 from experiment_runner.plan import Plan, TrialSpec
@@ -27,6 +25,7 @@ from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, Bind, HubConfig, Lega
 from glue.core.experiment import Experiment
 from glue.core.local import local
 from glue.errors import ExperimentError
+from glue.hub.inside import InsideTransport
 from glue.hub.listener import OpenAddress, open_address
 from glue.hub.server import Hub
 from glue.legacy.gateway import Gateway, open_legacy_port
@@ -167,7 +166,6 @@ def _over_hub(
     with ExitStack() as stack:
         # Entered first, so left last: the children go when our hub has said goodbye to them.
         children = stack.enter_context(KeptAlive(say, progress, dismissed=options.hub is None))
-        context = stack.enter_context(zmq.Context())
         if options.hub is None:
             inside = f"ipc://{stack.enter_context(scratch_folder())}/{SOCKET}"
             # A role that is named is open to our own child alone: only it can reach the address inside.
@@ -182,9 +180,12 @@ def _over_hub(
                 say(f"original RL-Glue programs join on {port}")
             stack.enter_context(hub.in_background())
             public = _from_outside(hub.endpoints[1]) if outside else inside
+            transport: InsideTransport | None = InsideTransport(hub)
         else:
-            inside = options.hub
-        glue = connect(inside, options.session, wait=options.wait, context=context, log=say, on_notice=notice)
+            inside, transport = options.hub, None
+        glue = connect(
+            inside, options.session, wait=options.wait, log=say, on_notice=notice, transport=transport
+        )
         stack.enter_context(glue)
         for role, player in named.items():
             arguments = player_command.arguments(

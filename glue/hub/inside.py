@@ -41,14 +41,16 @@ class InsideTransport:
         self._wait = seconds
 
     def send(self, frames: Sequence[bytes]) -> bool:
-        """Hand the hub a message."""
+        """Hand the hub a message; return False if the hub is ending."""
         loop = self._hub.loop
         loop.take()
         try:
+            if loop.stopping is not None:
+                return False
             self._hub.receive(self, frames, time.monotonic())
+            return True
         finally:
             loop.give()
-        return True
 
     def receive(self) -> Sequence[bytes] | None:
         """Return the next message; None if none came in time."""
@@ -64,6 +66,8 @@ class InsideTransport:
             raise
         finally:
             loop.give()
+        if not received and loop.stopping is not None:
+            self._hub.join(self._wait)  # it says goodbye as it ends
         return received.popleft() if received else None
 
     def receive_step(self, step: StepFormat, seq: int) -> None:

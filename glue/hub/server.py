@@ -95,7 +95,11 @@ class Hub:
 
     def close(self) -> None:
         """Say goodbye to every peer, and stop listening. A running hub is ended by `stop` instead."""
-        self._closing.close()
+        self.loop.take()  # an experiment inside may be in the middle of a turn
+        try:
+            self._closing.close()
+        finally:
+            self.loop.give()
 
     def __enter__(self) -> Self:
         return self
@@ -114,6 +118,10 @@ class Hub:
         self._ended.wait()
         if self.loop.stopping is None:
             raise GlueError("the hub failed, by a mistake of its own; please report what is shown above")
+
+    def join(self, seconds: float) -> bool:
+        """Wait at most so long for a hub in the background to end; return whether it has."""
+        return self._ended.wait(seconds)
 
     def stop(self, reason: str) -> None:
         """Let `run` end; may be called from any thread or signal handler. Peers are sent `reason`."""

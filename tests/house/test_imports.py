@@ -22,7 +22,7 @@ IMPURE = ("asyncio", "select", "signal", "socket", "subprocess", "threading", "t
 MODULES_IN_A_FOLDER = 16
 
 HOMES: Mapping[str, Sequence[str]] = {
-    "zmq": ["glue/client/libzmq.py", "experiment_runner/players.py"],
+    "zmq": ["glue/client/libzmq.py"],
     "msgpack": ["glue/protocol/*", "experiment_runner/executors/job.py"],
     "numba": ["glue/compiled/jit.py"],
     "click": ["*command.py", "*/commands/*", "glue/commands.py", "glue/players/naming.py"],

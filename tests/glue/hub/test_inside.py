@@ -1,0 +1,94 @@
+"""An experiment in the hub's own process: it takes the turns of the loop, and nothing of that shows."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from glue.client.experiment import RemoteExperiment, connect
+from glue.client.players import serve_agent, serve_environment
+from glue.core.config import HubConfig
+from glue.core.experiment import Experiment
+from glue.core.local import local
+from glue.errors import HubClosed
+from glue.hub.inside import InsideTransport
+from glue.hub.server import Hub
+from tests.players import ChainAgent, ChainEnvironment
+
+TIMEOUT = 10.0
+
+
+@pytest.fixture
+def hub() -> Iterator[Hub]:
+    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)).in_background() as hub:
+        yield hub
+
+
+def inside(hub: Hub, session: str = "default") -> RemoteExperiment:
+    return connect("inside", session, transport=InsideTransport(hub))
+
+
+def serve_chain(hub: Hub) -> None:
+    """Serve both players in threads, which end when the hub does."""
+    url = hub.endpoints[0]
+    threading.Thread(target=serve_agent, args=(ChainAgent(), url)).start()
+    threading.Thread(target=serve_environment, args=(ChainEnvironment(), url)).start()
+
+
+def play(glue: Experiment) -> list[object]:
+    shown: list[object] = [glue.rl_init(), glue.rl_start()]
+    shown += [glue.rl_step() for _ in range(25)]
+    shown += [glue.rl_episode(7), glue.rl_return(), glue.rl_num_steps(), glue.rl_agent_message("how?")]
+    return shown
+
+
+def test_it_plays_as_in_one_process(hub: Hub) -> None:
+    serve_chain(hub)
+    with inside(hub) as glue, local(ChainAgent(), ChainEnvironment()) as expected:
+        assert play(glue) == play(expected)
+
+
+def test_the_hub_serves_others_while_the_experiment_does_something_else(hub: Hub) -> None:
+    with inside(hub) as glue:
+        assert glue.rl_num_steps() == 0
+        with connect(hub.endpoints[0], "other") as other:
+            assert other.rl_num_episodes() == 0
+            assert glue.rl_num_steps() == 0
+            assert other.rl_num_episodes() == 0
+
+
+def test_two_experiments_of_one_process_take_the_loop_in_turn(hub: Hub) -> None:
+    def ask(session: str) -> None:
+        with inside(hub, session) as glue:
+            for _ in range(300):
+                assert glue.rl_num_steps() == 0
+
+    threads = [threading.Thread(target=ask, args=(name,)) for name in ("one", "two", "three")]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(TIMEOUT)
+        assert not thread.is_alive()
+
+
+def test_a_hub_that_ends_ends_the_verb_that_waits(hub: Hub) -> None:
+    with inside(hub) as glue:
+        threading.Timer(0.2, hub.stop, ("it was time",)).start()
+        with pytest.raises(HubClosed, match="it was time"):
+            glue.rl_init()  # there is no environment to answer
+
+
+def test_an_interrupted_verb_ends_the_hub(hub: Hub, monkeypatch: pytest.MonkeyPatch) -> None:
+    with inside(hub) as glue:
+
+        def interrupted(seconds: float = 0) -> None:
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patch:
+            patch.setattr(hub.loop, "turn", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                glue.rl_init()
+        with pytest.raises(HubClosed, match="interrupted"):
+            glue.rl_num_steps()
