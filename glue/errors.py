@@ -1,22 +1,22 @@
 """Every exception of the project descends from `GlueError`.
 
-A message says what was expected, what came, from whom, and what to do about it. The command
-line prints it as one line; peers get a code and the text, never a traceback.
+A message says what was expected, what was received, from whom, and what to do about it. Commands print it
+after `Error:`; peers receive a code and the text, never a traceback.
 """
 
 from __future__ import annotations
 
 
 class GlueError(Exception):
-    """The root: catch this to catch everything the project raises on purpose."""
+    """The base class: catch this to catch every error that the project raises on purpose."""
 
 
 class LocalProtocolError(GlueError):
-    """You broke the protocol: a call out of place, or a value that cannot be sent."""
+    """The caller broke the protocol: a call out of place, or a value that cannot be sent."""
 
 
 class RemoteProtocolError(GlueError):
-    """They broke the protocol: the peer sent something that is malformed or out of place."""
+    """The peer broke the protocol: it sent something malformed or out of place."""
 
 
 class TaskSpecError(GlueError):
@@ -24,11 +24,11 @@ class TaskSpecError(GlueError):
 
 
 class ConfigError(GlueError):
-    """An option, a name or an address given by the user is wrong; the message says how to mend it."""
+    """An option, a name or an address given by the user is wrong; the message says how to correct it."""
 
 
 class Refused(GlueError):
-    """The hub will not let this peer in; the message says why."""
+    """The hub refused this peer; the message says why."""
 
 
 class SaveError(GlueError):
@@ -40,7 +40,7 @@ class HubUnreachable(GlueError):
 
 
 class PeerLost(GlueError):
-    """An agent or environment went away during an episode; that episode is void.
+    """An agent or environment was lost during an episode; that episode is void.
 
     Catch it and start the episode again: the hub waits for the peer, or for its replacement.
     """
@@ -59,7 +59,7 @@ class HubClosed(GlueError):
 
 
 class SimulatorError(GlueError):
-    """A simulator was used wrongly: a parameter or action out of range, a step before the start."""
+    """A simulator was misused: a parameter or action out of range, a step before the start."""
 
 
 class ExperimentError(GlueError):

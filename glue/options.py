@@ -1,8 +1,8 @@
 """A class's constructor parameters are its options.
 
-An environment or agent needs no separate configuration: each keyword of its constructor with a
-default is an option, on the command line, in a plan file and in `--agent-option name=value`. Say
-what it means, and its bounds, where it is declared:
+An environment or agent needs no separate configuration: each keyword of its constructor with a default is
+an option, on the command line, in a plan file and in `--agent-option name=value`. Its meaning and bounds
+are given where it is declared:
 
     class Walk:
         def __init__(self, *, length: Annotated[int, Option("number of states", low=2)] = 21): ...
@@ -29,7 +29,7 @@ Value = int | float | str | bool
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """What `Annotated` says of a constructor parameter: meaning, unit and bounds (ends included).
+    """What `Annotated` says about a constructor parameter: meaning, unit and bounds (inclusive).
 
     `flag` names it on the command line where its own name is taken, as `render` is by glue-env.
     """
@@ -44,7 +44,7 @@ class Option:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One option of a class: its name, type, default and what `Option` says of it."""
+    """One option of a class: its name, type, default and the `Option` it is annotated with."""
 
     name: str
     type: type
@@ -53,18 +53,18 @@ class Parameter:
 
     @property
     def flag(self) -> str:
-        """What the command line calls it, without the leading dashes."""
+        """Its name on the command line, without the leading dashes."""
         return (self.option.flag or self.name).replace("_", "-")
 
     @property
     def _called(self) -> str:
-        """What messages call it."""
+        """Its name in messages."""
         alias = f" (--{self.flag})" if self.option.flag else ""
         return f"option {self.name}{alias}"
 
     @property
     def shown(self) -> str:
-        """The default as it can be typed."""
+        """The default, as a user would type it."""
         if isinstance(self.default, bool):
             return "on" if self.default else "off"
         return str(self.default)
@@ -107,7 +107,7 @@ def parameters(factory: type) -> dict[str, Parameter]:
     """Return the options of a class, by name, in the order of its constructor.
 
     Raises:
-        ConfigError: a parameter of the constructor has no default, or cannot be given as a text.
+        ConfigError: a parameter of the constructor has no default, or is not a number, text or bool.
     """
     found: dict[str, Parameter] = {}
     hints = _hints(factory)

@@ -1,4 +1,4 @@
-"""A generator's state as bytes, so that what is saved goes on with the same random numbers."""
+"""A generator's state as bytes, so that what is saved continues with the same random numbers."""
 
 from __future__ import annotations
 

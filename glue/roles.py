@@ -1,7 +1,7 @@
 """The interfaces a user implements, with RL-Glue's own names.
 
-Any class with these methods will do; nothing need be inherited. What a class can do beyond them is
-a *capability*: it is offered by simply having the methods (see `CAPABILITIES`).
+Any class with these methods will do; it need not inherit from anything. What a class can do beyond them is
+a *capability*: a class offers it by having its methods (see `CAPABILITIES`).
 Source of names and meaning: RL-Glue 3.0.
 """
 
@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 class Environment(Protocol):
-    """A task. The glue calls init, then start and step for each episode, then cleanup."""
+    """A task. Called are init, then start and step for each episode, then cleanup."""
 
     def env_init(self) -> str:
         """Prepare, and return the task spec (see `glue.taskspec`; any text is legal)."""
@@ -30,27 +30,27 @@ class Environment(Protocol):
         ...
 
     def env_step(self, action: Action) -> tuple[float, Observation, bool]:
-        """Carry out `action`; return the reward, the observation after it, and whether it ended."""
+        """Execute `action`; return the reward, the next observation, and whether the episode has ended."""
         ...
 
     def env_cleanup(self) -> None:
-        """Let go of what init took. An init may follow."""
+        """Release what init acquired. Another init may follow."""
         ...
 
     def env_message(self, message: str) -> str:
-        """Answer a free-form message. May come at any time."""
+        """Answer a free-form message. May be called at any time."""
         ...
 
 
 class Agent(Protocol):
-    """A learner. The glue calls init, then start, step and end for each episode, then cleanup."""
+    """A learner. Called are init, then start, step and end for each episode, then cleanup."""
 
     def agent_init(self, task_spec: str) -> None:
         """Prepare for the task that `task_spec` describes, forgetting any earlier one."""
         ...
 
     def agent_start(self, observation: Observation) -> Action:
-        """Begin an episode; return the first action. An unfinished episode before it was cut off."""
+        """Begin an episode; return the first action. An unfinished episode before it was truncated."""
         ...
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
@@ -58,15 +58,15 @@ class Agent(Protocol):
         ...
 
     def agent_end(self, reward: float) -> None:
-        """Learn from the last reward of an episode that reached its end."""
+        """Learn from the last reward of an episode that has ended in a terminal state."""
         ...
 
     def agent_cleanup(self) -> None:
-        """Let go of what init took. An init may follow."""
+        """Release what init acquired. Another init may follow."""
         ...
 
     def agent_message(self, message: str) -> str:
-        """Answer a free-form message. May come at any time."""
+        """Answer a free-form message. May be called at any time."""
         ...
 
 
@@ -87,7 +87,7 @@ class SeedableAgent(Protocol):
 
 
 class SaveableEnvironment(Protocol):
-    """Capability `save`: what outlives an episode can be written down and brought back."""
+    """Capability `save`: what outlives an episode can be saved and restored."""
 
     def env_save(self) -> bytes:
         """Return everything that later episodes depend on. Called between episodes."""
@@ -103,10 +103,10 @@ class SaveableEnvironment(Protocol):
 
 
 class SaveableAgent(Protocol):
-    """Capability `save`: what was learned can be written down and brought back."""
+    """Capability `save`: what was learned can be saved and restored."""
 
     def agent_save(self) -> bytes:
-        """Return everything later episodes depend on: values, generator, counters. No pickle."""
+        """Return everything that later episodes depend on: values, generator, counters. Not a pickle."""
         ...
 
     def agent_load(self, data: bytes) -> None:
@@ -127,7 +127,7 @@ CAPABILITIES: Final[Mapping[str, tuple[type, type]]] = {
 def offers(player: object, capability: Callable[..., T]) -> TypeGuard[T]:
     """Return whether a player has all methods of a capability's protocol.
 
-    `isinstance` looks at the class, and would not see what a wrapper passes on.
+    `isinstance` looks at the class, and would not see the methods that a wrapper delegates.
     """
     methods = [name for name in vars(capability) if not name.startswith("_")]
     return all(callable(getattr(player, name, None)) for name in methods)

@@ -1,14 +1,14 @@
 """Observation and Action: RL-Glue's abstract type.
 
-Both are three runs of numbers: ints (int32), doubles (float64), chars (bytes). A value is kept
-as the very bytes that cross the wire, its *body*, so that sending and comparing cost nothing and
-the NumPy arrays are views that nobody can write to.
+Both are three sequences of numbers: ints (int32), doubles (float64), chars (bytes). A value is kept
+as the bytes that cross the wire, its *body*, so that sending and comparing cost nothing and the NumPy
+arrays are read-only views.
 
     offset  0        uint32   number of ints I
     offset  4        uint32   number of doubles D
     offset  8        uint32   number of chars C
     offset 12        uint32   zero
-    offset 16        D float64, then I int32, then C bytes; nothing in between
+    offset 16        D float64, then I int32, then C bytes, without gaps
 
 Everything is little-endian. Doubles come first so that they are aligned.
 Source of the type: RL-Glue 3.0, rl_abstract_type_t.
@@ -40,16 +40,16 @@ _INT32_MAX: Final = 2**31 - 1
 
 
 class AbstractType:
-    """Three runs of numbers; immutable, compared bit for bit, hashable.
+    """Three sequences of numbers; immutable, hashable, compared bit by bit.
 
     Args:
-        ints: whole numbers in the range of int32, ends included.
-        doubles: real numbers; infinities and NaN are allowed and keep their bits.
+        ints: whole numbers from -2**31 to 2**31 - 1.
+        doubles: numbers; infinities and NaN are allowed and keep their bits.
         chars: bytes.
 
     Raises:
-        LocalProtocolError: an int is not whole or does not fit 32 bits, a double is not a number that
-            fits 64 bits, or one of the three is not a row of such.
+        LocalProtocolError: an int is not a whole number of 32 bits, a double is not a number of 64 bits, or
+            one of the three is not a one-dimensional sequence of such.
 
     Two values are equal when their bytes are: 0.0 differs from -0.0, and a NaN equals itself.
     """
@@ -78,7 +78,7 @@ class AbstractType:
 
     @classmethod
     def from_body(cls, body: bytes) -> Self:
-        """Return the value whose wire form is `body`, without copying it.
+        """Return the value with the wire form `body`, without copying it.
 
         Raises:
             RemoteProtocolError: the counts do not add up to the length of `body`.
@@ -86,7 +86,7 @@ class AbstractType:
         size = body_size(body)
         if size != len(body):
             raise RemoteProtocolError(
-                f"an abstract type of {size} bytes by its counts came in a body of {len(body)} bytes"
+                f"the counts of an abstract type add up to {size} bytes; its body has {len(body)}"
             )
         return cls._wrap(body)
 
@@ -155,30 +155,30 @@ class AbstractType:
 
 
 class Observation(AbstractType):
-    """What an environment shows: see `AbstractType`."""
+    """What an environment shows; see `AbstractType`."""
 
     __slots__ = ()
 
 
 class Action(AbstractType):
-    """What an agent does: see `AbstractType`."""
+    """What an agent does; see `AbstractType`."""
 
     __slots__ = ()
 
 
 def body_size(buffer: bytes | bytearray, offset: int = 0) -> int:
-    """Return how many bytes the abstract type that starts at `offset` takes, by its own counts.
+    """Return the size in bytes of the abstract type that starts at `offset`, according to its counts.
 
     Raises:
         RemoteProtocolError: fewer than 16 bytes are left, or the reserved word is not zero.
     """
     if len(buffer) - offset < PREFIX_SIZE:
         raise RemoteProtocolError(
-            f"an abstract type starts with {PREFIX_SIZE} bytes of counts; {len(buffer) - offset} came"
+            f"an abstract type starts with {PREFIX_SIZE} bytes of counts; {len(buffer) - offset} are left"
         )
     ints, doubles, chars, reserved = _PREFIX.unpack_from(buffer, offset)
     if reserved:
-        raise RemoteProtocolError(f"bytes 12 to 15 of an abstract type must be zero; {reserved:#x} came")
+        raise RemoteProtocolError(f"bytes 12 to 15 of an abstract type must be zero, not {reserved:#x}")
     return int(PREFIX_SIZE + 8 * doubles + 4 * ints + chars)
 
 
@@ -207,7 +207,7 @@ def _int_array(values: npt.NDArray[np.integer]) -> IntArray:
     if values.dtype == _INT32:
         return values.astype(_INT32, copy=False)
     if values.dtype.kind not in "iub":
-        raise LocalProtocolError(f"ints must be whole numbers; an array of {values.dtype} came")
+        raise LocalProtocolError(f"ints must be whole numbers, not an array of {values.dtype}")
     if values.size and (int(values.min()) < _INT32_MIN or int(values.max()) > _INT32_MAX):
         raise LocalProtocolError(
             f"ints must be from {_INT32_MIN} to {_INT32_MAX}; the array spans "
@@ -219,7 +219,7 @@ def _int_array(values: npt.NDArray[np.integer]) -> IntArray:
 def _pack_doubles(values: Sequence[float] | npt.NDArray[np.floating]) -> bytes:
     if isinstance(values, np.ndarray):
         if values.dtype.kind not in "fiub":
-            raise LocalProtocolError(f"doubles must be numbers; an array of {values.dtype} came")
+            raise LocalProtocolError(f"doubles must be numbers, not an array of {values.dtype}")
         return _one_row("doubles", values.astype(_FLOAT64, copy=False))
     try:
         return _run_of("d", len(values)).pack(*values)
@@ -238,9 +238,9 @@ def _fits_double(value: object) -> bool:
 
 def _one_row(name: str, values: IntArray | DoubleArray) -> bytes:
     if values.ndim != 1:
-        raise LocalProtocolError(f"{name} must be one row; an array of shape {values.shape} came")
+        raise LocalProtocolError(f"{name} must have one dimension, not the shape {values.shape}")
     return values.tobytes()
 
 
 def _not_rows(ints: object, doubles: object) -> str:
-    return f"ints and doubles must be rows of numbers, not {ints!r:.80} and {doubles!r:.80}"
+    return f"ints and doubles must be sequences of numbers, not {ints!r:.80} and {doubles!r:.80}"

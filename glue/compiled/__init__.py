@@ -1,1 +1,1 @@
-"""What simulator and agents share of compiled code: numba, records of memory, Java's generator."""
+"""What the simulator and the agents share: compilation by numba, records in memory, Java's generator."""

@@ -73,7 +73,7 @@ class _Announcement(event.Listener):
 class _Cache(FunctionCache):
     """numba's cache on disk, invalidated by a change of any module of the entry's package.
 
-    numba by itself checks only the file that defines the entry, and would go on using machine code of an
+    numba alone checks only the file that defines the entry, and would go on using machine code of an
     older version of a function that the entry calls.
     """
 

@@ -1,4 +1,4 @@
-"""An agent that begins every run with what another run taught it."""
+"""An agent that begins every run with what it learned in another."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from glue.roles import SaveableAgent, offers
 __all__ = ["Trained", "load_trained"]
 
 _MAX_SIZE: Final = 2**30
-"""Bytes of the greatest file that is read."""
+"""Bytes of the largest file that is read."""
 
 
 class Trained:
-    """`agent`, with `learned` loaded after every init; in all else it is the same.
+    """`agent`, with `learned` loaded after every init; otherwise unchanged.
 
     Args:
         agent: offers the capability `save`.

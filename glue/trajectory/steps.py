@@ -15,7 +15,7 @@ _REWARD: Final = struct.Struct("<d")
 
 
 class Step(NamedTuple):
-    """An action, and what came of it."""
+    """An action and its outcome."""
 
     action: Action
     reward: float

@@ -186,15 +186,15 @@ def test_observation_is_no_action() -> None:
         ([1.0], "number 0 is 1.0"),
         ([0, None], "number 1 is None"),
         ("ab", "number 0 is 'a'"),
-        (3, "must be rows of numbers, not 3"),
-        (np.array(3), r"must be rows of numbers, not array\(3\)"),
+        (3, "must be sequences of numbers, not 3"),
+        (np.array(3), r"must be sequences of numbers, not array\(3\)"),
         (np.array([2**31]), "the array spans 2147483648 to 2147483648"),
         (np.array([2**63], np.uint64), "the array spans 9223372036854775808"),
-        (np.array([1.0]), "an array of float64 came"),
-        (np.array(["a"]), "an array of <U1 came"),
-        (np.array([1], object), "an array of object came"),
-        (np.zeros((2, 3), np.int32), r"one row; an array of shape \(2, 3\) came"),
-        (np.zeros((2, 3), np.int64), r"one row; an array of shape \(2, 3\) came"),
+        (np.array([1.0]), "an array of float64"),
+        (np.array(["a"]), "an array of <U1"),
+        (np.array([1], object), "an array of object"),
+        (np.zeros((2, 3), np.int32), r"one dimension, not the shape \(2, 3\)"),
+        (np.zeros((2, 3), np.int64), r"one dimension, not the shape \(2, 3\)"),
     ],
 )
 def test_wrong_ints_are_a_local_error(ints: Any, error: str) -> None:
@@ -209,10 +209,10 @@ def test_wrong_ints_are_a_local_error(ints: Any, error: str) -> None:
         ([None], "number 0 is None"),
         ([1j], "number 0 is 1j"),
         ([1, 10**400], "of 64 bits; number 1 is 1000"),
-        (0.5, r"must be rows of numbers, not \(\) and 0.5"),
-        (np.array([1j]), "an array of complex128 came"),
-        (np.array([1.0], object), "an array of object came"),
-        (np.zeros((2, 3)), r"one row; an array of shape \(2, 3\) came"),
+        (0.5, r"must be sequences of numbers, not \(\) and 0.5"),
+        (np.array([1j]), "an array of complex128"),
+        (np.array([1.0], object), "an array of object"),
+        (np.zeros((2, 3)), r"one dimension, not the shape \(2, 3\)"),
     ],
 )
 def test_wrong_doubles_are_a_local_error(doubles: Any, error: str) -> None:
@@ -262,11 +262,11 @@ def test_body_cut_or_lengthened_is_a_remote_error(value: AbstractType, data: st.
 @pytest.mark.parametrize(
     ("body", "error"),
     [
-        (b"", "starts with 16 bytes of counts; 0 came"),
-        (bytes(15), "starts with 16 bytes of counts; 15 came"),
-        (struct.pack("<4I", 0, 0, 0, 7), "bytes 12 to 15 .* must be zero; 0x7 came"),
-        (struct.pack("<4I", 1, 0, 0, 0), "of 20 bytes by its counts came in a body of 16 bytes"),
-        (struct.pack("<4I", 0, 0, 0, 0) + b"x", "of 16 bytes by its counts came in a body of 17 bytes"),
+        (b"", "starts with 16 bytes of counts; 0 are"),
+        (bytes(15), "starts with 16 bytes of counts; 15 are"),
+        (struct.pack("<4I", 0, 0, 0, 7), "bytes 12 to 15 .* must be zero, not 0x7"),
+        (struct.pack("<4I", 1, 0, 0, 0), "20 bytes; its body has 16"),
+        (struct.pack("<4I", 0, 0, 0, 0) + b"x", "16 bytes; its body has 17"),
     ],
 )
 def test_error_of_a_wrong_body_says_what_came(body: bytes, error: str) -> None:

@@ -246,8 +246,8 @@ def counts(ints: int, doubles: int, chars: int, reserved: int = 0) -> bytes:
 @pytest.mark.parametrize(
     ("body", "complaint"),
     [
-        (b"", "starts with 16 bytes of counts; 0 came"),
-        (counts(0, 0, 0)[:15], "starts with 16 bytes of counts; 15 came"),
+        (b"", "starts with 16 bytes of counts; 0 are"),
+        (counts(0, 0, 0)[:15], "starts with 16 bytes of counts; 15 are"),
         (counts(1, 0, 0), "say 20 bytes; it has 16"),
         (counts(0, 1, 0) + bytes(7), "say 24 bytes; it has 23"),
         (counts(0, 0, 1) + bytes(2), "say 17 bytes; it has 18"),
