@@ -18,7 +18,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from glue import trajectory
 from glue.errors import LocalProtocolError
 from glue.trajectory import (
     MAGIC,
@@ -29,6 +28,7 @@ from glue.trajectory import (
     TrajectoryError,
     TrajectoryReader,
     TrajectoryWriter,
+    limits,
 )
 from glue.types import Action, Observation
 
@@ -305,10 +305,10 @@ def test_message_that_is_not_unicode_is_refused(tmp_path: Path) -> None:
 
 
 def test_limits_hold_while_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trajectory, "MAX_STEPS", 2)
-    monkeypatch.setattr(trajectory, "MAX_BODY", 100)
-    monkeypatch.setattr(trajectory, "MAX_TEXT", 300)
-    monkeypatch.setattr(trajectory, "MAX_EPISODE", 300)
+    monkeypatch.setattr(limits, "MAX_STEPS", 2)
+    monkeypatch.setattr(limits, "MAX_BODY", 100)
+    monkeypatch.setattr(limits, "MAX_TEXT", 300)
+    monkeypatch.setattr(limits, "MAX_EPISODE", 300)
     with TrajectoryWriter(tmp_path / "a") as recording:
         recording.run(RUN)
         with pytest.raises(LocalProtocolError, match="100 are allowed"):
@@ -415,14 +415,14 @@ def test_damaged_file_raises_nothing_else(
 
 
 def test_declared_sizes_and_bombs_take_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trajectory, "MAX_EPISODE", 2**20)
+    monkeypatch.setattr(limits, "MAX_EPISODE", 2**20)
     pack = zlib.compressobj(wbits=31)
     step = b"S" + b"\0" * 8 + EMPTY * 2
     packed = pack.compress(MAGIC + run_record() + b"O" + EMPTY)
     for _ in range(64):
         packed += pack.compress(step * 2**14)
     (tmp_path / "bomb").write_bytes(packed + pack.flush())
-    claim = run_record() + b"O" + struct.pack("<4I", 0, 0, trajectory.MAX_BODY - 16, 0)
+    claim = run_record() + b"O" + struct.pack("<4I", 0, 0, limits.MAX_BODY - 16, 0)
     write_stream(tmp_path / "claim", claim, b"only this")
     write_stream(tmp_path / "messages", run_record(), text_record(b"M", "x" * 2**18) * 5)
     tracemalloc.start()

@@ -1,0 +1,138 @@
+"""Read recordings, episode by episode, without trusting them."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from glue.trajectory import limits
+from glue.trajectory.records import (
+    ENDINGS,
+    MAGIC,
+    MESSAGE,
+    REWARD,
+    RUN,
+    START,
+    STEP,
+    TERMINAL_STEP,
+    Episode,
+    Run,
+    is_plain,
+)
+from glue.trajectory.steps import Steps
+from glue.trajectory.unpacked import Torn, TrajectoryError, Unpacked
+from glue.types import Observation
+
+__all__ = ["TrajectoryReader"]
+
+# The closing quote may be missing: a text that never ends is looked at once, not once per quote inside it.
+_TEXT_IN_JSON: Final = re.compile(r'"(?:[^"\\]|\\.)*+"?', re.DOTALL)
+
+
+class TrajectoryReader:
+    """The episodes of a file, one after the other; iterate over it.
+
+    Nothing is trusted: sizes are checked against `glue.trajectory.limits` before memory is taken for them, and
+    at most one episode is held at a time. Each iteration reads the file anew.
+
+    Attributes:
+        torn: whether the file ends in the middle, as a writer that was killed leaves it; known once
+            the last episode was read. The episode it was in is left out.
+
+    Raises, while iterating:
+        TrajectoryError: the file cannot be read or is malformed; the message has the place.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self.torn = False
+
+    def __iter__(self) -> Iterator[Episode]:
+        self.torn = False
+        try:
+            with open(self.path, "rb") as file:
+                unpacked = Unpacked(file, str(self.path))
+                while unpacked.next_member(MAGIC):
+                    yield from _episodes(unpacked)
+        except Torn:
+            self.torn = True
+        except OSError as error:
+            raise TrajectoryError(f"cannot read {self.path}: {error.strerror}") from None
+
+
+def _episodes(unpacked: Unpacked) -> Iterator[Episode]:
+    """Yield the episodes of one gzip member."""
+    run: Run | None = None
+    messages: list[str] = []
+    while not unpacked.at_end():
+        if not messages:
+            begin = unpacked.offset
+        kind = unpacked.take(1)
+        if kind == RUN:
+            run = _run_from_json(unpacked)
+            messages.clear()
+        elif kind == MESSAGE and run is not None:
+            messages.append(unpacked.text(limits.MAX_TEXT))
+            _check_size(unpacked, begin, len(messages))
+        elif kind == START and run is not None:
+            yield _episode(unpacked, run, tuple(messages), begin)
+            messages.clear()
+        else:
+            raise unpacked.malformed(f"a record {kind!r} where none of that kind can stand")
+
+
+def _episode(unpacked: Unpacked, run: Run, messages: tuple[str, ...], begin: int) -> Episode:
+    """Read an episode from its first observation on; `begin` is where it or its first message begins."""
+    start = Observation.from_body(unpacked.body(limits.MAX_BODY))
+    steps = Steps()
+    while (kind := unpacked.take(1)) in (STEP, TERMINAL_STEP):
+        reward = unpacked.take(REWARD.size)
+        action, observation = unpacked.body(limits.MAX_BODY), unpacked.body(limits.MAX_BODY)
+        steps.append(reward, action, observation, kind == TERMINAL_STEP)
+        _check_size(unpacked, begin, len(steps))
+        if kind == TERMINAL_STEP:
+            break
+    if kind not in ENDINGS:
+        raise unpacked.malformed(f"a record {kind!r} inside an episode")
+    return Episode(run, messages, start, steps, ENDINGS[kind])
+
+
+def _check_size(unpacked: Unpacked, begin: int, count: int) -> None:
+    if count > limits.MAX_STEPS or unpacked.offset - begin > limits.MAX_EPISODE:
+        raise unpacked.malformed(
+            f"an episode of more than {limits.MAX_STEPS} steps or messages, or of more than "
+            f"{limits.MAX_EPISODE} bytes"
+        )
+
+
+def _run_from_json(unpacked: Unpacked) -> Run:
+    text = unpacked.text(limits.MAX_TEXT)
+    # 16 MiB of "[]," would become half a gigabyte of lists; a run has few values, some of them long texts.
+    if len(_TEXT_IN_JSON.sub("", text)) > limits.MAX_RUN_SYNTAX:
+        raise unpacked.malformed(
+            f"a run whose JSON has more than {limits.MAX_RUN_SYNTAX} characters beside its texts"
+        )
+    try:
+        fields: Any = json.loads(text)
+        run = Run(
+            environment=fields["environment"],
+            options=fields["options"],
+            task_spec=fields["task_spec"],
+            seed=fields["seed"],
+            state=bytes.fromhex(fields["state"]),
+        )
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise unpacked.malformed(f"a run that is not the JSON it should be ({error!r})") from None
+    if not (
+        isinstance(run.environment, str)
+        and isinstance(run.options, dict)
+        and all(map(is_plain, run.options.values()))
+        and isinstance(run.task_spec, str)
+        and (run.seed is None or (type(run.seed) is int and 0 <= run.seed < 2**63))
+    ):
+        raise unpacked.malformed("a run with a field of the wrong type")
+    return run
