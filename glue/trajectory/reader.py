@@ -36,8 +36,8 @@ _TEXT_IN_JSON: Final = re.compile(r'"(?:[^"\\]|\\.)*+"?', re.DOTALL)
 class TrajectoryReader:
     """The episodes of a file, one after the other; iterate over it.
 
-    Nothing is trusted: sizes are checked against `glue.trajectory.limits` before memory is taken for them, and
-    at most one episode is held at a time. Each iteration reads the file anew.
+    Nothing is trusted: sizes are checked against `glue.trajectory.limits` before memory is taken for them,
+    and at most one episode is held at a time. Each iteration reads the file anew.
 
     Attributes:
         torn: whether the file ends in the middle, as a writer that was killed leaves it; known once
