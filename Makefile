@@ -3,6 +3,7 @@
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
+DEMO   := runs/demo
 READY  := $(VENV)/.ready
 
 # Each of two processes begins with one half of the tests, in order, and takes over from the other at the end.
@@ -11,7 +12,7 @@ PARALLEL := --numprocesses=2 --dist=worksteal
 .PHONY: help demo test check coverage picture bench clean
 
 help:
-	@echo "make demo   set up, then run environment, agent and experiment as three processes"
+	@echo "make demo   set up, then let an agent learn Infinite Mario, as three processes"
 	@echo "make test   set up, then run every check (ruff, mypy, pytest)"
 	@echo "make check  ruff and mypy alone"
 	@echo "make coverage  which lines and branches the tests reach, in every process that they start"
@@ -24,7 +25,12 @@ $(READY): pyproject.toml
 	@touch $(READY)
 
 demo: $(READY)
-	$(BIN)/glue-experiment --env mines --agent sarsa --episodes 2000 --seed 1
+	@rm -rf $(DEMO)
+	$(BIN)/glue-experiment --env mario --agent hierarchical --episodes 500 --seed 1 --out $(DEMO)
+	$(BIN)/glue-plot $(DEMO)
+	$(BIN)/glue-plot $(DEMO) --out $(DEMO)/curve.png
+	@echo 'Watch the agent play, after 500 episodes of learning:'
+	@echo '    $(BIN)/glue-watch --env mario --agent hierarchical --after 500'
 
 check: $(READY)
 	$(BIN)/ruff check .

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections import defaultdict
 from contextlib import ExitStack
 from pathlib import Path
@@ -18,7 +19,10 @@ __all__ = ["main", "plot"]
 @click.command("glue-plot")
 @click.argument("directories", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
-    "--out", "-o", required=True, type=click.Path(path_type=Path), help="File to write, .png or .svg."
+    "--out",
+    "-o",
+    type=click.Path(path_type=Path),
+    help="File to write, .png or .svg; without it, the curves are sketched in the terminal.",
 )
 @click.option(
     "--kind",
@@ -36,19 +40,23 @@ __all__ = ["main", "plot"]
     help="Episodes in the running mean, or last episodes that count as final performance.",
 )
 @click.version_option(__version__, prog_name="glue-plot")
-def plot(directories: tuple[Path, ...], out: Path, kind: str, window: int) -> None:
+def plot(directories: tuple[Path, ...], out: Path | None, kind: str, window: int) -> None:
     """Plot the results of each RUN, a directory that glue-experiment created, also while it runs.
 
     \b
     Examples:
+      glue-plot runs/mine
       glue-plot runs/mine -o curves.png
       glue-plot runs/mine runs/other --kind comparison -o comparison.svg
     """
     from experiment_runner.analysis.settings import collect
     from experiment_runner.analysis.stats import bootstrap_rng
     from experiment_runner.report.plots import comparison, learning_curves, save, scatter
+    from experiment_runner.report.sketch import sketches
     from experiment_runner.store.results import Results
 
+    if out is None and kind != "curves":
+        raise click.UsageError(f"--kind {kind} needs a file: --out {kind}.png")
     with ExitStack() as stack:
         found = collect([stack.enter_context(Results.open(directory)) for directory in directories])
     settings = [setting for setting in found if setting.curves().size]
@@ -60,10 +68,14 @@ def plot(directories: tuple[Path, ...], out: Path, kind: str, window: int) -> No
         figure = comparison(agents, rng, window=window)
     else:
         curves = {setting.label: setting.curves() for setting in settings}
+        if out is None:
+            click.echo(sketches(curves, window, shutil.get_terminal_size().columns))
+            return
         if kind == "curves":
             figure = learning_curves(curves, rng, window=window)
         else:
             figure = scatter(curves, window=window)
+    assert out is not None
     save(figure, out)
     say(f"wrote {out}")
 

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["comparison", "learning_curves", "save", "scatter"]
+__all__ = ["comparison", "fitting_window", "learning_curves", "save", "scatter"]
 
 _COLORS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _DASHES: Final = ("-", "--", ":", "-.")
@@ -77,7 +77,7 @@ def learning_curves(
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
     """
-    window = _fitting(window, curves)
+    window = fitting_window(window, curves)
     with _style():
         figure, (axes,) = _panels(1, 1, _HEIGHT)
         for number, (name, returns) in enumerate(curves.items()):
@@ -115,7 +115,7 @@ def scatter(
 
     Source of the design: Mohan (2010), figures 2 to 13.
     """
-    window = _fitting(window, curves)
+    window = fitting_window(window, curves)
     columns = 1 if len(curves) == 1 else 2
     rows = math.ceil(len(curves) / columns)
     with _style():
@@ -245,7 +245,12 @@ def _legend_below(figure: Figure, axes: Axes) -> None:
     figure.legend(handles, names, loc="outside lower center", ncols=columns, fontsize="small")
 
 
-def _fitting(window: int, curves: Mapping[str, FloatArray]) -> int:
+def fitting_window(window: int, curves: Mapping[str, FloatArray]) -> int:
+    """Return the window that is used for curves: a tenth of the longest if that is less.
+
+    Raises:
+        ExperimentError: there is nothing to plot yet.
+    """
     longest = max((returns.shape[1] for returns in curves.values()), default=0)
     if not longest:
         raise ExperimentError(_NOTHING)

@@ -1,38 +1,58 @@
-"""A learning curve as text, for a look in the terminal."""
+"""Learning curves as text, for a look in the terminal."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-__all__ = ["sketch"]
+from experiment_runner.analysis.stats import FloatArray, running_mean
+from experiment_runner.report.plots import fitting_window
+from experiment_runner.report.tables import counted
+
+__all__ = ["sketches"]
 
 _BLOCKS: Final = " ▁▂▃▄▅▆▇█"
-_HEIGHT: Final = 8  # lines
+_HEIGHT: Final = 8  # lines of a curve
+_MIN_COLUMNS: Final = 10
 
 
-def sketch(name: str, means: npt.NDArray[np.float64], width: int) -> str:
-    """Return a curve drawn with blocks, its range and its length beside it.
+def sketches(curves: Mapping[str, FloatArray], window: int, width: int) -> str:
+    """Return the running means over trials, one curve below the other, the range of each beside it.
 
     Args:
-        name: stands above it.
-        means: (episodes,), at least one, for example a running mean of returns.
-        width: columns of the whole, at least 20.
+        curves: (trials, episodes) by name; a curve that is shorter than the window is left out.
+        window: episodes in the running mean; a tenth of the longest curve if that is less.
+        width: columns of the terminal.
+
+    Raises:
+        ExperimentError: there is nothing to show yet.
     """
+    window = fitting_window(window, curves)
+    shown = []
+    for name, returns in curves.items():
+        means = running_mean(returns, window).mean(axis=0)
+        if means.size:
+            title = f"{name}: return, running mean of {counted(window, 'episode')}"
+            shown.append(_sketch(title, means, returns.shape[1], width))
+    return "\n\n".join(shown)
+
+
+def _sketch(title: str, means: FloatArray, episodes: int, width: int) -> str:
     low, high = float(means.min()), float(means.max())
     labels = [f"{high:.1f}", *[""] * (_HEIGHT - 2), f"{low:.1f}"]
     margin = max(map(len, labels))
-    columns = [float(part.mean()) for part in np.array_split(means, min(width - margin - 2, len(means)))]
-    eighths = [
-        max(1, round((value - low) / (high - low) * 8 * _HEIGHT)) if high > low else 4 * _HEIGHT
-        for value in columns
-    ]
-    lines = [
-        f"{label:>{margin}} |"
-        + "".join(_BLOCKS[min(max(filled - 8 * (_HEIGHT - 1 - row), 0), 8)] for filled in eighths).rstrip()
-        for row, label in enumerate(labels)
-    ]
-    axis = f"{'':>{margin}} +{'-' * len(columns)}"
-    return "\n".join([name, *lines, axis])
+    number = min(max(width - margin - 2, _MIN_COLUMNS), means.size)
+    columns = [float(part.mean()) for part in np.array_split(means, number)]
+    steps = len(_BLOCKS) - 1
+    span = high - low or 1.0
+    filled = [max(1, round((value - low) / span * steps * _HEIGHT)) for value in columns]
+    lines = [title]
+    for row, label in enumerate(labels):
+        below = steps * (_HEIGHT - 1 - row)
+        blocks = "".join(_BLOCKS[min(max(level - below, 0), steps)] for level in filled)
+        lines.append(f"{label:>{margin}} |{blocks.rstrip()}")
+    end = f"episode {episodes}"
+    lines.append(f"{'':>{margin}} +{'-' * max(number - len(end), 0)}{end}")
+    return "\n".join(lines)

@@ -1,0 +1,34 @@
+"""Learning curves in the terminal."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from experiment_runner.report.sketch import sketches
+from glue.errors import ExperimentError
+
+
+def test_a_curve_rises_from_its_lowest_to_its_highest_mean() -> None:
+    returns = np.repeat(np.arange(40.0), 10)[np.newaxis]
+    title, *rows, axis = sketches({"mine": returns}, 1, 46).splitlines()
+    assert title == "mine: return, running mean of 1 episode"
+    assert rows[0].startswith("39.0 |")
+    assert rows[-1].startswith(" 0.0 |▁")
+    heights = [sum(row[column : column + 1] not in ("", " ") for row in rows) for column in range(6, 46)]
+    assert heights == sorted(heights)
+    assert (heights[0], heights[-1]) == (1, len(rows))
+    assert axis.endswith("episode 400")
+
+
+def test_no_line_is_wider_than_the_terminal_and_trials_are_averaged() -> None:
+    returns = np.array([[0.0] * 500, [2.0] * 500])
+    shown = sketches({"two": returns, "short": returns[:, :3]}, 100, 60).splitlines()
+    assert max(map(len, shown)) <= 60
+    assert shown[1].startswith("1.0 |")
+    assert not any("short" in line for line in shown)
+
+
+def test_nothing_to_show_is_an_error() -> None:
+    with pytest.raises(ExperimentError, match="nothing"):
+        sketches({}, 100, 80)
