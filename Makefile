@@ -9,7 +9,10 @@ READY  := $(VENV)/.ready
 # Each of two processes begins with one half of the tests, in order, and takes over from the other at the end.
 PARALLEL := --numprocesses=2 --dist=worksteal
 
-.PHONY: help demo test check coverage picture bench clean
+# The tests start hundreds of processes: each finds its modules compiled, whatever the shell says.
+unexport PYTHONDONTWRITEBYTECODE
+
+.PHONY: help demo test check compile coverage picture bench clean
 
 help:
 	@echo "make demo   set up, then let an agent learn Infinite Mario, as three processes"
@@ -37,10 +40,15 @@ check: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-test: check
+# Simulator and agents, once; else both processes of the tests would compile them at the same time.
+compile: $(READY)
+	$(BIN)/python -m tests.compile
+
+test:
+	$(MAKE) --jobs=2 check compile
 	$(BIN)/python -m pytest $(PARALLEL)
 
-coverage: $(READY)
+coverage: compile
 	$(BIN)/coverage erase
 	$(BIN)/coverage run -m pytest $(PARALLEL)
 	$(BIN)/coverage combine --quiet

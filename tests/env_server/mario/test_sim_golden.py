@@ -39,7 +39,6 @@ def test_uncompiled_rules_reproduce_every_tick(
         env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
         capture_output=True,
         text=True,
-        timeout=250,
         check=False,
     )
     assert run.returncode == 0, run.stderr

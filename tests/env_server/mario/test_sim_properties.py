@@ -19,6 +19,8 @@ from glue.types import Observation
 Step = tuple[float, Observation, bool]
 Actions = list[list[int]]
 
+RANDOM_STEPS = 250_000
+
 _SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -94,15 +96,12 @@ def test_restored_end_is_still_an_end(random_play: ModuleType) -> None:
 
 
 @pytest.mark.slow
-def test_a_million_random_steps_stay_in_bounds(
-    random_play: ModuleType, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_random_steps_stay_in_bounds(random_play: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
     run = subprocess.run(
-        [sys.executable, "-W", "error", random_play.__file__ or "", "1000000"],
+        [sys.executable, "-W", "error", random_play.__file__ or "", str(RANDOM_STEPS)],
         env={**os.environ, "NUMBA_BOUNDSCHECK": "1"},
         capture_output=True,
         text=True,
-        timeout=250,
         check=False,
     )
     assert run.returncode == 0, run.stderr
@@ -110,4 +109,4 @@ def test_a_million_random_steps_stay_in_bounds(
     with capsys.disabled():
         print(f"\nrandom play: {met}")
     assert met["bounds checked"]
-    assert met["steps"] >= 10**6
+    assert met["steps"] >= RANDOM_STEPS
