@@ -13,7 +13,9 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from benchmarks.measure import REPEATS, Table, count
+from experiment_runner import player_command
 from experiment_runner.store.results import Results
+from glue.protocol.messages import Role
 
 __all__ = ["run"]
 
@@ -22,10 +24,11 @@ _RUNS: Final = (("random", 300, REPEATS), ("random", 5000, 1), ("hierarchical", 
 
 _COMMAND: Final = ("-m", "experiment_runner.commands.experiment", "--env", "mario", "--json")
 _PROGRAMS: Final = {
-    "experiment and hub": "experiment_runner.commands.experiment",
-    "environment": "env_server.command",
-    "agent": "agents.command",
+    "experiment and hub": ("experiment_runner.commands.experiment",),
+    "environment": (player_command.MODULE, str(Role.ENVIRONMENT)),
+    "agent": (player_command.MODULE, str(Role.AGENT)),
 }
+"""Words on the command line of each process."""
 _SAMPLE_SECONDS: Final = 0.05
 _PAGE: Final = os.sysconf("SC_PAGESIZE")
 
@@ -120,8 +123,8 @@ def _wall_time(directory: Path) -> float:
         return sum(episode.wall_time for episode in results.episodes(trial.spec.id))
 
 
-def _find(experiment: int, program: str) -> int:
-    """Return which of the experiment and its children runs a program."""
+def _find(experiment: int, program: tuple[str, ...]) -> int:
+    """Return which of the experiment and its children has these words on its command line."""
     for entry in Path("/proc").glob("[0-9]*"):
         try:
             parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
@@ -129,9 +132,9 @@ def _find(experiment: int, program: str) -> int:
         except OSError:
             continue
         pid = int(entry.name)
-        if experiment in (pid, parent) and program in arguments:
+        if experiment in (pid, parent) and set(program) <= set(arguments):
             return pid
-    raise RuntimeError(f"no process runs {program}")
+    raise RuntimeError(f"no process runs {' '.join(program)}")
 
 
 def _resident(pid: int) -> int:

@@ -20,9 +20,9 @@ __all__ = ["environment", "main"]
 def _rendered(player: Environment, _: bool) -> Environment:
     """Return `player`, drawn in this terminal until the command ends, however it ends."""
     from env_server.render.live import Rendered
-    from env_server.render.text import TerminalScreen
+    from glue.players.screen import TerminalScreen, renderer
 
-    screen = TerminalScreen(sys.stdout)
+    screen = TerminalScreen(sys.stdout, renderer(player))
     click.get_current_context().call_on_close(screen.close)
     return Rendered(player, screen)
 

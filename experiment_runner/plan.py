@@ -24,6 +24,7 @@ from glue.suggestions import did_you_mean
 
 __all__ = [
     "COUNTS",
+    "REMOTE",
     "ROLES",
     "Plan",
     "RoleSpec",
@@ -45,6 +46,9 @@ COUNTS: Final = {  # of a plan, and the values they may have
     "seed": range(2**63),
 }
 ROLES: Final = ("environments", "agents")
+REMOTE: Final = "remote"
+"""Stands in a trial's id for a player that joins from outside."""
+
 _LABEL: Final = re.compile(r"[A-Za-z0-9_.+-]+")
 
 
@@ -270,7 +274,7 @@ def _describe_roles(sweeps: Sequence[RoleSweep]) -> str:
 
 def _expand_role(sweeps: Sequence[RoleSweep]) -> list[tuple[str, RoleSpec | None]]:
     if not sweeps:
-        return [("remote", None)]
+        return [(REMOTE, None)]
     return [(part, spec) for sweep in sweeps for part, spec in sweep.expand()]
 
 

@@ -30,13 +30,12 @@ from glue.hub.listener import OpenAddress, open_address
 from glue.hub.server import Hub
 from glue.legacy.gateway import Gateway, open_legacy_port
 from glue.options import build
-from glue.players.loading import find
+from glue.players.loading import example, find
 from glue.protocol.messages import Event, Role
 
 __all__ = ["HubOptions", "Meeting", "Note", "listening", "open_experiment"]
 
-_COMMANDS: Final = {Role.AGENT: "glue-agent hierarchical", Role.ENVIRONMENT: "glue-env mario"}
-"""What a person may type in another terminal, as the README shows it."""
+_COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
 
 Note = Callable[[str, str], None]
 """Takes note of an event, and shows it: its kind, which is one word, and a line for people."""
@@ -223,6 +222,6 @@ def _missing(
         else:
             where = "" if hub == DEFAULT_HUB else f" --hub {hub}"
             where += "" if session == DEFAULT_SESSION else f" --session {session}"
-            line = f"waiting for an {role}; in another terminal: {_COMMANDS[role]}{where}"
+            line = f"waiting for an {role}; in another terminal: {_COMMANDS[role]} {example(role)}{where}"
             lines.append(f"{line}; or an original one on {' or '.join(legacy)}" if legacy else line)
     return "\n".join(lines)

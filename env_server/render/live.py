@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from env_server.render.text import TerminalScreen
+from glue.players.screen import TerminalScreen
 from glue.roles import Environment
 from glue.types import Action, Observation
 

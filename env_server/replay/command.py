@@ -175,9 +175,10 @@ def _builder(name: str | None, assignments: tuple[str, ...]) -> Callable[[Record
 
 
 def _show(moments: Iterable[Moment], speed: float) -> None:
-    from env_server.render.text import TerminalScreen
+    from env_server.render.text import draw_text
+    from glue.players.screen import TerminalScreen
 
-    with TerminalScreen(sys.stdout) as screen:
+    with TerminalScreen(sys.stdout, draw_text) as screen:
         for moment in moments:
             screen.show(moment.observation, moment.reward, moment.step, moment.episode_return, moment.place)
             time.sleep(1 / speed)

@@ -3,24 +3,20 @@
 from __future__ import annotations
 
 import json
-import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
 from experiment_runner.analysis.stats import FloatArray
-from experiment_runner.plan import RoleSpec, TrialSpec
+from experiment_runner.plan import REMOTE, RoleSpec, TrialSpec
+from experiment_runner.store.joined import joined_players
 from experiment_runner.store.records import TrialRecord
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 
 __all__ = ["Setting", "collect"]
-
-_JOINED: Final = re.compile(r"(?P<role>agent|environment) (?P<name>.*?)( \([^()]*\))? joined")
-"""An event of `experiment_runner.players`; the player's programming language is ignored."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +59,7 @@ def collect(runs: Iterable[Results]) -> list[Setting]:
     groups: dict[str, list[tuple[TrialRecord, FloatArray]]] = defaultdict(list)
     seen: dict[tuple[str, str, int], Results] = {}
     for run in runs:
-        joined = _joined(run)
+        joined = {player: RoleSpec(name, label=name) for player, name in joined_players(run).items()}
         for trial in run.trials():
             spec = trial.spec
             agent = spec.agent or joined.get((spec.id, "agent"))
@@ -87,18 +83,8 @@ def collect(runs: Iterable[Results]) -> list[Setting]:
     ]
 
 
-def _joined(run: Results) -> dict[tuple[str, str], RoleSpec]:
-    """Return the players that joined from outside, by trial and role, with the names that they gave."""
-    players = {}
-    for event in run.events():
-        found = _JOINED.fullmatch(event.text) if event.kind == "joined" and event.trial_id else None
-        if found is not None and event.trial_id is not None:
-            players[event.trial_id, found["role"]] = RoleSpec(found["name"], label=found["name"])
-    return players
-
-
 def _label(role: RoleSpec | None) -> str:
-    return "remote" if role is None else role.label
+    return REMOTE if role is None else role.label
 
 
 def _fields(role: RoleSpec | None) -> dict[str, object]:

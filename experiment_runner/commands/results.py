@@ -238,6 +238,8 @@ def remove(directories: tuple[Path, ...], yes: bool) -> None:
 
 
 def _trial(found: Results, trial_id: str | None) -> TrialRecord:
+    from experiment_runner.store.joined import trial_names
+
     trials = {trial.spec.id: trial for trial in found.trials()}
     if trial_id is None:
         if not trials:
@@ -247,9 +249,10 @@ def _trial(found: Results, trial_id: str | None) -> TrialRecord:
                 f"{found.directory} has {len(trials)} trials: name one, as in --trial {next(iter(trials))}"
             )
         return next(iter(trials.values()))
-    if trial_id not in trials:
-        raise ConfigError(f"{found.directory} has no trial {trial_id}{did_you_mean(trial_id, trials)}")
-    return trials[trial_id]
+    named = {name: trials[identifier] for identifier, name in trial_names(found).items()} | trials
+    if trial_id not in named:
+        raise ConfigError(f"{found.directory} has no trial {trial_id}{did_you_mean(trial_id, named)}")
+    return named[trial_id]
 
 
 def _why_unsaved(found: Results, trial: TrialRecord) -> str:

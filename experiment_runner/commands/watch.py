@@ -1,4 +1,4 @@
-"""`glue-watch`: see an agent play, in the terminal."""
+"""`glue-watch`: show an agent playing, in the terminal."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING
 
 import click
 
@@ -21,6 +21,7 @@ from glue.protocol.messages import Role
 
 if TYPE_CHECKING:
     from glue.core.experiment import Experiment
+    from glue.players.screen import TerminalScreen
 
 __all__ = ["main", "play", "watch"]
 
@@ -53,8 +54,7 @@ __all__ = ["main", "play", "watch"]
 @click.option(
     "--load",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="File of what an agent of this kind has learned, from `glue-results agent`; its random choices go "
-    "on from there as well.",
+    help="Start from an agent saved by `glue-results agent`, including its random generator.",
 )
 @click.option("--episodes", type=click.IntRange(1), default=1, show_default=True, help="Episodes to show.")
 @click.option(
@@ -62,10 +62,14 @@ __all__ = ["main", "play", "watch"]
     type=click.IntRange(0),
     default=0,
     show_default=True,
-    help="Episodes to play unseen before that.",
+    help="Episodes to play first, without showing them.",
 )
 @click.option(
-    "--max-steps", type=click.IntRange(0), default=0, show_default=True, help="Step limit; 0 is none."
+    "--max-steps",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Step limit; 0 for none.",
 )
 @click.option(
     "--speed",
@@ -88,7 +92,7 @@ def watch(
     speed: float,
     seed: int,
 ) -> None:
-    """Show an agent playing, in this terminal.
+    """Show an agent playing in this terminal.
 
     \b
     Examples:
@@ -98,25 +102,27 @@ def watch(
       glue-watch --env mines --agent sarsa --after 1000 --speed 5
     """
     from glue.core.local import local
+    from glue.players.screen import TerminalScreen, renderer
 
     env_class, agent_class = find(Role.ENVIRONMENT, environment), find(Role.AGENT, agent)
     world = build(env_class, parse_assignments(env_class, env_option))
     player = build(agent_class, parse_assignments(agent_class, agent_option))
     if load is not None:
         player = load_trained(player, load)
+    screen = TerminalScreen(sys.stdout, renderer(world))
     with local(player, world) as glue:
         glue.rl_init(seed)
         for _ in range(after):
             glue.rl_episode(max_steps)
         for number in range(after + 1, after + episodes + 1):
             title = f"{agent} in {environment}, episode {number}"
-            episode_return, steps = play(glue, sys.stdout, title, max_steps, speed)
+            episode_return, steps = play(glue, screen, title, max_steps, speed)
             say(f"episode {number}: return {episode_return:.2f} in {steps} steps")
 
 
 def play(
     glue: Experiment,
-    stream: TextIO,
+    screen: TerminalScreen,
     title: str,
     max_steps: int,
     speed: float,
@@ -124,12 +130,10 @@ def play(
 ) -> tuple[float, int]:
     """Run and draw one episode, `speed` steps a second; return its return and steps.
 
-    If `stream` is not a terminal nothing is drawn, and there are no pauses.
+    If the screen is not that of a terminal, nothing is drawn and there are no pauses.
     """
-    from env_server.render.text import TerminalScreen
-
-    pause = 1.0 / speed if stream.isatty() else 0.0
-    with TerminalScreen(stream) as screen:
+    pause = 1.0 / speed if screen.live else 0.0
+    with screen:
         screen.show(glue.rl_start().observation, 0.0, 0, 0.0, title)
         made, terminal = 0, False
         while not terminal and (max_steps == 0 or glue.rl_num_steps() < max_steps):

@@ -141,6 +141,7 @@ def run_job(
                 start=job.start,
                 checkpoint_every=job.checkpoint_every,
                 interrupts=interrupts,
+                any_reward=job.meeting.any_reward,
                 recorder=None if recording is None else Recorder(recording, job.spec, glue),
             )
     except (StorageError, BrokenPipeError):

@@ -6,6 +6,7 @@ nor what becomes of the results.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import Final, NamedTuple, Protocol
@@ -61,6 +62,7 @@ def run_trial(
     checkpoint_every: int = 0,
     recorder: Recorder | None = None,
     interrupts: Interrupts | None = None,
+    any_reward: bool = False,
 ) -> None:
     """Run the episodes of `spec` that come after `start`.
 
@@ -79,12 +81,14 @@ def run_trial(
         recorder: writes down every step of the episodes that count, and of those that are void.
         interrupts: lets the episode under way end, and takes a checkpoint after it, before Ctrl-C has its
             effect; None if nothing is deferred.
+        any_reward: whether rewards may be infinite or NaN. If not, an episode whose return is infinite or NaN
+            ends the trial: that covers environments from outside, whose single rewards are not checked here.
 
     Raises:
         GlueError: the trial cannot go on. What the sink was given stays true.
         KeyboardInterrupt: as `Interrupts.deferred`.
     """
-    _Trial(glue, spec, sink, start, checkpoint_every, recorder, interrupts or Interrupts()).run()
+    _Trial(glue, spec, sink, start, checkpoint_every, recorder, interrupts or Interrupts(), any_reward).run()
 
 
 class _Trial:
@@ -97,6 +101,7 @@ class _Trial:
         checkpoint_every: int,
         recorder: Recorder | None,
         interrupts: Interrupts,
+        any_reward: bool,
     ) -> None:
         self._glue = glue
         self._spec = spec
@@ -105,6 +110,7 @@ class _Trial:
         self._every = checkpoint_every
         self._recorder = recorder
         self._interrupts = interrupts
+        self._any_reward = any_reward
         self._play = glue.rl_episode if recorder is None else recorder.rl_episode
         self._done = start.after
         self._since: list[EpisodeResult] = []  # what was run after `start`, oldest first
@@ -181,6 +187,11 @@ class _Trial:
         began = time.perf_counter()
         terminal = play(self._spec.max_steps)
         episode_return, steps = self._glue.rl_return(), self._glue.rl_num_steps()
+        if not (self._any_reward or math.isfinite(episode_return)):
+            raise GlueError(
+                f"the return of episode {number} is {episode_return}: the environment gave a reward that is "
+                "not a finite number (if the task means it, say --any-reward)"
+            )
         return EpisodeResult(number, episode_return, steps, terminal, time.perf_counter() - began)
 
     def _keep(self, result: EpisodeResult, stopping: bool) -> bool:

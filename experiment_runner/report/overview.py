@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -21,6 +22,7 @@ from experiment_runner.analysis.stats import (
 )
 from experiment_runner.lock import lock_holder
 from experiment_runner.report.tables import format_table, one_line
+from experiment_runner.store.joined import trial_names
 from experiment_runner.store.output import finite
 from experiment_runner.store.records import TrialRecord
 from experiment_runner.store.results import Results
@@ -88,7 +90,7 @@ def overview(results: Results) -> Overview:
         starts[0] if starts else None,
         (sum(trial.finished for trial in trials), len(trials)),
         (sum(trial.done for trial in trials), sum(trial.spec.episodes for trial in trials)),
-        *_state(results.directory, trials),
+        *_state(results.directory, trials, trial_names(results)),
     )
 
 
@@ -113,10 +115,11 @@ def as_text(results: Results, width: int | None = None) -> str:
     lines += ["", format_table(_SETTING_COLUMNS, rows, width=width), "", _LEGEND]
     if not has_scipy():
         lines.append("(intervals and IQM need SciPy: pip install 'glue-rl[plot]')")
+    names = trial_names(results)
     failed = [trial for trial in results.trials() if trial.failure is not None]
-    notes = [f"failed: {trial.spec.id}: {trial.failure}" for trial in failed]
-    notes += [f"void: episode {void.episode} of {void.trial_id}: {void.why}" for void in results.voids()]
-    notes += [f"{event.kind}: {event.trial_id}: {event.text}" for event in results.events() if event.trial_id]
+    notes = [f"failed: {names[trial.spec.id]}: {trial.failure}" for trial in failed]
+    notes += [f"void: episode {v.episode} of {names[v.trial_id]}: {v.why}" for v in results.voids()]
+    notes += [f"{e.kind}: {names[e.trial_id]}: {e.text}" for e in results.events() if e.trial_id]
     return "\n".join([*lines, *map(one_line, notes)])
 
 
@@ -126,6 +129,7 @@ def as_object(results: Results) -> dict[str, object]:
     Raises:
         ExperimentError: the run cannot be read.
     """
+    names = trial_names(results)
     return {
         **overview(results).as_json(),
         "programs": _programs(results),
@@ -133,6 +137,7 @@ def as_object(results: Results) -> dict[str, object]:
         "trial_records": [
             {
                 "trial": trial.spec.id,
+                "name": names[trial.spec.id],
                 "seed": trial.spec.seed,
                 "episodes": trial.done,
                 "planned_episodes": trial.spec.episodes,
@@ -146,11 +151,11 @@ def as_object(results: Results) -> dict[str, object]:
     }
 
 
-def _state(directory: Path, trials: list[TrialRecord]) -> tuple[str, str]:
+def _state(directory: Path, trials: list[TrialRecord], names: Mapping[str, str]) -> tuple[str, str]:
     holder = lock_holder(directory)
     if holder is not None:
         return "running", holder
-    failures = [f"{trial.spec.id}: {trial.failure}" for trial in trials if trial.failure is not None]
+    failures = [f"{names[t.spec.id]}: {t.failure}" for t in trials if t.failure is not None]
     if failures:
         more = f" (and {len(failures) - 1} more)" if len(failures) > 1 else ""
         return "failed", failures[0] + more

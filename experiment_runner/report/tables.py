@@ -9,6 +9,7 @@ import textwrap
 from collections.abc import Sequence
 from typing import Final
 
+from experiment_runner.store.joined import trial_names
 from experiment_runner.store.records import Totals
 from experiment_runner.store.results import Results
 
@@ -91,13 +92,13 @@ def tabulate(results: Results, seconds: float, width: int | None = None) -> str:
     If there is only one trial, its reason is left out: it has just been shown.
     """
     rows, failures = [], []
-    trials = results.trials()
+    trials, names = results.trials(), trial_names(results)
     for record in trials:
         totals = results.totals(record.spec.id)
         means = [_mean([part]) for part in (totals, results.totals(record.spec.id, _LAST))]
         rows.append(
             (
-                record.spec.id,
+                names[record.spec.id],
                 f"{record.done}/{record.spec.episodes}",
                 f"{totals.steps:,}",
                 *("-" if mean is None else f"{mean:.2f}" for mean in means),
@@ -106,7 +107,7 @@ def tabulate(results: Results, seconds: float, width: int | None = None) -> str:
             )
         )
         if record.failure is not None and len(trials) > 1:
-            failures.append(f"failed: {record.spec.id}: {record.failure}")
+            failures.append(f"failed: {names[record.spec.id]}: {record.failure}")
     lines = [format_table(_COLUMNS, rows, width=width), "", *failures]
     return "\n".join([*lines, f"{seconds:.1f} s; results in {results.directory}"])
 

@@ -13,7 +13,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final, TextIO
 
-from experiment_runner.plan import RoleSpec, TrialSpec
+from experiment_runner.plan import REMOTE, TrialSpec
+from experiment_runner.store.joined import joined_players
 from experiment_runner.store.output import finite, written
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
@@ -54,10 +55,17 @@ def rows_by_trial(results: Results, names: Sequence[str]) -> Iterator[list[list[
 
     Trials without an episode are skipped.
     """
+    joined = joined_players(results)
     for record in results.trials():
         spec = record.spec
-        shared: dict[str, Cell] = {"seed": spec.seed, "agent": _label(spec.agent)}
-        shared |= {"environment": _label(spec.environment), **_options(spec)}
+        shared: dict[str, Cell] = {
+            "seed": spec.seed,
+            "agent": spec.agent.label if spec.agent else joined.get((spec.id, "agent"), REMOTE),
+            "environment": (
+                spec.environment.label if spec.environment else joined.get((spec.id, "environment"), REMOTE)
+            ),
+            **_options(spec),
+        }
         cells = [shared.get(name) for name in names[_EPISODE_COLUMNS:]]
         rows: list[list[Cell]] = [[spec.id, *episode, *cells] for episode in results.episodes(spec.id)]
         if rows:
@@ -110,10 +118,6 @@ def write_parquet(results: Results, path: Path) -> None:
 def _options(spec: TrialSpec) -> dict[str, Value]:
     roles = (("agent", spec.agent), ("environment", spec.environment))
     return {f"{name}.{o}": value for name, role in roles if role for o, value in role.options.items()}
-
-
-def _label(role: RoleSpec | None) -> str:
-    return "remote" if role is None else role.label
 
 
 def _widest(types: set[type[Value]]) -> type[Value]:

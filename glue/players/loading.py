@@ -28,7 +28,7 @@ from glue.suggestions import did_you_mean
 if TYPE_CHECKING:
     from glue.roles import Agent, Environment
 
-__all__ = ["find", "make", "make_agent", "names", "summaries"]
+__all__ = ["example", "find", "make", "make_agent", "names", "summaries"]
 
 _GROUPS: Final = {Role.AGENT: "glue.agents", Role.ENVIRONMENT: "glue.environments"}
 
@@ -56,6 +56,15 @@ def make_agent(name: str, /, **options: Value) -> Agent:
 def names(role: Role) -> list[str]:
     """Return the names of the installed agents or environments, sorted."""
     return sorted(_installed(role))
+
+
+def example(role: Role) -> str:
+    """Return the name that messages suggest: of the role's entry point in the group `glue.examples`.
+
+    If there is none, it is NAME.
+    """
+    suggested = {point.name: point.value for point in entry_points(group="glue.examples")}.get(role)
+    return next((name for name, point in _installed(role).items() if point.value == suggested), "NAME")
 
 
 def summaries(role: Role) -> dict[str, str]:

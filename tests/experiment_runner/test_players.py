@@ -1,17 +1,21 @@
 from __future__ import annotations
 
+import contextlib
 import math
 import re
+import threading
 from pathlib import Path
 
 import pytest
 
+from agents.baselines import SkeletonAgent
 from env_server.toys import MinesEnvironment
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.players import HubOptions, Meeting, open_experiment
-from glue.client.players import serve_environment
+from glue.client.players import serve_agent, serve_environment
 from glue.core.config import LegacyPort
-from glue.errors import PeerFailed, Refused
+from glue.errors import PeerFailed, PeerLost, Refused
+from glue.types import Action, Observation
 
 
 class Heard(Exception):
@@ -106,3 +110,38 @@ def test_reward_that_is_not_finite_ends_the_trial_with_environment_and_step(
                 with pytest.raises(PeerFailed, match=f"Odd.* step 3 is {reward}") as raised:
                     glue.rl_episode(10)
                 assert "--any-reward" in str(raised.value)
+
+
+class Stopped(Exception):
+    """The trial need not go on."""
+
+
+def test_hint_is_given_again_when_a_player_from_outside_is_lost() -> None:
+    """The line comes again, since a terminal has scrolled by then."""
+    hints: list[str] = []
+    leaves = threading.Event()
+
+    def say(line: str) -> None:
+        if found := re.search(r"waiting for an agent; .* --hub (\S+)$", line):
+            hints.append(line)
+            if len(hints) == 1:
+                threading.Thread(target=leave_after_a_step, args=(found[1],), daemon=True).start()
+
+    class Leaving(SkeletonAgent):
+        def agent_start(self, observation: Observation) -> Action:
+            leaves.set()
+            raise KeyboardInterrupt
+
+    def leave_after_a_step(url: str) -> None:
+        with contextlib.suppress(KeyboardInterrupt):
+            serve_agent(Leaving(), url, log=lambda line: None)
+
+    spec = TrialSpec("remote/skeleton/0", None, RoleSpec("skeleton"), episodes=1, max_steps=9, seed=1)
+    meeting = Meeting(hub=HubOptions(bind=("tcp://127.0.0.1:*",)))
+    with open_experiment(spec, meeting, say, lambda: 0) as glue:
+        glue.rl_init(1)
+        with pytest.raises(PeerLost):
+            glue.rl_episode(9)
+        assert leaves.is_set()
+    assert len(hints) == 2
+    assert hints[0] == hints[1]

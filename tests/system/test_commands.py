@@ -149,7 +149,10 @@ def test_three_terminals_run_an_experiment(tmp_path: Path, hub: str, terminals: 
     environment, agent = (Terminal(*asked[role], cwd=tmp_path) for role in ("env", "agent"))
     terminals += [environment, agent]
     assert experiment.end() == 0
-    experiment.wait_for(r"remote/remote/0 +20/20 ")
+    experiment.wait_for(r"RandomAgent/MinesEnvironment/0 +20/20 ")
+    shown = run("glue-results", "show", "run", cwd=tmp_path).stdout
+    assert "joined: RandomAgent/MinesEnvironment/0: agent" in shown
+    assert "remote" not in shown
     assert (environment.end(), agent.end()) == (0, 0)
     agent.wait_for("goodbye: the experiment is over")
 
@@ -171,7 +174,7 @@ def test_agent_killed_mid_episode_and_started_again_voids_that_episode_alone(
     assert experiment.end() == 0
     experiment.wait_for("agent Suicidal .* lost")
     experiment.wait_for("episode 1 is void: the agent Suicidal")
-    experiment.wait_for(r"remote/remote/0 +4/4 .* 1$")
+    experiment.wait_for(r"RandomAgent/Endless/0 +4/4 .* 1$")
 
 
 _ENDLESS = """

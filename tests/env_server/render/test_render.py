@@ -23,8 +23,9 @@ from env_server.render.animation import between, outlined
 from env_server.render.artwork import PALETTE, SPRITES, TILES
 from env_server.render.drawing import HEIGHT, WIDTH, Picture, draw, save_gif, save_png
 from env_server.render.scene import KINDS, Sprite, buried_cells, is_scene, read_scene
-from env_server.render.text import TerminalScreen, draw_text, has_color
+from env_server.render.text import draw_text
 from glue.errors import ConfigError, SimulatorError
+from glue.players.screen import TerminalScreen, has_color
 from glue.types import Observation
 
 SCREEN = """
@@ -128,7 +129,7 @@ def test_text_shows_tiles_and_names_monsters() -> None:
         "::::::::##            ##::::::::::::::::::",
         "::::::::##            ##::::::::::::::::::",
         "::::::::##            ##::::::::::::::::::",
-        "mm Mario  gg goomba  g^ winged goomba",
+        "mm Mario  gg goomba  g^ winged goomba  speed +0.25 +0.00 tiles/step",
     ]
 
 
@@ -210,7 +211,7 @@ def test_color_where_the_terminal_has_it_and_nobody_objects(
         monkeypatch.setenv(name, value)
     assert has_color(terminal[0]) is expected
     assert not has_color(io.StringIO())
-    with TerminalScreen(terminal[0]) as drawing:
+    with TerminalScreen(terminal[0], draw_text) as drawing:
         drawing.show(screen(), 0.0, 0, 0.0)
     assert ("48;5;" in seen(terminal)) is expected
 
@@ -220,11 +221,12 @@ def test_screen_draws_over_the_last_drawing(
 ) -> None:
     monkeypatch.setenv("NO_COLOR", "1")
     clock = Clock()
-    drawing = TerminalScreen(terminal[0], clock=clock)
+    drawing = TerminalScreen(terminal[0], draw_text, clock=clock)
     drawing.show(screen(), -0.01, 7, 12.5, "level 3")
     first = seen(terminal)
     assert first.startswith("\x1b[?25l\x1b[2J\x1b[H")
-    assert "step 7  reward -0.01  return 12.50  speed +0.25 +0.00 tiles/step" in first
+    assert "speed +0.25 +0.00 tiles/step" in first
+    assert "step 7  reward -0.01  return 12.50" in first
     assert "level 3" in first
     assert first.count("\n") == 18
     clock.now = 1.0
@@ -242,7 +244,7 @@ def test_screen_is_not_drawn_faster_than_its_rate_but_ends_on_the_last(
     monkeypatch.setenv("NO_COLOR", "1")
     clock = Clock()
     drawn = ""
-    with TerminalScreen(terminal[0], rate=10, clock=clock) as drawing:
+    with TerminalScreen(terminal[0], draw_text, rate=10, clock=clock) as drawing:
         for step in range(6):
             clock.now = step * 0.05
             drawing.show(screen(), 0.0, step, 0.0)
@@ -255,7 +257,7 @@ def test_screen_smaller_than_the_drawing_keeps_the_lower_lines(
 ) -> None:
     monkeypatch.setenv("NO_COLOR", "1")
     set_size(terminal[0].fileno(), 8, 60)
-    with TerminalScreen(terminal[0]) as drawing:
+    with TerminalScreen(terminal[0], draw_text) as drawing:
         drawing.show(screen(), 0.0, 3, 0.0, "title")
     drawn = seen(terminal)
     assert drawn.count("\n") == 8  # the last is after it
@@ -265,7 +267,7 @@ def test_screen_smaller_than_the_drawing_keeps_the_lower_lines(
 
 def test_screen_that_is_no_terminal_is_left_alone() -> None:
     stream = io.StringIO()
-    with TerminalScreen(stream) as drawing:
+    with TerminalScreen(stream, draw_text) as drawing:
         drawing.show(screen(), 0.0, 0, 0.0)
     assert stream.getvalue() == ""
 

@@ -13,8 +13,9 @@ from pathlib import Path
 
 from env_server.mario.environment import InfiniteMario
 from env_server.render.live import Rendered
-from env_server.render.text import TerminalScreen
+from env_server.render.text import draw_text
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
+from glue.players.screen import TerminalScreen, draw_numbers, renderer
 from glue.roles import capabilities
 from glue.testing import check_environment
 from glue.types import Action, Observation
@@ -40,6 +41,15 @@ class Notes(TerminalScreen):
 
 def rendered(screen: TerminalScreen | None = None) -> Rendered:
     return Rendered(MinesEnvironment(random_start=True), screen or TerminalScreen(io.StringIO()))
+
+
+class HarderMario(InfiniteMario):
+    """A user's own."""
+
+
+def test_renderer_is_that_of_the_environment_or_the_one_it_derives_from() -> None:
+    assert renderer(InfiniteMario()) is renderer(HarderMario()) is draw_text
+    assert renderer(MinesEnvironment()) is draw_numbers
 
 
 def test_rendered_environment_keeps_the_contract() -> None:
@@ -89,8 +99,8 @@ def test_environment_is_drawn_in_its_terminal(tmp_path: Path) -> None:
     finally:
         experiment.close()
     first, last = drawings(text)[0], drawings(text)[-1]
-    assert re.search(r"mm Mario.*\nstep 0  reward 0  return 0\.00  speed ", first)
-    assert re.search(r"mm Mario.*\nstep 11  reward -?[\d.]+  return -?[\d.]+  speed ", last)
+    assert re.search(r"mm Mario.*  speed .*\nstep 0  reward 0  return 0\.00", first)
+    assert re.search(r"mm Mario.*  speed .*\nstep 11  reward -?[\d.]+  return -?[\d.]+", last)
     assert "goodbye" in text[text.rindex("\x1b[?25h") :], "the cursor is back before the last line"
 
 

@@ -15,6 +15,7 @@ from env_server.mario.environment import InfiniteMario
 from env_server.toys import MinesEnvironment
 from experiment_runner.commands.watch import play
 from glue.core.local import local
+from glue.players.screen import TerminalScreen
 from glue.players.trained import Trained
 from glue.roles import Agent
 from tests.terminal import drawings, run, run_in_terminal, watched_terminal
@@ -44,8 +45,8 @@ def test_watch_draws_the_game_in_a_terminal(tmp_path: Path) -> None:
         assert "##" in "".join(tiles)
         assert legend.startswith("mm Mario")
         assert "sample in mario, episode 1" in drawing
-    assert re.search(r"step 0  reward 0  return 0\.00  speed [+-]\d\.\d\d [+-]\d\.\d\d tiles/step", first)
-    shown = re.search(r"step 11  reward -?[\d.]+  return (-?[\d.]+)  speed ", last)
+    assert re.search(r"speed [+-]\d\.\d\d [+-]\d\.\d\d tiles/step\nstep 0  reward 0  return 0\.00", first)
+    shown = re.search(r"step 11  reward -?[\d.]+  return (-?[\d.]+)\n", last)
     assert shown
     assert f"episode 1: return {shown[1]} in 12 steps" in last
     assert text.index("\x1b[?25l") < text.rindex("\x1b[?25h"), "the cursor comes back"
@@ -56,7 +57,7 @@ def test_play_waits_between_the_steps_that_a_person_sees() -> None:
     with watched_terminal() as (writing, seen), local(SampleAgent(), InfiniteMario()) as glue:
         glue.rl_init(seed=3)
         with os.fdopen(writing, "w", closefd=False) as terminal:
-            result = play(glue, terminal, "a title", 5, speed=4.0, sleep=waits.append)
+            result = play(glue, TerminalScreen(terminal), "a title", 5, speed=4.0, sleep=waits.append)
         assert result == (glue.rl_return(), 5)
     assert b"a title" in b"".join(seen)
     assert waits == [0.25] * 4
@@ -67,7 +68,7 @@ def test_play_without_a_terminal_draws_nothing_and_does_not_wait() -> None:
     waits: list[float] = []
     with local(SarsaAgent(), MinesEnvironment()) as glue:
         glue.rl_init(seed=3)
-        played = [play(glue, stream, "a title", 0, speed=0.1, sleep=waits.append) for _ in range(3)]
+        played = [play(glue, TerminalScreen(stream), "a title", 0, 0.1, waits.append) for _ in range(3)]
         glue.rl_init(seed=3)
         assert played == [(glue.rl_return(), glue.rl_num_steps()) for _ in range(3) if glue.rl_episode()]
     assert stream.getvalue() == ""

@@ -1,8 +1,10 @@
 from __future__ import annotations
 
+import math
 import signal
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -16,9 +18,10 @@ from experiment_runner.plan import TrialSpec
 from experiment_runner.store.records import Checkpoint, EpisodeResult
 from glue.core.experiment import Experiment
 from glue.core.local import LocalExperiment, local
-from glue.errors import PeerFailed, PeerLost
+from glue.errors import GlueError, PeerFailed, PeerLost
 from glue.protocol.messages import Kind
 from glue.roles import Agent, Environment
+from glue.types import Action, Observation
 
 SPEC = TrialSpec("sarsa/mines/0", None, None, episodes=25, max_steps=40, seed=5)
 
@@ -245,3 +248,27 @@ def test_episode_that_does_not_end_is_interrupted(again: bool) -> None:
         run_trial(local(Endless(), mines()), SPEC, kept, interrupts=interrupts)
     assert not kept.results
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_two_episodes_of_players_that_cannot_save_end_in_silence() -> None:
+    """Before the first checkpoint is due there is nothing to miss."""
+    kept = Kept()
+    run_trial(local(Forgetful(), mines()), replace(SPEC, episodes=2), kept, checkpoint_every=100)
+    assert (len(kept.numbers), kept.events, kept.said) == (2, [], [])
+
+
+@pytest.mark.parametrize("reward", [math.nan, math.inf, -math.inf])
+def test_return_that_is_not_finite_ends_the_trial(reward: float) -> None:
+    """As that of an environment which joins from outside, whose rewards nobody has checked."""
+
+    class Odd(MinesEnvironment):
+        def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+            _, observation, terminal = super().env_step(action)
+            return reward, observation, terminal
+
+    kept = Kept()
+    with pytest.raises(GlueError, match=f"episode 1 is {reward}.*--any-reward"):
+        run_trial(local(SarsaAgent(), Odd()), SPEC, kept)
+    assert kept.numbers == []
+    run_trial(local(SarsaAgent(), Odd()), replace(SPEC, episodes=1), kept, any_reward=True)
+    assert len(kept.numbers) == 1
