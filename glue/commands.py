@@ -28,13 +28,13 @@ __all__ = [
 ]
 
 HUB_VARIABLE: Final = "GLUE_HUB"
-"""The environment variable of the option `--hub`, wherever there is one."""
+"""The environment variable of the option `--hub`, in every command that has it."""
 
 SESSION_VARIABLE: Final = "GLUE_SESSION"
-"""The environment variable of the option `--session`, wherever there is one."""
+"""The environment variable of the option `--session`, in every command that has it."""
 
 WAIT_VARIABLE: Final = "GLUE_WAIT"
-"""The environment variable of the option `--wait`, wherever there is one."""
+"""The environment variable of the option `--wait`, in every command that has it."""
 
 legacy_port_option: Final = click.option(
     "--legacy-port",

@@ -99,17 +99,17 @@ class RemoteExperiment(Experiment):
         """Make the verb that is waiting, or the next one, raise HubClosed; callable from any thread."""
         self._given_up = reason
 
-    def wait_for_players(self, tell: Callable[[frozenset[Role]], None]) -> None:
+    def wait_for_players(self, report: Callable[[frozenset[Role]], None]) -> None:
         """Return when the session has an agent and an environment.
 
-        `tell` is called with the roles that are missing, after a moment of grace and whenever they change.
+        `report` is called with the missing roles, after a short delay and whenever they change.
         """
-        told: frozenset[Role] | None = None
+        reported: frozenset[Role] | None = None
         while missing := frozenset({Role.AGENT, Role.ENVIRONMENT}) - self._players:
             message = self._receive()
-            if missing != told and (message is None or message.kind is not Kind.NOTICE):
-                told = missing
-                tell(missing)
+            if missing != reported and (message is None or message.kind is not Kind.NOTICE):
+                reported = missing
+                report(missing)
 
     def _receive(self) -> Message | None:
         """Return the next message, having acted on it if it is a WELCOME or a NOTICE.

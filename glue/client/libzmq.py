@@ -92,7 +92,7 @@ class DealerTransport:
         return True
 
     def receive(self) -> list[bytes] | None:
-        """Return the next message; None if none came in time, or as soon as there is a connection."""
+        """Return the next message; None if none arrived in time, or as soon as there is a connection."""
         flags = 0
         if not self.connected:
             self._poller.poll(self._wait_ms)

@@ -124,7 +124,7 @@ class Link:
     def receive_step(self, step: StepFormat, seq: int) -> tuple[tuple[Value, ...], bytes] | None:
         """Return scalars and body of the message `seq` of `step`, if that is exactly what comes next.
 
-        None: `receive` has whatever came instead, or returns None if nothing did.
+        None: anything else is left for `receive`, which returns None if nothing arrived.
         """
         found = self._transport.receive_step(step, seq)
         if found is not None:

@@ -60,7 +60,7 @@ def serve_agent(
         ConfigError: an address or a session name is malformed, or the host's name does not resolve.
         HubUnreachable: no hub has answered within `wait` seconds.
         Refused: the hub does not let it in, for instance because the session has an agent.
-        PeerFailed: the agent lacks a method of its role, or raised an exception, which the hub was told.
+        PeerFailed: the agent lacks a method of its role, or raised; the hub is informed.
     """
     agents = agent if isinstance(agent, Mapping) else {session: agent}
     return _serve(Role.AGENT, agents, hub, wait, context, log)

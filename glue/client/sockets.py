@@ -1,4 +1,4 @@
-"""A DEALER on one plain, blocking socket: what peers use wherever no keys are wanted.
+"""A DEALER on one plain, blocking socket: what peers use by default.
 
 libzmq's own sockets need an I/O thread, two wake-ups and some twenty system calls for a message; here it is
 one system call to receive it and one to send the answer. On the wire there is no difference.
@@ -81,7 +81,7 @@ class SocketTransport:
         return self.connected and self._send(step.encode(seq, scalars, body))
 
     def receive(self) -> list[bytes] | None:
-        """Return the next message; None if none came in time, or as soon as there is a connection."""
+        """Return the next message; None if none arrived in time, or as soon as there is a connection."""
         if self._timed_out:
             self._timed_out = False
             return None

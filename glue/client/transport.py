@@ -2,7 +2,7 @@
 
 A connection ends when the process at its other end does, or when what was sent over it stays unacknowledged
 for too long, because a cable was cut. Both are the kernel's to find out, so a peer that computes for hours
-stays connected. A transport connects again by itself.
+stays connected. A transport reconnects automatically.
 """
 
 from __future__ import annotations
@@ -58,13 +58,13 @@ class Transport(Protocol):
         ...
 
     def receive(self) -> Sequence[bytes] | None:
-        """Return the next message; None if none came in time, or as soon as there is a connection."""
+        """Return the next message; None if none arrived in time, or as soon as there is a connection."""
         ...
 
     def receive_step(self, step: StepFormat, seq: int) -> tuple[tuple[Value, ...], bytes] | None:
         """Return scalars and body of the message `seq` of `step`, if that is exactly what comes next.
 
-        None: `receive` has whatever came instead, or returns None if nothing did.
+        None: anything else is left for `receive`, which returns None if nothing arrived.
         """
         ...
 

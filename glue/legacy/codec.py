@@ -46,7 +46,7 @@ __all__ = [
     "FROM_EXPERIMENT",
     "HANDSHAKE",
     "MAX_COUNT",
-    "MAX_TEXT",
+    "MAX_STRING",
     "SURPLUS",
     "TO_AGENT",
     "TO_ENVIRONMENT",
@@ -62,7 +62,7 @@ __all__ = [
 MAX_COUNT: Final = 1_000_000
 """Maximum of ints, doubles or chars in one abstract type; the original's own limit."""
 
-MAX_TEXT: Final = 1_000_000
+MAX_STRING: Final = 1_000_000
 """Maximum size of a text, in bytes. The original had no limit."""
 
 SURPLUS: Final = 65_536
@@ -184,7 +184,7 @@ class Decoder:
         if text.isascii():
             return text
         # A UTF-16 unit takes at most three bytes of UTF-8, one of which has been counted.
-        self._overhang = min(2 * len(text), MAX_TEXT - len(text))
+        self._overhang = min(2 * len(text), MAX_STRING - len(text))
         return text + self._take_overhang()
 
     def _take_overhang(self) -> bytes:
@@ -232,8 +232,8 @@ def _read_text(payload: bytes, offset: int) -> tuple[bytes, int]:
     if start > len(payload):
         raise _short(_COUNT.size, payload, offset)
     (count,) = _COUNT.unpack_from(payload, offset)
-    if count > MAX_TEXT:
-        raise RemoteProtocolError(f"a text has at most {MAX_TEXT} bytes; {count} are announced")
+    if count > MAX_STRING:
+        raise RemoteProtocolError(f"a text has at most {MAX_STRING} bytes; {count} are announced")
     if start + count > len(payload):
         raise _short(count, payload, start)
     return payload[start : start + count], start + count
@@ -241,8 +241,8 @@ def _read_text(payload: bytes, offset: int) -> tuple[bytes, int]:
 
 def _write_text(text: bytes) -> bytes:
     text = _until_zero(text)
-    if len(text) > MAX_TEXT:
-        raise LocalProtocolError(f"a text has at most {MAX_TEXT} bytes; this one has {len(text)}")
+    if len(text) > MAX_STRING:
+        raise LocalProtocolError(f"a text has at most {MAX_STRING} bytes; this one has {len(text)}")
     return _COUNT.pack(len(text)) + text
 
 
@@ -336,7 +336,7 @@ _BODY_FORMS: Final[Mapping[Body, _BodyForm]] = {
     Body.OBSERVATION: _TYPE,
     Body.ACTION: _TYPE,
     Body.OBSERVATION_ACTION: _BodyForm(_read_two_types, _write_two_types, 2 * _LARGEST_TYPE),
-    Body.TEXT: _BodyForm(_read_text, _write_text, _COUNT.size + MAX_TEXT),
+    Body.TEXT: _BodyForm(_read_text, _write_text, _COUNT.size + MAX_STRING),
 }
 _SCALAR_FORMS: Final = {
     "reward": "d",

@@ -33,7 +33,7 @@ __all__ = [
 
 PROTOCOL_VERSION: Final = 1
 
-Type = type  # A name of its own, since `Scalar` has a field `type`.
+Type = type  # An alias, since `Scalar` has a field `type`.
 Value = None | bool | int | float | str | bytes | tuple[int, ...] | tuple[str, ...]
 
 
@@ -170,7 +170,7 @@ class ErrorCode(StrEnum):
 
 
 class Event(StrEnum):
-    """What a NOTICE tells the experiment about its agent or environment."""
+    """What a NOTICE reports to the experiment about its agent or environment."""
 
     JOINED = "joined"
     LOST = "lost"

@@ -89,7 +89,7 @@ def encode(message: Message, shapes: Mapping[Kind, Shape]) -> tuple[bytes, ...]:
 def decode(frames: Sequence[bytes], shapes: Mapping[Kind, Shape], max_body: int = MAX_BODY) -> Message:
     """Return the message that `frames` hold, fully checked.
 
-    `shapes` is TO_HUB or FROM_HUB, whichever way the frames came.
+    `shapes` is TO_HUB or FROM_HUB, by the direction of the frames.
 
     Raises:
         UnknownKind: the kind is not one of `shapes`.
@@ -186,7 +186,7 @@ def _coerce(kind: Kind, scalar: Scalar, value: object) -> Value:
 def _check_body(kind: Kind, body_kind: Body, body: bytes, max_body: int) -> None:
     size = len(body)
     if body_kind is Body.OBSERVATION_ACTION:
-        # Each of the two was within the limit when it came to the hub.
+        # Each of the two was within the limit when the hub received it.
         max_body *= 2
     if size > max_body:
         raise RemoteProtocolError(f"the body of {kind.name} has {size} bytes; {max_body} are allowed")

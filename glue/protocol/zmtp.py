@@ -40,10 +40,10 @@ _MAX_COMMAND: Final = 4096
 """The largest command, in bytes: room for any READY."""
 
 _KEPT: Final = 3
-"""Frames of a message that are kept: one more than any message of ours has is enough to tell."""
+"""Frames of a message that are kept: one more than any message of ours has shows that it is too long."""
 
 _AT_ONCE: Final = 16
-"""Frames after which a caller may turn to somebody else, even if they came to nothing."""
+"""Frames after which the caller may serve another connection, even if no message is complete."""
 
 _PIECE: Final = 4096
 """Bytes below which what comes is put together at once: a little piece takes more room than it holds."""
@@ -97,7 +97,7 @@ class Decoder:
         self._max_frame = max_frame
         self._buffer = b""
         self._at = 0  # what comes before it is done with
-        self._later: list[bytes] = []  # what came after it, as long as it is not needed
+        self._later: list[bytes] = []  # what was received after it, until it is needed
         self._size = 0  # bytes of both that are not done with
         self._needed = len(GREETING)  # bytes without which there is nothing to do
         self._frames: list[bytes] = []  # of a message that is not complete
@@ -201,7 +201,7 @@ class Decoder:
         if flags & ~_KNOWN_FLAGS or (flags & _COMMAND and flags & _MORE):
             raise RemoteProtocolError(f"a frame cannot have the flags {flags}")
         if not self.ready and not flags & _COMMAND:
-            raise RemoteProtocolError("a message came before READY")
+            raise RemoteProtocolError("a message was received before READY")
         limit = _MAX_COMMAND if flags & _COMMAND else self._max_frame
         if size > limit:
             raise RemoteProtocolError(f"a frame of {size} bytes was received; {limit} are allowed")

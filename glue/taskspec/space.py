@@ -243,16 +243,16 @@ def _is_int32(bound: float) -> bool:
     return isinstance(bound, (int, np.integer)) and INT32_MIN <= bound <= INT32_MAX
 
 
-def _wrong_counts(expected: tuple[int, int, int], came: tuple[int, int, int]) -> str:
+def _wrong_counts(expected: tuple[int, int, int], received: tuple[int, int, int]) -> str:
     return "; ".join(
         f"{name}: {right} expected, {count} received"
-        for name, right, count in zip(("ints", "doubles", "chars"), expected, came, strict=True)
+        for name, right, count in zip(("ints", "doubles", "chars"), expected, received, strict=True)
         if right != count
     )
 
 
-def _window(range_: Range, least: float, greatest: float) -> tuple[float, float]:
-    """Return finite ends to draw a number of `range_` from, both from `least` to `greatest`."""
+def _window(range_: Range, least: float, largest: float) -> tuple[float, float]:
+    """Return finite ends to draw a number of `range_` from, both from `least` to `largest`."""
     low, high = range_.ends
     if math.isinf(low) and math.isinf(high):
         low, high = -_WINDOW, _WINDOW
@@ -260,7 +260,7 @@ def _window(range_: Range, least: float, greatest: float) -> tuple[float, float]
         low = high - _WINDOW
     elif math.isinf(high):
         high = low + _WINDOW
-    return max(low, least), min(high, greatest)
+    return max(low, least), min(high, largest)
 
 
 def _int_text(bound: float) -> str:

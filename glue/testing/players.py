@@ -268,7 +268,7 @@ class _AgentPlayer(_Player):
                 reward, observation = self.draw_reward(generator), self.observation(generator)
                 action = self.checked("step", self.call("step", reward, observation))
                 trace.append((f"agent_step {step} of episode {episode}", action))
-            if episode % 2 == 0:  # The others are cut off, of which an agent is not told.
+            if episode % 2 == 0:  # The others are truncated, which an agent does not learn.
                 self.call("end", self.draw_reward(generator))
         return trace
 
@@ -308,7 +308,9 @@ def _check(make: Callable[[], _Player], seed: int) -> None:
         _compare(Rule.AFRESH, first, in_mid_episode)
         _compare(Rule.AFRESH, first, after_cleanup)
     if player.saveable:
-        data = player.save()  # In mid-episode for a player, who is not told that an episode is cut off.
+        data = (
+            player.save()
+        )  # In mid-episode for a player, which does not learn that an episode is truncated.
         loader = make()
         loader.init(seed + 1)
         loader.call("load", data)

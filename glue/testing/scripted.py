@@ -142,7 +142,7 @@ class ScriptedPeer:
         self.check(error.scalars[0] == code, f"{shown(error)} received instead of the error {code}")
 
     def expects_malformed(self) -> None:
-        """Expect what is said to whoever sent what is no message."""
+        """Expect the reply to a malformed message."""
         error = self.expects(Kind.ERROR, 0, session="")
         self.check(
             error.scalars[0] == ErrorCode.MALFORMED, f"{shown(error)} received instead of the error malformed"
@@ -155,7 +155,7 @@ class ScriptedPeer:
         self.notices.clear()
 
     def expects_nothing(self) -> None:
-        """Expect that nothing was sent but what was heard: messages of a connection keep their order."""
+        """Expect that nothing else was sent: messages of a connection keep their order."""
         self.send(Kind.HEARTBEAT, seq=77)
         self.expects(Kind.HEARTBEAT, 77)
 

@@ -200,7 +200,7 @@ def replaced(scene: Scene) -> None:
     scene.init()
     scene.environment.leave()
     scene.experiment.expects_notice(Event.LOST, Role.ENVIRONMENT)
-    scene.experiment.ask(Kind.RL_START)  # It waits until somebody fills the role.
+    scene.experiment.ask(Kind.RL_START)  # It waits until the role is filled.
     scene.environment = scene.peer(Role.ENVIRONMENT)
     scene.environment.join()
     scene.experiment.expects_notice(Event.JOINED, Role.ENVIRONMENT)

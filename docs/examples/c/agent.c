@@ -129,7 +129,7 @@ static struct {
     char seen[128];
 } agent;
 
-/* Go up (1) wherever the first int says that it is not below the start, else down (0). */
+/* Go up (1) if the first int says that it is not below the start, else down (0). */
 static void act(const uint8_t *observation, struct bytes *answer) {
     struct counts counts = counts_of(observation), one_int = {.ints = 1};
     double sum = 0;
@@ -205,7 +205,7 @@ static struct bytes heartbeat_of(const char *session) {
     return heartbeat;
 }
 
-/* Return a socket that tells of new connections to the hub: libzmq reconnects without saying so. */
+/* Return a socket that reports new connections to the hub: libzmq reconnects without saying so. */
 static void *monitor_of(void *context, void *socket) {
     void *monitor = zmq_socket(context, ZMQ_PAIR);
     zmq_socket_monitor(socket, "inproc://monitor", ZMQ_EVENT_HANDSHAKE_SUCCEEDED | ZMQ_EVENT_DISCONNECTED);

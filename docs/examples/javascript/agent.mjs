@@ -40,7 +40,7 @@ function write({ ints = [], doubles = [], chars = NOTHING }) {
   return Buffer.concat([head, chars]);
 }
 
-// Goes up (1) wherever its first int says that it is not below its start, else down (0).
+// Goes up (1) if its first int says that it is not below its start, else down (0).
 class Walker {
   constructor() {
     this.forget();

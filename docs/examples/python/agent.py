@@ -11,7 +11,7 @@ INIT, START, STEP, END, CLEANUP, MESSAGE = 4, 5, 6, 7, 8, 10
 
 
 class Walker:
-    """Goes up (1) wherever its first int says that it is not below its start, else down (0)."""
+    """Goes up (1) if its first int says that it is not below its start, else down (0)."""
 
     def __init__(self) -> None:
         self.forget()

@@ -78,7 +78,7 @@ def tick(world: World) -> None:
 
 @jit
 def draw(world: World) -> None:
-    """Draw a frame, which fixes the camera that the next observation will tell."""
+    """Draw a frame, which fixes the camera position of the next observation."""
     mario = world.actors[0]
     x = mario.old_x + (mario.x - mario.old_x) * world.alpha
     world.drawn_camera = min(max(int(x) - _HALF_VIEW, 0), 16 * world.columns - _VIEW)
@@ -190,7 +190,7 @@ def _mark_leaving(world: World) -> None:
 
 @jit
 def _spawn(world: World) -> None:
-    """Create the enemies of the spawn points that came into view."""
+    """Create the enemies of the spawn points that have come into view."""
     first = int(world.camera) // 16 - 1
     last = int(world.camera + np.float32(_VIEW)) // 16 + 1
     for column in range(max(first, 0), min(last, world.columns - 1) + 1):

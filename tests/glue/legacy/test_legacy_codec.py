@@ -20,7 +20,7 @@ from glue.legacy.codec import (
     FROM_EXPERIMENT,
     HANDSHAKE,
     MAX_COUNT,
-    MAX_TEXT,
+    MAX_STRING,
     SURPLUS,
     TO_AGENT,
     TO_ENVIRONMENT,
@@ -361,10 +361,10 @@ def test_once_another_message_has_begun_no_end_of_a_text_is_expected() -> None:
 
 
 def test_a_text_may_have_a_million_bytes_and_not_one_more() -> None:
-    (message,) = decode(raw(11, text_of(b"x" * MAX_TEXT)), FROM_ENVIRONMENT)
-    assert message.body == b"x" * MAX_TEXT
+    (message,) = decode(raw(11, text_of(b"x" * MAX_STRING)), FROM_ENVIRONMENT)
+    assert message.body == b"x" * MAX_STRING
     with pytest.raises(RemoteProtocolError, match="at most 1000000 bytes"):
-        decode(raw(11, text_of(b"x" * (MAX_TEXT + 1))), FROM_ENVIRONMENT)
+        decode(raw(11, text_of(b"x" * (MAX_STRING + 1))), FROM_ENVIRONMENT)
 
 
 # Malformed input
@@ -430,7 +430,7 @@ def test_a_count_above_a_million_is_refused(counts: tuple[int, int, int]) -> Non
         (FROM_ENVIRONMENT, raw(12, struct.pack(">3I", 2**32 - 1, 2**32 - 1, 2**32 - 1))),
         (FROM_ENVIRONMENT, raw(12, struct.pack(">3I", MAX_COUNT, MAX_COUNT, MAX_COUNT))),
         (FROM_EXPERIMENT, raw(33, struct.pack(">I", 2**32 - 1))),
-        (FROM_EXPERIMENT, raw(33, struct.pack(">I", MAX_TEXT))),
+        (FROM_EXPERIMENT, raw(33, struct.pack(">I", MAX_STRING))),
         (FROM_ENVIRONMENT, struct.pack(">iI", 12, 2**32 - 1)),
         (FROM_ENVIRONMENT, struct.pack(">iI", 12, 2**31)),
         (HANDSHAKE, struct.pack(">iI", 2, 2**20)),
@@ -515,7 +515,7 @@ def test_more_than_an_original_program_takes_cannot_be_sent() -> None:
     with pytest.raises(LocalProtocolError, match="1000001 chars"):
         encode(Frame(Kind.AGENT_START, body=Observation(chars=bytes(MAX_COUNT + 1)).body), TO_AGENT)
     with pytest.raises(LocalProtocolError, match="AGENT_MESSAGE"):
-        encode(Frame(Kind.AGENT_MESSAGE, body=b"x" * (MAX_TEXT + 1)), TO_AGENT)
+        encode(Frame(Kind.AGENT_MESSAGE, body=b"x" * (MAX_STRING + 1)), TO_AGENT)
     with pytest.raises(LocalProtocolError, match="RL_NUM_STEPS"):
         encode(Frame(Kind.RL_NUM_STEPS, (2**31,)), TO_EXPERIMENT)
 

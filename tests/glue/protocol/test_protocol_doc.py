@@ -318,7 +318,7 @@ def test_limits_and_defaults_are_those_of_the_program() -> None:
         "a quarter of those of the hub",
         f"{GREETING_SECONDS:g} s",
         f"{MAX_UNSEATED}",
-        "a quarter of the machine's memory, or as the hub is told",
+        "a quarter of the machine's memory, or as the hub is configured",
         f"{MAX_UNSENT} bytes",
     ]
     defaults = [row[1] for row in table("default", "value")]

@@ -37,7 +37,7 @@ def test_an_example_is_understood(example: str) -> None:
     ("what", "limit"),
     [
         ("ints, doubles, chars", codec.MAX_COUNT),
-        ("a task spec or message", codec.MAX_TEXT),
+        ("a task spec or message", codec.MAX_STRING),
         ("bytes in a payload beyond", codec.SURPLUS),
         ("requests that an experiment sends ahead", peers.READ_AHEAD),
         ("connections without a role", pending.MAX_PENDING),
