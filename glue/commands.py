@@ -14,7 +14,7 @@ from typing import Final, NoReturn
 
 import click
 
-from glue.console import say
+from glue.console import is_stuck, say
 from glue.entry import EXIT_INTERRUPTED, EXIT_TERMINATED, Terminated, handle_signals
 from glue.errors import ConfigError, GlueError
 
@@ -61,8 +61,12 @@ def run(command: click.Command) -> NoReturn:
         sys.exit(error.exit_code)
     except (click.Abort, KeyboardInterrupt) as error:
         cause = error if isinstance(error, Terminated) else error.__cause__ or error.__context__
+        exit_code = EXIT_TERMINATED if isinstance(cause, Terminated) else EXIT_INTERRUPTED
+        if is_stuck():
+            # Python would wait for it at exit, too.
+            os._exit(exit_code)
         say("interrupted")
-        sys.exit(EXIT_TERMINATED if isinstance(cause, Terminated) else EXIT_INTERRUPTED)
+        sys.exit(exit_code)
     except GlueError as error:
         say(f"Error: {error}")
         sys.exit(2 if isinstance(error, ConfigError) else 1)

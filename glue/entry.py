@@ -12,6 +12,8 @@ from importlib import import_module
 from types import FrameType
 from typing import Final, NoReturn
 
+from glue.console import is_stuck
+
 __all__ = ["EXIT_INTERRUPTED", "EXIT_TERMINATED", "Terminated", "handle_signals", "start"]
 
 EXIT_INTERRUPTED: Final = 128 + signal.SIGINT
@@ -68,5 +70,6 @@ def _is_importing(frame: FrameType | None) -> bool:
 
 
 def _leave(number: int, frame: FrameType | None = None) -> NoReturn:
-    os.write(2, b"interrupted\n")
+    if not is_stuck():
+        os.write(2, b"interrupted\n")
     os._exit(EXIT_TERMINATED if number == signal.SIGTERM else EXIT_INTERRUPTED)

@@ -153,8 +153,10 @@ class RemoteExperiment(Experiment):
         link = self._link
         self._seq += 1
         request = Message(kind, self._session, self._seq, scalars, write(body))
+        unreceived = 0  # how often it was sent and, as far as is known, not received
         if link.ready(self._session):
             link.send(request)
+            unreceived = 1
         while True:
             message = self._receive()
             if message is None:
@@ -162,7 +164,15 @@ class RemoteExperiment(Experiment):
             if message.kind is Kind.WELCOME:
                 # Over a new connection the request is sent again; the hub knows whether it had it already.
                 if link.ready(self._session):
+                    if message.scalars[1]:
+                        unreceived = 0
+                    if unreceived == _MAX_SENDS:
+                        raise HubClosed(
+                            f"the connection to the hub ended {_MAX_SENDS} times in succession after "
+                            f"{kind.name} was sent; the hub's log may say why"
+                        )
                     link.send(request)
+                    unreceived += 1
             elif message.seq == self._seq:
                 if message.kind is Kind.ERROR:
                     self._answered = True
@@ -186,6 +196,11 @@ class RemoteExperiment(Experiment):
         if kind is not Kind.RL_INIT:
             raise PeerLost(loss)
 
+
+_MAX_SENDS: Final = 8
+"""How often a request is sent to a hub that never has received it: each time its connection ended.
+
+It may be the request that makes the hub drop the connection, by an error of its own."""
 
 _DEPENDENT: Final = frozenset(
     {Kind.RL_INIT, Kind.RL_START, Kind.RL_EPISODE, Kind.RL_AGENT_SAVE, Kind.RL_ENV_SAVE}

@@ -118,7 +118,7 @@ class Switchboard:
                     peer.session.repeat(peer)
                 since = peer.unreachable_since
                 if since is not None and now - since >= self._config.timeout:
-                    self._lose(peer, f"was out of reach for {now - since:.1f} s")
+                    self._lose(peer, f"was unreachable for {now - since:.1f} s")
         for session in self._sessions.values():
             session.report_if_slow(now)
         self.memory.relieve()

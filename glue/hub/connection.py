@@ -155,13 +155,17 @@ class Connection:
         try:
             self.ready(now)
         except Exception:
-            self._loop.log(
-                f"{self.name} was dropped after an error of the hub; please report this:\n"
-                f"{traceback.format_exc()}"
-            )
             failed = self.failed
-            self.reset()
+            self.fail()
             failed(now)
+
+    def fail(self) -> None:
+        """Reset the connection because of the exception being handled, and report it to the log."""
+        self._loop.log(
+            f"{self.name} was dropped after an error of the hub; please report this:\n"
+            f"{traceback.format_exc()}"
+        )
+        self.reset()
 
     def _serve_from_queue(self, now: float) -> None:
         self._queued = False

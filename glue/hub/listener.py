@@ -17,6 +17,7 @@ import errno
 import os
 import socket
 import stat
+import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
@@ -152,8 +153,11 @@ class Listener:
         )
         try:
             self._accept(connected, name, now)
-        except OSError:
-            # Gone already.
+        except Exception as error:
+            if not isinstance(error, OSError):  # an OSError: it has gone already
+                report = traceback.format_exc()
+                self._loop.log(f"{name} was dropped after an error of the hub; please report this:\n{report}")
+            self._loop.unwatch(connected.fileno())
             connected.close()
 
 

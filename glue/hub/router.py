@@ -37,7 +37,7 @@ GREETING_SECONDS: Final = 1.0
 """How long a connection may be without a seat before it is dropped, at the next tick."""
 
 MAX_UNSENT: Final = 64 * 2**20
-"""Bytes that wait for one peer, beyond which it is out of reach: it does not read."""
+"""Maximum number of bytes waiting to be sent to one peer; with more it is unreachable: it does not read."""
 
 _STEPS: Final = frozenset({Kind.ENV_STEP, Kind.AGENT_STEP})
 

@@ -21,7 +21,7 @@ Source: RL-Glue core 3.04, RL_network_glue.c; rl-glue-ext, the C, Java and Pytho
 from __future__ import annotations
 
 import socket
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import Final
@@ -30,6 +30,7 @@ from glue.core.config import LegacyPort
 from glue.errors import RemoteProtocolError
 from glue.hub.connection import Connection
 from glue.hub.listener import Listener, OpenAddress, open_address
+from glue.hub.log import Log
 from glue.hub.server import Hub
 from glue.legacy.codec import (
     FROM_AGENT,
@@ -41,7 +42,7 @@ from glue.legacy.codec import (
     Vocabulary,
 )
 from glue.legacy.peers import Experiment, Player
-from glue.legacy.pending import Log, Pending
+from glue.legacy.pending import Pending
 from glue.protocol.messages import Kind, Role
 
 __all__ = ["Gateway", "open_legacy_port"]
@@ -67,7 +68,8 @@ class Gateway:
     Args:
         hub: a hub that does not run yet.
         ports: where to listen, and which session is joined there.
-        log: takes a line for people about each connection that is refused, dropped or in trouble.
+        log: takes a line for people about each connection that is refused, dropped or in trouble, in a thread
+            of its own: nothing in the hub waits for it. Or a `Log`, which its owner closes.
         opened: those of `ports` that are open already, see `open_legacy_port`; they stay open when the hub
             closes.
 
@@ -82,12 +84,13 @@ class Gateway:
         self,
         hub: Hub,
         ports: Sequence[LegacyPort],
-        log: Log = lambda line: None,
+        log: Callable[[str], None] | Log = lambda line: None,
         opened: Mapping[LegacyPort, OpenAddress] = _NONE,
     ) -> None:
         self.ports: list[LegacyPort] = []
         self._listeners: list[Listener] = []
-        self._pending = Pending(hub, log)
+        lines = log if isinstance(log, Log) else Log(log)
+        self._pending = Pending(hub, lines)
         with ExitStack() as closing:
             addresses = [
                 (port, opened.get(port) or closing.enter_context(open_legacy_port(port))) for port in ports
@@ -96,6 +99,8 @@ class Gateway:
         for port, address in addresses:
             self._listen(port, address)
         hub.on_close(self._stop_listening)
+        if lines is not log:
+            hub.on_close(lines.close)
 
     def _listen(self, port: LegacyPort, address: OpenAddress) -> None:
         pending, hub = self._pending, self._pending.hub

@@ -7,6 +7,7 @@ about states in `glue.legacy.states`.
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Mapping
 from typing import Final
 
@@ -60,8 +61,11 @@ class Peer:
         self._role = role
         self._session = port.session
         self._port = port
+        self._held = 0
         connection.ready = self._ready
+        connection.failed = self._failed
         connection.in_turn = True
+        pending.on_tick(self._weigh)
 
     def join(self, now: float) -> None:
         """Ask the switchboard for the role."""
@@ -75,13 +79,54 @@ class Peer:
 
     def deliver(self, message: Message) -> bool:
         """Take a message from the switchboard; return False if the program is gone."""
+        connection = self._connection
+        if connection.closed:
+            return False
+        try:
+            delivered = self._take(message)
+        except Exception:
+            # An error about this program must not end what another one is doing.
+            connection.fail()
+            return False
+        self._weigh()
+        return delivered
+
+    def _take(self, message: Message) -> bool:
+        """Act on a message from the switchboard; return False if the program is gone."""
         raise NotImplementedError
 
     def admits(self, role: Role, session: str) -> bool:
         """Return whether `role` of `session` can be taken from here."""
         return role in self._port.roles and session == self._port.session
 
+    @property
+    def seated(self) -> bool:
+        """Whether it takes part in a session."""
+        return self._pending.hub.switchboard.num_seats(self) > 0
+
+    def evict(self, why: str) -> None:
+        """Drop the connection: it keeps too much."""
+        self._connection.reset()
+        self._pending.hub.switchboard.lose(self, f"was dropped: {why}", time.monotonic())
+
+    def _failed(self, now: float) -> None:
+        self._pending.hub.switchboard.lose(self, "was dropped after an error of the hub", now)
+
+    def _weigh(self) -> bool:
+        """Account for requests not carried out yet and data not sent; return whether there may be more."""
+        connection = self._connection
+        held = 0 if connection.closed else self._decoder.buffered + connection.unsent
+        if held != self._held:
+            self._held = held
+            self._pending.hub.switchboard.memory.hold(self, held)
+        return not connection.closed
+
     def _ready(self, now: float) -> None:
+        self._work(now)
+        self._weigh()
+        self._pending.hub.switchboard.memory.relieve()
+
+    def _work(self, now: float) -> None:
         """Receive, and act on what was received."""
         raise NotImplementedError
 
@@ -117,7 +162,7 @@ class Player(Peer):
     _substitute: Message | None = None
     """What answers in its stead a call that cannot be written in its format."""
 
-    def deliver(self, message: Message) -> bool:
+    def _take(self, message: Message) -> bool:
         if self._state is PlayerState.GONE:
             return False
         if message.kind in CALLS:
@@ -158,7 +203,7 @@ class Player(Peer):
         else:
             self._connection.send(frame)
 
-    def _ready(self, now: float) -> None:
+    def _work(self, now: float) -> None:
         connection, switchboard = self._connection, self._pending.hub.switchboard
         if self._substitute is not None:
             substitute, self._substitute = self._substitute, None
@@ -223,7 +268,7 @@ class Experiment(Peer):
     _has_stepped = False
     """Whether a step was made after which the episode went on."""
 
-    def deliver(self, message: Message) -> bool:
+    def _take(self, message: Message) -> bool:
         if self._state is ExperimentState.GONE:
             return False
         kind, request = message.kind, self._request
@@ -283,7 +328,7 @@ class Experiment(Peer):
         self._failure = f"was cut off: {why}"
         self._connection.later()
 
-    def _ready(self, now: float) -> None:
+    def _work(self, now: float) -> None:
         connection, switchboard = self._connection, self._pending.hub.switchboard
         if self._state is ExperimentState.FAILED:
             self._on(ExperimentEvent.LEFT)
@@ -291,13 +336,13 @@ class Experiment(Peer):
             switchboard.lose(self, self._failure, now)
             return
         try:
-            self._work(now)
+            self._take_up(now)
         except RemoteProtocolError as error:
             self._on(ExperimentEvent.LEFT)
             connection.reset()
             switchboard.malformed(self, error, now)
 
-    def _work(self, now: float) -> None:
+    def _take_up(self, now: float) -> None:
         """Take up at most one request, so that every session gets its turn, and receive more."""
         connection, decoder = self._connection, self._decoder
         if self._state is ExperimentState.RETRYING:

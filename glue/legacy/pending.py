@@ -8,13 +8,11 @@ from dataclasses import dataclass
 from typing import Final
 
 from glue.hub.connection import Connection, take_leave
+from glue.hub.log import Log
 from glue.hub.server import Hub
 from glue.legacy.codec import TO_AGENT, Control, Frame, encode
 
-__all__ = ["MAX_PENDING", "Log", "Pending"]
-
-Log = Callable[[str], None]
-"""Takes a line for people."""
+__all__ = ["MAX_PENDING", "Pending"]
 
 MAX_PENDING: Final = 256
 """Connections without a role that are kept at once; one more makes the oldest close."""
@@ -55,6 +53,7 @@ class Pending:
         self.hub = hub
         self.log = log
         self._entries: dict[Connection, _Entry] = {}
+        self._weighing: list[Callable[[], bool]] = []
         self._dropped = _DroppedLog(log)
         hub.loop.on_tick(self._tick)
         hub.on_close(self._close)
@@ -62,6 +61,10 @@ class Pending:
     def add(self, connection: Connection, time_out: Callable[[float], None], closing: bool = False) -> None:
         """Keep `connection`; after the hub's timeout, call `time_out` with the time."""
         self._entries[connection] = _Entry(time_out, closing)
+
+    def on_tick(self, weigh: Callable[[], bool]) -> None:
+        """Call `weigh` at every tick until it returns False: its connection has closed."""
+        self._weighing.append(weigh)
 
     def remove(self, connection: Connection) -> None:
         """Forget `connection`, which has a role now."""
@@ -99,6 +102,7 @@ class Pending:
             elif now - entry.since >= self.hub.config.timeout:
                 del self._entries[connection]
                 entry.time_out(now)
+        self._weighing = [weigh for weigh in self._weighing if weigh()]
         self._dropped.tick(now)
 
     def _close(self) -> None:

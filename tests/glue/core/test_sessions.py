@@ -522,7 +522,7 @@ def test_a_player_out_of_reach_for_longer_than_the_timeout_makes_the_episode_voi
     assert notices([notice]) == [("lost", "agent" if lost == "a" else "environment")]
     code, text = error([failed])
     assert code == ErrorCode.PEER_LOST
-    assert f"{lost} was out of reach for 5.0 s" in text
+    assert f"{lost} was unreachable for 5.0 s" in text
 
 
 def test_a_player_that_says_goodbye_makes_the_episode_void_at_once(playing: Rig) -> None:

@@ -176,8 +176,14 @@ def test_an_error_of_the_hub_costs_one_connection_and_is_reported() -> None:
             assert one.rl_num_steps() == 0
             with pytest.raises(HubClosed, match="knows nothing of this experiment"):
                 one.rl_return()
+        with (
+            connect(listening.endpoints[0], "first request") as first,
+            pytest.raises(HubClosed, match="in succession after RL_RETURN was sent"),
+        ):
+            first.rl_return()
         assert other.rl_num_episodes() == 0
-    (report,) = [line for line in lines if "please report" in line]
+    report, *more = [line for line in lines if "please report" in line]
+    assert 1 < len(more) < 10, "the first request is sent again, and not forever"
     assert "ZeroDivisionError: a fault of the hub" in report
     assert "Traceback" in report
     assert any("'one': experiment" in line and "after an error of the hub" in line for line in lines)

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import re
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+
+import pytest
 
 from glue.client.experiment import connect
 from tests.system.peer import TIMEOUT, running
@@ -46,3 +54,27 @@ def test_quiet_and_verbose_exclude_each_other() -> None:
         _, text = hub.communicate(timeout=TIMEOUT)
     assert hub.returncode == 2
     assert "--quiet and --verbose" in text
+
+
+@pytest.mark.skipif(not hasattr(fcntl, "F_SETPIPE_SZ"), reason="needs the pipes of Linux")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_hub_whose_full_log_is_not_read_can_be_stopped(number: signal.Signals) -> None:
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
+    command = [sys.executable, "-c", PROGRAM, "--bind", "tcp://127.0.0.1:*"]
+    with subprocess.Popen(command, stderr=writing) as hub, open(reading, "rb", buffering=0) as log:
+        try:
+            url = log.readline().decode().split()[-1]
+            # Opened anew, so that the hub's own end still waits.
+            end = os.open(f"/proc/self/fd/{writing}", os.O_WRONLY | os.O_NONBLOCK)
+            with suppress(BlockingIOError):  # full
+                while True:
+                    os.write(end, b"x")
+            with connect(url, log=lambda line: None) as glue:
+                assert glue.rl_num_episodes() == 0  # its arrival is logged
+            hub.send_signal(number)
+            assert hub.wait(TIMEOUT) == 128 + number
+        finally:
+            hub.kill()
+            os.close(writing)
+            os.close(end)

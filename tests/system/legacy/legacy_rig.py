@@ -17,6 +17,7 @@ from glue.core.config import HubConfig, LegacyPort
 from glue.core.experiment import Experiment
 from glue.hub.server import Hub
 from glue.legacy.gateway import Gateway
+from glue.protocol.limits import MAX_BODY
 from glue.protocol.messages import Kind, Value
 from glue.roles import Agent, Environment
 from glue.types import AbstractType, Action, Observation
@@ -135,11 +136,20 @@ class Rig:
 
 
 @contextmanager
-def gateway(*sessions: str, heartbeat: float = 0.5, timeout: float = 5.0) -> Iterator[Rig]:
+def gateway(
+    *sessions: str,
+    heartbeat: float = 0.5,
+    timeout: float = 5.0,
+    max_body: int = MAX_BODY,
+    max_memory: int = 2**30,
+) -> Iterator[Rig]:
     """Run a hub with a port for each session, or for `default`; with it all programs must end."""
     log = Log()
     with zmq.Context() as context:
-        hub = Hub(HubConfig(("tcp://127.0.0.1:*",), heartbeat, timeout), log)
+        config = HubConfig(
+            ("tcp://127.0.0.1:*",), heartbeat, timeout, max_body=max_body, max_memory=max_memory
+        )
+        hub = Hub(config, log)
         ports = [LegacyPort(0, session) for session in (*(sessions or ("default",)), _ASIDE)]
         rig = Rig(hub, Gateway(hub, ports, log), context, log)
         try:
