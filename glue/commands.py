@@ -10,7 +10,9 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from typing import Final, NoReturn
+from collections.abc import Callable
+from functools import wraps
+from typing import Final, NoReturn, TypeVar
 
 import click
 
@@ -45,6 +47,24 @@ legacy_port_option: Final = click.option(
 """The option of all commands that start a hub; see `glue.core.config.LegacyPort.parse`."""
 
 
+_T = TypeVar("_T")
+
+
+def _abortable(callback: Callable[..., _T]) -> Callable[..., _T]:
+    """Return `callback` with KeyboardInterrupt as click.Abort: Click would print, and wait for it."""
+
+    @wraps(callback)
+    def call(*values: object, **options: object) -> _T:
+        try:
+            return callback(*values, **options)
+        except KeyboardInterrupt as interrupt:
+            if not is_stuck():
+                say("")  # after the terminal's ^C
+            raise click.Abort from interrupt
+
+    return call
+
+
 def run(command: click.Command) -> NoReturn:
     """Run `command` with the program's arguments, and exit with a code of docs/commands.md.
 
@@ -52,6 +72,8 @@ def run(command: click.Command) -> NoReturn:
     glue-experiment, unless it declares another one.
     """
     handle_signals()
+    if command.callback is not None:
+        command.callback = _abortable(command.callback)
     prefix = (command.name or "").upper().replace("-", "_")
     try:
         code = command.main(standalone_mode=False, auto_envvar_prefix=prefix)
