@@ -20,14 +20,14 @@ PLAN = [
     *("--env", "mines", "--env-option", "random_start=true", "--agent", "sarsa"),
     *("--episodes", 1000, "--max-steps", 30, "--trials", 4, "--seed", 11),
 ]
-KILLS = 16
+KILLS = 8
 VICTIMS = (
     "experiment",
     "player_command -- agent",
     "player_command -- environment",
     "experiment_runner.executors.local",
 )
-LONGEST_LIFE = 1.0
+LONGEST_LIFE = 0.5
 
 
 def kill_one(experiment: subprocess.Popen[str], program: str, chance: random.Random) -> None:

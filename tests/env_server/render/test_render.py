@@ -426,7 +426,7 @@ def test_missing_pillow_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         save_png(tmp_path / "a.png", screen())
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=50)
 @given(data=st.data())
 def test_any_observation_of_the_right_shape_is_drawn_or_refused(data: st.DataObject) -> None:
     def strange() -> Observation:
