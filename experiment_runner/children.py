@@ -1,9 +1,9 @@
-"""Child processes: how they are started and ended, and players that are restarted when they are killed.
+"""Child processes: starting and ending them, and restarting players that are killed.
 
     python -P -m experiment_runner.children MODULE ARGUMENTS...
 
-runs a module as a program that ends when the process that started it does, whatever ends that one, SIGKILL
-included. Its standard input is a pipe that nobody writes to: once it closes, the parent is gone.
+runs a module as a program that ends with the process that started it, even if that is ended by SIGKILL. Its
+standard input is a pipe to which nothing is written: when it closes, the parent is gone.
 """
 
 from __future__ import annotations
@@ -22,22 +22,22 @@ from glue.errors import ExperimentError
 __all__ = ["KeptAlive", "Say", "end", "has_ended", "how_it_ended", "main", "start"]
 
 Say = Callable[[str], None]
-"""Takes a line for people."""
+"""Shows a line of text."""
 
 FAREWELL_SECONDS: Final = 3.0
-"""How long a child may take to leave once it has been told to."""
+"""How long a child may take to exit when it has been told to."""
 
 HURRIED_SECONDS: Final = 0.2
 """The same after Ctrl-C."""
 
 _MAX_DEATHS: Final = 3
-"""Deaths at one episode after which a player is given up."""
+"""How often a player may be killed without progress until it is given up."""
 
 
 def start(module: str, arguments: Sequence[str], pass_fds: Sequence[int] = ()) -> subprocess.Popen[bytes]:
     """Start a module as a child that ends when this process does.
 
-    Ctrl-C in the terminal does not reach it: that is for this process, which then ends its children. The
+    Ctrl-C in the terminal is not delivered to it: this process handles it, and ends its children. The
     working directory is not on its module path, where a file called random.py would break it.
 
     Raises:
@@ -45,14 +45,14 @@ def start(module: str, arguments: Sequence[str], pass_fds: Sequence[int] = ()) -
     """
     command = [sys.executable, "-P", "-m", "experiment_runner.children", module, *arguments]
     try:
-        # A fresh program, not a fork of this one: a fork would share the lock of the run directory.
+        # A new program rather than a fork, which would share the lock of the run directory.
         return subprocess.Popen(command, stdin=subprocess.PIPE, pass_fds=pass_fds, process_group=0)
     except OSError as error:
         raise ExperimentError(f"cannot start {' '.join([module, *arguments])}: {error}") from error
 
 
 def end(process: subprocess.Popen[bytes], seconds: float = FAREWELL_SECONDS) -> None:
-    """Wait for a child that has been told to leave; after `seconds` terminate it, then kill it."""
+    """Wait for a child that has been told to exit; after `seconds` terminate it, then kill it."""
     for insist in (process.terminate, process.kill):
         try:
             process.wait(seconds)
@@ -63,7 +63,7 @@ def end(process: subprocess.Popen[bytes], seconds: float = FAREWELL_SECONDS) -> 
 
 
 def has_ended(process: subprocess.Popen[bytes]) -> bool:
-    """Return whether a child is gone; if so, it need not be passed to `end`."""
+    """Return whether a child has ended; if so, it need not be passed to `end`."""
     if process.poll() is None:
         return False
     _close_pipe(process)
@@ -71,7 +71,7 @@ def has_ended(process: subprocess.Popen[bytes]) -> bool:
 
 
 def how_it_ended(status: int) -> str:
-    """Return what a child's status means, as in `was killed by signal 9`."""
+    """Return a description of a child's exit status, as in `was killed by signal 9`."""
     return f"ended with status {status}" if status >= 0 else f"was killed by signal {-status}"
 
 
@@ -81,15 +81,15 @@ def _close_pipe(process: subprocess.Popen[bytes]) -> None:
 
 
 class KeptAlive:
-    """Children that are restarted when they are killed, and end with the context.
+    """Child processes that are restarted when they are killed, and that end with the context.
 
     A child that exits has reported the reason itself, and is not restarted; nor is one that is killed three
     times at the same episode.
 
     Args:
-        say: takes lines for people, from any thread.
+        say: shows a line; called from any thread.
         progress: returns how many episodes are done; called from any thread.
-        dismissed: whether the hub tells the children to leave when the context ends; if not, they are
+        dismissed: whether the hub tells the children to exit when the context ends; otherwise they are
             terminated.
     """
 
@@ -103,7 +103,7 @@ class KeptAlive:
     def start(
         self, label: str, module: str, arguments: Sequence[str], give_up: Callable[[str], None]
     ) -> None:
-        """Start a module. If it cannot be kept alive, `give_up` is called with the reason.
+        """Start a module; if it ends for good, call `give_up` with the reason.
 
         Raises:
             ExperimentError: it cannot be started.
@@ -147,13 +147,13 @@ class _Child:
         self._progress = progress
         self._give_up = give_up
         self._leaving = False
-        self._lock = threading.Lock()  # once it is leaving, no new process is started
+        self._lock = threading.Lock()  # after `leave` no new process is started
         self._process = start(module, arguments)
         self._watcher = threading.Thread(target=self._watch, name=label, daemon=True)
         self._watcher.start()
 
     def leave(self, terminate: bool) -> None:
-        """From now on the process may end; terminate it if nobody else tells it to leave."""
+        """Do not restart the process any more; terminate it if nothing else tells it to exit."""
         with self._lock:
             first, self._leaving = not self._leaving, True
         if terminate and first:  # a second signal would interrupt it while it cleans up
@@ -167,7 +167,7 @@ class _Child:
     def _watch(self) -> None:
         try:
             self._keep_alive()
-        except Exception as error:  # nobody else would notice that the player is gone
+        except Exception as error:  # otherwise nothing would notice that the player is gone
             self._give_up(f"the {self._label} cannot be restarted: {error}")
 
     def _keep_alive(self) -> None:

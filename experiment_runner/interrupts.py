@@ -1,8 +1,8 @@
-"""Ctrl-C and SIGTERM, deferred for a moment while an episode is under way.
+"""Ctrl-C and SIGTERM, deferred briefly during an episode.
 
-An episode that is cut in the middle has to be repeated, and so has every one since the newest checkpoint.
-So a signal first lets the episode end and its checkpoint be stored; but it never waits for long, and a
-second signal does not wait at all.
+An episode that is interrupted has to be repeated, as has every episode since the newest checkpoint. So a
+signal takes effect after the episode has ended and a checkpoint is stored; but it is deferred for a limited
+time only, and a second signal takes effect at once.
 """
 
 from __future__ import annotations
@@ -18,22 +18,22 @@ from typing import Final, Self
 __all__ = ["GRACE_SECONDS", "Interrupts"]
 
 GRACE_SECONDS: Final = 0.5
-"""How long a signal is deferred at most."""
+"""The maximum time for which a signal is deferred."""
 
 _Handler = Callable[[int, FrameType | None], object]
 
 
 class Interrupts:
-    """Defers SIGINT and SIGTERM in the body of `deferred`, once this context is entered.
+    """Within this context, defers SIGINT and SIGTERM during the body of `deferred`.
 
-    Signals that have no handler of Python's, and those of a context that is entered in another thread than
-    the main one, are left alone.
+    Signals without a Python handler are not affected; nor is any signal if the context is entered outside the
+    main thread.
 
     Args:
-        grace: seconds for which a signal is deferred at most.
+        grace: maximum time in seconds for which a signal is deferred.
 
     Attributes:
-        requested: a signal is being deferred.
+        requested: whether a signal is being deferred.
     """
 
     def __init__(self, grace: float = GRACE_SECONDS) -> None:
@@ -44,7 +44,7 @@ class Interrupts:
         self._deliver: Callable[[], object] | None = None
         self._handlers: dict[int, _Handler] = {}
         self._ended = threading.Event()
-        # Its put may interrupt itself, as a signal handler can; an Event's set may not.
+        # Its put is reentrant, which a signal handler needs; an Event's set is not.
         self._received: SimpleQueue[int] = SimpleQueue()
 
     def __enter__(self) -> Self:
@@ -68,11 +68,11 @@ class Interrupts:
 
     @contextmanager
     def deferred(self) -> Iterator[None]:
-        """Let the body come to its end before a signal has its effect.
+        """Let the body complete before a signal takes effect.
 
         Raises:
-            KeyboardInterrupt: at the end, if there was a signal; within the body if there is a second one,
-                or the body does not end in time.
+            KeyboardInterrupt: after the body, if there was a signal; within it, on a second signal or if the
+                body does not end in time.
         """
         self._deferring = True
         try:
@@ -82,10 +82,10 @@ class Interrupts:
             self.check()
 
     def check(self) -> None:
-        """Let a signal that is being deferred have its effect now.
+        """Let a deferred signal take effect now.
 
         Raises:
-            KeyboardInterrupt: there is one.
+            KeyboardInterrupt: a signal was deferred.
         """
         deliver, self._deliver = self._deliver, None
         if deliver is not None:
@@ -99,7 +99,7 @@ class Interrupts:
 
         overdue, self._overdue = self._overdue, False
         if overdue and not self._deferring:
-            return  # the body has ended just in time
+            return  # the body ended in time after all
         if overdue or self._deliver is not None or not self._deferring:
             deliver()
             return

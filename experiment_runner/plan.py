@@ -1,11 +1,11 @@
 """An experiment as data: agents, environments, episodes, trials, a seed.
 
 Every agent meets every environment, in every combination of the swept values, `trials` times. See
-`experiment_runner.plan_file` for how it is written down.
+`experiment_runner.plan_file` for its file format.
 
-A trial's id says which combination it is, `hierarchical/step_size=0.1/mario/level_difficulty=0/3`,
-and its seed follows from the experiment's seed and that id alone. So neither the order of trials
-nor the machine matters, and a plan that gains an agent or a value keeps the trials it had.
+A trial's id names its combination, as in `hierarchical/step_size=0.1/mario/level_difficulty=0/3`,
+and its seed is derived from the experiment's seed and that id alone. So results depend neither on the order
+of trials nor on the machine, and a plan that is extended by an agent or a value keeps its existing trials.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = [
     "trial_seed",
 ]
 
-COUNTS: Final = {  # of a plan, and the values they may have
+COUNTS: Final = {  # a plan's numbers, with the range of each
     "episodes": range(1, 2**63),
     "max_steps": range(2**32),
     "trials": range(1, 1_000_001),
@@ -54,12 +54,12 @@ _LABEL: Final = re.compile(r"[A-Za-z0-9_.+-]+")
 
 @dataclass(frozen=True, slots=True)
 class RoleSpec:
-    """An agent or environment and its options, ready to be made.
+    """An agent or environment and its options, from which it can be constructed.
 
     Args:
         name: an entry point's name, `module:Class` or `path/file.py:Class`.
         options: constructor options by name.
-        label: what tables and figures call it.
+        label: its name in tables and figures.
     """
 
     name: str
@@ -72,10 +72,10 @@ class RoleSpec:
 
 @dataclass(frozen=True, slots=True)
 class RoleSweep:
-    """An agent or environment of a plan: as `RoleSpec`, but a tuple of values is swept over.
+    """An agent or environment of a plan: a `RoleSpec`, except that a tuple of values is swept over.
 
     Raises:
-        ExperimentError: the label cannot stand in a trial's id, or a value in a plan.
+        ExperimentError: the label cannot be part of a trial's id, or a value cannot be part of a plan.
     """
 
     name: str
@@ -96,7 +96,7 @@ class RoleSweep:
             for one in values:
                 if not isinstance(one, (bool, int, float, str)):
                     raise ExperimentError(
-                        f"option {option} of {self.label} takes a number, a text, true or false, "
+                        f"option {option} of {self.label} takes a number, a string, true or false, "
                         f"or a list of these, not {one!r}"
                     )
 
@@ -112,15 +112,15 @@ class RoleSweep:
 
 @dataclass(frozen=True, slots=True)
 class TrialSpec:
-    """One trial: everything that decides its numbers.
+    """One trial: everything that determines its results.
 
     Args:
         id: unique and readable, `agent/environment/number`.
-        agent: None when it connects from outside.
-        environment: None when it connects from outside.
-        episodes: how many to run, at least 1.
+        agent: None if it connects from outside.
+        environment: None if it connects from outside.
+        episodes: number of episodes, at least 1.
         max_steps: the step limit of `Experiment.rl_episode`; 0 for none.
-        seed: of everything random in the trial, 0 <= seed < 2**63.
+        seed: random seed, 0 <= seed < 2**63.
     """
 
     id: str
@@ -160,7 +160,7 @@ class Plan:
                     raise ExperimentError(f"two {role} are called {label}; label them apart")
 
     def expand(self) -> list[TrialSpec]:
-        """Return every trial, the trials of one combination together.
+        """Return every trial; those of one combination follow each other.
 
         Raises:
             ExperimentError: two trials would have the same id, as when a value is listed twice.
@@ -176,13 +176,13 @@ class Plan:
         seen = set()
         for spec in specs:
             if spec.id in seen:
-                raise ExperimentError(f"the plan has trial {spec.id} twice; is a value listed twice?")
+                raise ExperimentError(f"the plan has trial {spec.id} twice: is a value listed twice?")
             seen.add(spec.id)
         return specs
 
 
 def trial_seed(seed: int, trial_id: str) -> int:
-    """Return the seed of a trial, 0 <= seed < 2**63: a function of the experiment's seed and the id."""
+    """Return the seed of a trial, 0 <= seed < 2**63: derived from the experiment's seed and the id."""
     digest = hashlib.sha256(trial_id.encode()).digest()
     words = tuple(int.from_bytes(digest[i : i + 4], "little") for i in range(0, len(digest), 4))
     import numpy as np  # here, so that the commands answer --help without it
@@ -192,7 +192,7 @@ def trial_seed(seed: int, trial_id: str) -> int:
 
 
 def absolute(plan: Plan, folder: Path) -> Plan:
-    """Return the plan with every relative `path/file.py:Class` taken to be relative to `folder`."""
+    """Return the plan with every relative `path/file.py:Class` resolved against `folder`."""
 
     def located(sweep: RoleSweep) -> RoleSweep:
         file, _, name = sweep.name.rpartition(":")
@@ -206,19 +206,19 @@ def absolute(plan: Plan, folder: Path) -> Plan:
 
 
 def class_files(roles: Iterable[RoleSweep | RoleSpec | None]) -> list[str]:
-    """Return the files of classes that are named by a file, each once."""
+    """Return the files of the classes that are named as `path/file.py:Class`, without duplicates."""
     sources = [role.name.rpartition(":")[0] for role in roles if role is not None]
     return list(dict.fromkeys(source for source in sources if source.endswith(".py")))
 
 
 def check_options(plan: Plan, find: Callable[[str, str], type]) -> Plan:
-    """Return the plan with every option checked by the class it belongs to, whole numbers widened.
+    """Return the plan with every option checked against its class; ints become floats where needed.
 
     Args:
-        find: returns the class of a role ("agent" or "environment") and name.
+        find: returns the class for a role ("agent" or "environment") and a name.
 
     Raises:
-        ConfigError: what `find` raises, or an option that its class does not have or take.
+        ConfigError: raised by `find`, or an option is unknown to its class or has an invalid value.
     """
     return replace(
         plan,
@@ -228,7 +228,7 @@ def check_options(plan: Plan, find: Callable[[str, str], type]) -> Plan:
 
 
 def differences(ours: Plan, theirs: Plan) -> list[str]:
-    """Return what `theirs` has otherwise than `ours`, a line each; empty when they are equal."""
+    """Return how `theirs` differs from `ours`, one line for each difference."""
     found = [
         f"{name} is {getattr(theirs, name)}, not {getattr(ours, name)}"
         for name in COUNTS
@@ -250,7 +250,7 @@ def differences(ours: Plan, theirs: Plan) -> list[str]:
 
 
 def describe(plan: Plan) -> str:
-    """Return what a plan would run, a trial a line, for people."""
+    """Return a summary of a plan for people, with a line for each trial."""
     specs = plan.expand()
     cutoff = f"cut off after {plan.max_steps} steps" if plan.max_steps else "without a step limit"
     lines = [
@@ -307,5 +307,5 @@ def _shown(options: Mapping[str, Value | tuple[Value, ...]], name: str) -> str:
 
 
 def plain(value: Value) -> str:
-    """Return the text of an option's value, as ids and TOML have it."""
+    """Return an option's value as it is written in ids and in TOML."""
     return str(value).lower() if isinstance(value, bool) else str(value)

@@ -1,4 +1,4 @@
-"""A plan as a file, in TOML, so that it reads at a glance:
+"""Reading and writing plans as TOML files:
 
     episodes = 5000
     trials = 10
@@ -17,9 +17,9 @@
     class = "tiles"
     terminal_update = true
 
-A table is headed by the name of an agent or environment, or by a label of your own with the name
+The heading of a table is the name of an agent or environment, or a label of your own with the name
 under `class`. A list of values is swept over. Every agent meets every environment, in every
-combination of the swept values, `trials` times. Leave out `agents` (or `environments`) when that
+combination of the swept values, `trials` times. Omit `agents` (or `environments`) if that
 role connects from outside.
 """
 
@@ -60,7 +60,7 @@ def parse_plan(text: str) -> Plan:
     """Return the plan that a TOML text describes.
 
     Raises:
-        ExperimentError: it is not TOML, or a key or value is not one of a plan's.
+        ExperimentError: it is not TOML, or a key or value does not belong in a plan.
     """
     try:
         document = tomllib.loads(text)
@@ -71,7 +71,7 @@ def parse_plan(text: str) -> Plan:
         if key not in known:
             raise ExperimentError(f"a plan has no {key!r}{did_you_mean(key, known)}")
     if "episodes" not in document:
-        raise ExperimentError("a plan says how many episodes a trial has, as in: episodes = 1000")
+        raise ExperimentError("a plan needs the number of episodes of each trial, as in: episodes = 1000")
     counts = {name: document[name] for name in COUNTS if name in document}
     return Plan(
         **counts,
@@ -81,7 +81,7 @@ def parse_plan(text: str) -> Plan:
 
 
 def dump_plan(plan: Plan) -> str:
-    """Return the plan as TOML that `parse_plan` reads back to an equal plan."""
+    """Return the plan as TOML, from which `parse_plan` returns an equal plan."""
     lines = [f"{name} = {getattr(plan, name)}" for name in COUNTS]
     for role in ROLES:
         for sweep in getattr(plan, role):

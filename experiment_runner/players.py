@@ -1,11 +1,11 @@
-"""Bring agent, environment and experiment together: in this process, or over a hub.
+"""Connect agent, environment and experiment: in this process, or over a hub.
 
-Roles that a trial names are made here, as objects or as child processes; roles that it leaves out are
-waited for, and the user is shown which command starts them.
+Players that a trial names are created here, as objects or as child processes. For the others the experiment
+waits, and shows the command that starts them.
 
 The addresses at which players join from outside are opened once for a whole run, by `listening`, and
-handed to the hub of each trial. None is opened only to be tried: an original RL-Glue program that waits for
-its port connects as soon as it is open, and ends when it is closed again.
+passed to the hub of each trial. No address is opened just to test it: an original RL-Glue program that waits
+for its port connects as soon as it is open, and exits when it is closed again.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ __all__ = ["HubOptions", "Meeting", "Note", "listening", "open_experiment"]
 _COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
 
 Note = Callable[[str, str], None]
-"""Takes note of an event, and shows it: its kind, which is one word, and a line for people."""
+"""Records and shows an event: its kind, which is one word, and a line of text."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,10 +46,10 @@ class HubOptions:
     """Where the players meet.
 
     Args:
-        hub: URL of a hub that runs already; None for one of our own.
-        bind: addresses of our own hub for players from outside; by default one, if any is expected.
+        hub: URL of a running hub; None to start one.
+        bind: addresses of our own hub for players from outside; by default one, if any player is expected.
         session: the session's name.
-        wait: seconds after which `hub` is given up if it does not answer; None waits forever.
+        wait: timeout in seconds for `hub` to answer; None to wait forever.
         insecure: allow addresses that other machines can reach.
         legacy: ports of our own hub for original RL-Glue programs.
     """
@@ -64,13 +64,13 @@ class HubOptions:
 
 @dataclass(frozen=True, slots=True)
 class Meeting:
-    """How agent and environment of a trial meet; it changes no result.
+    """How agent and environment of a trial are connected; it does not affect the results.
 
     Args:
-        in_process: as objects of one process; otherwise as processes, over a hub.
-        hub: where, when they are processes.
-        opened: those of the hub's addresses that are open already, by URL.
-        opened_legacy: those of its ports for original RL-Glue programs that are open already.
+        in_process: whether they are objects in one process; otherwise they are processes, connected by a hub.
+        hub: which hub, if they are processes.
+        opened: the hub's addresses that are already open, by URL.
+        opened_legacy: its ports for original RL-Glue programs that are already open.
         any_reward: whether rewards may be infinite or NaN; if not, the first such reward ends the trial.
     """
 
@@ -84,19 +84,19 @@ class Meeting:
 def open_experiment(
     spec: TrialSpec, meeting: Meeting, say: Say, progress: Callable[[], int], note: Note | None = None
 ) -> AbstractContextManager[Experiment]:
-    """Bring the players of a trial together.
+    """Connect the players of a trial.
 
     Args:
         spec: the trial.
-        meeting: how they meet.
-        say: takes lines for people; may be called from any thread.
-        progress: returns how many episodes are done, for a player that is killed again and again to be
-            given up; may be called from any thread.
-        note: takes note of each player that joins from outside; None to show a line alone.
+        meeting: how they are connected.
+        say: shows a line; may be called from any thread.
+        progress: returns how many episodes are done, to detect a player that is killed repeatedly without
+            progress; may be called from any thread.
+        note: records each player that joins from outside; None to only show it.
 
     Raises:
         ConfigError: a name, an option or an address is wrong, or an address is in use.
-        ExperimentError: a child process cannot be started, or in one process a role is left out.
+        ExperimentError: a child process cannot be started, or a role is not named in one process.
     """
     if meeting.in_process:
         return _in_process(spec, meeting)
@@ -105,7 +105,7 @@ def open_experiment(
 
 @contextmanager
 def listening(plan: Plan, meeting: Meeting) -> Iterator[Meeting]:
-    """Listen for players from outside, for all trials of a run; yield `meeting` with what was opened.
+    """Listen for players from outside during a whole run; yield `meeting` with the open addresses.
 
     Raises:
         ConfigError: an address is in use, or is not one of this machine.
@@ -113,7 +113,7 @@ def listening(plan: Plan, meeting: Meeting) -> Iterator[Meeting]:
     options = meeting.hub
     expected = options.hub is None and not (plan.agents and plan.environments)
     outside = _outside(options, expected)
-    HubConfig(bind=outside, insecure=options.insecure)  # which refuses addresses open to other machines
+    HubConfig(bind=outside, insecure=options.insecure)  # refuses addresses that other machines can reach
     with ExitStack() as stack:
         opened = {url: stack.enter_context(open_address(url)) for url in outside}
         legacy = {port: stack.enter_context(open_legacy_port(port)) for port in options.legacy}
@@ -130,7 +130,7 @@ def _in_process(spec: TrialSpec, meeting: Meeting) -> Iterator[Experiment]:
     players = {}
     for role, player in ((Role.AGENT, spec.agent), (Role.ENVIRONMENT, spec.environment)):
         if player is None:
-            raise ExperimentError(f"in one process an {role} must be named: only a hub can wait for one")
+            raise ExperimentError(f"name an {role}: without a hub, none can join from outside")
         players[role] = build(find(role, player.name), player.options)
     environment = players[Role.ENVIRONMENT]
     if not meeting.any_reward:
@@ -163,11 +163,11 @@ def _over_hub(
         say(_missing(missing, named, public, options.session, ports))
 
     with ExitStack() as stack:
-        # Entered first, so left last: the children go when our hub has said goodbye to them.
+        # Entered first, so left last: the children exit after our hub has said goodbye to them.
         children = stack.enter_context(KeptAlive(say, progress, dismissed=options.hub is None))
         if options.hub is None:
             inside = f"ipc://{stack.enter_context(scratch_folder())}/{SOCKET}"
-            # A role that is named is open to our own child alone: only it can reach the address inside.
+            # Only our own child may take a role that is named: only it can reach the inside address.
             outside = _outside(options, bool(expected)) if expected else ()
             binds = [Bind(url, roles=expected) for url in outside]
             config = HubConfig(bind=(inside, *binds), insecure=options.insecure)
@@ -200,7 +200,7 @@ def _over_hub(
 
 
 def _from_outside(endpoint: str) -> str:
-    """Return the URL for others of an endpoint of our hub; on every address, it has HOST to fill in."""
+    """Return the URL at which others reach our hub; a wildcard becomes the placeholder HOST."""
     for everywhere in ("tcp://0.0.0.0:", "tcp://[::]:"):
         if endpoint.startswith(everywhere):
             return "tcp://HOST:" + endpoint.removeprefix(everywhere)

@@ -1,4 +1,4 @@
-"""What produced a run: the program's version, the packages, the machine."""
+"""The provenance of a run: the program's version, the installed packages, the machine."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _GIT_SECONDS: Final = 10
 
 
 def about() -> dict[str, object]:
-    """Return what `run.json` says of a run: strings, numbers, and dictionaries of these."""
+    """Return the contents of `run.json`: strings, numbers, and dictionaries of these."""
     return {
         "program": program(),
         "python": platform.python_version(),
@@ -37,7 +37,7 @@ def program() -> str:
     """Return this program's version, as in `glue-rl 0.1.0, commit 1a2b3c, modified`."""
     parts = [f"{_DISTRIBUTION} {metadata.version(_DISTRIBUTION)}"]
     here = Path(__file__).resolve()
-    # An installed copy may lie inside somebody else's repository, whose commit says nothing of it.
+    # An installed copy may be inside another repository, whose commit is irrelevant.
     if _git("ls-files", "--error-unmatch", here.name, folder=here.parent) is not None:
         commit = _git("rev-parse", "--short=12", "HEAD", folder=here.parent)
         if commit:

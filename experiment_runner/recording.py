@@ -1,7 +1,7 @@
 """Recording a trial: its episodes, step by step, in a file that `glue-replay` reads (docs/trajectories.md).
 
-The episodes that count are in the file once each, in their order, and between them those that a loss
-made void. What players repeat to get back to where they were is not.
+The file contains every episode that counts once, in order, and also those that became void because a player
+was lost. Episodes that players only repeat to restore their state are not recorded.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ __all__ = ["Recorder", "recorded"]
 
 @contextmanager
 def recorded(path: Path | None) -> Iterator[TrajectoryWriter | None]:
-    """Give the writer of a new recording, or None without a path. One that holds no episode is removed.
+    """Yield the writer of a new recording, or None without a path; remove the file if it has no episode.
 
     Raises:
-        TrajectoryError: the file exists already and is not such a remnant, or cannot be written.
+        TrajectoryError: the file exists and contains episodes or anything else, or it cannot be written.
     """
     if path is None:
         yield None
         return
-    _remove_remnant(path)  # of a recording that was killed, or found the disk full, at its very beginning
+    _remove_remnant(path)  # of a process that was killed, or had no disk space, before the first episode
     writer = TrajectoryWriter(path)
     try:
         with writer:
@@ -47,12 +47,12 @@ def _remove_remnant(path: Path) -> None:
 
 
 class Recorder:
-    """Runs episodes of a trial as `Experiment.rl_episode` does, and writes every step of them.
+    """Runs episodes of a trial like `Experiment.rl_episode`, and records every step.
 
     Args:
-        writer: of the recording; an episode is in its file once it has ended.
+        writer: writes the recording; an episode is in the file once it has ended.
         spec: the trial.
-        glue: its verbs.
+        glue: the connected experiment.
     """
 
     def __init__(self, writer: TrajectoryWriter, spec: TrialSpec, glue: Experiment) -> None:
@@ -67,8 +67,8 @@ class Recorder:
         """Begin a new run of the recording with the next episode.
 
         Args:
-            task_spec: what the environment was initialised to.
-            goes_on: whether the environment has a past since then: episodes, or what it has loaded.
+            task_spec: as `rl_init` returned it.
+            goes_on: whether the environment has run episodes or loaded a state since `rl_init`.
         """
         self._task_spec = task_spec
         self._goes_on = goes_on
@@ -78,9 +78,9 @@ class Recorder:
         """Run an episode; see `Experiment.rl_episode`.
 
         Raises:
-            PeerLost: a player went away; the episode is void in the recording, too.
+            PeerLost: a player was lost; the recording marks the episode as void.
             TrajectoryError: the recording cannot be written.
-            LocalProtocolError: the episode is beyond the limits of a recording.
+            LocalProtocolError: the episode exceeds the limits of a recording.
         """
         if not self._in_run:
             self._begin_run()
@@ -88,7 +88,7 @@ class Recorder:
             return self._episode(max_steps)
         except PeerLost:
             self._writer.void()
-            # Its environment is another now, or has made a step that nobody heard of.
+            # The environment is a new one, or has executed a step whose result was not received.
             self.begin(self._task_spec, goes_on=True)
             raise
 

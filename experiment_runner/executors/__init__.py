@@ -1,1 +1,1 @@
-"""Carrying out a plan: in this process, in worker processes of this machine, or on a Ray cluster."""
+"""Running a plan: in this process, in worker processes on this machine, or on a Ray cluster."""

@@ -1,6 +1,6 @@
-"""Dispatch jobs to an executor, store what they report, and start a lost one again.
+"""Dispatch jobs to an executor, store their reports, and restart lost jobs.
 
-This is the one end at which the store of a run is written.
+Only this module writes results to the store of a run.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ _WAIT_SECONDS: Final = 0.1
 
 
 class Executor(Protocol):
-    """Runs trials somewhere. When its context is left, none of them runs any more.
+    """Runs trials somewhere. Leaving its context ends them all.
 
     Attributes:
-        size: how many trials at a time.
+        size: maximum number of concurrent trials.
     """
 
     size: int
 
     def start(self, job: Job) -> None:
-        """Run a trial. It is over when `receive` returns `Ended` or `Lost` for it."""
+        """Start a trial. It is over when `receive` returns `Ended` or `Lost` for it."""
         ...
 
     def receive(self, seconds: float) -> list[tuple[str, Report]]:
-        """Return reports with the id of their trial, those of one trial in order; wait `seconds` at most."""
+        """Return reports with the ids of their trials, in order for each trial; wait at most `seconds`."""
         ...
 
     def stop(self) -> None:
@@ -65,13 +65,13 @@ class Executor(Protocol):
 
 
 class Dispatcher:
-    """Puts what trials report into the store, and then passes it to the reporter.
+    """Stores what trials report, then passes it to the reporter.
 
     Args:
         store: open for writing.
-        reporter: shows what happens.
-        make_job: returns the job for a trial and where it begins.
-        interrupts: lets episodes under way end before Ctrl-C has its effect.
+        reporter: shows progress.
+        make_job: returns the job for a trial and its starting point.
+        interrupts: lets running episodes end before Ctrl-C takes effect.
     """
 
     def __init__(
@@ -87,14 +87,14 @@ class Dispatcher:
         self._interrupts = interrupts
         self._specs = {record.spec.id: record.spec for record in store.trials()}
         self._losses: dict[str, tuple[int, int]] = {}
-        """How far each lost trial was, and how often it was lost without getting further."""
+        """For each lost trial: its progress, and how often it was lost without further progress."""
 
     def run_here(self, trials: Iterable[Remaining], recording: TrajectoryWriter | None = None) -> None:
         """Run trials in this process, one after the other.
 
         Args:
-            trials: what remains of them.
-            recording: is written every step; None for none.
+            trials: the unfinished trials.
+            recording: receives every step; None for no recording.
 
         Raises:
             StorageError: a report cannot be stored.
@@ -106,8 +106,8 @@ class Dispatcher:
     def run_on(self, executor: Executor, trials: Iterable[Remaining]) -> None:
         """Run trials on an executor.
 
-        A trial that is lost goes on from its newest checkpoint, unless it is lost three times in a row
-        without getting any further: then it has failed.
+        A lost trial continues from its newest checkpoint; lost three times in a row without progress, it has
+        failed.
 
         Raises:
             StorageError: a report cannot be stored.
@@ -126,7 +126,7 @@ class Dispatcher:
                     if isinstance(report, (Ended, Lost)):
                         running.remove(trial_id)
                     if stopped and isinstance(report, Lost):
-                        continue  # as it was asked to be
+                        continue  # it was asked to stop
                     self.take(trial_id, report)
                     if isinstance(report, Lost):
                         waiting.extendleft(self._after_loss(trial_id, report))
@@ -169,7 +169,7 @@ class Dispatcher:
         return self._make_job(spec, Start(*found) if found else BEGINNING)
 
     def _after_loss(self, trial_id: str, loss: Lost) -> list[Remaining]:
-        """Return what remains to be run of a trial that was lost, made ready to go on."""
+        """Return what remains of a lost trial, prepared to continue."""
         done = self._store.done(trial_id)
         furthest, count = self._losses.get(trial_id, (-1, 0))
         count = 1 if done > furthest else count + 1

@@ -1,7 +1,7 @@
-"""One trial as a job: what an executor is given, and what it reports back.
+"""One trial as a job for an executor, and the reports that it sends back.
 
-Reports go, in order, to the one process that writes the store, see `experiment_runner.executors.dispatch`.
-Between processes both travel as msgpack, one value after the other.
+Reports are sent, in order, to the only process that writes the store, see
+`experiment_runner.executors.dispatch`. Between processes, jobs and reports are a stream of msgpack values.
 """
 
 from __future__ import annotations
@@ -43,15 +43,15 @@ __all__ = [
 ]
 
 _MAX_MESSAGE: Final = 2**31 - 1
-"""Bytes of one job or report; a checkpoint is most of it."""
+"""Maximum size of a job or report in bytes; most of it is a checkpoint."""
 
 
 class Job(NamedTuple):
-    """A trial to run, or to go on with.
+    """A trial to start or to continue.
 
     spec              the trial
-    meeting           how its players meet
-    start             where it begins
+    meeting           how its players are connected
+    start             where it starts
     checkpoint_every  episodes between checkpoints; 0 for none
     """
 
@@ -62,7 +62,7 @@ class Job(NamedTuple):
 
 
 class Recorded(NamedTuple):
-    """An episode is finished, and this can be continued from after it."""
+    """An episode is finished, possibly with a checkpoint after it."""
 
     result: EpisodeResult
     checkpoint: Checkpoint | None
@@ -76,26 +76,26 @@ class Voided(NamedTuple):
 
 
 class Happened(NamedTuple):
-    """Something that a reader of the results should know."""
+    """An event to be recorded with the results."""
 
     kind: str
     text: str
 
 
 class Said(NamedTuple):
-    """A line for the person who watches the run."""
+    """A line to show to the user."""
 
     line: str
 
 
 class Ended(NamedTuple):
-    """The trial is over; `failure` is the reason if it could not be finished, or None."""
+    """The trial is over; `failure` is the reason if it could not be finished, otherwise None."""
 
     failure: str | None
 
 
 class Lost(NamedTuple):
-    """The process that ran the trial is gone, without having reported its end; `why` is what is known."""
+    """The process that ran the trial ended without reporting it; `why` is the known reason."""
 
     why: str
 
@@ -114,15 +114,15 @@ def run_job(
 
     Args:
         job: what to run.
-        send: takes reports, never two at once.
-        interrupts: lets the episode under way end before Ctrl-C has its effect; None if nothing does.
-        recording: is written every step of the trial; None for none.
+        send: takes a report; calls never overlap.
+        interrupts: lets the running episode end before Ctrl-C takes effect; None to not defer it.
+        recording: receives every step; None for no recording.
 
     Raises:
-        StorageError: what `send` raises when a report cannot be stored.
-        BrokenPipeError: what `send` raises when nobody reads its output any more.
+        StorageError: from `send`, when a report cannot be stored.
+        BrokenPipeError: from `send`, when its output is no longer read.
     """
-    lock = threading.Lock()  # players are watched by threads, which report as well
+    lock = threading.Lock()  # the threads that watch players report, too
 
     def send_alone(report: Report) -> None:
         with lock:
@@ -148,7 +148,7 @@ def run_job(
         raise
     except GlueError as error:
         if isinstance(error, PeerFailed) and not isinstance(error.__cause__, GlueError | None):
-            traceback.print_exception(error.__cause__)  # the user's own mistake, where it happened
+            traceback.print_exception(error.__cause__)  # shows where the user's code failed
         failure = str(error)
     except (Exception, SystemExit) as error:
         traceback.print_exception(error)
@@ -157,10 +157,10 @@ def run_job(
 
 
 class _Sender:
-    """Turns what a trial hands over into reports.
+    """Sends a trial's results as reports.
 
     Attributes:
-        done: the newest episode; at first the one after which the trial begins.
+        done: the newest episode; initially the one after which the trial starts.
     """
 
     def __init__(self, send: Callable[[Report], None], done: int) -> None:
@@ -190,7 +190,7 @@ def unpacker() -> Any:
 
 
 def encode_job(job: Job) -> bytes:
-    """Return a job as bytes. Its players meet in one process, or over a hub of the executor's own."""
+    """Return a job as bytes. Its players are in one process, or use a hub that the executor starts."""
     header = [
         json.dumps(asdict(job.spec)),
         job.meeting.in_process,
@@ -202,7 +202,7 @@ def encode_job(job: Job) -> bytes:
 
 
 def decode_job(value: Any) -> Job:
-    """Return the job that an unpacked value of `encode_job` stands for."""
+    """Return the job from an unpacked value of `encode_job`."""
     trial, in_process, any_reward, checkpoint_every, after, saved = value
     fields = json.loads(trial)
     for role in ("agent", "environment"):
@@ -226,10 +226,10 @@ def encode_report(report: Report) -> bytes:
 
 
 def decode_report(value: Any) -> Report:
-    """Return the report that an unpacked value of `encode_report` stands for.
+    """Return the report from an unpacked value of `encode_report`.
 
     Raises:
-        ExperimentError: it is none.
+        ExperimentError: the value is not a report.
     """
     try:
         kind, *fields = value

@@ -1,7 +1,7 @@
-"""Trials in parallel processes of this machine, one process for each trial.
+"""Run trials in parallel on this machine, each in its own process.
 
-So whatever a trial does to its process, the other trials and the store are not affected. A worker is sent
-its job over a socket, and sends reports back over it:
+So a trial that crashes its process affects neither other trials nor the store. A worker receives its job
+over a socket, and sends its reports over the same socket:
 
     python -P -m experiment_runner.children experiment_runner.executors.local DESCRIPTOR
 """
@@ -44,7 +44,7 @@ class LocalExecutor:
     """Worker processes; see `experiment_runner.executors.dispatch.Executor`.
 
     Args:
-        size: trials at a time.
+        size: maximum number of concurrent trials.
     """
 
     def __init__(self, size: int) -> None:
@@ -65,7 +65,7 @@ class LocalExecutor:
         self._poll.register(worker.descriptor, select.POLLIN)
 
     def receive(self, seconds: float) -> list[tuple[str, Report]]:
-        """Return reports with the id of their trial, those of one trial in order; wait `seconds` at most."""
+        """Return reports with the ids of their trials, in order for each trial; wait at most `seconds`."""
         received: list[tuple[str, Report]] = []
         for descriptor, _ in self._poll.poll(seconds * 1000):
             worker = self._workers[descriptor]
@@ -77,7 +77,7 @@ class LocalExecutor:
         return received
 
     def stop(self) -> None:
-        """Ask the workers to end soon, with a checkpoint where the episode under way allows it."""
+        """Ask the workers to end soon, with a checkpoint if the running episode ends in time."""
         self._stopping = True
         for worker in self._workers.values():
             worker.process.terminate()
@@ -113,11 +113,11 @@ class _Worker:
             self.process = start(_MODULE, [str(theirs.fileno())], pass_fds=[theirs.fileno()])
         self.descriptor = self._socket.fileno()
         self._unpacker = unpacker()
-        with contextlib.suppress(OSError):  # it is dead already, which `read` will find
+        with contextlib.suppress(OSError):  # it has ended already, as `read` will find
             self._socket.sendall(encode_job(job))
 
     def read(self) -> list[Report]:
-        """Return the reports that have arrived; the last is `Lost` if there will be no more."""
+        """Return the reports received; the last is `Lost` if the worker has ended."""
         reports: list[Report] = []
         try:
             data = self._socket.recv(_CHUNK)
@@ -125,9 +125,9 @@ class _Worker:
             reports += map(decode_report, self._unpacker)
         except ConnectionError:
             data = b""
-        except (ValueError, ExperimentError) as error:  # its trial wrote where only reports belong
+        except (ValueError, ExperimentError) as error:  # the trial's own code wrote to the socket
             self.process.kill()
-            return [*reports, Lost(f"its worker sent something else than reports: {error}")]
+            return [*reports, Lost(f"its worker sent something other than reports: {error}")]
         if not data:
             end(self.process)
             reports.append(Lost(f"its worker {how_it_ended(self.process.returncode)}"))
@@ -139,7 +139,7 @@ class _Worker:
 
 
 def main() -> None:
-    """Run the job that is sent over the socket whose descriptor is the first argument."""
+    """Run the job received over the socket whose descriptor is the first argument."""
     signal.signal(signal.SIGTERM, _terminate)
     with contextlib.suppress(Terminated), socket.socket(fileno=int(sys.argv[1])) as parent:
 
@@ -147,7 +147,7 @@ def main() -> None:
             try:
                 parent.sendall(encode_report(report))
             except OSError:
-                raise Terminated from None  # nobody reads it: the experiment is over
+                raise Terminated from None  # the experiment is over
 
         with Interrupts() as interrupts:
             run_job(decode_job(_receive(parent)), send, interrupts=interrupts)

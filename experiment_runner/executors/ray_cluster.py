@@ -1,7 +1,7 @@
-"""Trials on a Ray cluster (extra `ray`). Ray runs them; this process alone writes the store.
+"""Run trials on a Ray cluster (extra `ray`). Only this process writes the store.
 
-Ray's own retries are off: it would repeat a trial from its start, and the episodes that are stored
-already would be reported a second time. A lost trial goes on from its checkpoint instead, see
+Ray's own retries are disabled: they would repeat a trial from its start, and report episodes a second time
+that are already stored. Instead a lost trial continues from its checkpoint, see
 `experiment_runner.executors.dispatch`.
 """
 
@@ -32,7 +32,7 @@ class RayExecutor:
 
     Args:
         address: of the cluster; None for the one that Ray finds, or else one on this machine.
-        size: trials at a time; None for as many as the cluster has processors at the beginning.
+        size: maximum number of concurrent trials; None for the cluster's number of processors at the start.
 
     Raises:
         ConfigError: Ray is not installed.
@@ -46,12 +46,12 @@ class RayExecutor:
         self.size = 0
 
     def start(self, job: Job) -> None:
-        """Run a trial as a task of one processor."""
+        """Run a trial as a task that uses one processor."""
         task = self._ray.remote(num_cpus=1, max_retries=0)(_run)
         self._running[task.remote(job)] = job.spec.id
 
     def receive(self, seconds: float) -> list[tuple[str, Report]]:
-        """Return reports with the id of their trial; wait `seconds` at most."""
+        """Return reports with the ids of their trials; wait at most `seconds`."""
         ready, _ = self._ray.wait(list(self._running), num_returns=1, timeout=seconds)
         received: list[tuple[str, Report]] = []
         for stream in ready:
@@ -63,13 +63,13 @@ class RayExecutor:
         return received
 
     def stop(self) -> None:
-        """Do nothing: a cluster is not waited for, and its trials go on from their newest checkpoints."""
+        """Do nothing: trials are not given time to end, and will continue from their newest checkpoints."""
 
     def _read(self, stream: Any) -> list[Report]:
         try:
             reports: list[Report] = self._ray.get(next(stream))
         except (self._ray.exceptions.RayError, StopIteration) as error:
-            self._cancel(stream)  # in case it still runs somewhere
+            self._cancel(stream)  # in case it is still running
             why = str(error).strip().partition("\n")[0]
             return [Lost(f"its Ray worker was lost: {type(error).__name__}: {why}")]
         return reports
@@ -96,9 +96,9 @@ class RayExecutor:
 
 
 def _run(job: Job) -> Iterator[list[Report]]:
-    """Run a trial in a worker of Ray's, yielding its reports in batches.
+    """Run a trial in a Ray worker, yielding its reports in batches.
 
-    A thread runs it, so that Ray makes an object ten times a second and not for every episode.
+    The trial runs in a thread, so that Ray creates at most ten objects per second, not one per episode.
     """
     reports: SimpleQueue[Report] = SimpleQueue()
     Thread(target=run_job, args=(job, reports.put), daemon=True).start()
@@ -116,7 +116,7 @@ def parse_address(address: str) -> tuple[str, int]:
     """Return the host and port of a cluster.
 
     Raises:
-        ConfigError: it is not written as HOST:PORT.
+        ConfigError: it does not have the form HOST:PORT.
     """
     match = _ADDRESS.fullmatch(address)
     if match is None or not 1 <= int(match["port"]) <= 65535:
@@ -125,7 +125,7 @@ def parse_address(address: str) -> tuple[str, int]:
 
 
 def _check_cluster(address: str) -> None:
-    """Check that a cluster listens there: Ray itself would try for minutes."""
+    """Check that something listens there: Ray itself would try for minutes."""
     try:
         socket.create_connection(parse_address(address), _CONNECT_SECONDS).close()
     except OSError as error:

@@ -1,8 +1,8 @@
-"""Starting a run, and going on with one that was interrupted.
+"""Start a run, or continue one that was interrupted.
 
-A trial goes on after its newest checkpoint. What it recorded past that is forgotten and run again,
-to the same numbers, since seeds and checkpoints decide them; so a run that was interrupted ends as
-one that never was. A trial without a checkpoint starts over.
+A trial continues after its newest checkpoint. Episodes recorded after that are deleted and run again, with
+the same results, since seeds and checkpoints determine them; so an interrupted run ends like one that was
+not interrupted. A trial without a checkpoint starts over.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class Remaining(NamedTuple):
     """A trial that is not finished.
 
     trial_id  of the trial
-    after     it goes on after this episode, from `Store.checkpoint`; 0 if from the beginning
-    dropped   how many episodes recorded past that are run again
+    after     the episode after which it continues, with `Store.checkpoint`; 0 for the beginning
+    dropped   how many episodes recorded after that are run again
     """
 
     trial_id: str
@@ -39,7 +39,7 @@ class Remaining(NamedTuple):
 
     @property
     def course(self) -> str:
-        """What becomes of it, for people, as in `goes on after episode 200; 7 recorded episodes ...`."""
+        """How it continues, as a text such as `goes on after episode 200; 7 recorded episodes ...`."""
         where = f"goes on after episode {self.after}" if self.after else "starts over"
         return f"{where}; {self.dropped} recorded episodes are run again" if self.dropped else where
 
@@ -59,16 +59,16 @@ def create_run(directory: Path, plan: Plan, *, clock: Callable[[], float] = time
 def resume_run(
     directory: Path, plan: Plan | None = None, *, clock: Callable[[], float] = time.time
 ) -> tuple[Store, list[Remaining]]:
-    """Return the store of an interrupted run, made ready to go on, and the trials that remain.
+    """Return the store of an interrupted run, prepared to continue, and the unfinished trials.
 
     Args:
-        directory: holds the run.
-        plan: what the caller means to run; None for whatever the run is.
+        directory: contains the run.
+        plan: the plan that the run must have; None for any.
         clock: returns seconds since 1970.
 
     Raises:
-        ExperimentError: as `Store.open`; or the directory is of another plan, and the message says
-            what differs.
+        ExperimentError: as `Store.open`; or the run has another plan, and the message names the
+            differences.
     """
     store = Store.open(directory, clock=clock)
     try:
@@ -93,12 +93,12 @@ def open_run(
     say: Callable[[str], None] = lambda line: None,
     clock: Callable[[], float] = time.time,
 ) -> Store:
-    """Return the store of a plan's run: a new one, or the one that the directory holds, ready to go on.
+    """Return the store of a plan's run: a new one, or the one in the directory, prepared to continue.
 
     Args:
-        directory: holds the run, or will.
+        directory: contains the run, or will contain it.
         plan: of the run.
-        say: takes a line for people about each trial that was interrupted.
+        say: shows a line about each interrupted trial.
         clock: returns seconds since 1970.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Run what remains of a plan into its store: here, in processes of this machine, or on a Ray cluster."""
+"""Run the unfinished trials of a plan: in this process, in workers on this machine, or on a Ray cluster."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ class Place(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RunConfig:
-    """How a run is carried out. Nothing of it changes a result.
+    """How a run is executed. None of this affects the results.
 
     Args:
-        meeting: how the players of each trial meet.
-        checkpoint_every: episodes between checkpoints of what the players have learned; 0 for none.
+        meeting: how the players of each trial are connected.
+        checkpoint_every: episodes between checkpoints; 0 for none.
         place: where trials run.
-        workers: trials at a time, each in a process of its own. None: one after the other in this
-            process, or as many as a cluster has processors.
-        address: of the Ray cluster; None for the one that Ray finds, or one on this machine.
+        workers: maximum number of concurrent trials, each in its own process. None for one after the other
+            in this process, or for the number of processors of a cluster.
+        address: address of the Ray cluster; None for the one that Ray finds, or one on this machine.
     """
 
     meeting: Meeting = field(default_factory=Meeting)
@@ -49,18 +49,18 @@ class RunConfig:
     address: str | None = None
 
     def check(self, plan: Plan, recording: bool = False) -> None:
-        """Check that `plan` can be carried out so, and recorded if it is to be.
+        """Check that `plan` can be executed like this, and recorded if `recording` is true.
 
         Raises:
-            ConfigError: it cannot; the message says why.
+            ConfigError: it cannot.
         """
         if self.address is not None:
             if self.place is not Place.RAY:
-                raise ConfigError("--address is that of a Ray cluster: say --engine ray")
+                raise ConfigError("--address is the address of a Ray cluster: add --engine ray")
             parse_address(self.address)
         parallel = self.place is Place.RAY or self.workers is not None
         if (parallel or self.meeting.in_process) and self.meeting.hub != HubOptions():
-            why = "every worker brings its own hub" if parallel else "with --in-process there is no hub"
+            why = "every worker starts its own hub" if parallel else "with --in-process there is no hub"
             raise ConfigError(f"{why}: leave out --hub, --bind, --session and --legacy-port")
         if parallel or self.meeting.in_process:
             for role, sweeps in (("agent", plan.agents), ("env", plan.environments)):
@@ -70,29 +70,29 @@ class RunConfig:
                         "one after the other, over a hub"
                     )
         if recording and parallel:
-            raise ConfigError("--record is for a trial of this process: leave out --workers and --engine ray")
+            raise ConfigError("--record needs a trial in this process: leave out --workers and --engine ray")
         if recording and (count := len(plan.expand())) > 1:
-            raise ConfigError(f"--record is for a single trial, and the plan has {count}: run one by itself")
+            raise ConfigError(f"--record needs a single trial, and the plan has {count}: make a plan of one")
 
 
 def run_trials(
     store: Store, config: RunConfig, reporter: Reporter, recording: TrajectoryWriter | None = None
 ) -> int:
-    """Run what remains of a run; return how many of its trials have failed.
+    """Run the unfinished trials of a run; return how many of all trials have failed.
 
-    A trial that fails is recorded, with the reason, and the others go on. After Ctrl-C the episodes under
-    way may end, for half a second, and are stored with a checkpoint.
+    A failure is recorded with its reason, and the other trials continue. After Ctrl-C, running episodes have
+    half a second to end, and are stored with a checkpoint.
 
     Args:
-        store: of the run.
-        config: how it is carried out.
-        reporter: shows what happens.
-        recording: is written every step, if `config` was checked for that; None for none.
+        store: the store of the run.
+        config: how it is executed.
+        reporter: shows progress.
+        recording: receives every step, if `config` was checked for that; None for no recording.
 
     Raises:
-        StorageError: the store cannot be written.
-        ExperimentError: workers or cluster cannot be started.
-        KeyboardInterrupt: Ctrl-C, or SIGTERM.
+        StorageError: the store cannot be written to.
+        ExperimentError: the workers or the cluster cannot be started.
+        KeyboardInterrupt: on Ctrl-C or SIGTERM.
     """
 
     def make_job(spec: TrialSpec, start: Start) -> Job:
@@ -101,7 +101,7 @@ def run_trials(
     reporter.start(store.trials())
     executor = _executor(config)
     try:
-        # Workers defer Ctrl-C themselves; so their reports are waited for a little longer.
+        # Workers defer Ctrl-C themselves, so wait a little longer for their reports.
         with Interrupts(GRACE_SECONDS if executor is None else GRACE_SECONDS + 0.3) as interrupts:
             dispatcher = Dispatcher(store, reporter, make_job, interrupts)
             if executor is None:

@@ -1,7 +1,6 @@
 """One trial: from a spec and an experiment's verbs to a stream of episode results.
 
-It does not know whether agent and environment are in this process, in others, or on other machines;
-nor what becomes of the results.
+It does not depend on where agent and environment run, nor on what is done with the results.
 """
 
 from __future__ import annotations
@@ -22,27 +21,27 @@ __all__ = ["BEGINNING", "Sink", "Start", "run_trial"]
 
 
 class Sink(Protocol):
-    """Where the results of a trial go. What is handed over is kept when the call returns."""
+    """Receives the results of a trial. They are stored when the call returns."""
 
     def record(self, result: EpisodeResult, checkpoint: Checkpoint | None) -> None:
-        """Take a finished episode, and the checkpoint after it, from which a later run can continue."""
+        """Store a finished episode, and the checkpoint after it, if any."""
         ...
 
     def void(self, episode: int, why: str) -> None:
-        """Take note that an attempt at an episode does not count."""
+        """Record that an attempt at an episode does not count."""
         ...
 
     def event(self, kind: str, text: str) -> None:
-        """Take note of anything else that a reader of the results should know."""
+        """Record any other event that matters to the results."""
         ...
 
     def say(self, line: str) -> None:
-        """Show a line to the person who watches the run."""
+        """Show a line to the user."""
         ...
 
 
 class Start(NamedTuple):
-    """Where a trial begins: after which episode, and with what its players had learned by then."""
+    """Where a trial starts: after which episode, and from which checkpoint."""
 
     after: int = 0
     checkpoint: Checkpoint | None = None
@@ -64,28 +63,28 @@ def run_trial(
     interrupts: Interrupts | None = None,
     any_reward: bool = False,
 ) -> None:
-    """Run the episodes of `spec` that come after `start`.
+    """Run the episodes of `spec` after `start`.
 
-    When a player is lost, its episode is void and is run again. If both players offer the capability
-    `save`, they are first brought back to the newest checkpoint, or the beginning, and repeat the episodes
-    since, so that the results are those of a trial without the loss.
+    When a player is lost, the episode is void and is run again. If both players have the capability `save`,
+    they are first restored from the newest checkpoint, or initialised, and repeat the episodes since then; so
+    the results are those of a trial without the loss.
 
-    Once all episodes are recorded the trial is finished, whatever happens in its cleanup.
+    Once all episodes are recorded, the trial is finished, even if its cleanup fails.
 
     Args:
-        glue: the verbs; connected.
-        spec: what to run.
-        sink: takes the results as they come.
-        start: where to begin.
+        glue: the connected experiment.
+        spec: the trial.
+        sink: receives the results.
+        start: where to start.
         checkpoint_every: episodes between checkpoints; 0 for none.
-        recorder: writes down every step of the episodes that count, and of those that are void.
-        interrupts: lets the episode under way end, and takes a checkpoint after it, before Ctrl-C has its
-            effect; None if nothing is deferred.
+        recorder: records every step, also of void episodes; None for no recording.
+        interrupts: lets the running episode end, followed by a checkpoint, before Ctrl-C takes effect; None
+            to not defer it.
         any_reward: whether rewards may be infinite or NaN. If not, an episode whose return is infinite or NaN
             ends the trial: that covers environments from outside, whose single rewards are not checked here.
 
     Raises:
-        GlueError: the trial cannot go on. What the sink was given stays true.
+        GlueError: the trial cannot continue. What the sink received remains valid.
         KeyboardInterrupt: as `Interrupts.deferred`.
     """
     _Trial(glue, spec, sink, start, checkpoint_every, recorder, interrupts or Interrupts(), any_reward).run()
@@ -113,7 +112,7 @@ class _Trial:
         self._any_reward = any_reward
         self._play = glue.rl_episode if recorder is None else recorder.rl_episode
         self._done = start.after
-        self._since: list[EpisodeResult] = []  # what was run after `start`, oldest first
+        self._since: list[EpisodeResult] = []  # the episodes run after `start`, oldest first
         self._can_save: bool | None = None
         self._unsaved = ""  # why no checkpoint can be taken
         self._warned = False
@@ -133,19 +132,19 @@ class _Trial:
                 result = self._episode(self._done + 1, self._play)
             except PeerLost as error:
                 self._sink.void(self._done + 1, str(error))
-                # Those who cannot be brought back go on as they are; the hub initialises newcomers.
+                # Players that cannot be restored continue as they are; the hub initialises new ones.
                 ready = ready and not self._can_save
                 if ready:
                     self._sink.event("replaced", "what the lost player had learned is lost with it")
                 continue
-            # Asked only once, so that the trial never stops where no checkpoint was taken.
+            # Read only once, so that the trial never stops without having taken a checkpoint.
             stopping = self._interrupts.requested
             ready = self._keep(result, stopping)
             if stopping:
                 self._interrupts.check()
 
     def _clean_up(self) -> None:
-        """Clean up; what goes wrong there is noted, and takes nothing from the results."""
+        """Clean up; an error is recorded, but does not affect the results."""
         try:
             self._glue.rl_cleanup()
         except (GlueError, SystemExit) as error:
@@ -153,7 +152,7 @@ class _Trial:
             self._sink.event("cleanup", f"all episodes are stored, but cleaning up failed: {why}")
 
     def _make_ready(self) -> None:
-        """Bring both players to where this trial stands."""
+        """Bring both players to the current state of this trial."""
         task_spec = self._glue.rl_init(self._spec.seed)
         checkpoint = self._start.checkpoint
         if checkpoint is not None:
@@ -166,13 +165,13 @@ class _Trial:
             self._recorder.begin(task_spec, goes_on=checkpoint is not None or bool(self._since))
 
     def _repeat(self) -> None:
-        """Repeat the episodes since the newest checkpoint, which brings new players to where the old were."""
+        """Repeat the episodes since the newest checkpoint, which restores the state of the players."""
         total = len(self._since)
         if total:
             where = (
                 f"the checkpoint after episode {self._start.after}" if self._start.after else "the beginning"
             )
-            self._sink.say(f"bringing the players back: repeating {total} episodes since {where}")
+            self._sink.say(f"restoring the players: repeating {total} episodes since {where}")
         shown = time.perf_counter()
         for number, before in enumerate(self._since, 1):
             self._interrupts.check()
@@ -195,7 +194,7 @@ class _Trial:
         return EpisodeResult(number, episode_return, steps, terminal, time.perf_counter() - began)
 
     def _keep(self, result: EpisodeResult, stopping: bool) -> bool:
-        """Hand a result over, with a checkpoint if one is due; return whether the players are still there."""
+        """Store a result, with a checkpoint if one is due; return whether both players are still there."""
         checkpoint, lost = None, False
         due = self._every > 0 and result.episode % self._every == 0
         if not self._can_save:
@@ -226,7 +225,7 @@ class _Trial:
             return None
 
     def _warn(self) -> None:
-        """Say, where the first checkpoint would have been, that there is none."""
+        """Warn, when the first checkpoint is due, that there is none."""
         if not self._warned:
             self._warned = True
             self._sink.event(
