@@ -42,18 +42,19 @@ _MAX_SEED: Final = 2**63 - 1
     "plan_file",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="Plan to run, in TOML: several agents, environments, options. The next four options change it.",
+    help="Plan to run, in TOML: several agents, environments, options. The next four options override it.",
 )
 @click.option("--episodes", type=click.IntRange(1), help="Episodes of each trial.")
 @click.option(
     "--max-steps",
     type=click.IntRange(0, _MAX_STEPS),
-    help="Step limit of an episode, as RL_episode's: RL_num_steps never exceeds it. [default: 0, none]",
+    help="Step limit of an episode (truncation), as in RL_episode: RL_num_steps never exceeds it. "
+    "[default: 0, none]",
 )
 @click.option(
     "--trials",
     type=click.IntRange(1),
-    help="Times to repeat everything, each with its own seed. [default: 1]",
+    help="Repetitions of the experiment, each with its own seed. [default: 1]",
 )
 @click.option("--seed", type=click.IntRange(0, _MAX_SEED), help="Random seed. [default: 0]")
 @click.option(
@@ -61,13 +62,13 @@ _MAX_SEED: Final = 2**63 - 1
     "environment",
     metavar="NAME",
     shell_complete=complete_names(Role.ENVIRONMENT),
-    help="Start this environment; without, one is waited for.",
+    help="Environment to start; if omitted, the experiment waits for one to join.",
 )
 @click.option(
     "--agent",
     metavar="NAME",
     shell_complete=complete_names(Role.AGENT),
-    help="Start this agent; without, one is waited for.",
+    help="Agent to start; if omitted, the experiment waits for one to join.",
 )
 @click.option(
     "--env-option", multiple=True, metavar="NAME=VALUE", help="Option of --env; see `glue-env NAME --help`."
@@ -81,13 +82,13 @@ _MAX_SEED: Final = 2**63 - 1
 @click.option(
     "--in-process",
     is_flag=True,
-    help="Agent and environment in the process that runs the trial, without a hub; the fastest.",
+    help="Run agent and environment in the process of the trial, without a hub; this is fastest.",
 )
 @click.option(
     "--workers",
     type=click.IntRange(1),
-    help="Trials at a time, each in a process of its own. [default: one after the other, in this process; "
-    "with --engine ray, as many as the cluster has processors]",
+    help="Maximum number of concurrent trials, each in its own process. [default: one after the other in "
+    "this process; with --engine ray, the cluster's number of processors]",
 )
 @click.option(
     "--engine",
@@ -99,14 +100,14 @@ _MAX_SEED: Final = 2**63 - 1
 @click.option(
     "--address",
     metavar="HOST:PORT",
-    help="The Ray cluster. [default: the one that Ray finds, or else one on this machine]",
+    help="Ray cluster. [default: the one that Ray finds, or else one on this machine]",
 )
 @click.option(
     "--hub",
     metavar="URL",
     envvar=HUB_VARIABLE,
     show_envvar=True,
-    help="Use a hub that runs already (glue-hub) instead of starting one.",
+    help="Use a running hub (glue-hub) instead of starting one.",
 )
 @click.option(
     "--bind",
@@ -121,7 +122,7 @@ _MAX_SEED: Final = 2**63 - 1
     show_default=True,
     envvar=SESSION_VARIABLE,
     show_envvar=True,
-    help="Session to hold at the hub.",
+    help="Session at the hub.",
 )
 @click.option(
     "--wait",
@@ -129,7 +130,7 @@ _MAX_SEED: Final = 2**63 - 1
     metavar="SECONDS",
     envvar=WAIT_VARIABLE,
     show_envvar=True,
-    help="Give up if no hub answers at --hub for so long. [default: wait forever]",
+    help="Timeout for the hub at --hub to answer. [default: wait forever]",
 )
 @legacy_port_option
 @click.option("--insecure", is_flag=True, help="Allow --bind to addresses that other machines can reach.")
@@ -137,44 +138,44 @@ _MAX_SEED: Final = 2**63 - 1
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Directory of the results; if it holds a run of the same plan, that goes on. "
+    help="Directory of the results; if it contains a run of the same plan, that run continues. "
     "[default: a new one in runs/]",
 )
 @click.option(
     "--resume",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Go on with the run in this directory, whatever its plan is.",
+    help="Continue the run in this directory.",
 )
 @click.option(
     "--trust",
     is_flag=True,
-    help="Run the code in the files that the run of --resume names, without asking.",
+    help="Do not ask before executing the files that the run of --resume names.",
 )
 @click.option(
     "--any-reward",
     is_flag=True,
-    help="Accept rewards that are infinite or not a number; without, the first one ends the trial.",
+    help="Accept rewards that are infinite or NaN; otherwise the first one ends the trial.",
 )
 @click.option(
     "--checkpoint-every",
     type=click.IntRange(0),
     default=_CHECKPOINT_EVERY,
     show_default=True,
-    help="Episodes between checkpoints of what agent and environment know; 0 for none.",
+    help="Episodes between checkpoints of agent and environment; 0 for none.",
 )
 @click.option(
     "--record",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="FILE",
-    help="Write every step to this new file, for glue-replay; of a single trial.",
+    help="Record every step of a single trial in this new file, for glue-replay.",
 )
-@click.option("--dry-run", is_flag=True, help="Show what would run, and do nothing.")
+@click.option("--dry-run", is_flag=True, help="Show what would be run, without running it.")
 @click.option(
     "--json",
     "as_json",
     is_flag=True,
-    help="One object a line on standard output: each episode, then a summary.",
+    help="Print a JSON object per line on standard output: each episode, then a summary.",
 )
 @click.version_option(__version__, prog_name="glue-experiment")
 def experiment(
@@ -206,11 +207,11 @@ def experiment(
     dry_run: bool,
     as_json: bool,
 ) -> int:
-    """Run an experiment: so many episodes of an agent in an environment, or everything in a plan.
+    """Run an experiment: episodes of an agent in an environment, or everything in a plan.
 
-    An agent or environment that is not named here is waited for, and the command that starts it in
-    another terminal is shown. A run that was interrupted, by whatever, goes on with the same command
-    and --out, or with --resume, and ends as if nothing had happened.
+    If no agent or environment is named, the experiment waits for one to join, and shows the command that
+    starts it in another terminal. An interrupted run is continued by the same command with --out, or by
+    --resume, and gives the same results as one that was not interrupted.
 
     \b
     Examples:
@@ -233,9 +234,9 @@ def experiment(
     counts = {"episodes": episodes, "max_steps": max_steps, "trials": trials, "seed": seed}
     if plan_file is not None and (agent or environment or agent_option or env_option):
         raise ConfigError(
-            f"{plan_file} says which agents and environments there are: leave out --agent and --env, and "
-            "write what --agent-option and --env-option would say into the plan, below [agents.NAME] or "
-            "[environments.NAME]"
+            f"{plan_file} names the agents and environments: leave out --agent and --env, and write "
+            "their options into the plan, below [agents.NAME] or [environments.NAME], instead of giving "
+            "--agent-option and --env-option"
         )
     given = {name: value for name, value in counts.items() if value is not None}
     roles = {
@@ -245,8 +246,8 @@ def experiment(
     if resume is not None:
         if given or any(roles.values()) or plan_file or out:
             raise ConfigError(
-                f"--resume goes on with the plan and the results in {resume}: "
-                "leave out --plan, --out, and what the plan says"
+                f"--resume continues the run in {resume} with its own plan: "
+                "leave out --plan, --out, and all options that change a plan"
             )
         plan, directory = recorded_plan(resume), resume
         if not (trust or dry_run):
@@ -254,7 +255,7 @@ def experiment(
     else:
         try:
             plan = _plan(plan_file, given, roles)
-        except ExperimentError as error:  # a plan is what the command asks for
+        except ExperimentError as error:  # a mistake in a plan is one in the command
             raise ConfigError(str(error)) from error
         directory = out or _new_directory(plan_file.stem if plan_file else _labels(plan))
     meeting = _meeting(in_process, hub, bind, session, wait if hub else None, legacy_port, insecure)
@@ -268,7 +269,7 @@ def experiment(
 
 
 def _from_variable(option: str) -> bool:
-    """Return whether an option is given by an environment variable: one on the command line overrides it."""
+    """Return whether an option is set by an environment variable rather than on the command line."""
     return click.get_current_context().get_parameter_source(option) is ParameterSource.ENVIRONMENT
 
 
@@ -278,7 +279,7 @@ def _role(role: Role, name: str | None, assignments: tuple[str, ...]) -> tuple[R
         if assignments:
             raise ConfigError(
                 f"--{flag}-option needs --{flag} NAME (there are {', '.join(names(role))}); an {role} that "
-                f"connects from outside has its options on its own command line"
+                f"joins from outside takes its options on its own command line"
             )
         return ()
     return (RoleSweep(name, parse_assignments(find(role, name), assignments)),)
@@ -287,23 +288,23 @@ def _role(role: Role, name: str | None, assignments: tuple[str, ...]) -> tuple[R
 def _plan(plan_file: Path | None, counts: dict[str, Any], roles: dict[str, Any]) -> Plan:
     if plan_file is None:
         if "episodes" not in counts:
-            raise ConfigError("say how many --episodes to run, or give a --plan or a run to --resume")
+            raise ConfigError("give the number of --episodes, or a --plan, or a run to --resume")
         plan = absolute(Plan(**counts, **roles), Path.cwd())
     else:
         plan = absolute(replace(load_plan(plan_file), **counts), plan_file.parent)
     plan = check_options(plan, lambda role, name: find(Role(role), name))
-    plan.expand()  # is refused here, before anything is made, if it has a trial twice
+    plan.expand()  # raises an error, before anything is created, if a trial occurs twice
     return plan
 
 
 def _ask_for_trust(directory: Path, plan: Plan) -> None:
-    """Make sure that somebody wants the code run which a run directory names: it may be another's."""
+    """Ask before executing the files that a run directory names: it may come from anyone."""
     files = ", ".join(class_files([*plan.agents, *plan.environments]))
     if not files:
         return
     if not sys.stdin.isatty():
-        raise ConfigError(f"{directory} names code that would be run, {files}: if you trust it, say --trust")
-    click.confirm(f"{directory} names code that will be run: {files}. Do you trust it?", abort=True, err=True)
+        raise ConfigError(f"{directory} would execute {files}: if you trust it, add --trust")
+    click.confirm(f"{directory} will execute {files}. Do you trust it?", abort=True, err=True)
 
 
 def _meeting(
@@ -319,11 +320,13 @@ def _meeting(
 
     if hub is not None and (bind or legacy_port):
         flag = "--bind" if bind else "--legacy-port"
-        raise ConfigError(f"{flag} is for a hub of the experiment's own; with --hub there is none")
+        raise ConfigError(
+            f"{flag} is for a hub that the experiment starts, and --hub names a running one: leave one out"
+        )
     for url in (*bind, *([hub] if hub else [])):
         check_url(url)
     check_session(session)
-    # Each is opened once, also if it is given twice.
+    # Each is opened once, even if it is given twice.
     legacy = dict.fromkeys(LegacyPort.parse(text, session, insecure) for text in legacy_port)
     bind = tuple(dict.fromkeys(bind))
     return Meeting(in_process, HubOptions(hub, bind, session, wait, insecure, tuple(legacy)))
@@ -351,20 +354,20 @@ def _run(directory: Path, plan: Plan, config: RunConfig, record: Path | None, as
     lines = JsonLines(progress) if as_json else None
     began = time.monotonic()
     with ExitStack() as stack:
-        # Before anything is written: an address may be in use.
+        # Before anything is written, because an address may be in use.
         addresses = stack.enter_context(ExitStack())
         meeting = addresses.enter_context(listening(plan, config.meeting))
         recording = stack.enter_context(recorded(record))
         store = stack.enter_context(open_run(directory, plan, say=progress.say))
         failed = run_trials(store, replace(config, meeting=meeting), lines or progress, recording)
-        addresses.close()  # nobody would serve who joins from here on
+        addresses.close()  # a player that joins from now on would not be served
         seconds = time.monotonic() - began
         if lines is not None:
             lines.write(summarize(store, seconds))
         else:
             click.echo(tabulate(store, seconds, terminal_width()))
     if record is not None and not record.exists():
-        say(f"no episode was begun, so there is no {record}")
+        say(f"no episode was started, so {record} was not written")
     return 1 if failed else 0
 
 

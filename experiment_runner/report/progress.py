@@ -1,6 +1,6 @@
-"""The progress of an experiment: for people, and as JSON lines for scripts.
+"""Reporting the progress of an experiment: for people, and as JSON lines for scripts.
 
-Output for people goes to standard error, which leaves standard output to `--json`.
+Output for people goes to standard error, since standard output is for `--json`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _CLEAR_BELOW: Final = "\x1b[J"
 
 
 class Reporter(Protocol):
-    """Is notified of the progress of the trials; an episode is stored before it is reported."""
+    """Receives the progress of the trials; an episode is stored before it is reported."""
 
     def start(self, trials: Sequence[TrialRecord]) -> None:
         """The run starts; `trials` are all of its trials."""
@@ -67,13 +67,13 @@ class Reporter(Protocol):
 
 
 class Progress:
-    """A table of the trials under way, redrawn in place on a terminal; elsewhere a line every few seconds.
+    """Shows a table of running trials, redrawn in place on a terminal; elsewhere a line every few seconds.
 
     On a terminal there is also a progress bar, in color unless the variable NO_COLOR is set.
 
     Args:
-        stream: to write to; None for standard error.
-        clock: returns seconds.
+        stream: the output stream; None for standard error.
+        clock: returns the time in seconds.
     """
 
     def __init__(self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
@@ -83,7 +83,7 @@ class Progress:
         self._color = self._live and not os.environ.get("NO_COLOR")
         self._every = _TTY_SECONDS if self._live else _LOG_SECONDS
         self._shown_at = clock() - (self._every if self._live else 0)
-        self._drawn = 0  # lines on the terminal, which the next drawing replaces
+        self._drawn = 0  # number of lines on the terminal that the next drawing replaces
         self._rows: dict[str, _Row] = {}
         self._total = _Total([], clock())
 
@@ -150,7 +150,7 @@ class Progress:
 
 
 class _Row:
-    """A trial under way."""
+    """A running trial."""
 
     def __init__(self, spec: TrialSpec, done: int) -> None:
         self._spec = spec
@@ -161,7 +161,7 @@ class _Row:
 
     def add(self, result: EpisodeResult, now: float) -> None:
         if not self.recent:
-            self._began = now - result.wall_time  # without the time that the players took to start
+            self._began = now - result.wall_time  # excluding the time in which the players started
         self._done = result.episode
         self._steps += result.steps
         self.recent.append(result.episode_return)
@@ -189,11 +189,11 @@ class _Row:
 
 
 class _Total:
-    """All trials of a run together.
+    """The sum over all trials of a run.
 
     Attributes:
-        trials: their number.
-        done: episodes done in each, by id.
+        trials: number of trials.
+        done: episodes done in each trial, by its id.
     """
 
     def __init__(self, trials: Sequence[TrialRecord], now: float) -> None:
@@ -202,7 +202,7 @@ class _Total:
         self._episodes = {trial.spec.id: trial.spec.episodes for trial in trials}
         self._began = now
         self._steps = 0
-        self._run = 0  # episodes, in this process
+        self._run = 0  # episodes run in this process
 
     def add(self, spec: TrialSpec, result: EpisodeResult) -> None:
         self.done[spec.id] = result.episode

@@ -55,7 +55,7 @@ def find(role: str, name: str) -> type:
 
 
 def test_plan_of_the_manual_expands_to_every_combination() -> None:
-    manual = textwrap.dedent((plan_file.__doc__ or "").split("glance:\n")[1].split("\nA table")[0])
+    manual = textwrap.dedent((plan_file.__doc__ or "").split("files:\n")[1].split("\nThe heading")[0])
     specs = parse_plan(manual).expand()
     assert len(specs) == (1 + 2 + 1) * 2 * 10
     assert "hierarchical/step_size=0.1/mario/level_difficulty=0/3" in [spec.id for spec in specs]
