@@ -140,7 +140,7 @@ def test_dumped_plan_reads_back_equal(plan: Plan) -> None:
     ("text", "message"),
     [
         ("episodes = 1\ntrials: 2", "not TOML: .*line 2"),
-        ("trials = 3", "how many episodes"),
+        ("trials = 3", "number of episodes"),
         ("episodes = 5\nepisode = 5", "no 'episode'; did you mean episodes"),
         ("episodes = 5\nlevel = 5", "no 'level'; choose from episodes, max_steps, trials"),
         ("episodes = 0", "episodes must be a whole number from 1 to .*, not 0"),
