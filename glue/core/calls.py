@@ -1,12 +1,12 @@
-"""Carry RL-Glue's calls out on a user's agent or environment.
+"""Carry out RL-Glue's calls on a user's agent or environment.
 
-One table of functions for each role, from message kind to a call of the user's method with the answer
-checked, because a wrong answer is best reported where it was made. `glue.core.local` and `glue.client`
-share it.
+For each role there is one table of functions by message kind. Each calls the user's method and checks the
+answer, because a wrong answer is best reported where it was made. `glue.core.local` and `glue.client` share
+these tables.
 
-An action or observation has as many ints, doubles and chars as the task spec says, where it says so. That is
-checked as it is returned, by comparing the twelve bytes of its counts: `_body` in place of `body` keeps that
-below one percent of the fastest step. That each number is in its range is for `glue.testing` to check.
+An action or observation must have as many ints, doubles and chars as the task spec says, if it does. That
+is checked when it is returned, by comparing the twelve bytes of its counts: `_body` in place of `body` keeps
+that below one percent of the fastest step. That each number is in its range is for `glue.testing` to check.
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ Handler = Callable[[tuple[Any, ...], Any], Answer]
 _DONE: Final[Answer] = ((), None)
 
 _TRUTH: Final = (int, np.bool_, np.integer)
-"""What a terminal may be: RL-Glue's own was an int, and a bool is one."""
+"""Types that a terminal flag may have: RL-Glue's own was an int, and a bool is one."""
 
 
 def name_of(player: object) -> str:
-    """Return the name that messages use for a user's agent or environment, or for the one in a wrapper."""
+    """Return the name of a user's agent or environment in messages; for a wrapper, of what it wraps."""
     return type(getattr(player, "__wrapped__", player)).__name__
 
 
 def role_calls(role: Role, player: Any) -> dict[Kind, Handler]:
-    """Return what `player` can be asked, by message kind; see `agent_calls`, `environment_calls`.
+    """Return the calls that `player` supports, by message kind; see `agent_calls`, `environment_calls`.
 
     Raises:
         PeerFailed: a method of the role is missing.
@@ -56,12 +56,12 @@ def role_calls(role: Role, player: Any) -> dict[Kind, Handler]:
     needed = [kind for kind, call in CALLS.items() if call.callee is role and call.capability is None]
     missing = [kind.name.lower() for kind in needed if not callable(getattr(player, kind.name.lower(), None))]
     if missing:
-        raise PeerFailed(f"{name_of(player)} is no {role}: it has no {', '.join(missing)}")
+        raise PeerFailed(f"{name_of(player)} is not an {role}: it has no {', '.join(missing)}")
     return agent_calls(player) if role is Role.AGENT else environment_calls(player)
 
 
 def agent_calls(agent: Agent) -> dict[Kind, Handler]:
-    """Return a function for each kind of message that `agent` can be asked."""
+    """Return a function for each call that `agent` supports."""
 
     seen = made = b""
 
@@ -123,7 +123,7 @@ def agent_calls(agent: Agent) -> dict[Kind, Handler]:
 
 
 def environment_calls(environment: Environment) -> dict[Kind, Handler]:
-    """Return a function for each kind of message that `environment` can be asked."""
+    """Return a function for each call that `environment` supports."""
 
     shown = received = b""
 
@@ -183,12 +183,12 @@ def environment_calls(environment: Environment) -> dict[Kind, Handler]:
 
 
 def unsupported(kind: Kind, role: Role, name: str) -> str:
-    """Return why a call of a capability that a player does not offer cannot be made."""
-    return f"{role} {name} cannot do that: it has no {kind.name.lower()}"
+    """Return the error message for a call of a capability that a player does not offer."""
+    return f"{role} {name} does not support this: it has no {kind.name.lower()}"
 
 
 def skippable(kind: Kind) -> bool:
-    """Return whether a player without the capability of `kind` is simply passed over."""
+    """Return whether the call is skipped for a player without the capability of `kind`."""
     return CALLS[kind].capability == "seed"
 
 
@@ -231,7 +231,7 @@ _COUNTS: Final = struct.Struct("<3I")
 
 
 def _counts(task_spec: str) -> tuple[bytes, bytes]:
-    """Return how the body of every observation begins, and of every action; empty where it is not stated."""
+    """Return the first bytes of every observation's and every action's body; empty where unspecified."""
     try:
         spec = parse_task_spec(task_spec)
     except TaskSpecError:
@@ -259,7 +259,7 @@ def _miscounted(player: object, method: str, value: AbstractType, start: bytes) 
 
 
 def _blame_sender(error: Exception, given: AbstractType, start: bytes, sender: Role) -> None:
-    """Raise PeerFailed if a player raised `error` because it was given what the task spec does not allow."""
+    """Raise PeerFailed if `error` was raised because a player was given what the task spec does not allow."""
     if not given.body.startswith(start):
         raise PeerFailed(
             f"the {sender} sent {_amounts(given.counts)}, and the task spec says "

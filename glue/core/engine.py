@@ -1,8 +1,8 @@
 """The RL-Glue state machine, without I/O.
 
 An engine turns each verb of an experiment into calls to the environment and the agent, one at a time.
-Its host (the hub over sockets, `glue.core.local` over function calls) carries each call out and hands the
-answer back:
+Its host (the hub over sockets, `glue.core.local` over function calls) carries out each call and returns the
+answer:
 
     engine.begin(Kind.RL_STEP)                  # returns a call for the environment
     engine.resume(Kind.ENV_STEP, (r, t), obs)   # returns a call for the agent
@@ -11,9 +11,9 @@ answer back:
 Each verb is a generator that reads like RL-Glue's own RL_glue.c: it yields calls and returns the
 reply. Bodies pass through untouched; the engine never looks into an observation or an action.
 
-What it keeps is what RL-Glue keeps: the last action, the return and the number of steps of the episode,
-the number of episodes. Nothing that an experiment may ask is refused for coming early, late or twice.
-While an answer is awaited it must be the one to the call that was made.
+Its state is that of RL-Glue: the last action, the return and number of steps of the episode, and the number
+of episodes. As in RL-Glue, an experiment may call any verb at any time, early, late or twice. While a call
+is outstanding, only its answer is accepted.
 
 Source: RL-Glue 3.04, RL_glue.c.
 """
@@ -34,13 +34,13 @@ __all__ = ["EPISODE_VERBS", "Engine", "Instruction"]
 EPISODE_VERBS: Final = frozenset(
     {Kind.RL_STEP, Kind.RL_ENV_STEP, Kind.RL_AGENT_START, Kind.RL_AGENT_STEP, Kind.RL_AGENT_END}
 )
-"""Verbs that go on with an episode, and so make no sense once one of its players was replaced."""
+"""Verbs that continue an episode, which is impossible once one of its players has been replaced."""
 
 _INITIALISING: Final = frozenset({Kind.ENV_SEED, Kind.ENV_INIT, Kind.AGENT_SEED, Kind.AGENT_INIT})
 
 
 class Instruction(NamedTuple):
-    """What the host does next: carry out a call, or, if `kind` is a verb, reply to the experiment."""
+    """What the host must do next: carry out a call or, if `kind` is a verb, reply to the experiment."""
 
     kind: Kind
     scalars: tuple[Value, ...] = ()
@@ -55,18 +55,18 @@ _ENV_START: Final = Instruction(Kind.ENV_START)
 
 
 class Engine:
-    """One experiment's RL-Glue.
+    """The RL-Glue state of one experiment.
 
     Args:
-        empty_action: the action that RL_step executes before any agent gave one, in the host's form.
+        empty_action: the action that RL_step executes before an agent has chosen one, in the host's form.
 
     Attributes:
         task_spec: what the environment returned from its last init; None before the first.
         last_action: the action that the next RL_step executes.
         total_reward: undiscounted sum of the rewards since the last start.
         num_steps: 0 after init, 1 after start, one more with each step that did not end the episode.
-        num_episodes: episodes that reached a terminal step, and whose agent was told, since the last init.
-        asked: the call whose answer must come next; None while idle.
+        num_episodes: episodes that reached a terminal step, with agent_end called, since the last init.
+        asked: the outstanding call; None while idle.
         awaiting: its kind.
         verb: the experiment's verb that is being carried out; None while idle.
     """
@@ -87,17 +87,19 @@ class Engine:
         self._uninitialised: set[Role] = set()
 
     def begin(self, verb: Kind, scalars: tuple[Value, ...] = _NO_SCALARS, body: Any = b"") -> Instruction:
-        """Start on an experiment's verb; return the first call, or at once the reply.
+        """Start a verb of the experiment; return the first call, or the reply if there is none.
 
         Raises:
-            LocalProtocolError: an earlier verb is still being carried out, or `verb` is none.
-            PeerLost: the episode that `verb` would go on with is void; start another.
+            LocalProtocolError: an earlier verb is still being carried out, or `verb` is not a verb.
+            PeerLost: the episode that `verb` would continue is void; start another.
         """
         if self._running is not None:
             assert self.verb is not None
-            raise LocalProtocolError(f"{verb.name} came while {self.verb.name} is still being carried out")
+            raise LocalProtocolError(
+                f"{verb.name} was called while {self.verb.name} is still being carried out"
+            )
         if verb not in _VERBS:
-            raise LocalProtocolError(f"{verb.name} is not for an experiment to ask")
+            raise LocalProtocolError(f"{verb.name} is not a verb of an experiment")
         if self._void is not None and verb in EPISODE_VERBS:
             raise PeerLost(f"the episode is void: {self._void}; start another")
         self.verb = verb
@@ -105,10 +107,10 @@ class Engine:
         return self._send(None)
 
     def resume(self, kind: Kind, scalars: tuple[Value, ...], body: Any) -> Instruction:
-        """Take the answer to the call that is awaited; return the next call, or the reply.
+        """Take the answer to the outstanding call; return the next call, or the reply.
 
         Raises:
-            RemoteProtocolError: the answer is not to the call that was made.
+            RemoteProtocolError: it is the answer to another call.
         """
         if kind is not self.awaiting:
             raise RemoteProtocolError(
@@ -145,15 +147,15 @@ class Engine:
         return self._started
 
     def void(self, reason: str) -> None:
-        """Note that a player is gone: an episode under way cannot go on."""
+        """Note that a player is gone: an episode under way cannot be continued."""
         if self._started:
             self._void = reason
             self._started = False
 
     def replace(self, role: Role) -> None:
-        """Note that a player is a new one: it is initialised before anything else is asked of it.
+        """Note that a player is a new one: it is initialised before any other call.
 
-        If a call to it is awaited, `asked` may be another one afterwards.
+        If a call to it is outstanding, `asked` may be another call afterwards.
         """
         if self.task_spec is not None:
             self._uninitialised.add(role)
@@ -162,7 +164,7 @@ class Engine:
             self.awaiting = self.asked.kind
 
     def _initialised_first(self, instruction: Instruction) -> Instruction:
-        """Return `instruction`, or what comes before it if it is for a player that was replaced."""
+        """Return `instruction` or, if its player was replaced, the first call that initialises it."""
         role = CALLS[instruction.kind].callee
         if role not in self._uninitialised or instruction.kind in _INITIALISING:
             return instruction
@@ -268,8 +270,8 @@ class Engine:
         yield Instruction(Kind.AGENT_CLEANUP)
         return _NO_SCALARS, None
 
-    # Half steps, for experiments that stand between agent and environment themselves. None of them
-    # touches the last action: RL_step after them executes whatever RL_start or RL_step left.
+    # Half steps, for experiments that connect agent and environment themselves. They do not change the last
+    # action: an RL_step after them executes the action of the last RL_start or RL_step.
 
     def _env_start(self, _: tuple[Any, ...], __: Any) -> Verb:
         self.total_reward = 0.0
@@ -322,7 +324,7 @@ _VERBS: Final[Mapping[Kind, Callable[[Engine, tuple[Any, ...], Any], Verb]]] = {
 
 
 def role_seed(seed: int, role: Role) -> int:
-    """Return the seed that `role` is given by an experiment of this seed; 0 <= result < 2**63.
+    """Return the seed of `role` in an experiment with this seed; 0 <= result < 2**63.
 
     The two differ, so that agent and environment never share a stream of random numbers.
     """

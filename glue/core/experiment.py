@@ -1,4 +1,4 @@
-"""The experiment's side of RL-Glue: its verbs, whatever carries them.
+"""The experiment's side of RL-Glue: its verbs, in one process or over a hub.
 
 `glue.local` and `glue.connect` both return an `Experiment`, so that the same program
 runs in one process or in three.
@@ -39,15 +39,15 @@ class Experiment:
     """RL-Glue's verbs. Their meaning, corner by corner, is in docs/protocol.md.
 
     Every verb may raise:
-        LocalProtocolError: an argument is of another type, or out of range; nothing was asked of anybody.
-        PeerLost: a player went away, in this verb or since the one before; the episode under way, or this
-            one, is void. Start it again.
+        LocalProtocolError: an argument has the wrong type or is out of range; no call was made.
+        PeerLost: a player was lost, in this verb or since the previous one; the episode is void. Start it
+            again.
         PeerFailed: a player raised an exception or broke the protocol.
         HubClosed: the hub ended the session.
     """
 
     def _call(self, kind: Kind, scalars: tuple[Value, ...] = (), body: Any = None) -> tuple[Any, Any]:
-        """Carry a verb out; return the scalars and the body of its reply."""
+        """Carry out a verb; return the scalars and the body of its reply."""
         raise NotImplementedError
 
     def close(self) -> None:
@@ -64,8 +64,8 @@ class Experiment:
     def rl_init(self, seed: int | None = None) -> str:
         """Initialise the environment, then the agent; counters go to zero. Return the task spec.
 
-        `seed`, 0 to 2**63 - 1, reaches every player that offers the capability `seed`, before its init;
-        agent and environment are given different numbers derived from it.
+        `seed`, 0 to 2**63 - 1, is passed to every player with the capability `seed`, before its init; agent
+        and environment receive different numbers derived from it.
         """
         if seed is not None:
             seed = _whole(seed, 63, "a seed")
@@ -77,15 +77,15 @@ class Experiment:
         return Start(observation, action)
 
     def rl_step(self) -> StepResult:
-        """Execute the last action; return what came of it and the agent's next action."""
+        """Execute the last action; return its outcome and the agent's next action."""
         (reward, terminal), (observation, action) = self._call(Kind.RL_STEP)
         return StepResult(reward, observation, terminal, action)
 
     def rl_episode(self, max_steps: int = 0) -> bool:
-        """Run an episode; return whether it reached its end (True) or was cut off (False).
+        """Run an episode; return True if it reached its end, False if it was truncated (cut off).
 
         `max_steps`, 0 to 2**32 - 1, limits RL_num_steps, which is 1 after the start: the environment
-        makes at most `max_steps` - 1 steps. 0 is no limit.
+        makes at most `max_steps` - 1 steps. 0 means no limit.
         """
         (terminal,), _ = self._call(Kind.RL_EPISODE, (_whole(max_steps, 32, "a step limit"),))
         return bool(terminal)
@@ -95,11 +95,11 @@ class Experiment:
         return float(self._call(Kind.RL_RETURN)[0][0])
 
     def rl_num_steps(self) -> int:
-        """Return how many observations the agent was shown by start and step since the last start."""
+        """Return how many observations the agent has received by start and step since the last start."""
         return int(self._call(Kind.RL_NUM_STEPS)[0][0])
 
     def rl_num_episodes(self) -> int:
-        """Return how many episodes reached their end since RL_init."""
+        """Return how many episodes have reached their end since RL_init."""
         return int(self._call(Kind.RL_NUM_EPISODES)[0][0])
 
     def rl_agent_message(self, message: str) -> str:
@@ -128,11 +128,11 @@ class Experiment:
         return _action(self._call(Kind.RL_AGENT_START, (), _given(observation, Observation))[1])
 
     def rl_agent_step(self, reward: float, observation: Observation) -> Action:
-        """Half of RL_step: show the agent what came of its action."""
+        """Half of RL_step: give the agent the outcome of its action; return its next action."""
         return _action(self._call(Kind.RL_AGENT_STEP, (float(reward),), _given(observation, Observation))[1])
 
     def rl_agent_end(self, reward: float) -> None:
-        """Half of RL_step: tell the agent that the episode ended."""
+        """Half of RL_step: end the episode for the agent, with its last reward."""
         self._call(Kind.RL_AGENT_END, (float(reward),))
 
     def rl_agent_save(self) -> bytes:
@@ -140,7 +140,7 @@ class Experiment:
         return bytes(self._call(Kind.RL_AGENT_SAVE)[1])
 
     def rl_agent_load(self, data: bytes) -> None:
-        """Let the agent continue from what `rl_agent_save` returned."""
+        """Restore in the agent what `rl_agent_save` returned."""
         self._call(Kind.RL_AGENT_LOAD, (), _given(data, bytes))
 
     def rl_env_save(self) -> bytes:
@@ -148,7 +148,7 @@ class Experiment:
         return bytes(self._call(Kind.RL_ENV_SAVE)[1])
 
     def rl_env_load(self, data: bytes) -> None:
-        """Let the environment continue from what `rl_env_save` returned."""
+        """Restore in the environment what `rl_env_save` returned."""
         self._call(Kind.RL_ENV_LOAD, (), _given(data, bytes))
 
 
@@ -157,16 +157,16 @@ def _whole(number: Any, bits: int, what: str) -> int:
     try:
         whole = operator.index(number)
     except TypeError:
-        raise LocalProtocolError(f"{what} is a whole number, not {number!r:.80}") from None
+        raise LocalProtocolError(f"{what} must be a whole number, not {number!r:.80}") from None
     if not 0 <= whole < 2**bits:
-        raise LocalProtocolError(f"{what} is from 0 to 2^{bits} - 1, not {whole}")
+        raise LocalProtocolError(f"{what} must be from 0 to 2^{bits} - 1, not {whole}")
     return whole
 
 
 def _given(value: _T, kind: type[_T]) -> _T:
     """Return `value` if it is of the type that is sent."""
     if not isinstance(value, kind):
-        raise LocalProtocolError(f"a value of type {kind.__name__} is sent here, not {value!r:.80}")
+        raise LocalProtocolError(f"expected a value of type {kind.__name__}, not {value!r:.80}")
     return value
 
 

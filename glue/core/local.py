@@ -7,7 +7,7 @@
         while glue.rl_num_episodes() < 100:
             glue.rl_episode(max_steps=1000)
 
-The numbers are those of the same three over a hub; only the sockets are gone.
+The results are the same as over a hub, without the sockets.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = ["LocalExperiment", "local"]
 
 
 def local(agent: Agent, environment: Environment) -> LocalExperiment:
-    """Return an experiment on these two; call its verbs.
+    """Return an experiment with this agent and environment; call its verbs.
 
     Raises:
         PeerFailed: a method of the role is missing.
@@ -63,7 +63,7 @@ class LocalExperiment(Experiment):
         return scalars, body
 
     def _without(self, kind: Kind) -> Instruction:
-        """Go on past a call that its player does not offer."""
+        """Skip a call that its player does not offer, or raise Unsupported."""
         if skippable(kind):
             return self._engine.resume(kind, (), None)
         role = CALLS[kind].callee

@@ -1,4 +1,4 @@
-"""A bound on what a hub keeps in all, and who has to go when there is no room for more."""
+"""A bound on the memory of a hub, and the choice of what is evicted when it is exceeded."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ __all__ = ["Holder", "Memory"]
 
 
 class Holder(Protocol):
-    """Something for which bytes are kept: a connection, or a session."""
+    """Something that uses memory: a connection, or a session."""
 
     @property
     def seated(self) -> bool:
-        """Whether it takes part in a session; what does not is given up first."""
+        """Whether it takes part in a session; holders that do not are evicted first."""
         ...
 
     def evict(self, why: str) -> None:
-        """Give up all that is kept for it, and tell its peers why."""
+        """Release all memory that is used for it, and send its peers the reason."""
         ...
 
 
 class Memory:
-    """Bytes kept by holders; when they are more than `limit` in all, `relieve` evicts the largest holder.
+    """Memory used by all holders; when its total exceeds `limit`, `relieve` evicts the largest holder.
 
     Args:
         limit: bytes.
@@ -33,18 +33,18 @@ class Memory:
         self._held: dict[Holder, int] = {}
 
     def hold(self, holder: Holder, size: int) -> None:
-        """Note that `size` bytes are kept for `holder` now."""
+        """Note that `holder` now uses `size` bytes."""
         self._total += size - self._held.pop(holder, 0)
         if size:
             self._held[holder] = size
 
     def relieve(self) -> None:
-        """Evict the largest holders until there is room. They may be in use until then, but not after."""
+        """Evict the largest holders until the total is within the limit; none may be in use afterwards."""
         while self._total > self._limit:
             largest = max(self._held, key=lambda known: (not known.seated, self._held[known]))
             held = self._held.pop(largest)
             self._total -= held
             largest.evict(
-                f"it kept {held / 2**20:.0f} MiB, the most of all, when this hub had no room for more; "
-                f"it may keep {self._limit / 2**20:.0f} MiB (--max-memory)"
+                f"it used {held / 2**20:.0f} MiB, more than any other, when the hub reached its limit of "
+                f"{self._limit / 2**20:.0f} MiB (--max-memory)"
             )

@@ -2,9 +2,9 @@
 
 - Every call carries a sequence number, and its answer names it. An answer to anything but the outstanding
   call changes nothing.
-- When a known peer comes back over a new connection, the outstanding call is sent again; the peer, if it has
-  answered already, repeats its answer. In the same way an experiment is sent the last reply again.
-- When a player is lost, the episode under way is void, and the experiment is told.
+- When a known peer returns over a new connection, the outstanding call is sent again; a peer that has already
+  answered it repeats its answer. An experiment is sent its last reply again in the same way.
+- When a player is lost, the episode under way is void, and the experiment is notified.
 """
 
 from __future__ import annotations
@@ -23,29 +23,29 @@ from glue.types import Action
 __all__ = ["Board", "Peer", "Route", "Session"]
 
 _SLOW_SECONDS: Final = 5.0
-"""How long a player may take for an answer before it is mentioned."""
+"""Seconds without an answer after which a player is reported as slow."""
 
 _RARER: Final = 6.0
-"""Each mention comes after so many times as long as the one before: after 5 s, 30 s, 180 s, ..."""
+"""Factor between the times of successive reports: 5 s, 30 s, 180 s, ..."""
 
 _LIGHT: Final = 65_536
-"""Bytes of bodies that a session may keep without being accounted for: 64 MiB in 1024 sessions."""
+"""Bytes of bodies that a session may keep unaccounted for: 64 MiB in 1024 sessions."""
 
 
 class Route(Protocol):
-    """A connection: where messages come from, and where they can go."""
+    """A connection over which messages are received and sent."""
 
     def deliver(self, message: Message) -> bool:
         """Send `message`; return False, having sent nothing, if the other side is gone or does not read."""
         ...
 
     def admits(self, role: Role, session: str) -> bool:
-        """Return whether this role of this session can be taken from here; see `glue.core.config.Bind`."""
+        """Return whether a peer of this route may join `session` as `role`; see `glue.core.config.Bind`."""
         ...
 
 
 class Peer:
-    """A role filled: who fills it, and the route to it.
+    """The program that fills a role, and the route to it.
 
     `name` is what error messages call it; `label` adds its language and library, for notices and the log.
     """
@@ -85,7 +85,7 @@ class Peer:
 
 
 class Board(Protocol):
-    """What a session is part of: it carries messages to peers. See `glue.core.sessions.Switchboard`."""
+    """What a session needs of the hub; see `glue.core.sessions.Switchboard`."""
 
     memory: Memory
     log: Callable[[str], None]
@@ -135,20 +135,20 @@ class Session:
 
     @property
     def num_steps(self) -> int:
-        """What RL_num_steps is at present."""
+        """The current RL_num_steps."""
         return self._engine.num_steps
 
     @property
     def seated(self) -> bool:
-        """A session is not given up before connections that take part in none."""
+        """True: connections that take part in no session are evicted first."""
         return True
 
     def evict(self, why: str) -> None:
-        """End the session: it keeps too much."""
+        """End the session: it uses too much memory."""
         self._board.end(self, why)
 
     def _weigh(self) -> None:
-        """Account for the bodies that are kept; those of a session with small ones alone do not count."""
+        """Account for the bodies that are kept, unless all of them are small."""
         engine, call, reply = self._engine, self._outstanding, self._reply
         bodies = (call and call.body, reply and reply.body, engine.last_action, engine.task_spec)
         size = sum(len(body) for body in bodies if body)
@@ -156,23 +156,25 @@ class Session:
         self._board.memory.hold(self, size if self._heavy else 0)
 
     def knows(self, role: Role, instance: bytes) -> bool:
-        """Return whether `instance` is, or was last, in that role, and has sent a request or an answer.
+        """Return whether `instance` was the last in that role, and has sent a request or an answer.
 
-        Before that nobody can tell whether it has read its first WELCOME, which says that it has to forget
-        whatever it did at another hub: that WELCOME may have been lost with its connection.
+        Until it has, it may not have read its first WELCOME, which makes it forget what it did at another
+        hub: that WELCOME may have been lost with its connection.
         """
         return instance == self._confirmed.get(role)
 
     def _confirm(self, peer: Peer) -> None:
-        """Note that `peer` has sent a request or an answer, so it has read that it was unknown before."""
+        """Note that `peer` has sent a request or an answer, so it has read its first WELCOME."""
         peer.confirmed = True
         self._confirmed[peer.role] = peer.instance
 
     def join(self, peer: Peer, same: bool, announce: bool) -> None:
-        """Take `peer` in, and send it whatever waits for it.
+        """Let `peer` take its role, and send it what is waiting for it.
 
-        `same` says that it goes on in its role, over a new connection or after it was lost; `announce`,
-        that the role was empty.
+        Args:
+            peer: the peer.
+            same: whether it is the last peer of the role, over a new connection or after it was lost.
+            announce: whether the role was empty.
         """
         role = peer.role
         if not same:
@@ -195,19 +197,19 @@ class Session:
         if asked is None or CALLS[asked.kind].callee is not role:
             return
         if announce:
-            # It was asked of an empty seat: nobody has seen it, and what to ask depends on who came.
+            # The call was made while the role was empty: it was not sent, and may be another for this peer.
             self._call(asked)
         else:
             self.repeat(peer)
 
     def repeat(self, peer: Peer) -> None:
-        """Send again what `peer` may have missed; whatever it has seen already, it ignores."""
+        """Send again what `peer` may have missed; it ignores what it has already received."""
         missed = self._reply if peer.role is Role.EXPERIMENT else self._outstanding
         if missed is not None and (peer.role is Role.EXPERIMENT or CALLS[missed.kind].callee is peer.role):
             self._board.deliver(peer, missed)
 
     def lose(self, peer: Peer, why: str, code: ErrorCode) -> None:
-        """Go on without `peer`: void the episode, or, without the experiment, forget it."""
+        """Remove `peer`: a lost player makes the episode void, a lost experiment is forgotten."""
         role = peer.role
         del self.peers[role]
         if role is Role.EXPERIMENT:
@@ -223,7 +225,7 @@ class Session:
             self._fail(code, reason)
 
     def report_if_slow(self, now: float) -> None:
-        """Mention, now and then, a player that has been asked and has not answered."""
+        """Report, at growing intervals, a player that has not answered its call."""
         asked = self._outstanding
         role = None if asked is None else CALLS[asked.kind].callee
         player = None if role is None else self.peers.get(role)
@@ -238,20 +240,23 @@ class Session:
             self._notify(Event.SLOW, player.role, text)
 
     def request(self, peer: Peer, message: Message) -> bool:
-        """Begin on a verb of the experiment; return whether it was in turn."""
+        """Begin a verb of the experiment; return whether it was in turn."""
         if message.seq <= self._request_seq:
             if message.seq != self._request_seq or message.seq == 0:
-                text = f"a request {message.seq} came after {self._request_seq}; sequence numbers grow from 1"
+                text = (
+                    f"request {message.seq} was received after {self._request_seq}; "
+                    f"sequence numbers increase from 1"
+                )
                 self._error(peer, message, ErrorCode.NOT_ASKED, text)
-            # Otherwise it was heard; if its reply was missed, the HELLO of the new connection brought it.
+            # Otherwise it is a repetition; if its reply was lost, it was sent again after the HELLO.
             return False
         engine = self._engine
         if engine.verb is not None:
-            text = f"{message.kind.name} came while {engine.verb.name} is still being carried out"
+            text = f"{message.kind.name} was received while {engine.verb.name} is still being carried out"
             self._error(peer, message, ErrorCode.BUSY, text)
             return False
         if message.kind not in CALLS or CALLS[message.kind].callee is not None:
-            text = f"{message.kind.name} is not for an experiment to send"
+            text = f"an experiment must not send {message.kind.name}"
             self._error(peer, message, ErrorCode.NOT_ASKED, text)
             return False
         if not peer.confirmed:
@@ -271,10 +276,10 @@ class Session:
         outstanding = self._outstanding
         seq = message.seq
         if outstanding is None or seq != outstanding.seq or CALLS[outstanding.kind].callee is not peer.role:
-            # An answer to an older call is a repetition, or comes from an episode that is void by now.
+            # An answer to an older call is a repetition, or belongs to an episode that is now void.
             never = seq > self._seq or seq == 0
             if never or (message.kind in CALLS and CALLS[message.kind].callee is not peer.role):
-                text = f"{message.kind.name} {seq} was never asked of this {peer.role}"
+                text = f"{message.kind.name} {seq} was never sent to this {peer.role}"
                 self._error(peer, message, ErrorCode.NOT_ASKED, text)
             return False
         if not peer.confirmed:

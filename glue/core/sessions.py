@@ -4,10 +4,10 @@ A `Switchboard` takes messages and the time, and hands messages to the routes of
 
 - A peer identifies itself, in its HELLO, by a random number of its own: its instance. The same instance over
   a new connection is the same peer, and goes on where it was (see `glue.core.session`). Until an instance has
-  sent a request or an answer it is told that it is unknown, as often as it comes: the WELCOME that said so
-  before may have been lost.
-- A peer that stays unreachable for longer than the hub's timeout, or whose seat another takes meanwhile, is
-  lost.
+  sent a request or an answer, every WELCOME says that it is unknown: the one that said so before may have
+  been lost.
+- A peer is lost when it is unreachable for longer than the hub's timeout, or when another takes its role
+  meanwhile.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ INSTANCE_SIZE: Final = 16
 """Bytes of the random number by which a peer is known across connections."""
 
 ONE_RUN: Final = "one-run"
-"""Capability of a player that takes part in one run alone: it is sent off when the experiment leaves."""
+"""Capability of a player that takes part in a single run: it is dismissed when the experiment leaves."""
 
 _MAX_LABEL: Final = 255
-"""Bytes of a peer's name and codec that are kept."""
+"""Maximum number of bytes kept of a peer's name and codec."""
 
 
 class Switchboard:
@@ -39,10 +39,10 @@ class Switchboard:
 
     Args:
         config: limits and times.
-        log: takes one line for people about each peer that joins, leaves or is slow to answer.
+        log: called with one line for people about each peer that joins, leaves or is slow to answer.
 
     Attributes:
-        memory: bounds what is kept for sessions, and for whatever else the hub keeps.
+        memory: bounds the memory of sessions, and of everything else that the hub keeps.
     """
 
     def __init__(self, config: HubConfig, log: Callable[[str], None]) -> None:
@@ -60,7 +60,7 @@ class Switchboard:
         return 0 if seats is None else len(seats)
 
     def num_steps(self, session: str) -> int:
-        """Return what RL_num_steps is at present in a session that has a peer."""
+        """Return the current RL_num_steps of a session that has a peer."""
         return self._sessions[session].num_steps
 
     def receive(self, route: Route, message: Message, now: float) -> bool:
@@ -83,9 +83,9 @@ class Switchboard:
         elif kind is Kind.GOODBYE:
             self._lose(peer, f"left: {clip(str(message.scalars[0]))}")
             if peer.role is Role.EXPERIMENT:
-                self._send_off(peer.session)
+                self._dismiss(peer.session)
         else:
-            self._error(route, message, ErrorCode.NOT_ASKED, f"{kind.name} is for the hub to send")
+            self._error(route, message, ErrorCode.NOT_ASKED, f"{kind.name} is sent by the hub only")
         return False
 
     def malformed(self, route: Route, error: RemoteProtocolError, now: float) -> None:
@@ -105,13 +105,13 @@ class Switchboard:
             self._lose(peer, why, code)
 
     def tick(self, now: float) -> None:
-        """Send every connection a heartbeat, and give up peers that were unreachable for too long."""
+        """Send every connection a heartbeat, and give up peers that have been unreachable for too long."""
         self._now = now
         for route, seats in list(self._seats.items()):
             reached = self.send(route, Message(Kind.HEARTBEAT, "", 0))
             for peer in list(seats.values()):
                 if not reached:
-                    self._out_of_reach(peer)
+                    self._mark_unreachable(peer)
                 elif peer.unreachable_since is not None:
                     # Its connection holds, but its queue was full, and something was dropped.
                     peer.unreachable_since = None
@@ -133,7 +133,7 @@ class Switchboard:
 
     def _receive_unknown(self, route: Route, message: Message) -> None:
         if message.kind is not Kind.HELLO:
-            text = f"no peer of session {message.session!r} is known by this connection; say HELLO first"
+            text = f"this connection has not joined session {message.session!r}; say HELLO first"
             self._error(route, message, ErrorCode.UNKNOWN_PEER, text)
             return
         refusal = self._greet(route, message)
@@ -151,18 +151,21 @@ class Switchboard:
         assert isinstance(name, str)
         assert isinstance(codec, str)
         if PROTOCOL_VERSION not in versions:
-            text = f"this hub speaks protocol version {PROTOCOL_VERSION}, the peer {list(versions)}"
+            text = f"this hub supports protocol version {PROTOCOL_VERSION}, the peer {list(versions)}"
             return ErrorCode.VERSION, text
         try:
             role = Role(str(role_name))
         except ValueError:
-            return ErrorCode.MALFORMED, f"a role is {', '.join(Role)}, not {role_name!r:.40}"
+            return ErrorCode.MALFORMED, f"the role must be one of {', '.join(Role)}, not {role_name!r:.40}"
         if len(instance) != INSTANCE_SIZE:
-            return ErrorCode.MALFORMED, f"an instance is {INSTANCE_SIZE} bytes, not {len(instance)}"
+            return ErrorCode.MALFORMED, f"an instance must have {INSTANCE_SIZE} bytes, not {len(instance)}"
         if not message.session or not message.session.isprintable():
-            return ErrorCode.MALFORMED, "a session has a name of printable characters"
+            return (
+                ErrorCode.MALFORMED,
+                "the name of a session must have printable characters, and at least one",
+            )
         if not route.admits(role, message.session):
-            text = f"no {role} of session {message.session!r} can join at this address of the hub"
+            text = f"no {role} of session {message.session!r} may join at this address of the hub"
             return ErrorCode.NOT_ADMITTED, text
         seats = self._seats.get(route, {})
         if message.session not in seats and len(seats) >= self._config.max_seats:
@@ -176,11 +179,11 @@ class Switchboard:
             session = self._sessions[message.session] = Session(self, message.session)
         other = seats.get(message.session)
         if other is not None and other.role is not role:
-            return ErrorCode.MALFORMED, f"this connection is the {other.role} of the session already"
+            return ErrorCode.MALFORMED, f"this connection is already the {other.role} of the session"
         current = session.peers.get(role)
         if current is not None and current.instance != instance:
             if current.unreachable_since is None and self._reach(current):
-                text = f"session {session.name!r} has an {role} already: {current.label}"
+                text = f"session {session.name!r} already has an {role}: {current.label}"
                 return ErrorCode.ROLE_TAKEN, text
             self._lose(current, "was replaced by another")
             current = None
@@ -208,20 +211,20 @@ class Switchboard:
     def end(self, session: Session, why: str) -> None:
         """End a session: say goodbye to all its peers."""
         goodbye = Message(Kind.GOODBYE, session.name, 0, (clip(f"the session was ended: {why}"),))
-        # The experiment first: without it nobody is told of the loss of the players.
+        # The experiment first: with it gone, no notices of the players' loss are sent.
         for role in (Role.EXPERIMENT, Role.AGENT, Role.ENVIRONMENT):
             peer = session.peers.get(role)
             if peer is not None:
-                self._lose(peer, f"was sent off: {why}")
+                self._lose(peer, f"was dismissed: {why}")
                 self.send(peer.route, goodbye)
 
-    def _send_off(self, session: Session) -> None:
-        """The run is over: say goodbye to those who came for one run."""
+    def _dismiss(self, session: Session) -> None:
+        """The run is over: say goodbye to the players that take part in a single run."""
         for player in list(session.peers.values()):
             if ONE_RUN in player.capabilities:
                 goodbye = Message(Kind.GOODBYE, session.name, 0, ("the experiment is over",))
                 self.send(player.route, goodbye)
-                self._lose(player, "was sent off: the experiment is over")
+                self._lose(player, "was dismissed: the experiment is over")
 
     def _unseat(self, peer: Peer) -> None:
         seats = self._seats[peer.route]
@@ -245,7 +248,7 @@ class Switchboard:
             self._sessions.pop(session.name, None)
             self.memory.hold(session, 0)
 
-    def _out_of_reach(self, peer: Peer) -> None:
+    def _mark_unreachable(self, peer: Peer) -> None:
         if peer.unreachable_since is None:
             peer.unreachable_since = self._now
 
@@ -253,6 +256,6 @@ class Switchboard:
         self.send(route, Message(Kind.ERROR, message.session, message.seq, (str(code), clip(text))))
 
     def deliver(self, peer: Peer, message: Message) -> None:
-        """Send `message` to `peer`; if it cannot be reached, its time starts to run."""
+        """Send `message` to `peer`; if it cannot be reached, its timeout begins."""
         if not self.send(peer.route, message):
-            self._out_of_reach(peer)
+            self._mark_unreachable(peer)

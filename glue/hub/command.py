@@ -51,7 +51,7 @@ _DEFAULTS: Final = HubConfig()
     type=click.IntRange(1),
     default=_DEFAULTS.max_sessions,
     show_default=True,
-    help="Sessions served at once.",
+    help="Maximum number of sessions at once.",
 )
 @click.option(
     "--max-memory",
@@ -59,13 +59,13 @@ _DEFAULTS: Final = HubConfig()
     default=_DEFAULTS.max_memory // 2**20,
     show_default="a quarter of the machine's",
     metavar="MIB",
-    help="Memory for observations, actions and other messages that are under way, in all. Beyond it the "
-    "session or connection that keeps most is ended.",
+    help="Maximum memory for observations, actions and other messages, in all. When it is exceeded, the "
+    "session or connection that uses most is ended.",
 )
 @legacy_port_option
 @click.option("--insecure", is_flag=True, help="Allow addresses that other machines can reach.")
-@click.option("--quiet", is_flag=True, help="Say nothing but the addresses and the hub's own errors.")
-@click.option("--verbose", is_flag=True, help="Mention every connection, not only the peers of sessions.")
+@click.option("--quiet", is_flag=True, help="Log only the addresses and the hub's own errors.")
+@click.option("--verbose", is_flag=True, help="Log every connection, not only the peers of sessions.")
 @click.version_option(__version__, prog_name="glue-hub")
 def hub(
     bind: tuple[str, ...],
@@ -108,7 +108,7 @@ def hub(
 def serve_until_interrupted(
     config: HubConfig, ports: Sequence[LegacyPort] = (), level: Level = Level.PEERS
 ) -> None:
-    """Serve until Ctrl-C or SIGTERM; say so to every peer."""
+    """Serve until Ctrl-C or SIGTERM, of which every peer is notified."""
     from glue.hub.server import Hub
     from glue.legacy.gateway import Gateway
 
@@ -132,9 +132,9 @@ def serve_until_interrupted(
 
 def _allow_many_connections() -> None:
     """Take all descriptors that the system allows: a tournament needs one for each of its peers."""
-    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    _, maximum = resource.getrlimit(resource.RLIMIT_NOFILE)
     with suppress(ValueError, OSError):  # macOS calls it infinite, and refuses that
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
+        resource.setrlimit(resource.RLIMIT_NOFILE, (maximum, maximum))
 
 
 def main() -> None:

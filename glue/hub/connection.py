@@ -45,7 +45,7 @@ class Connection:
         ready: called with the time when there is something to receive, when all has been sent, and after
             `later`. Should it raise, the connection is reset, with a report to the log.
         failed: called with the time after that.
-        in_turn: whether the peer last sent what it was to send; set by the owner.
+        in_turn: whether the last message of the peer was in turn; set by the owner.
         closed: nothing can be sent or received any more.
     """
 
@@ -140,7 +140,7 @@ class Connection:
             self.close()
 
     def turn(self, now: float) -> None:
-        """Something has happened, or `later` was called: serve it, or let it wait in the queue."""
+        """Serve the connection, or put it into the queue, after an event or `later`."""
         if self.in_turn:
             self.serve(now)
         elif not self._queued:
@@ -217,7 +217,7 @@ def _nothing(now: float) -> None:
 
 
 def take_leave(leaving: Callable[[], Iterable[Connection]], seconds: float) -> None:
-    """Wait until all of `leaving` are closed, at most so many seconds: a goodbye should be read."""
+    """Wait up to `seconds` until all of `leaving` are closed, so that a goodbye is read."""
     deadline = time.monotonic() + seconds
     while (now := time.monotonic()) < deadline:
         left = {connection.fileno(): connection for connection in leaving() if not connection.closed}

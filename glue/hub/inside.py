@@ -53,7 +53,7 @@ class InsideTransport:
             loop.give()
 
     def receive(self) -> Sequence[bytes] | None:
-        """Return the next message; None if none came in time."""
+        """Return the next message; None if none is received in time."""
         loop, received = self._hub.loop, self._received
         loop.take()
         try:
@@ -61,7 +61,7 @@ class InsideTransport:
             while not received and loop.stopping is None and (left := until - time.monotonic()) > 0:
                 loop.turn(left)
         except BaseException:
-            # Whatever it was doing was done by half.
+            # The loop was interrupted in the middle of something.
             self._hub.stop("the experiment was interrupted in the middle of a verb")
             raise
         finally:
@@ -91,5 +91,5 @@ class InsideTransport:
         return True
 
     def admits(self, role: Role, session: str) -> bool:
-        """Return True: whoever runs a hub may take any part in it."""
+        """Return True: the process that runs a hub may take any role."""
         return True

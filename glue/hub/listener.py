@@ -103,7 +103,7 @@ class Listener:
 
     Args:
         loop: the loop it runs in, not yet running.
-        address: where the connections arrive; whoever opened it closes it.
+        address: where the connections arrive; closed by whoever opened it.
         accept: takes each connection. It may raise OSError: the connection has gone already.
         log: takes a line for people when connections cannot be accepted.
     """
@@ -176,7 +176,7 @@ def _listen_on_port(address: str) -> socket.socket:
 
 
 def _listen_on_path(path: str) -> socket.socket:
-    """Return a Unix socket that listens on `path`; one that nobody listens on any more is replaced.
+    """Return a Unix socket that listens on `path`; one that no process listens on any more is replaced.
 
     A path that begins with `@` is Linux's abstract kind.
 
@@ -203,7 +203,7 @@ def _is_left_over(path: str) -> bool:
     except OSError:
         return False
     with socket.socket(socket.AF_UNIX) as probe:
-        probe.setblocking(False)  # whoever listens there may be too busy to accept
+        probe.setblocking(False)  # the process that listens there may be too busy to accept
         return probe.connect_ex(path) == errno.ECONNREFUSED
 
 

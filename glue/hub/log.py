@@ -1,4 +1,4 @@
-"""Lines for people that nothing waits for: whoever prints them may be slow, or stuck.
+"""A log that never makes its callers wait, even if it is printed slowly or not at all.
 
 The hub's loop must not wait for a terminal or a pipe that nobody reads. A `Log` keeps lines in a queue of
 limited length, from which a thread writes them. Lines that find the queue full are counted, and dropped.
@@ -100,4 +100,6 @@ class Log:
             for line in lines:
                 self._write(line)
             if dropped:
-                self._write(f"{dropped} more lines were dropped: they came faster than they could be written")
+                self._write(
+                    f"{dropped} more lines were dropped: they arrived faster than they could be written"
+                )

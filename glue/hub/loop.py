@@ -2,8 +2,8 @@
 
 Nothing called from it may wait for anything itself.
 
-Work that nobody asked for, such as accepting connections or reading what was sent out of turn, goes through
-a queue. One piece of it is done in each turn of the loop, and all of it together takes at most a fifth of the
+Unsolicited work, such as accepting connections or reading what was sent out of turn, goes through a
+queue. One piece of it is done in each turn of the loop, and all of it together takes at most a fifth of the
 time: however many peers flood the hub, a session that plays has the rest.
 """
 
@@ -30,17 +30,17 @@ FAILURE: Final = 0
 _SHARE: Final = 0.2
 """Of the time, for the queue."""
 
-_MOST_SAVED: Final = 0.02
+_MAX_SAVED: Final = 0.02
 """Seconds of the queue's share that can be saved up while it is empty."""
 
 _LOOK_SECONDS: Final = 50e-6
 """How long an expected answer is looked for before the loop sleeps: fast players answer within it."""
 
-_MAX_VAIN: Final = 8
-"""After n looks in succession that were in vain, the next 2**n waits do without one; n is at most this."""
+_MAX_MISSES: Final = 8
+"""After n unsuccessful looks in succession, the next 2**n waits do without one; this is the maximum of n."""
 
 _SEVERAL_CORES: Final = not hasattr(os, "sched_getaffinity") or len(os.sched_getaffinity(0)) > 1
-"""On one core nobody could answer while the loop looks."""
+"""On a single core no peer could answer while the loop looks."""
 
 _GRACE_SECONDS: Final = 0.05
 """How long the thread in `run` waits for another to take the loop again, before it goes on itself."""
@@ -72,10 +72,10 @@ class Loop:
         self._ready: dict[int, Work] = {}
         self._tickers: list[Work] = []
         self._queue: deque[Work] = deque()
-        self._saved = _MOST_SAVED
+        self._saved = _MAX_SAVED
         self._saved_at = 0.0
         self._expecting = False
-        self._vain = 0
+        self._misses = 0
         self._without_look = 0
         self._mutex = threading.Lock()  # held by the thread that takes a turn
         self._taken = False  # lately, by another thread than the one in `run`
@@ -136,7 +136,7 @@ class Loop:
         self._mutex.release()
 
     def turn(self, seconds: float = math.inf) -> None:
-        """Wait, at most so long, until there is something to do, and do it.
+        """Wait up to `seconds` until there is something to do, and do it.
 
         That is what is ready, one piece of the queue, and a tick.
         """
@@ -159,9 +159,9 @@ class Loop:
             self._tick_at = now + self._every
 
     def _poll(self, seconds: float) -> list[tuple[int, int]]:
-        """Return events, waiting for them at most so long.
+        """Return events, waiting for them up to `seconds`.
 
-        To fall asleep and be woken takes longer than most answers do, so an expected one is looked for first.
+        Falling asleep and being woken takes longer than most answers, so an expected one is first polled for.
         """
         poll = self._poller.poll
         if self._expecting:
@@ -174,17 +174,17 @@ class Loop:
                 while True:
                     events = poll(0)
                     if events:
-                        self._vain = 0
+                        self._misses = 0
                         return events
                     if clock() >= until:
                         break
-                self._vain = min(self._vain + 1, _MAX_VAIN)
-                self._without_look = 2**self._vain
+                self._misses = min(self._misses + 1, _MAX_MISSES)
+                self._without_look = 2**self._misses
         return poll(max(seconds, 0))
 
     def _work_off(self) -> None:
         now = time.monotonic()
-        self._saved = min(_MOST_SAVED, self._saved + (now - self._saved_at) * _SHARE)
+        self._saved = min(_MAX_SAVED, self._saved + (now - self._saved_at) * _SHARE)
         self._saved_at = now
         if self._saved > 0:
             self._queue.popleft()(now)
@@ -219,7 +219,7 @@ class _Poll:
         self.unregister = self._poller.unregister
 
     def poll(self, seconds: float) -> list[tuple[int, int]]:
-        """Return events, waiting for them at most so long."""
+        """Return events, waiting for them up to `seconds`."""
         return self._poller.poll(math.ceil(seconds * 1000))
 
     def close(self) -> None:

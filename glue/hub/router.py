@@ -31,7 +31,7 @@ from glue.protocol.wire import FROM_HUB, MAX_HEADER, encode
 __all__ = ["MAX_UNSEATED", "MAX_UNSENT", "Router"]
 
 MAX_UNSEATED: Final = 256
-"""Connections without a seat that are kept at once; one more and the oldest is dropped."""
+"""Maximum number of connections without a seat; when there is one more, the oldest is dropped."""
 
 GREETING_SECONDS: Final = 1.0
 """How long a connection may be without a seat before it is dropped, at the next tick."""
@@ -42,16 +42,16 @@ MAX_UNSENT: Final = 64 * 2**20
 _STEPS: Final = frozenset({Kind.ENV_STEP, Kind.AGENT_STEP})
 
 _FAREWELL_SECONDS: Final = 1.0
-"""How long the end of the hub is put off, at most, for the last words to be read."""
+"""Seconds that the hub waits at most, when it closes, for its last messages to be read."""
 
 
 class Router:
-    """Listens, and passes on what peers say.
+    """Listens, and passes on what peers send.
 
     Args:
         loop: the loop it runs in, not yet running.
         config: times and limits.
-        addresses: where peers connect; whoever opened them closes them.
+        addresses: where peers connect; closed by whoever opened them.
         receive: takes the route to answer by, the frames received and the time; returns whether the message
             was in turn. RemoteProtocolError ends the connection.
         receive_message: the same, for a message that needs no decoding.
@@ -92,7 +92,7 @@ class Router:
         loop.on_tick(self._tick)
 
     def close(self) -> None:
-        """Close, giving the last messages a moment to leave."""
+        """Close, after a moment for the last messages to be read."""
         for listener in self._listeners:
             listener.stop()
         for dealer in self._dealers:
@@ -102,7 +102,7 @@ class Router:
             dealer.connection.close()
 
     def drop(self, dealer: _Dealer, why: str | None) -> None:
-        """End a connection; `why`, if it is news, completes a sentence about it."""
+        """Close a connection; `why`, if it should be logged, completes a sentence about it."""
         if why is not None:
             self.complain(dealer, why)
         self.memory.hold(dealer, 0)
@@ -112,7 +112,7 @@ class Router:
         self._log.connection(f"{dealer.connection.name} is gone")
 
     def complain(self, dealer: _Dealer, why: str) -> None:
-        """Log why a connection is dropped, unless it was the last reason, too."""
+        """Log why a connection is dropped, unless the reason is the same as the last time."""
         # A peer with the wrong kind of socket connects again and again.
         if why != self._complaint:
             self._complaint = why
@@ -135,7 +135,7 @@ class Router:
     def _make_room(self) -> None:
         while len(self._unseated) >= MAX_UNSEATED:
             oldest = next(iter(self._unseated))
-            self.drop(oldest, f"{MAX_UNSEATED} others without a seat are there already")
+            self.drop(oldest, f"{MAX_UNSEATED} newer connections have not joined a session either")
 
     def _tick(self, now: float) -> None:
         for dealer in list(self._dealers):
@@ -146,7 +146,7 @@ class Router:
 
 
 class _Dealer:
-    """One connection, and by it whoever is at its other end; a route of the switchboard.
+    """One connection, and the peer at its other end; a route of the switchboard.
 
     Attributes:
         connection: as it is.
@@ -187,7 +187,7 @@ class _Dealer:
         return self._router.num_seats(self) > 0
 
     def evict(self, why: str) -> None:
-        """Drop the connection: it keeps too much."""
+        """Drop the connection: it uses too much memory."""
         self._router.drop(self, why)
 
     def _weigh(self) -> None:

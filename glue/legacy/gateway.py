@@ -1,15 +1,15 @@
 """Original RL-Glue programs as peers of the hub: listeners in the hub's own loop.
 
-To a session an original program is a peer like any other. What it sends becomes messages to the switchboard,
-and what the switchboard has for it becomes frames, one at a time:
+To a session an original program is a peer like any other. What it sends is translated into messages to the
+switchboard, and the switchboard's messages are translated into frames, one at a time:
 
 - A player, that is an agent or environment, is sent a call only after it has answered the one before, even
-  if nobody waits for that answer any more: a Java program loses a frame that arrives together with another.
+  if that answer is no longer needed: a Java program loses a frame that arrives together with another.
 - An experiment's next request is taken up only after the reply to the one before has been sent.
 - A player takes part in one run, as the originals do. It is sent message 35, on which it ends, when the
   experiment leaves, when the hub closes, when its role is taken, and when it breaks the protocol. If the
   connection were merely closed, C programs would go on with stale data and Python programs would hang.
-- An experiment cannot be told that a call failed. If a player was lost, and the call can be carried out from
+- An experiment cannot be sent a failure of a call. If a player was lost, and the call can be carried out from
   its beginning with another, it is made again. If not, the connection is reset: if it were merely closed,
   C programs would go on with old numbers, and Python programs would hang.
 

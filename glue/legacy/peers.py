@@ -105,7 +105,7 @@ class Peer:
         return self._pending.hub.switchboard.num_seats(self) > 0
 
     def evict(self, why: str) -> None:
-        """Drop the connection: it keeps too much."""
+        """Drop the connection: it uses too much memory."""
         self._connection.reset()
         self._pending.hub.switchboard.lose(self, f"was dropped: {why}", time.monotonic())
 
@@ -113,7 +113,7 @@ class Peer:
         self._pending.hub.switchboard.lose(self, "was dropped after an error of the hub", now)
 
     def _weigh(self) -> bool:
-        """Account for requests not carried out yet and data not sent; return whether there may be more."""
+        """Account for data not acted on yet and not sent; return False once the connection has closed."""
         connection = self._connection
         held = 0 if connection.closed else self._decoder.buffered + connection.unsent
         if held != self._held:

@@ -1,9 +1,9 @@
-"""What an original program in its role may do, and be told, in each state: every rule about states.
+"""The states of original programs in their roles, and what may happen in each.
 
 A player, that is an agent or environment, is sent one call at a time. A call that arrives while it works on
-another one replaces the call that waits behind it, since nobody waits for the older one any more.
+another one replaces the call that waits behind it, since the older one is no longer needed.
 
-An experiment cannot be told that a request failed. If a player was lost meanwhile, a request that can be
+An experiment cannot be sent the failure of a request. If a player was lost meanwhile, a request that can be
 carried out from its beginning is made again; otherwise the connection is reset.
 """
 
@@ -31,9 +31,9 @@ class PlayerState(Enum):
     BUSY = auto()
     """It has been sent a call."""
     SUPERSEDED = auto()
-    """Nobody waits for its answer any more, and another call is to be sent after it."""
+    """Its answer is no longer needed, and another call is to be sent after it."""
     LEAVING = auto()
-    """Nobody waits for its answer any more, and it is terminated after it."""
+    """Its answer is no longer needed, and it is terminated after it."""
     GONE = auto()
 
 

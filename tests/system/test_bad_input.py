@@ -162,8 +162,8 @@ def hub(_hub: Target) -> Iterator[Target]:
     assert _hub.megabytes() < before + ROOM
 
 
-class Stranger:
-    """A DEALER that says whatever a test wants."""
+class Client:
+    """A DEALER that sends what a test wants."""
 
     def __init__(self, url: str, **options: Any) -> None:
         self._instance = os.urandom(INSTANCE_SIZE)
@@ -176,7 +176,7 @@ class Stranger:
             self.socket.setsockopt(getattr(zmq, name), value)
         self.socket.connect(url)
 
-    def __enter__(self) -> Stranger:
+    def __enter__(self) -> Client:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -190,33 +190,33 @@ class Stranger:
         """Send a message."""
         self.send(*encode(Message(kind, session, seq, scalars, body), TO_HUB))
 
-    def hear(self) -> Message:
-        """The next message that is no heartbeat."""
+    def receive(self) -> Message:
+        """The next message that is not a heartbeat."""
         while (message := decode(self.socket.recv_multipart(), FROM_HUB)).kind is Kind.HEARTBEAT:
             pass
         return message
 
     def error(self) -> tuple[str, str]:
         """The next message, which must be an error or a refusal: its code and text."""
-        message = self.hear()
+        message = self.receive()
         assert message.kind in (Kind.ERROR, Kind.REFUSE), message
         code, text = map(str, message.scalars)
         return code, text
 
     def hello(self, role: str, session: str = "bad", version: int = 1) -> None:
         """Say hello."""
-        self.say(Kind.HELLO, 0, (version,), role, self._instance, "stranger", "test", (), session=session)
+        self.say(Kind.HELLO, 0, (version,), role, self._instance, "client", "test", (), session=session)
 
     def join(self, role: str, session: str = "bad") -> None:
         """Say hello, and be welcomed."""
         self.hello(role, session)
-        assert self.hear().kind is Kind.WELCOME
+        assert self.receive().kind is Kind.WELCOME
 
 
 @pytest.fixture
-def stranger(hub: Target) -> Iterator[Stranger]:
-    with Stranger(hub.url) as stranger:
-        yield stranger
+def client(hub: Target) -> Iterator[Client]:
+    with Client(hub.url) as client:
+        yield client
 
 
 # Bytes
@@ -335,7 +335,7 @@ def test_messages_that_do_not_come_to_their_end_are_dropped_when_they_are_too_ma
             assert hub.megabytes() < before + ROOM
 
 
-def test_whoever_sends_a_little_may_finish_while_others_fill_the_room(hub: Target) -> None:
+def test_a_peer_that_sends_little_may_finish_while_others_fill_the_memory(hub: Target) -> None:
     with ExitStack() as stack:
         modest = stack.enter_context(seated(hub, "modest"))
         for number in range(4):
@@ -343,9 +343,9 @@ def test_whoever_sends_a_little_may_finish_while_others_fill_the_room(hub: Targe
             stack.enter_context(seated(hub, f"greedy {number}")).sendall(frame)
         hub.healthy.goes_on()
         say(modest, Message(Kind.AGENT_MESSAGE, "modest", 9, (), bytes(2**20)))
-        heard = b""
-        while ErrorCode.NOT_ASKED.encode() not in heard:
-            heard += (more := modest.recv(2**16))
+        received = b""
+        while ErrorCode.NOT_ASKED.encode() not in received:
+            received += (more := modest.recv(2**16))
             assert more, "the modest one was dropped"
 
 
@@ -398,7 +398,7 @@ def test_a_connection_without_a_seat_does_not_stay(hub: Target) -> None:
         "a giant command",
     ],
 )
-def test_whoever_is_no_dealer_is_dropped(hub: Target, start: bytes) -> None:
+def test_a_peer_that_is_not_a_dealer_is_dropped(hub: Target, start: bytes) -> None:
     with raw(hub) as connection:
         connection.sendall(start)
         with suppress(ConnectionResetError):
@@ -412,9 +412,9 @@ def test_whoever_is_no_dealer_is_dropped(hub: Target, start: bytes) -> None:
 def test_random_frames_are_answered_with_an_error(hub: Target) -> None:
     noise = random.Random(3)
     for _ in range(50):
-        with Stranger(hub.url) as stranger:
-            stranger.send(*[noise.randbytes(noise.randint(0, 60)) for _ in range(noise.randint(1, 4))])
-            assert stranger.error()[0] in (ErrorCode.MALFORMED, ErrorCode.UNKNOWN_KIND)
+        with Client(hub.url) as client:
+            client.send(*[noise.randbytes(noise.randint(0, 60)) for _ in range(noise.randint(1, 4))])
+            assert client.error()[0] in (ErrorCode.MALFORMED, ErrorCode.UNKNOWN_KIND)
 
 
 def test_a_connection_without_a_seat_ends_at_its_first_malformed_message(hub: Target) -> None:
@@ -439,107 +439,107 @@ BOMBS = {
 
 
 @pytest.mark.parametrize("name", BOMBS)
-def test_a_msgpack_bomb_is_answered_with_an_error(stranger: Stranger, name: str) -> None:
-    stranger.send(BOMBS[name])
-    assert stranger.error()[0] == ErrorCode.MALFORMED
+def test_a_msgpack_bomb_is_answered_with_an_error(client: Client, name: str) -> None:
+    client.send(BOMBS[name])
+    assert client.error()[0] == ErrorCode.MALFORMED
 
 
 @pytest.mark.parametrize("count", [3, 1000, 100_000])
-def test_a_message_of_many_frames_is_answered_with_an_error(stranger: Stranger, count: int) -> None:
-    stranger.join("agent", session=f"{count} frames")
-    stranger.send(*[b"frame"] * count)
-    assert stranger.error() == (ErrorCode.MALFORMED, "a message has one or two frames; 3 received")
+def test_a_message_of_many_frames_is_answered_with_an_error(client: Client, count: int) -> None:
+    client.join("agent", session=f"{count} frames")
+    client.send(*[b"frame"] * count)
+    assert client.error() == (ErrorCode.MALFORMED, "a message has one or two frames; 3 received")
 
 
-def test_a_body_too_large_is_answered_with_an_error(stranger: Stranger) -> None:
-    stranger.send(msgpack.packb([19, "bad", 1]), bytes(MAX_BODY + 1))
-    code, text = stranger.error()
+def test_a_body_too_large_is_answered_with_an_error(client: Client) -> None:
+    client.send(msgpack.packb([19, "bad", 1]), bytes(MAX_BODY + 1))
+    code, text = client.error()
     assert code == ErrorCode.MALFORMED
     assert f"the body of ENV_MESSAGE has {MAX_BODY + 1} bytes; {MAX_BODY} are allowed" in text
 
 
-def test_counts_that_do_not_add_up_are_answered_with_an_error(stranger: Stranger) -> None:
-    stranger.send(msgpack.packb([12, "bad", 1]), struct.pack("<4I", 2**32 - 1, 2**32 - 1, 2**32 - 1, 0))
-    code, text = stranger.error()
+def test_counts_that_do_not_add_up_are_answered_with_an_error(client: Client) -> None:
+    client.send(msgpack.packb([12, "bad", 1]), struct.pack("<4I", 2**32 - 1, 2**32 - 1, 2**32 - 1, 0))
+    code, text = client.error()
     assert code == ErrorCode.MALFORMED
     assert "the counts in the body of ENV_START say" in text
 
 
-def test_the_largest_bodies_leave_no_trace(hub: Target, stranger: Stranger) -> None:
-    stranger.join("environment")
+def test_the_largest_bodies_leave_no_trace(hub: Target, client: Client) -> None:
+    client.join("environment")
     for _ in range(20):
-        stranger.send(msgpack.packb([19, "bad", 1]), bytes(MAX_BODY))
-        assert stranger.error()[0] == ErrorCode.NOT_ASKED
+        client.send(msgpack.packb([19, "bad", 1]), bytes(MAX_BODY))
+        assert client.error()[0] == ErrorCode.NOT_ASKED
 
 
 # Messages out of place
 
 
-def test_an_unknown_kind(stranger: Stranger) -> None:
-    stranger.send(msgpack.packb([999, "bad", 5]))
-    message = stranger.hear()
+def test_an_unknown_kind(client: Client) -> None:
+    client.send(msgpack.packb([999, "bad", 5]))
+    message = client.receive()
     assert (message.kind, message.seq, message.scalars[0]) == (Kind.ERROR, 5, ErrorCode.UNKNOWN_KIND)
 
 
-def test_an_unknown_version(stranger: Stranger) -> None:
-    stranger.hello("agent", version=2)
-    assert stranger.error() == (ErrorCode.VERSION, "this hub speaks protocol version 1, the peer [2]")
+def test_an_unknown_version(client: Client) -> None:
+    client.hello("agent", version=2)
+    assert client.error() == (ErrorCode.VERSION, "this hub supports protocol version 1, the peer [2]")
 
 
-def test_an_unknown_role(stranger: Stranger) -> None:
-    stranger.hello("king")
-    assert stranger.error()[0] == ErrorCode.MALFORMED
+def test_an_unknown_role(client: Client) -> None:
+    client.hello("king")
+    assert client.error()[0] == ErrorCode.MALFORMED
 
 
-def test_no_hello(stranger: Stranger) -> None:
-    stranger.say(Kind.RL_START, 1, session="default")
-    assert stranger.error()[0] == ErrorCode.UNKNOWN_PEER
+def test_no_hello(client: Client) -> None:
+    client.say(Kind.RL_START, 1, session="default")
+    assert client.error()[0] == ErrorCode.UNKNOWN_PEER
 
 
 @pytest.mark.parametrize("role", ["agent", "environment", "experiment"])
-def test_a_second_of_each_role(stranger: Stranger, role: str) -> None:
-    stranger.hello(role, session="default")
-    code, text = stranger.error()
+def test_a_second_of_each_role(client: Client, role: str) -> None:
+    client.hello(role, session="default")
+    code, text = client.error()
     assert code == ErrorCode.ROLE_TAKEN
     assert f"session 'default' has an {role} already" in text
 
 
-def test_replies_that_nobody_asked_for(stranger: Stranger) -> None:
-    stranger.join("environment")
+def test_replies_without_a_call(client: Client) -> None:
+    client.join("environment")
     for seq in (0, 1, 2**63 - 1):
-        stranger.say(Kind.ENV_STEP, seq, 1.0, True, body=Observation().body)
-        assert stranger.error()[0] == ErrorCode.NOT_ASKED
+        client.say(Kind.ENV_STEP, seq, 1.0, True, body=Observation().body)
+        assert client.error()[0] == ErrorCode.NOT_ASKED
 
 
-def test_the_words_of_another_role(stranger: Stranger) -> None:
-    stranger.join("agent")
+def test_messages_of_another_role(client: Client) -> None:
+    client.join("agent")
     for kind, body in ((Kind.ENV_START, Observation().body), (Kind.RL_START, b"")):
-        stranger.say(kind, 1, body=body)
-        assert stranger.error()[0] == ErrorCode.NOT_ASKED
+        client.say(kind, 1, body=body)
+        assert client.error()[0] == ErrorCode.NOT_ASKED
 
 
-def test_a_malformed_message_costs_its_sender_its_seat(stranger: Stranger) -> None:
-    stranger.join("agent")
-    stranger.send(b"nonsense")
-    assert stranger.error()[0] == ErrorCode.MALFORMED
-    stranger.say(Kind.HEARTBEAT, 0)
-    assert stranger.error()[0] == ErrorCode.UNKNOWN_PEER
+def test_a_malformed_message_costs_its_sender_its_seat(client: Client) -> None:
+    client.join("agent")
+    client.send(b"nonsense")
+    assert client.error()[0] == ErrorCode.MALFORMED
+    client.say(Kind.HEARTBEAT, 0)
+    assert client.error()[0] == ErrorCode.UNKNOWN_PEER
 
 
 def test_a_routing_id_of_ones_own_is_of_no_account(hub: Target) -> None:
-    with Stranger(hub.url, ROUTING_ID=b"mine") as stranger:
-        stranger.join("agent")
+    with Client(hub.url, ROUTING_ID=b"mine") as client:
+        client.join("agent")
 
 
 # Floods
 
 
 def test_a_flood_of_hellos_leaves_room_for_others(hub: Target) -> None:
-    with Stranger(hub.url) as flood, Stranger(hub.url) as late:
+    with Client(hub.url) as flood, Client(hub.url) as late:
         outcomes = []
         for number in range(2000):
             flood.hello("agent", session=f"flood {number}")
-            outcomes.append(flood.hear())
+            outcomes.append(flood.receive())
         assert sum(message.kind is Kind.WELCOME for message in outcomes) == SESSIONS // 4
         code, text = map(str, outcomes[-1].scalars)
         assert (code, f"{SESSIONS // 4} sessions" in text) == (ErrorCode.FULL, True)
@@ -550,12 +550,12 @@ def test_floods_of_hellos_from_many_connections_fill_no_more_than_the_sessions_t
     hub: Target,
 ) -> None:
     with ExitStack() as stack:
-        floods = [stack.enter_context(Stranger(hub.url)) for _ in range(4)]
+        floods = [stack.enter_context(Client(hub.url)) for _ in range(4)]
         outcomes = []
         for number in range(SESSIONS):
             flood = floods[number % len(floods)]
             flood.hello("agent", session=f"flood {number}")
-            outcomes.append(flood.hear())
+            outcomes.append(flood.receive())
         assert outcomes[-1].scalars == (
             ErrorCode.FULL,
             f"this hub serves {SESSIONS} sessions at once, and all are in use",
@@ -566,21 +566,21 @@ def test_floods_of_hellos_from_many_connections_fill_no_more_than_the_sessions_t
         for flood in floods:
             flood.say(Kind.HEARTBEAT, 1, session="flood 0")
             assert flood.error()[0] == ErrorCode.UNKNOWN_PEER
-        with Stranger(hub.url) as late:
+        with Client(hub.url) as late:
             late.join("agent", session="late")
 
 
-def test_a_flood_of_hellos_and_goodbyes(hub: Target, stranger: Stranger) -> None:
+def test_a_flood_of_hellos_and_goodbyes(hub: Target, client: Client) -> None:
     for number in range(2000):
-        stranger.join("agent", session=f"{number}")
-        stranger.say(Kind.GOODBYE, 0, "x" * 3000, session=f"{number}")
+        client.join("agent", session=f"{number}")
+        client.say(Kind.GOODBYE, 0, "x" * 3000, session=f"{number}")
 
 
 def test_a_flood_of_heartbeats_from_one_that_never_reads(hub: Target) -> None:
-    with Stranger(hub.url, RCVHWM=1) as stranger:
-        stranger.join("agent", session="never read")
+    with Client(hub.url, RCVHWM=1) as client:
+        client.join("agent", session="never read")
         for _ in range(50_000):
-            stranger.say(Kind.HEARTBEAT, 1, session="never read")
+            client.say(Kind.HEARTBEAT, 1, session="never read")
 
 
 def test_a_hub_whose_log_nobody_reads_goes_on() -> None:
@@ -588,7 +588,7 @@ def test_a_hub_whose_log_nobody_reads_goes_on() -> None:
     with running("-c", program, "--bind", "tcp://127.0.0.1:*") as process:
         assert process.stderr is not None
         url = process.stderr.readline().split()[-1]
-        with connect(url, "s", log=quiet) as glue, Stranger(url) as refused:
+        with connect(url, "s", log=quiet) as glue, Client(url) as refused:
             refused.join("agent", session="so that it may stay")
             for _ in range(3000):
                 refused.hello("experiment", session="s")
@@ -600,13 +600,13 @@ def test_a_hub_whose_log_nobody_reads_goes_on() -> None:
 def test_an_experiment_that_never_reads_its_replies(hub: Target) -> None:
     large = bytes(2**20)
     with (
-        Stranger(hub.url) as agent,
-        Stranger(hub.url, RCVHWM=1, RCVBUF=4096) as experiment,
+        Client(hub.url) as agent,
+        Client(hub.url, RCVHWM=1, RCVBUF=4096) as experiment,
     ):
         agent.join("agent", session="unread")
         experiment.hello("experiment", session="unread")
         experiment.say(Kind.RL_AGENT_MESSAGE, 1, session="unread")
-        call = agent.hear()
+        call = agent.receive()
         agent.say(Kind.AGENT_MESSAGE, call.seq, body=large, session="unread")
         for _ in range(5000):
             experiment.say(Kind.RL_AGENT_MESSAGE, 1, session="unread")
@@ -616,13 +616,13 @@ def test_an_experiment_that_never_reads_its_replies(hub: Target) -> None:
 def test_many_sessions_with_the_largest_bodies_have_a_bound_in_all(hub: Target) -> None:
     huge = Observation(chars=bytes(MAX_BODY - 16)).body
     before = hub.megabytes()
-    with Stranger(hub.url) as agent, Stranger(hub.url) as experiment:
+    with Client(hub.url) as agent, Client(hub.url) as experiment:
         for number in range(12):
             session = f"huge {number}"
             agent.hello("agent", session=session)
             experiment.hello("experiment", session=session)
             experiment.say(Kind.RL_AGENT_START, 1, body=huge, session=session)
-        while (message := experiment.hear()).kind is not Kind.GOODBYE:
+        while (message := experiment.receive()).kind is not Kind.GOODBYE:
             assert hub.megabytes() < before + ROOM
         assert "--max-memory" in str(message.scalars[0])
         hub.healthy.goes_on()
@@ -631,12 +631,12 @@ def test_many_sessions_with_the_largest_bodies_have_a_bound_in_all(hub: Target) 
 
 def test_a_player_that_answers_everything_with_the_largest_body(hub: Target) -> None:
     huge = Action(chars=bytes(MAX_BODY - 16)).body
-    with Stranger(hub.url) as agent, Stranger(hub.url) as experiment:
+    with Client(hub.url) as agent, Client(hub.url) as experiment:
         agent.join("agent")
         experiment.join("experiment")
-        while experiment.hear().kind is not Kind.NOTICE:
+        while experiment.receive().kind is not Kind.NOTICE:
             pass
         for seq in range(1, 6):
             experiment.say(Kind.RL_AGENT_START, seq, body=Observation().body)
-            agent.say(Kind.AGENT_START, agent.hear().seq, body=huge)
-            assert experiment.hear().body == huge
+            agent.say(Kind.AGENT_START, agent.receive().seq, body=huge)
+            assert experiment.receive().body == huge

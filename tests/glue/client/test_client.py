@@ -480,7 +480,7 @@ def test_a_call_of_a_capability_that_was_not_offered_is_a_failure(hub: HandHub, 
 
 
 def test_a_player_without_a_method_is_refused_before_anything_is_sent() -> None:
-    with pytest.raises(PeerFailed, match="ScriptedEnvironment is no agent: it has no agent_init"):
+    with pytest.raises(PeerFailed, match="ScriptedEnvironment is not an agent: it has no agent_init"):
         serve_agent(ScriptedEnvironment())  # type: ignore[arg-type]
 
 

@@ -122,7 +122,7 @@ def test_an_address_admits_the_roles_and_sessions_that_it_names() -> None:
 
 
 @pytest.mark.parametrize("closed", [{"roles": frozenset()}, {"sessions": frozenset()}])
-def test_an_address_at_which_nobody_could_join_is_an_error(closed: dict[str, Any]) -> None:
+def test_an_address_at_which_no_peer_could_join_is_an_error(closed: dict[str, Any]) -> None:
     with pytest.raises(ConfigError, match="no peer could join at ipc:///tmp/hub"):
         Bind("ipc:///tmp/hub", **closed)
 

@@ -181,7 +181,7 @@ def test_terminal_step_ends_the_agent_counts_the_episode_and_not_the_step() -> N
 
 
 def test_terminal_first_step_returns_the_executed_action() -> None:
-    # The original returns an empty action if no other step came before, or aborts.
+    # The original returns an empty action if it is the first step, or aborts.
     glue, _ = play(length=1)
     glue.rl_init()
     glue.rl_start()
@@ -270,7 +270,7 @@ def test_a_step_goes_on_after_an_episode_was_cut_off() -> None:
 @pytest.mark.parametrize("limit", [-1, 2**32])
 def test_episode_refuses_a_limit_that_is_no_uint32(limit: int) -> None:
     glue, _ = play()
-    with pytest.raises(LocalProtocolError, match=r"a step limit is from 0 to 2\^32 - 1, not"):
+    with pytest.raises(LocalProtocolError, match=r"a step limit must be from 0 to 2\^32 - 1, not"):
         glue.rl_episode(limit)
 
 
@@ -478,14 +478,16 @@ def test_engine_passes_bodies_through_untouched() -> None:
 def test_a_verb_before_the_last_is_done_is_an_error_that_names_both() -> None:
     engine = initialised()
     engine.begin(Kind.RL_START)
-    with pytest.raises(LocalProtocolError, match="RL_STEP came while RL_START is still being carried out"):
+    with pytest.raises(
+        LocalProtocolError, match="RL_STEP was called while RL_START is still being carried out"
+    ):
         engine.begin(Kind.RL_STEP)
     assert engine.awaiting is Kind.ENV_START
 
 
 @pytest.mark.parametrize("kind", [Kind.ENV_STEP, Kind.AGENT_INIT, Kind.HELLO])
 def test_a_call_that_is_no_verb_is_an_error(kind: Kind) -> None:
-    with pytest.raises(LocalProtocolError, match="not for an experiment"):
+    with pytest.raises(LocalProtocolError, match="is not a verb of an experiment"):
         Engine(b"").begin(kind)
 
 
@@ -524,7 +526,7 @@ def test_the_seed_reaches_each_player_before_its_init_and_each_another() -> None
     assert env_seed != agent_seed
 
 
-def test_without_a_seed_nobody_is_seeded() -> None:
+def test_without_a_seed_no_player_is_seeded() -> None:
     calls: list[str] = []
     glue = local(SeededAgent(calls), SeededEnvironment(calls=calls))
     glue.rl_init()

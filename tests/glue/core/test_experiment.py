@@ -1,4 +1,4 @@
-"""What an experiment may hand over, in one process and over a hub: mistakes are told where they are made."""
+"""What an experiment may pass, in one process and over a hub: mistakes are reported where they are made."""
 
 from __future__ import annotations
 
@@ -46,19 +46,19 @@ def glue(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Experiment]
 
 
 MISTAKES: list[tuple[Callable[[Any], object], str]] = [
-    (lambda glue: glue.rl_episode(-1), r"a step limit is from 0 to 2\^32 - 1, not -1"),
-    (lambda glue: glue.rl_episode(2**32), r"a step limit is from 0 to 2\^32 - 1, not 4294967296"),
-    (lambda glue: glue.rl_episode(1e3), r"a step limit is a whole number, not 1000\.0"),
-    (lambda glue: glue.rl_init(-1), r"a seed is from 0 to 2\^63 - 1, not -1"),
-    (lambda glue: glue.rl_init(2**63), r"a seed is from 0 to 2\^63 - 1"),
-    (lambda glue: glue.rl_init("lucky"), "a seed is a whole number, not 'lucky'"),
-    (lambda glue: glue.rl_agent_message(5), "type str is sent here, not 5"),
-    (lambda glue: glue.rl_env_message(None), "type str is sent here, not None"),
-    (lambda glue: glue.rl_env_step(Observation()), r"type Action is sent here, not Observation\(\)"),
-    (lambda glue: glue.rl_agent_start(Action()), r"type Observation is sent here, not Action\(\)"),
-    (lambda glue: glue.rl_agent_step(0.0, 7), "type Observation is sent here, not 7"),
-    (lambda glue: glue.rl_agent_load("text"), "type bytes is sent here, not 'text'"),
-    (lambda glue: glue.rl_env_load(None), "type bytes is sent here, not None"),
+    (lambda glue: glue.rl_episode(-1), r"a step limit must be from 0 to 2\^32 - 1, not -1"),
+    (lambda glue: glue.rl_episode(2**32), r"a step limit must be from 0 to 2\^32 - 1, not 4294967296"),
+    (lambda glue: glue.rl_episode(1e3), r"a step limit must be a whole number, not 1000\.0"),
+    (lambda glue: glue.rl_init(-1), r"a seed must be from 0 to 2\^63 - 1, not -1"),
+    (lambda glue: glue.rl_init(2**63), r"a seed must be from 0 to 2\^63 - 1"),
+    (lambda glue: glue.rl_init("lucky"), "a seed must be a whole number, not 'lucky'"),
+    (lambda glue: glue.rl_agent_message(5), "type str, not 5"),
+    (lambda glue: glue.rl_env_message(None), "type str, not None"),
+    (lambda glue: glue.rl_env_step(Observation()), r"type Action, not Observation\(\)"),
+    (lambda glue: glue.rl_agent_start(Action()), r"type Observation, not Action\(\)"),
+    (lambda glue: glue.rl_agent_step(0.0, 7), "type Observation, not 7"),
+    (lambda glue: glue.rl_agent_load("text"), "type bytes, not 'text'"),
+    (lambda glue: glue.rl_env_load(None), "type bytes, not None"),
 ]
 
 

@@ -120,14 +120,16 @@ def test_a_player_without_a_method_is_refused_at_once() -> None:
     class Half:
         def agent_init(self, task_spec: str) -> None: ...
 
-    missing = "Half is no agent: it has no agent_start, agent_step, agent_end, agent_cleanup, agent_message"
+    missing = (
+        "Half is not an agent: it has no agent_start, agent_step, agent_end, agent_cleanup, agent_message"
+    )
     with pytest.raises(PeerFailed, match=missing):
         local(Half(), ScriptedEnvironment())  # type: ignore[arg-type]
 
 
 def test_saving_what_cannot_be_saved_is_unsupported() -> None:
     glue = local(ScriptedAgent(), ScriptedEnvironment())
-    with pytest.raises(Unsupported, match="agent ScriptedAgent cannot do that: it has no agent_save"):
+    with pytest.raises(Unsupported, match="agent ScriptedAgent does not support this: it has no agent_save"):
         glue.rl_agent_save()
     with pytest.raises(Unsupported, match=r"environment ScriptedEnvironment .* no env_load"):
         glue.rl_env_load(b"")

@@ -1,4 +1,4 @@
-"""What the hub does about peers that come, go, come back, repeat themselves and misbehave: no sockets."""
+"""How the hub treats peers that join, leave, return, repeat messages and misbehave, without sockets."""
 
 from __future__ import annotations
 
@@ -87,18 +87,18 @@ class Rig:
     def put(
         self, route: str, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "s"
     ) -> None:
-        """Let `route` say something."""
+        """Send a message from `route`."""
         message = decode(encode(Message(kind, session, seq, scalars, body), TO_HUB), TO_HUB)
         self.board.receive(self.route(route), message, self.now)
 
     def say(
         self, route: str, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "s"
     ) -> list[Message]:
-        """Let `route` say something; return all that it has heard since last asked."""
+        """Send a message from `route`; return everything it has received since the last call."""
         self.put(route, kind, seq, *scalars, body=body, session=session)
-        return self.heard(route)
+        return self.received(route)
 
-    def heard(self, route: str) -> list[Message]:
+    def received(self, route: str) -> list[Message]:
         """What `route` was sent since last asked."""
         return self.inbox.pop(route, [])
 
@@ -119,16 +119,16 @@ class Rig:
         """Let in an agent, an environment and an experiment, by routes `a`, `e` and `x`."""
         for route, role in (("a", Role.AGENT), ("e", Role.ENVIRONMENT), ("x", Role.EXPERIMENT)):
             assert self.hello(route, role)[0].kind is Kind.WELCOME
-        self.heard("x")
+        self.received("x")
 
     def ask(self, kind: Kind, seq: int, *scalars: Any, body: bytes = b"") -> None:
         """Let the experiment ask for a verb, which takes a while."""
-        self.heard("x")
+        self.received("x")
         assert self.say("x", kind, seq, *scalars, body=body) == []
 
     def answer(self, route: str, *scalars: Any) -> Kind:
         """Let a player answer the one call it was sent; return its kind."""
-        calls = [message for message in self.heard(route) if message.kind in CALLS]
+        calls = [message for message in self.received(route) if message.kind in CALLS]
         assert len(calls) == 1, f"{route} was asked {calls}"
         (call,) = calls
         standard, body = ANSWERS.get(call.kind, ((), b""))
@@ -136,7 +136,7 @@ class Rig:
         return call.kind
 
     def serve(self, *players: str) -> list[Kind]:
-        """Let players answer whatever they are asked, until they are asked nothing more."""
+        """Let players answer every call, until there are no more."""
         made = []
         while route := next((route for route in players or ("a", "e") if self.inbox.get(route)), None):
             made.append(self.answer(route))
@@ -172,7 +172,7 @@ def playing(rig: Rig) -> Rig:
     """In the middle of an RL_episode: the environment is asked for a step."""
     rig.ask(Kind.RL_INIT, 1, None)
     assert rig.serve() == [Kind.ENV_INIT, Kind.AGENT_INIT]
-    rig.heard("x")
+    rig.received("x")
     rig.ask(Kind.RL_EPISODE, 2, 0)
     assert rig.answer("e") is Kind.ENV_START
     assert rig.answer("a") is Kind.AGENT_START
@@ -204,13 +204,13 @@ def test_the_experiment_is_told_who_is_there_and_who_comes() -> None:
     rig.hello("a", Role.AGENT)
     assert notices(rig.hello("x", Role.EXPERIMENT)) == [("joined", "agent")]
     rig.hello("e", Role.ENVIRONMENT)
-    assert notices(rig.heard("x")) == [("joined", "environment")]
+    assert notices(rig.received("x")) == [("joined", "environment")]
 
 
 def test_a_second_agent_is_refused_while_the_first_can_be_reached(rig: Rig) -> None:
     code, text = error(rig.hello("b", Role.AGENT))
     assert code == ErrorCode.ROLE_TAKEN
-    assert text == "session 's' has an agent already: a (test)"
+    assert text == "session 's' already has an agent: a (test)"
     rig.ask(Kind.RL_AGENT_MESSAGE, 1)
     assert rig.answer("a") is Kind.AGENT_MESSAGE
 
@@ -219,16 +219,26 @@ def test_a_peer_of_another_protocol_version_is_refused_and_told_ours() -> None:
     scalars = ((7, 9), "agent", instance("a"), "a", "test", ())
     code, text = error(Rig().say("a", Kind.HELLO, 0, *scalars))
     assert code == ErrorCode.VERSION
-    assert "speaks protocol version 1, the peer [7, 9]" in text
+    assert "supports protocol version 1, the peer [7, 9]" in text
 
 
 @pytest.mark.parametrize(
     ("role", "instance", "session", "complaint"),
     [
-        ("king", instance("a"), "s", "a role is agent, environment, experiment, not 'king'"),
-        ("agent", b"short", "s", "an instance is 16 bytes, not 5"),
-        ("agent", instance("a"), "", "a session has a name of printable characters"),
-        ("agent", instance("a"), "a\nb", "a session has a name of printable characters"),
+        ("king", instance("a"), "s", "the role must be one of agent, environment, experiment, not 'king'"),
+        ("agent", b"short", "s", "an instance must have 16 bytes, not 5"),
+        (
+            "agent",
+            instance("a"),
+            "",
+            "the name of a session must have printable characters, and at least one",
+        ),
+        (
+            "agent",
+            instance("a"),
+            "a\nb",
+            "the name of a session must have printable characters, and at least one",
+        ),
     ],
 )
 def test_a_hello_that_makes_no_sense_is_refused(
@@ -243,20 +253,20 @@ def test_a_hello_that_makes_no_sense_is_refused(
 def test_one_connection_is_one_role_of_a_session(rig: Rig) -> None:
     code, text = error(rig.hello("a", Role.EXPERIMENT, who="other"))
     assert code == ErrorCode.MALFORMED
-    assert "this connection is the agent of the session already" in text
+    assert "this connection is already the agent of the session" in text
 
 
 def test_one_connection_may_serve_several_sessions(rig: Rig) -> None:
     rig.hello("a", Role.AGENT, session="t")
     rig.hello("e", Role.ENVIRONMENT, session="t")
     rig.hello("y", Role.EXPERIMENT, session="t")
-    rig.heard("y")
+    rig.received("y")
     for session, experiment in (("t", "y"), ("s", "x")):
         rig.say(experiment, Kind.RL_AGENT_MESSAGE, 1, session=session)
-        (call,) = rig.heard("a")
+        (call,) = rig.received("a")
         assert call.session == session
         rig.say("a", call.kind, call.seq, session=session, body=b"hm")
-        assert [reply.body for reply in rig.heard(experiment)] == [b"hm"]
+        assert [reply.body for reply in rig.received(experiment)] == [b"hm"]
 
 
 def test_sessions_are_limited_and_a_freed_one_is_given_to_the_next() -> None:
@@ -308,13 +318,13 @@ def test_the_longest_names_and_texts_still_fit_into_every_header() -> None:
     for route, role in (("a", Role.AGENT), ("e", Role.ENVIRONMENT), ("x", Role.EXPERIMENT)):
         scalars = ((PROTOCOL_VERSION,), str(role), instance(route), long, wide, ())
         rig.put(route, Kind.HELLO, 0, *scalars, session=wide)
-    assert [message.kind for message in rig.heard("x")] == [Kind.WELCOME, Kind.NOTICE, Kind.NOTICE]
+    assert [message.kind for message in rig.received("x")] == [Kind.WELCOME, Kind.NOTICE, Kind.NOTICE]
     assert error(rig.hello("b", Role.AGENT, session=wide))[0] == ErrorCode.ROLE_TAKEN
-    rig.heard("a")
+    rig.received("a")
     rig.say("x", Kind.RL_AGENT_MESSAGE, 1, session=wide)
-    (call,) = rig.heard("a")
+    (call,) = rig.received("a")
     rig.say("a", Kind.ERROR, call.seq, "exception", wide + wide, session=wide)
-    assert error(rig.heard("x"))[0] == ErrorCode.PEER_FAILED
+    assert error(rig.received("x"))[0] == ErrorCode.PEER_FAILED
     assert error(rig.hello("v", "\0" * 2000, session=wide))[0] == ErrorCode.MALFORMED
 
 
@@ -323,13 +333,13 @@ def test_when_there_is_no_room_for_more_the_session_that_keeps_most_is_ended_and
     for n in range(6):
         for route, role in ((f"a{n}", Role.AGENT), (f"x{n}", Role.EXPERIMENT)):
             assert rig.hello(route, role, session=f"{n}")[0].kind is Kind.WELCOME
-            rig.heard(f"x{n}")
+            rig.received(f"x{n}")
         size = 95_000 if n == 2 else 90_000
         start = Observation(chars=bytes(size - 16)).body
         rig.put(f"x{n}", Kind.RL_AGENT_START, 1, body=start, session=f"{n}")
         rig.board.memory.relieve()
     for n in range(6):
-        ended = [m for route in (f"x{n}", f"a{n}") for m in rig.heard(route) if m.kind is Kind.GOODBYE]
+        ended = [m for route in (f"x{n}", f"a{n}") for m in rig.received(route) if m.kind is Kind.GOODBYE]
         # One is ended when there is a fifth, another, the first of equals, when there is a sixth.
         assert len(ended) == (2 if n in (2, 0) else 0)
         assert all("--max-memory" in str(message.scalars[0]) for message in ended)
@@ -341,10 +351,10 @@ def test_what_a_session_kept_is_free_again_when_it_is_done_with() -> None:
     for n in range(20):
         rig.hello(f"a{n}", Role.AGENT, session=f"{n}")
         rig.hello(f"x{n}", Role.EXPERIMENT, session=f"{n}")
-        rig.heard(f"a{n}"), rig.heard(f"x{n}")
+        rig.received(f"a{n}"), rig.received(f"x{n}")
         rig.put(f"x{n}", Kind.RL_AGENT_START, 1, body=start, session=f"{n}")
         rig.board.memory.relieve()
-        assert [message.kind for message in rig.heard(f"a{n}")] == [Kind.AGENT_START]
+        assert [message.kind for message in rig.received(f"a{n}")] == [Kind.AGENT_START]
         rig.put(f"x{n}", Kind.GOODBYE, 0, "done", session=f"{n}")
         assert rig.hello(f"y{n}", Role.EXPERIMENT, session=f"{n}")[0].kind is Kind.WELCOME
         rig.put(f"y{n}", Kind.GOODBYE, 0, "done", session=f"{n}")
@@ -358,26 +368,26 @@ def test_a_repeated_request_is_carried_out_once_and_answered_once_per_connection
     rig.ask(Kind.RL_AGENT_MESSAGE, 1, body=b"hm")
     assert rig.say("x", Kind.RL_AGENT_MESSAGE, 1, body=b"hm") == [], "still being carried out"
     assert rig.serve() == [Kind.AGENT_MESSAGE]
-    assert [message.seq for message in rig.heard("x")] == [1]
+    assert [message.seq for message in rig.received("x")] == [1]
     assert rig.say("x", Kind.RL_AGENT_MESSAGE, 1, body=b"hm") == []
     assert rig.serve() == []
 
 
 def test_a_reconnected_player_is_sent_the_outstanding_call_again(playing: Rig) -> None:
-    (call,) = playing.heard("e")
+    (call,) = playing.received("e")
     playing.cut("e")
     welcome, again = playing.hello("e2", Role.ENVIRONMENT, who="e")
     assert welcome.scalars[1] is True, "resumed"
     assert again == call
-    assert playing.heard("x") == [], "the experiment need not know"
+    assert playing.received("x") == [], "the experiment need not know"
 
 
 def test_a_repeated_answer_changes_nothing(playing: Rig) -> None:
-    (call,) = playing.heard("e")
+    (call,) = playing.received("e")
     scalars, body = ANSWERS[call.kind]
     playing.say("e", call.kind, call.seq, *scalars, body=body)
     assert playing.say("e", call.kind, call.seq, *scalars, body=body) == []
-    assert len(playing.heard("a")) == 1
+    assert len(playing.received("a")) == 1
 
 
 def test_a_reconnected_experiment_is_sent_the_last_reply_again(rig: Rig) -> None:
@@ -389,7 +399,7 @@ def test_a_reconnected_experiment_is_sent_the_last_reply_again(rig: Rig) -> None
     *known, reply = rest
     assert notices(known) == [("joined", "agent"), ("joined", "environment")]
     assert (reply.seq, reply.body) == (1, b"agent answer")
-    assert rig.say("x2", Kind.RL_AGENT_MESSAGE, 1) == [], "it comes once"
+    assert rig.say("x2", Kind.RL_AGENT_MESSAGE, 1) == [], "it is sent once"
 
 
 def test_a_reconnected_experiment_whose_request_was_lost_asks_again(rig: Rig) -> None:
@@ -400,13 +410,13 @@ def test_a_reconnected_experiment_whose_request_was_lost_asks_again(rig: Rig) ->
 
 
 def test_a_second_hello_over_the_same_connection_is_welcomed_and_nothing_else(playing: Rig) -> None:
-    assert len(playing.heard("e")) == 1
+    assert len(playing.received("e")) == 1
     assert [message.kind for message in playing.hello("e", Role.ENVIRONMENT)] == [Kind.WELCOME]
-    assert playing.heard("x") == []
+    assert playing.received("x") == []
 
 
 def resumed(messages: list[Message]) -> bool:
-    """What the WELCOME that came first says."""
+    """Return whether the WELCOME that was received first says `resumed`."""
     assert messages[0].kind is Kind.WELCOME
     return bool(messages[0].scalars[1])
 
@@ -430,14 +440,14 @@ def test_a_request_shows_that_the_experiment_was_welcomed(rig: Rig) -> None:
     rig.cut("x")
     assert resumed(rig.hello("x2", Role.EXPERIMENT, who="x"))
     rig.serve()
-    assert [message.kind for message in rig.heard("x2")] == [Kind.RL_AGENT_MESSAGE]
+    assert [message.kind for message in rig.received("x2")] == [Kind.RL_AGENT_MESSAGE]
 
 
 def test_a_player_whose_first_answer_was_lost_is_sent_the_same_call_and_not_known_before_it_answers(
     rig: Rig,
 ) -> None:
     rig.ask(Kind.RL_INIT, 1, None)
-    (call,) = rig.heard("e")
+    (call,) = rig.received("e")
     rig.cut("e")
     welcome, again = rig.hello("e2", Role.ENVIRONMENT, who="e")
     assert not resumed([welcome])
@@ -446,26 +456,26 @@ def test_a_player_whose_first_answer_was_lost_is_sent_the_same_call_and_not_know
     rig.cut("e2")
     assert resumed(rig.hello("e3", Role.ENVIRONMENT, who="e"))
     assert rig.serve("a") == [Kind.AGENT_INIT]
-    assert notices(rig.heard("x")) == [], "to the experiment it is one environment all the time"
+    assert notices(rig.received("x")) == [], "to the experiment it is one environment all the time"
 
 
 def test_a_player_that_never_answered_joins_anew_after_it_was_lost(playing: Rig) -> None:
     playing.say("a", Kind.GOODBYE, 0, "enough")
     playing.hello("new", Role.AGENT)
     playing.lose("new")
-    playing.heard("x")
+    playing.received("x")
     assert not resumed(playing.hello("new2", Role.AGENT, who="new"))
-    assert notices(playing.heard("x")) == [("joined", "agent")]
+    assert notices(playing.received("x")) == [("joined", "agent")]
 
 
 def test_a_peer_whose_queue_was_full_gets_what_it_missed_when_there_is_room(playing: Rig) -> None:
     playing.full.add("a")
     assert playing.answer("e") is Kind.ENV_STEP
     playing.tick(1.0)
-    assert playing.heard("a") == []
+    assert playing.received("a") == []
     playing.full.clear()
     playing.tick(1.0)
-    assert [message.kind for message in playing.heard("a")] == [Kind.AGENT_STEP]
+    assert [message.kind for message in playing.received("a")] == [Kind.AGENT_STEP]
 
 
 def test_an_experiment_whose_queue_was_full_gets_its_reply_when_there_is_room(rig: Rig) -> None:
@@ -475,7 +485,7 @@ def test_an_experiment_whose_queue_was_full_gets_its_reply_when_there_is_room(ri
     rig.tick(1.0)
     rig.full.clear()
     rig.tick(1.0)
-    assert [message.kind for message in rig.heard("x")] == [Kind.RL_AGENT_MESSAGE]
+    assert [message.kind for message in rig.received("x")] == [Kind.RL_AGENT_MESSAGE]
 
 
 def test_a_player_that_does_not_answer_is_mentioned_again_and_again_but_ever_more_rarely(
@@ -486,7 +496,7 @@ def test_a_player_that_does_not_answer_is_mentioned_again_and_again_but_ever_mor
         playing.tick(1.0)
     expected = [f"environment e has not answered env_step for {seconds} s" for seconds in (5, 30, 180)]
     assert playing.logged == [f"session 's': {line}" for line in expected]
-    shown = [m.scalars for m in playing.heard("x") if m.kind is Kind.NOTICE]
+    shown = [m.scalars for m in playing.received("x") if m.kind is Kind.NOTICE]
     assert [f"{role!s} {text!s}" for event, role, text in shown if event == "slow"] == expected
     playing.logged.clear()
     playing.answer("e")
@@ -497,7 +507,7 @@ def test_a_player_that_does_not_answer_is_mentioned_again_and_again_but_ever_mor
     assert "agent a has not answered agent_step for 5 s" in playing.logged[0]
 
 
-def test_a_role_that_nobody_fills_is_not_slow(rig: Rig) -> None:
+def test_an_empty_role_is_not_slow(rig: Rig) -> None:
     rig.say("a", Kind.GOODBYE, 0, "enough")
     rig.ask(Kind.RL_AGENT_MESSAGE, 1)
     rig.logged.clear()
@@ -510,15 +520,15 @@ def test_a_role_that_nobody_fills_is_not_slow(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("lost", ["a", "e"])
-def test_a_player_out_of_reach_for_longer_than_the_timeout_makes_the_episode_void(
+def test_a_player_unreachable_for_longer_than_the_timeout_makes_the_episode_void(
     playing: Rig, lost: str
 ) -> None:
     playing.cut(lost)
     playing.tick(CONFIG.heartbeat)
     playing.tick(CONFIG.timeout - 0.1)
-    assert playing.heard("x") == []
+    assert playing.received("x") == []
     playing.tick(0.1)
-    notice, failed = playing.heard("x")
+    notice, failed = playing.received("x")
     assert notices([notice]) == [("lost", "agent" if lost == "a" else "environment")]
     code, text = error([failed])
     assert code == ErrorCode.PEER_LOST
@@ -527,14 +537,14 @@ def test_a_player_out_of_reach_for_longer_than_the_timeout_makes_the_episode_voi
 
 def test_a_player_that_says_goodbye_makes_the_episode_void_at_once(playing: Rig) -> None:
     playing.say("a", Kind.GOODBYE, 0, "interrupted")
-    _, failed = playing.heard("x")
+    _, failed = playing.received("x")
     assert error([failed]) == (ErrorCode.PEER_LOST, "the agent a left: interrupted")
 
 
 def test_a_late_answer_to_a_void_episode_changes_nothing(playing: Rig) -> None:
-    (call,) = playing.heard("e")
+    (call,) = playing.received("e")
     playing.lose("a")
-    playing.heard("x")
+    playing.received("x")
     scalars, body = ANSWERS[call.kind]
     assert playing.say("e", call.kind, call.seq, *scalars, body=body) == []
     code, text = error(playing.say("x", Kind.RL_STEP, 3))
@@ -554,9 +564,9 @@ def test_a_replacement_is_initialised_and_a_new_episode_goes_on_with_it(
     playing: Rig, lost: str, role: Role, calls: list[Kind], early: bool
 ) -> None:
     rig = playing
-    rig.heard("e")
+    rig.received("e")
     rig.lose(lost)
-    rig.heard("x")
+    rig.received("x")
     made: list[Kind] = []
     if early:
         rig.hello("new", role)
@@ -568,7 +578,7 @@ def test_a_replacement_is_initialised_and_a_new_episode_goes_on_with_it(
         rig.inbox["new"] = [call]
     made += rig.serve("a", "e", "new")
     assert made == [*calls, Kind.AGENT_STEP]
-    *_, reply = rig.heard("x")
+    *_, reply = rig.received("x")
     assert (reply.kind, reply.scalars) == (Kind.RL_EPISODE, (False,))
 
 
@@ -583,19 +593,19 @@ def test_a_replacement_is_seeded_if_it_can_be(rig: Rig) -> None:
 
 def test_a_player_that_returns_after_it_was_given_up_goes_on_without_init(playing: Rig) -> None:
     rig = playing
-    rig.heard("e")
+    rig.received("e")
     rig.lose("e")
-    rig.heard("x")
+    rig.received("x")
     rig.ask(Kind.RL_EPISODE, 3, 0)
     welcome, call = rig.hello("e2", Role.ENVIRONMENT, who="e")
     assert welcome.scalars[1] is True
     assert call.kind is Kind.ENV_START
-    assert notices(rig.heard("x")) == [("returned", "environment")]
+    assert notices(rig.received("x")) == [("returned", "environment")]
 
 
 def test_a_player_that_returns_is_not_asked_for_a_capability_it_lacks(rig: Rig) -> None:
     rig.lose("e")
-    rig.heard("x")
+    rig.received("x")
     rig.ask(Kind.RL_INIT, 1, 5)
     _, call = rig.hello("e2", Role.ENVIRONMENT, who="e")
     assert call.kind is Kind.ENV_INIT
@@ -604,17 +614,17 @@ def test_a_player_that_returns_is_not_asked_for_a_capability_it_lacks(rig: Rig) 
 def test_a_player_unreachable_just_now_is_replaced_without_waiting(playing: Rig) -> None:
     playing.cut("a")
     assert playing.hello("b", Role.AGENT)[0].kind is Kind.WELCOME
-    lost, failed, joined = playing.heard("x")
+    lost, failed, joined = playing.received("x")
     assert notices([lost, joined]) == [("lost", "agent"), ("joined", "agent")]
     assert error([failed])[0] == ErrorCode.PEER_LOST
 
 
 def test_the_end_of_the_experiment_leaves_the_players_to_the_next(playing: Rig) -> None:
     rig = playing
-    (call,) = rig.heard("e")
+    (call,) = rig.received("e")
     rig.say("x", Kind.GOODBYE, 0, "over")
     assert rig.say("e", call.kind, call.seq, 1.0, False, body=OBSERVATION) == []
-    assert rig.heard("a") == []
+    assert rig.received("a") == []
     rig.hello("y", Role.EXPERIMENT)
     rig.put("y", Kind.RL_INIT, 1, None)
     assert rig.serve() == [Kind.ENV_INIT, Kind.AGENT_INIT]
@@ -636,29 +646,29 @@ def test_a_session_that_all_have_left_is_forgotten(playing: Rig) -> None:
 # A slow or dead session
 
 
-def test_a_session_waits_for_nobody_but_its_own(rig: Rig) -> None:
+def test_a_session_waits_only_for_its_own_peers(rig: Rig) -> None:
     for route, role in (("ta", Role.AGENT), ("te", Role.ENVIRONMENT), ("tx", Role.EXPERIMENT)):
         rig.hello(route, role, session="t")
-    rig.heard("tx")
+    rig.received("tx")
     rig.ask(Kind.RL_AGENT_MESSAGE, 1)
     rig.say("tx", Kind.RL_ENV_MESSAGE, 1, session="t")
-    (call,) = rig.heard("te")
+    (call,) = rig.received("te")
     rig.say("te", call.kind, call.seq, session="t", body=b"here")
-    assert [message.body for message in rig.heard("tx")] == [b"here"]
+    assert [message.body for message in rig.received("tx")] == [b"here"]
     rig.lose("a")
-    assert rig.heard("tx") == []
+    assert rig.received("tx") == []
 
 
 # Out of place
 
 
-def test_a_stranger_is_told_to_say_hello() -> None:
+def test_an_unknown_peer_is_asked_to_send_hello() -> None:
     code, text = error(Rig().say("a", Kind.HEARTBEAT, 5))
     assert code == ErrorCode.UNKNOWN_PEER
     assert "say HELLO first" in text
 
 
-def test_a_known_peer_is_a_stranger_to_other_sessions(rig: Rig) -> None:
+def test_a_known_peer_is_unknown_in_other_sessions(rig: Rig) -> None:
     assert error(rig.say("a", Kind.HEARTBEAT, session="t"))[0] == ErrorCode.UNKNOWN_PEER
 
 
@@ -667,50 +677,56 @@ def test_an_agent_that_speaks_for_another_role_gets_an_error(playing: Rig, kind:
     body = OBSERVATION if kind is Kind.ENV_START else b""
     code, text = error(playing.say("a", kind, 1, body=body))
     assert code == ErrorCode.NOT_ASKED
-    assert text == f"{kind.name} 1 was never asked of this agent"
-    assert playing.heard("x") == []
+    assert text == f"{kind.name} 1 was never sent to this agent"
+    assert playing.received("x") == []
 
 
 def test_an_experiment_that_answers_calls_gets_an_error(playing: Rig) -> None:
     code, text = error(playing.say("x", Kind.ENV_STEP, 3, 1.0, False, body=OBSERVATION))
-    assert (code, text) == (ErrorCode.BUSY, "ENV_STEP came while RL_EPISODE is still being carried out")
+    assert (code, text) == (
+        ErrorCode.BUSY,
+        "ENV_STEP was received while RL_EPISODE is still being carried out",
+    )
     playing.lose("a")
-    playing.heard("x")
+    playing.received("x")
     code, text = error(playing.say("x", Kind.ENV_STEP, 3, 1.0, False, body=OBSERVATION))
-    assert (code, text) == (ErrorCode.NOT_ASKED, "ENV_STEP is not for an experiment to send")
+    assert (code, text) == (ErrorCode.NOT_ASKED, "an experiment must not send ENV_STEP")
 
 
 def test_a_request_below_the_one_before_gets_an_error_and_a_repeated_one_none(rig: Rig) -> None:
     assert rig.say("x", Kind.RL_RETURN, 0)[0].scalars == (
         ErrorCode.NOT_ASKED,
-        "a request 0 came after 0; sequence numbers grow from 1",
+        "request 0 was received after 0; sequence numbers increase from 1",
     )
     assert rig.say("x", Kind.RL_RETURN, 5)[0].kind is Kind.RL_RETURN
     assert rig.say("x", Kind.RL_RETURN, 5) == []
     code, text = error(rig.say("x", Kind.RL_RETURN, 4))
-    assert (code, text) == (ErrorCode.NOT_ASKED, "a request 4 came after 5; sequence numbers grow from 1")
+    assert (code, text) == (
+        ErrorCode.NOT_ASKED,
+        "request 4 was received after 5; sequence numbers increase from 1",
+    )
 
 
 @pytest.mark.parametrize("seq", [0, 99])
-def test_an_answer_that_nobody_asked_for_gets_an_error(playing: Rig, seq: int) -> None:
+def test_an_answer_without_a_call_is_an_error(playing: Rig, seq: int) -> None:
     code, text = error(playing.say("a", Kind.AGENT_STEP, seq, body=ACTION))
     assert code == ErrorCode.NOT_ASKED
-    assert text == f"AGENT_STEP {seq} was never asked of this agent"
+    assert text == f"AGENT_STEP {seq} was never sent to this agent"
 
 
 def test_an_answer_of_the_wrong_kind_fails_the_verb_and_names_the_player(playing: Rig) -> None:
-    (call,) = playing.heard("e")
+    (call,) = playing.received("e")
     code, text = error(playing.say("e", Kind.ENV_START, call.seq, body=OBSERVATION))
     assert (code, text) == (ErrorCode.NOT_ASKED, "ENV_START was answered; ENV_STEP was asked")
-    code, text = error(playing.heard("x"))
+    code, text = error(playing.received("x"))
     assert code == ErrorCode.PEER_FAILED
     assert text.startswith("environment e broke the protocol")
 
 
 def test_an_exception_of_a_player_fails_the_verb_and_names_the_player(playing: Rig) -> None:
-    (call,) = playing.heard("e")
+    (call,) = playing.received("e")
     playing.say("e", Kind.ERROR, call.seq, "exception", "ValueError: no such thing\nas this")
-    code, text = error(playing.heard("x"))
+    code, text = error(playing.received("x"))
     assert code == ErrorCode.PEER_FAILED
     assert text == "environment e raised in env_step: ValueError: no such thing as this"
 
@@ -718,7 +734,7 @@ def test_an_exception_of_a_player_fails_the_verb_and_names_the_player(playing: R
 def test_a_capability_that_a_player_lacks_is_an_error_for_the_experiment(rig: Rig) -> None:
     code, text = error(rig.say("x", Kind.RL_AGENT_SAVE, 1))
     assert code == ErrorCode.UNSUPPORTED
-    assert text == "agent a cannot do that: it has no agent_save"
+    assert text == "agent a does not support this: it has no agent_save"
 
 
 @pytest.mark.parametrize(
@@ -732,21 +748,21 @@ def test_a_capability_that_a_player_lacks_is_an_error_for_the_experiment(rig: Ri
 def test_what_only_the_hub_says_is_an_error_from_a_peer(rig: Rig, message: tuple[Any, ...]) -> None:
     kind, *scalars = message
     code, text = error(rig.say("a", kind, 0, *scalars))
-    assert (code, text) == (ErrorCode.NOT_ASKED, f"{kind.name} is for the hub to send")
+    assert (code, text) == (ErrorCode.NOT_ASKED, f"{kind.name} is sent by the hub only")
 
 
 def test_an_unknown_kind_is_an_error_and_costs_no_seat(playing: Rig) -> None:
     playing.board.malformed(playing.route("e"), UnknownKind(999, "s", 7), playing.now)
-    *_, answer = playing.heard("e")
+    *_, answer = playing.received("e")
     assert (answer.seq, answer.scalars[0]) == (7, ErrorCode.UNKNOWN_KIND)
-    assert playing.heard("x") == []
+    assert playing.received("x") == []
 
 
 def test_a_malformed_message_costs_its_sender_its_seat_and_fails_what_waits_for_it(playing: Rig) -> None:
-    playing.heard("e")
+    playing.received("e")
     playing.board.malformed(playing.route("e"), RemoteProtocolError("no sense in it"), playing.now)
-    assert error(playing.heard("e")) == (ErrorCode.MALFORMED, "no sense in it")
-    lost, failed = playing.heard("x")
+    assert error(playing.received("e")) == (ErrorCode.MALFORMED, "no sense in it")
+    lost, failed = playing.received("x")
     assert notices([lost]) == [("lost", "environment")]
     assert error([failed])[0] == ErrorCode.PEER_FAILED
     assert error(playing.say("e", Kind.HEARTBEAT))[0] == ErrorCode.UNKNOWN_PEER
@@ -759,7 +775,7 @@ def test_a_heartbeat_is_returned(rig: Rig) -> None:
 def test_every_peer_is_told_when_the_hub_ends(rig: Rig) -> None:
     rig.hello("a", Role.AGENT, session="t")
     rig.board.close("SIGTERM")
-    told = {route: [(m.session, m.scalars) for m in rig.heard(route)] for route in ("a", "e", "x")}
+    told = {route: [(m.session, m.scalars) for m in rig.received(route)] for route in ("a", "e", "x")}
     s = ("s", ("SIGTERM",))
     assert told == {"a": [s, ("t", ("SIGTERM",))], "e": [s], "x": [s]}
 
@@ -785,7 +801,7 @@ BODIES = {"an observation": OBSERVATION, "an action": ACTION, "an observation, t
 
 @st.composite
 def events(draw: st.DrawFn) -> tuple[Any, ...]:
-    """Something that can happen: a legal message from anybody, a connection cut or restored, time, noise."""
+    """Something that can happen: a legal message from any peer, a connection cut or restored, time, noise."""
     what = draw(
         st.sampled_from(["hello", "hello", "answer", "answer", "answer", "say", "cut", "time", "noise"])
     )
@@ -810,7 +826,7 @@ def events(draw: st.DrawFn) -> tuple[Any, ...]:
 
 @given(st.lists(events(), max_size=60))
 @settings(max_examples=300, deadline=None)
-def test_whatever_peers_do_the_switchboard_goes_on_and_says_only_what_can_be_sent(
+def test_the_switchboard_survives_any_behaviour_of_peers_and_sends_only_what_can_be_encoded(
     story: list[tuple[Any, ...]],
 ) -> None:
     rig = Rig(HubConfig(max_sessions=8))

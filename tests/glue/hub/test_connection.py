@@ -1,4 +1,4 @@
-"""A connection reads and writes what it can, and hears of the end."""
+"""A connection reads and writes what it can, and notices the end."""
 
 from __future__ import annotations
 

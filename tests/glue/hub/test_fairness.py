@@ -1,4 +1,4 @@
-"""A session that plays has its turn, whatever other connections send: counted in turns of the hub's loop."""
+"""A session gets its turn regardless of what other connections send: counted in turns of the hub's loop."""
 
 from __future__ import annotations
 

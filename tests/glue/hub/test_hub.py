@@ -100,7 +100,7 @@ def test_a_hub_whose_gateway_cannot_start_listens_no_longer() -> None:
         socket.create_connection(("127.0.0.1", port_of(listening)))
 
 
-def test_an_address_opened_once_serves_one_hub_after_another_and_refuses_nobody_between() -> None:
+def test_an_address_opened_once_serves_one_hub_after_another_and_refuses_no_connection_between() -> None:
     with open_address("tcp://127.0.0.1:*") as address:
         config = HubConfig(bind=(address.url,), heartbeat=0.05)
         for _ in range(2):
@@ -120,7 +120,7 @@ def test_an_address_is_open_to_its_roles_alone(tmp_path: Path) -> None:
     outside = Bind("tcp://127.0.0.1:*", frozenset({Role.AGENT, Role.ENVIRONMENT}))
     with Hub(HubConfig(bind=(inside, outside))).in_background() as listening:
         first, second = listening.endpoints
-        with pytest.raises(Refused, match="no experiment of session 'default' can join at this address"):
+        with pytest.raises(Refused, match="no experiment of session 'default' may join at this address"):
             connect(second)
         with connect(first) as glue:
             assert glue.rl_num_episodes() == 0
@@ -146,7 +146,7 @@ def test_the_longest_heartbeat_lets_peers_in() -> None:
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_hub_that_fails_tells_its_peers_and_whoever_waits_for_it() -> None:
+def test_a_hub_that_fails_notifies_its_peers_and_raises_in_wait() -> None:
     failing = hub("tcp://127.0.0.1:*")
 
     def fail(now: float) -> None:
@@ -189,7 +189,7 @@ def test_an_error_of_the_hub_costs_one_connection_and_is_reported() -> None:
     assert any("'one': experiment" in line and "after an error of the hub" in line for line in lines)
 
 
-def test_all_that_a_peer_said_before_it_broke_off_is_heard() -> None:
+def test_everything_sent_before_a_reset_is_received() -> None:
     joined, left = threading.Semaphore(0), threading.Semaphore(0)
 
     def log(line: str) -> None:

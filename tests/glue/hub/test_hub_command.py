@@ -1,4 +1,4 @@
-"""What glue-hub says, and how much of it."""
+"""What glue-hub logs, at each level, and how it ends."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ PROGRAM = "from glue.hub.command import main; main()"
 
 
 def said(*options: str) -> list[str]:
-    """What a hub says of an experiment that comes and goes, after its address."""
+    """What a hub logs about an experiment that joins and leaves, after its address."""
     with running("-c", PROGRAM, "--bind", "tcp://127.0.0.1:*", "--heartbeat", "0.05", *options) as hub:
         assert hub.stderr is not None
         url = hub.stderr.readline().split()[-1]
         with connect(url, "s", log=lambda line: None) as glue:
             assert glue.rl_num_episodes() == 0
         with connect(url, "s", log=lambda line: None):
-            pass  # once it is in, the hub has heard that the first has left
+            pass  # once it has joined, the hub knows that the first has left
         hub.terminate()
         _, rest = hub.communicate(timeout=TIMEOUT)
         return [line for line in rest.splitlines() if line not in ("", "interrupted")]
@@ -41,11 +41,11 @@ def test_lines_about_peers_have_the_time() -> None:
     assert any(line.endswith("stopped by SIGTERM") for line in lines), lines
 
 
-def test_a_quiet_hub_says_its_address_alone() -> None:
+def test_a_quiet_hub_logs_only_its_address() -> None:
     assert said("--quiet") == []
 
 
-def test_a_verbose_hub_mentions_every_connection() -> None:
+def test_a_verbose_hub_logs_every_connection() -> None:
     assert sum(line.endswith("connected") for line in said("--verbose")) == 2
 
 
@@ -71,7 +71,7 @@ def test_a_hub_whose_full_log_is_not_read_can_be_stopped(number: signal.Signals)
                 while True:
                     os.write(end, b"x")
             with connect(url, log=lambda line: None) as glue:
-                assert glue.rl_num_episodes() == 0  # its arrival is logged
+                assert glue.rl_num_episodes() == 0  # joining is logged
             hub.send_signal(number)
             assert hub.wait(TIMEOUT) == 128 + number
         finally:

@@ -17,7 +17,7 @@ def test_lines_are_written_in_order_and_all_before_the_end() -> None:
     assert written == [f"{number}" for number in range(500)]
 
 
-def test_while_nobody_reads_lines_are_counted_and_dropped() -> None:
+def test_lines_that_do_not_fit_are_counted_and_dropped() -> None:
     written: list[str] = []
     stuck, go_on = threading.Event(), threading.Event()
 

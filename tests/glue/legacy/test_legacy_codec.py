@@ -278,7 +278,7 @@ def test_a_million_of_each_is_accepted() -> None:
     assert decode(encode(message, FROM_ENVIRONMENT), FROM_ENVIRONMENT) == [message]
 
 
-def test_a_stranger_becomes_an_agent_once_told_so() -> None:
+def test_a_decoder_expects_an_agents_frames_after_the_handshake() -> None:
     decoder = Decoder(HANDSHAKE)
     decoder.receive_data(raw(Control.CONNECT_AGENT, b"ignored") + raw(7))
     assert decoder.next_event() == Frame(Control.CONNECT_AGENT)

@@ -63,7 +63,7 @@ class Style:
     Attributes:
         split: header and payload are sent apart.
         nodelay: TCP_NODELAY is set.
-        greedy: reads whatever is there, uses the first frame and throws the rest away.
+        greedy: reads all that is available, uses the first frame and discards the rest.
         utf16_counts: counts a text in UTF-16 units although it sends UTF-8.
         farewell: what answers the server's last message.
         cleans_up: its test experiments call RL_cleanup before they leave.

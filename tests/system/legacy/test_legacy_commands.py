@@ -159,7 +159,7 @@ def test_an_original_agent_that_connects_before_there_is_a_hub_joins_the_first_t
     ("arguments", "complaint"),
     [
         (["glue-hub", "--legacy-port", "0.0.0.0:4096"], "--insecure"),
-        (["glue-hub", "--legacy-port", "4096="], "a session has a name"),
+        (["glue-hub", "--legacy-port", "4096="], "the name of a session"),
         (["glue-hub", "--legacy-port", "http"], "write [HOST:]PORT[=SESSION]"),
         (
             ["glue-experiment", "--episodes", "1", "--hub", "tcp://127.0.0.1:4097", "--legacy-port", "4096"],

@@ -84,7 +84,7 @@ def test_the_log_looks_as_shown() -> None:
 
 
 COMPILATION = 300.0
-"""Seconds in which the simulator is compiled at its first start, whatever else the machine does."""
+"""Seconds allowed for compiling the simulator at its first start, even on a busy machine."""
 
 
 class Runner(MirrorAgent):

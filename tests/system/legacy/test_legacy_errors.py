@@ -104,7 +104,7 @@ def test_bytes_of_original_programs_count_and_the_largest_holder_is_dropped(rig:
     program.send(Id.EXPERIMENT_CONNECTION)
     with suppress(ConnectionError):  # dropped before all is sent
         program.send_raw(struct.pack(">iI", Id.RL_ENV_STEP, announced) + bytes(announced - 1))
-    rig.log.wait_for("was dropped: it kept 1 MiB")
+    rig.log.wait_for("was dropped: it used 1 MiB")
     program.reset()
     play(rig)
 

@@ -56,7 +56,7 @@ def join(rig: Rig, role: Id, session: str = "default") -> Connection:
 
 
 def ending(connection: Connection) -> bytes:
-    """Return what still comes until the server closes, and close as well."""
+    """Return what is received until the server closes, and close as well."""
     with closing(connection):
         return connection.receive_until_closed()
 
@@ -123,7 +123,7 @@ def test_an_episode_is_run_again_when_a_player_was_lost_and_replaced(rig: Rig, m
 
 
 @pytest.mark.parametrize("mortal", ["agent", "environment"])
-def test_our_experiment_is_told_of_the_void_episode_and_goes_on(rig: Rig, mortal: str) -> None:
+def test_our_experiment_is_notified_of_the_void_episode_and_continues(rig: Rig, mortal: str) -> None:
     let_die(rig, mortal)
     with rig.native() as glue:
         glue.rl_init()
@@ -154,7 +154,7 @@ def test_an_experiment_that_makes_its_own_steps_is_cut_off_and_the_other_player_
     glue.close()
 
 
-def test_a_player_lost_between_episodes_is_replaced_without_a_word(rig: Rig) -> None:
+def test_a_player_lost_between_episodes_is_replaced_silently(rig: Rig) -> None:
     calls: list[str] = []
     rig.native_agent(ScriptedAgent(calls))
     environment = join(rig, Id.ENVIRONMENT_CONNECTION)
@@ -229,20 +229,20 @@ def test_what_was_to_be_asked_next_is_forgotten_when_the_experiment_leaves(rig: 
     assert ending(agent) == TERMINATE
 
 
-def test_the_goodbye_waits_for_the_answer_to_what_nobody_needs_any_more(rig: Rig) -> None:
+def test_the_goodbye_waits_for_an_answer_that_is_no_longer_needed(rig: Rig) -> None:
     agent = join(rig, Id.AGENT_CONNECTION)
     glue = rig.experiment()
     glue.connection.send(Id.RL_AGENT_START, EMPTY)
     assert agent.receive() == (Id.AGENT_START, EMPTY)
     glue.connection.reset()
-    rig.log.wait_for("was sent off")
+    rig.log.wait_for("was dismissed")
     rig.settle()
     assert agent.nothing_received()
     agent.send(Id.AGENT_START, EMPTY)
     assert ending(agent) == TERMINATE
 
 
-def test_an_experiment_that_died_in_a_call_is_missed_at_once_and_another_may_come() -> None:
+def test_an_experiment_that_died_in_a_call_is_noticed_at_once_and_another_may_join() -> None:
     # Nothing is done here by the hub's timeout.
     with gateway(timeout=3600.0) as rig:
         agent = join(rig, Id.AGENT_CONNECTION)
@@ -257,9 +257,7 @@ def test_an_experiment_that_died_in_a_call_is_missed_at_once_and_another_may_com
 
 
 @pytest.mark.parametrize("requests", [0, 100_000, 1_000_000])
-def test_an_experiment_that_is_killed_while_nobody_is_there_to_answer_is_missed(
-    rig: Rig, requests: int
-) -> None:
+def test_an_experiment_that_is_killed_while_no_player_can_answer_is_noticed(rig: Rig, requests: int) -> None:
     glue = rig.experiment()
     glue.connection.send(Id.RL_INIT)
     glue.connection.flood(struct.pack(">iI", Id.RL_NUM_STEPS, 0) * requests)
@@ -269,7 +267,7 @@ def test_an_experiment_that_is_killed_while_nobody_is_there_to_answer_is_missed(
     run_test_1(rig)
 
 
-def test_an_experiment_that_leaves_while_nobody_is_there_to_answer_is_missed(rig: Rig) -> None:
+def test_an_experiment_that_leaves_while_no_player_can_answer_is_noticed(rig: Rig) -> None:
     glue = rig.experiment()
     glue.connection.send(Id.RL_INIT)
     rig.settle()
@@ -278,7 +276,7 @@ def test_an_experiment_that_leaves_while_nobody_is_there_to_answer_is_missed(rig
     run_test_1(rig)
 
 
-def test_nobody_waits_for_a_silent_connection_and_it_is_dropped_after_a_while() -> None:
+def test_a_silent_connection_delays_no_other_and_is_dropped_after_the_timeout() -> None:
     with gateway(heartbeat=0.05, timeout=0.5) as rig:
         silent, halting = rig.connect(), rig.connect()
         halting.send_raw(b"\0\0\0\2\0\0")
@@ -290,7 +288,7 @@ def test_nobody_waits_for_a_silent_connection_and_it_is_dropped_after_a_while() 
     assert f"1 more connection was dropped: {reason}" in str(rig.log)
 
 
-def test_a_port_probe_is_not_noticed_whenever_it_comes(rig: Rig) -> None:
+def test_a_port_probe_is_not_noticed_at_any_time(rig: Rig) -> None:
     probe(rig.port())
     rig.agent(MirrorAgent())
     probe(rig.port())
@@ -310,7 +308,7 @@ def test_a_port_probe_is_not_noticed_whenever_it_comes(rig: Rig) -> None:
     ]
 
 
-def test_a_crowd_of_silent_connections_keeps_nobody_out_and_is_summed_up_in_the_log() -> None:
+def test_a_crowd_of_silent_connections_keeps_no_program_out_and_is_summed_up_in_the_log() -> None:
     with gateway() as rig:
         crowd = [rig.connect() for _ in range(300)]
         run_test_1(rig)
@@ -322,7 +320,7 @@ def test_a_crowd_of_silent_connections_keeps_nobody_out_and_is_summed_up_in_the_
     assert int(summed_up) >= 300 - 256 - 1
 
 
-def test_connections_that_come_back_malformed_are_summed_up_in_the_log() -> None:
+def test_malformed_connections_are_summed_up_in_the_log() -> None:
     with gateway() as rig:
         for _ in range(20):
             intruder = rig.connect()
@@ -461,7 +459,7 @@ def test_a_wrong_answer_costs_its_sender_the_place_and_an_original_episode_is_ru
     glue.close()
 
 
-def test_our_experiment_is_told_who_broke_the_protocol(rig: Rig) -> None:
+def test_our_experiment_learns_who_broke_the_protocol(rig: Rig) -> None:
     class Liar(MirrorAgent):
         def start(self, observation: Numbers) -> Numbers:
             connection.send(Id.AGENT_END)
@@ -473,7 +471,7 @@ def test_our_experiment_is_told_who_broke_the_protocol(rig: Rig) -> None:
         glue.rl_agent_start(Observation())
 
 
-def test_an_answer_that_nobody_asked_for_is_a_fault(rig: Rig) -> None:
+def test_an_answer_without_a_call_is_a_fault(rig: Rig) -> None:
     liar = join(rig, Id.AGENT_CONNECTION)
     liar.send(Id.AGENT_STEP, EMPTY)
     assert ending(liar) == TERMINATE
@@ -578,7 +576,7 @@ def test_a_hub_that_ends_lets_an_agent_finish_its_thought() -> None:
     asking.join(TIMEOUT)
 
 
-def test_a_hub_that_ends_does_not_wait_for_ever() -> None:
+def test_a_hub_that_ends_does_not_wait_forever() -> None:
     with gateway() as rig:
         agent, silent = join(rig, Id.AGENT_CONNECTION), rig.connect()
         glue = rig.experiment()
@@ -599,7 +597,7 @@ def test_a_hub_that_ends_says_goodbye_to_originals_that_wait(rig: Rig) -> None:
     assert_reset(glue.connection)
 
 
-def test_last_words_in_every_style_are_heard_to_the_end(rig: Rig) -> None:
+def test_the_last_messages_in_every_style_are_received_completely(rig: Rig) -> None:
     for style in STYLES.values():
         rig.agent(MirrorAgent(), style)
         rig.environment(FiveStepEnvironment(), style)

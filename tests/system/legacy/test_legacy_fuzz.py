@@ -112,7 +112,7 @@ def asked_after_environment(request: Id, before: Id, payload: bytes, call: Id) -
 
 
 def dismissed(arena: Arena) -> Connection:
-    """An agent at work for nobody."""
+    """An agent whose answer is no longer needed."""
     agent, glue = arena.join(Id.AGENT_CONNECTION), arena.join(Id.EXPERIMENT_CONNECTION)
     glue.send(Id.RL_AGENT_START, EMPTY)
     agent.receive()
@@ -120,7 +120,7 @@ def dismissed(arena: Arena) -> Connection:
     return agent
 
 
-def sent_off(arena: Arena) -> Connection:
+def abandoned(arena: Arena) -> Connection:
     agent, glue = arena.join(Id.AGENT_CONNECTION), arena.join(Id.EXPERIMENT_CONNECTION)
     glue.close()
     assert agent.receive() == (Id.RL_TERM, b"")
@@ -136,7 +136,7 @@ def waiting(arena: Arena) -> Connection:
 
 
 def waiting_for_a_player(arena: Arena) -> Connection:
-    """An experiment whose call nobody is there to answer."""
+    """An experiment whose call no player can answer."""
     glue = arena.join(Id.EXPERIMENT_CONNECTION)
     glue.send(Id.RL_EPISODE, bytes(4))
     return glue
@@ -153,7 +153,7 @@ SCENES: dict[str, Scene] = {
     "agent, cleanup": asked_after_environment(Id.RL_CLEANUP, Id.ENV_CLEANUP, b"", Id.AGENT_CLEANUP),
     "agent, message": asked(AGENT, Id.RL_AGENT_MESSAGE, TEXT, Id.AGENT_MESSAGE),
     "agent, dismissed": dismissed,
-    "agent, sent off": sent_off,
+    "agent, abandoned": abandoned,
     "environment, idle": idle(ENVIRONMENT),
     "environment, init": asked(ENVIRONMENT, Id.RL_INIT, b"", Id.ENV_INIT),
     "environment, start": asked(ENVIRONMENT, Id.RL_START, b"", Id.ENV_START),
@@ -228,7 +228,7 @@ FLOODS = {
     "experiment, idle": (struct.pack(">iI", Id.RL_ENV_STEP, LONGEST), LONGEST),
     "experiment, waiting": (struct.pack(">iI", Id.RL_NUM_STEPS, 0) * 8192, 2**20),
     "without a role": (struct.pack(">iI", AGENT, 65_536), 65_536),
-    "agent, sent off": (b"\1" * 65_536, 0),
+    "agent, abandoned": (b"\1" * 65_536, 0),
     "agent, idle": (struct.pack(">iI", Id.AGENT_STEP, LONGEST), LONGEST),
 }
 """What is sent over and over, or before endless zeros, and how many bytes of it may be held."""

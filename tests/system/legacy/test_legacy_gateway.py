@@ -143,7 +143,7 @@ def test_one_hub_serves_a_session_for_each_port() -> None:
         rig.join()
 
 
-def test_every_order_of_joining_works_and_an_experiment_may_ask_before_the_others_come(rig: Rig) -> None:
+def test_every_order_of_joining_works_and_an_experiment_may_call_before_the_others_join(rig: Rig) -> None:
     for order in itertools.permutations(("agent", "environment", "experiment")):
         for role in order:
             if role == "agent":
@@ -261,7 +261,7 @@ def test_players_of_ours_stay_when_an_original_experiment_leaves(rig: Rig) -> No
     glue = rig.experiment()
     glue.init()
     glue.close()
-    rig.log.wait_for("was sent off")
+    rig.log.wait_for("was dismissed")
     rig.environment(FiveStepEnvironment())
     glue = rig.experiment()
     glue.init()
@@ -379,7 +379,7 @@ def test_a_text_beyond_ascii_survives_every_way(rig: Rig, style: str, text: str)
     glue.close()
 
 
-def test_bytes_that_are_no_utf8_pass_unchanged(rig: Rig) -> None:
+def test_bytes_that_are_not_utf8_pass_unchanged(rig: Rig) -> None:
     rig.native_agent(SCENARIOS["test_message"].agent())
     glue = rig.experiment()
     assert glue.agent_message("\udcff\udc80") == "\udcff\udc80"
@@ -396,7 +396,7 @@ def test_every_bit_of_the_numbers_passes_between_ours_and_originals(rig: Rig) ->
         assert glue.rl_agent_start(extreme).body == extreme.body
 
 
-def test_a_million_of_each_is_the_most_an_original_is_sent(rig: Rig) -> None:
+def test_a_million_of_each_is_the_maximum_an_original_is_sent(rig: Rig) -> None:
     count = 1_000_000
     numbers = Numbers((1,) * count, (), b"c" * count)
     rig.agent(MirrorAgent())
