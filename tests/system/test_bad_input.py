@@ -501,7 +501,7 @@ def test_a_second_of_each_role(client: Client, role: str) -> None:
     client.hello(role, session="default")
     code, text = client.error()
     assert code == ErrorCode.ROLE_TAKEN
-    assert f"session 'default' has an {role} already" in text
+    assert f"session 'default' already has an {role}" in text
 
 
 def test_replies_without_a_call(client: Client) -> None:
