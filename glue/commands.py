@@ -16,8 +16,8 @@ from typing import Final, NoReturn, TypeVar
 
 import click
 
-from glue.console import is_stuck, say
-from glue.entry import EXIT_INTERRUPTED, EXIT_TERMINATED, Terminated, handle_signals
+from glue.console import say
+from glue.entry import EXIT_INTERRUPTED, EXIT_TERMINATED, Terminated, handle_signals, is_stuck
 from glue.errors import ConfigError, GlueError
 
 __all__ = [

@@ -6,19 +6,19 @@ This module imports nothing but what Python itself has loaded, or loads in a mil
 from __future__ import annotations
 
 import os
+import select
 import signal
 from collections.abc import Callable
 from importlib import import_module
 from types import FrameType
 from typing import Final, NoReturn
 
-from glue.console import is_stuck
-
-__all__ = ["EXIT_INTERRUPTED", "EXIT_TERMINATED", "Terminated", "handle_signals", "start"]
+__all__ = ["EXIT_INTERRUPTED", "EXIT_TERMINATED", "Terminated", "handle_signals", "is_stuck", "start"]
 
 EXIT_INTERRUPTED: Final = 128 + signal.SIGINT
 EXIT_TERMINATED: Final = 128 + signal.SIGTERM
 
+_STDERR: Final = 2
 _IMPORTLIB: Final = "<frozen importlib"
 
 
@@ -49,6 +49,14 @@ def handle_signals() -> None:
     _handle_with(_interrupt)
 
 
+def is_stuck() -> bool:
+    """Return whether printing would wait, because standard error is a full pipe that is not being read."""
+    try:
+        return not select.select([], [_STDERR], [], 0)[1]
+    except (OSError, ValueError):  # closed
+        return True
+
+
 def _handle_with(handler: Callable[[int, FrameType | None], NoReturn]) -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         if signal.getsignal(number) is not signal.SIG_IGN:
@@ -71,5 +79,5 @@ def _is_importing(frame: FrameType | None) -> bool:
 
 def _leave(number: int, frame: FrameType | None = None) -> NoReturn:
     if not is_stuck():
-        os.write(2, b"interrupted\n")
+        os.write(_STDERR, b"interrupted\n")
     os._exit(EXIT_TERMINATED if number == signal.SIGTERM else EXIT_INTERRUPTED)

@@ -135,7 +135,7 @@ def test_replay_compares_all_of_it_and_finds_one_changed_byte() -> None:
                 )
     done = replay("--check", "changed.traj")
     assert done.returncode == 1
-    assert done.stderr.startswith("Error: changed.traj: episode 1, step 17: char 351 (row 15, column 21)")
+    assert done.stderr.startswith("Error: changed.traj: episode 2, step 17: char 351 (row 15, column 21)")
 
 
 def test_environment_that_joins_from_outside_is_recorded_without_a_name() -> None:
