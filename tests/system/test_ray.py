@@ -83,7 +83,7 @@ def test_trial_that_fails_is_recorded(cluster: str, tmp_path: Path) -> None:
     )
     done = run(*plan, "--in-process", "--engine", "ray", "--address", cluster, "--out", "run", cwd=tmp_path)
     assert done.returncode == 1, done.stderr
-    assert "Faulty/mines/0: agent Faulty raised in agent_start: ValueError: a mistake" in done.stderr
+    assert "Error: agent Faulty raised in agent_start: ValueError: a mistake" in done.stderr
 
 
 def test_cluster_that_is_not_there_is_said_in_one_line(tmp_path: Path) -> None:
