@@ -156,3 +156,20 @@ def test_what_was_said_is_not_kept() -> None:
     assert decoder.buffered == 50_000
     assert events(decoder, large[50_000:]) == [[bytes(MAX_FRAME)]]
     assert decoder.buffered == 0
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (GREETING[:10] + b"\2" + GREETING[11:], "ZMTP before 3"),
+        (GREETING[:12] + b"CURVE".ljust(20, b"\0") + GREETING[32:], "b'CURVE'; only NULL"),
+        (GREETING + encode([b"early"]), "before READY"),
+        (GREETING + b"\x04\x06\x05READY", "does not say what socket"),
+        (GREETING + b"\x04\x08\x05READY\x0bS", "does not say what socket"),
+    ],
+    ids=["version", "mechanism", "message before READY", "no socket type", "cut property"],
+)
+def test_a_handshake_that_cannot_be_completed_is_refused_with_its_reason(data: bytes, reason: str) -> None:
+    decoder = Decoder(ROUTER, MAX_FRAME)
+    with pytest.raises(RemoteProtocolError, match=reason):
+        events(decoder, data)
