@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from agents.baselines import RandomAgent
+from agents.tabular import SarsaAgent
 from env_server.toys import MinesEnvironment
 from glue.core.calls import agent_calls, environment_calls
 from glue.core.local import local
@@ -43,6 +44,35 @@ def test_environment_whose_observation_is_not_as_it_said_is_blamed() -> None:
         glue.rl_start()
         with pytest.raises(PeerFailed, match=r"env_step of Blurred must return 1 int.* returned 1 double"):
             glue.rl_step()
+
+
+def test_first_answers_are_checked_as_the_later_ones_are() -> None:
+    class Early(MinesEnvironment):
+        def env_start(self) -> Observation:
+            return Observation(doubles=[0.5])
+
+    with local(RandomAgent(), Early()) as glue:
+        glue.rl_init(seed=1)
+        with pytest.raises(PeerFailed, match=r"env_start of Early must return 1 int.* returned 1 double"):
+            glue.rl_start()
+
+    class Hasty(RandomAgent):
+        def agent_start(self, observation: Observation) -> Action:
+            return Action(ints=[0, 1])
+
+    with local(Hasty(), MinesEnvironment()) as glue:
+        glue.rl_init(seed=1)
+        with pytest.raises(PeerFailed, match=r"agent_start of Hasty must return 1 int.* returned 2 ints"):
+            glue.rl_start()
+
+
+def test_a_save_that_is_not_bytes_is_a_wrong_answer() -> None:
+    class Texting(SarsaAgent):
+        def agent_save(self) -> bytes:
+            return "a save"  # type: ignore[return-value]
+
+    with pytest.raises(PeerFailed, match="agent_save of Texting must return bytes; it returned str 'a save'"):
+        agent_calls(Texting())[Kind.AGENT_SAVE]((), None)
 
 
 def test_player_that_raises_for_what_it_was_given_is_not_blamed() -> None:

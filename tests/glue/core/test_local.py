@@ -105,15 +105,14 @@ def test_terminal_may_be_a_number_or_of_numpy(terminal: Any, expected: bool) -> 
     assert glue.rl_step().terminal is expected
 
 
-def test_an_observation_returned_as_an_action_is_a_wrong_answer() -> None:
-    class Mirror(ScriptedAgent):
-        def agent_start(self, observation: Observation) -> Action:
-            return observation  # type: ignore[return-value]
-
-    glue = local(Mirror(), ScriptedEnvironment())
+@pytest.mark.parametrize("method", ["agent_start", "agent_step"])
+def test_an_observation_returned_as_an_action_is_a_wrong_answer(method: str) -> None:
+    agent = ScriptedAgent()
+    setattr(agent, method, lambda *received: received[-1])
+    glue = local(agent, ScriptedEnvironment())
     glue.rl_init()
-    with pytest.raises(PeerFailed, match="agent_start of Mirror must return an Action"):
-        glue.rl_start()
+    with pytest.raises(PeerFailed, match=f"{method} of ScriptedAgent must return an Action"):
+        glue.rl_episode()
 
 
 def test_a_player_without_a_method_is_refused_at_once() -> None:
