@@ -18,6 +18,7 @@ from glue.client.experiment import connect
 from glue.core.config import HubConfig
 from glue.core.experiment import Experiment
 from glue.core.local import local
+from glue.hub.inside import InsideTransport
 from glue.hub.server import Hub
 
 __all__ = ["run"]
@@ -151,7 +152,7 @@ def _three(size: str, transport: str, verb: str) -> Iterator[Measure]:
         hub = stack.enter_context(_hub(transport))
         url = hub.endpoints[0]
         pids = [stack.enter_context(serving(role, size, url)) for role in ("environment", "agent")]
-        yield _measure(stack.enter_context(connect(url, "0")), verb, pids)
+        yield _measure(stack.enter_context(connect(url, "0", transport=InsideTransport(hub))), verb, pids)
 
 
 @contextmanager
