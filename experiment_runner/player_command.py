@@ -8,9 +8,12 @@ OPTIONS is JSON. `glue-agent` and `glue-env` are the same for people.
 from __future__ import annotations
 
 import json
+import os
+import signal
 import sys
 from collections.abc import Mapping, Sequence
-from typing import Final
+from types import FrameType
+from typing import Final, NoReturn
 
 import click
 
@@ -55,8 +58,11 @@ def arguments(
 @click.option("--any-reward", is_flag=True)
 def serve(role: str, name: str, options: str, hub: str, session: str, any_reward: bool) -> None:
     """Serve an agent or environment until the hub says goodbye."""
+    # Ended while it is imported it is silent, too; see below.
+    when_served = signal.signal(signal.SIGTERM, _end)
     try:
         player = build(find(Role(role), name), json.loads(options))
+        signal.signal(signal.SIGTERM, when_served)
         if role == Role.AGENT:
             serve_agent(player, hub, session, log=_ignore)
         else:
@@ -67,6 +73,10 @@ def serve(role: str, name: str, options: str, hub: str, session: str, any_reward
         sys.exit(1)  # the hub was told why, and our parent says it
     except KeyboardInterrupt:
         sys.exit(EXIT_TERMINATED)  # in silence: our parent ended us, and says why
+
+
+def _end(number: int, frame: FrameType | None) -> NoReturn:
+    os._exit(EXIT_TERMINATED)
 
 
 def _ignore(line: str) -> None:
