@@ -9,9 +9,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Final
 
+from glue import __version__
+
 __all__ = ["about", "program"]
 
-_DISTRIBUTION: Final = "glue-rl"
 _GIT_SECONDS: Final = 10
 
 
@@ -34,8 +35,8 @@ def about() -> dict[str, object]:
 
 
 def program() -> str:
-    """Return this program's version, as in `glue-rl 0.1.0, commit 1a2b3c, modified`."""
-    parts = [f"{_DISTRIBUTION} {metadata.version(_DISTRIBUTION)}"]
+    """Return this program's version, as in `glue-rl 0.2.0, commit 1a2b3c, modified`."""
+    parts = [f"glue-rl {__version__}"]
     here = Path(__file__).resolve()
     # An installed copy may be inside another repository, whose commit is irrelevant.
     if _git("ls-files", "--error-unmatch", here.name, folder=here.parent) is not None:

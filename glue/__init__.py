@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from glue.runs import RunData, load_run
     from glue.types import Action, Observation
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Action",

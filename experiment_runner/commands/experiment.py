@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 from click.core import ParameterSource
 
+from experiment_runner.executors.settings import CHECKPOINT_EVERY, Place
 from experiment_runner.plan import Plan, RoleSweep, absolute, check_options, class_files, describe
 from experiment_runner.plan_file import load_plan
 from glue import __version__
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 __all__ = ["experiment", "main"]
 
 _MAX_STEPS: Final = 2**32 - 1
-_CHECKPOINT_EVERY: Final = 100
 _MAX_SEED: Final = 2**63 - 1
 
 
@@ -92,8 +92,8 @@ _MAX_SEED: Final = 2**63 - 1
 )
 @click.option(
     "--engine",
-    type=click.Choice(["local", "ray"]),
-    default="local",
+    type=click.Choice([place.value for place in Place]),
+    default=Place.LOCAL.value,
     show_default=True,
     help="Where trials run: on this machine, or on a Ray cluster.",
 )
@@ -160,7 +160,7 @@ _MAX_SEED: Final = 2**63 - 1
 @click.option(
     "--checkpoint-every",
     type=click.IntRange(0),
-    default=_CHECKPOINT_EVERY,
+    default=CHECKPOINT_EVERY,
     show_default=True,
     help="Episodes between checkpoints of agent and environment; 0 for none.",
 )
@@ -225,11 +225,11 @@ def experiment(
       glue-experiment --resume runs/sweep --workers 4
     """
     from experiment_runner.executors.resume import recorded_plan
-    from experiment_runner.executors.run import Place, RunConfig
+    from experiment_runner.executors.run import RunConfig
 
-    if _from_variable("hub") and (in_process or workers or engine == "ray" or bind or legacy_port):
+    if _from_variable("hub") and (in_process or workers or engine == Place.RAY or bind or legacy_port):
         hub = None
-    if _from_variable("session") and (in_process or workers or engine == "ray"):
+    if _from_variable("session") and (in_process or workers or engine == Place.RAY):
         session = DEFAULT_SESSION
     counts = {"episodes": episodes, "max_steps": max_steps, "trials": trials, "seed": seed}
     if plan_file is not None and (agent or environment or agent_option or env_option):

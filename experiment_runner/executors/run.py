@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from enum import StrEnum
 
 from experiment_runner.executors.dispatch import Dispatcher, Executor
 from experiment_runner.executors.job import Job
 from experiment_runner.executors.local import LocalExecutor
 from experiment_runner.executors.ray_cluster import RayExecutor, parse_address
 from experiment_runner.executors.resume import remaining
+from experiment_runner.executors.settings import CHECKPOINT_EVERY, Place
 from experiment_runner.executors.trial import Start
 from experiment_runner.interrupts import GRACE_SECONDS, Interrupts
 from experiment_runner.plan import Plan, TrialSpec, class_files
@@ -19,14 +19,7 @@ from experiment_runner.store.store import Store
 from glue.errors import ConfigError
 from glue.trajectory import TrajectoryWriter
 
-__all__ = ["Place", "RunConfig", "run_trials"]
-
-
-class Place(StrEnum):
-    """Where trials run: on this machine, or on a Ray cluster."""
-
-    LOCAL = "local"
-    RAY = "ray"
+__all__ = ["RunConfig", "run_trials"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +36,7 @@ class RunConfig:
     """
 
     meeting: Meeting = field(default_factory=Meeting)
-    checkpoint_every: int = 100
+    checkpoint_every: int = CHECKPOINT_EVERY
     place: Place = Place.LOCAL
     workers: int | None = None
     address: str | None = None

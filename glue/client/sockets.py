@@ -17,6 +17,7 @@ from glue.errors import RemoteProtocolError
 from glue.protocol import zmtp
 from glue.protocol.messages import Value
 from glue.protocol.steps import StepFormat
+from glue.sockets.options import limit_silence, probe_when_silent, unix_address
 
 __all__ = ["SocketTransport"]
 
@@ -28,9 +29,6 @@ _RETRY_SECONDS: Final = (0.05, 1.0)
 
 _LINGER_SECONDS: Final = 1.0
 """How long `close` waits for the hub to read what was sent last."""
-
-_PROBES: Final = 3
-"""Unanswered probes of a silent host, one a timeout, after which its connections have failed."""
 
 
 class SocketTransport:
@@ -228,8 +226,8 @@ class SocketTransport:
         self.problem = None
         self._retry = _RETRY_SECONDS[0]
         self._socket.setblocking(True)
-        if self._socket.family != socket.AF_UNIX:
-            _notice_lost_hosts(self._socket, self._timeout)
+        probe_when_silent(self._socket, self._timeout)
+        limit_silence(self._socket, self._timeout)
         self._limit_receiving()
 
     def _limit_receiving(self) -> None:
@@ -259,9 +257,7 @@ def _connect(url: str) -> socket.socket:
     scheme, _, rest = url.partition("://")
     if scheme == "ipc":
         family = socket.AF_UNIX
-        address: tuple[str | int, ...] | str | tuple[int, bytes] = (
-            "\0" + rest[1:] if rest.startswith("@") else rest
-        )
+        address: tuple[str | int, ...] | str | tuple[int, bytes] = unix_address(rest)
     else:
         host, _, port = rest.rpartition(":")
         family = socket.AF_INET6 if host.startswith("[") else socket.AF_INET
@@ -285,17 +281,3 @@ def _wait_for(waiting: socket.socket, readable: bool, seconds: float) -> bool:
     poller = select.poll()
     poller.register(waiting, select.POLLIN if readable else select.POLLOUT)
     return bool(poller.poll(seconds * 1000))
-
-
-def _notice_lost_hosts(connected: socket.socket, timeout: float) -> None:
-    """Have the system find out about a host that is gone without having closed its connections."""
-    connected.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    seconds = max(1, round(timeout))
-    for name, value in (
-        ("TCP_KEEPIDLE", seconds),
-        ("TCP_KEEPINTVL", seconds),
-        ("TCP_KEEPCNT", _PROBES),
-        ("TCP_USER_TIMEOUT", max(1, int(timeout * 1000))),
-    ):
-        if hasattr(socket, name):  # not everywhere
-            connected.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)

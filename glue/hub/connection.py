@@ -16,17 +16,12 @@ from contextlib import suppress
 from typing import Final
 
 from glue.hub.loop import FAILURE, READ, WRITE, Loop
+from glue.sockets.options import probe_when_silent
 
-__all__ = ["Connection", "limit_silence", "take_leave"]
+__all__ = ["Connection", "take_leave"]
 
 _CHUNK: Final = 65_536
 """Maximum bytes to read at once; memory for more costs a system call, even if the message is short."""
-
-_PROBES: Final = 3
-"""Unanswered probes, one per heartbeat, after which a silent host is considered gone."""
-
-_MAX_SILENCE: Final = 32_767
-"""Seconds; Linux, MAX_TCP_KEEPIDLE."""
 
 _AT_ONCE: Final = struct.pack("ii", 1, 0)
 """SO_LINGER: what is unsent is dropped, and the other side sees a reset."""
@@ -53,7 +48,7 @@ class Connection:
         connected.setblocking(False)
         if connected.family != socket.AF_UNIX:
             connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            _probe_when_silent(connected, min(max(1, round(silence)), _MAX_SILENCE))
+            probe_when_silent(connected, silence)
         self.name = name
         self.ready: Callable[[float], None] = _nothing
         self.failed: Callable[[float], None] = _nothing
@@ -228,17 +223,3 @@ def take_leave(leaving: Callable[[], Iterable[Connection]], seconds: float) -> N
             poller.register(fd, connection.events)
         for fd, _ in poller.poll(int((deadline - now) * 1000) + 1):
             left[fd].serve(now)
-
-
-def limit_silence(connected: socket.socket, seconds: float) -> None:
-    """Consider the other side gone when what was sent to it stays unacknowledged for so many seconds."""
-    if connected.family != socket.AF_UNIX and hasattr(socket, "TCP_USER_TIMEOUT"):  # not everywhere
-        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, max(1, int(seconds * 1000)))
-
-
-def _probe_when_silent(connected: socket.socket, seconds: int) -> None:
-    """Have the system find out about a host that is gone without having closed its connections."""
-    connected.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
-    for name, value in (("TCP_KEEPIDLE", seconds), ("TCP_KEEPINTVL", seconds), ("TCP_KEEPCNT", _PROBES)):
-        if hasattr(socket, name):  # not everywhere
-            connected.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)

@@ -25,6 +25,7 @@ from typing import Final, Self
 
 from glue.errors import ConfigError
 from glue.hub.loop import READ, Loop
+from glue.sockets.options import unix_address
 
 __all__ = ["Accept", "Listener", "OpenAddress", "open_address"]
 
@@ -178,15 +179,13 @@ def _listen_on_port(address: str) -> socket.socket:
 def _listen_on_path(path: str) -> socket.socket:
     """Return a Unix socket that listens on `path`; one that no process listens on any more is replaced.
 
-    A path that begins with `@` is Linux's abstract kind.
-
     Raises:
         OSError: it cannot be listened on.
     """
-    address = "\0" + path[1:] if path.startswith("@") else path
+    address = unix_address(path)
     listening = socket.socket(socket.AF_UNIX)
     try:
-        if address is path and _is_left_over(path):
+        if address == path and _is_left_over(path):
             os.unlink(path)
         listening.bind(address)
         listening.listen(_BACKLOG)

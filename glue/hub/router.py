@@ -19,7 +19,7 @@ from glue.core.config import Bind, HubConfig
 from glue.core.memory import Memory
 from glue.core.sessions import Route
 from glue.errors import RemoteProtocolError
-from glue.hub.connection import Connection, limit_silence, take_leave
+from glue.hub.connection import Connection, take_leave
 from glue.hub.listener import Listener, OpenAddress
 from glue.hub.log import Log
 from glue.hub.loop import Loop
@@ -27,6 +27,7 @@ from glue.protocol import zmtp
 from glue.protocol.messages import Kind, Message
 from glue.protocol.steps import StepFormat, step_formats
 from glue.protocol.wire import FROM_HUB, MAX_HEADER, encode
+from glue.sockets.options import limit_silence
 
 __all__ = ["MAX_UNSEATED", "MAX_UNSENT", "Router"]
 

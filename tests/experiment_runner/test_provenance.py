@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from experiment_runner import provenance
+from glue import __version__
 
-VERSION = f"glue-rl {metadata.version('glue-rl')}"
+VERSION = f"glue-rl {__version__}"
 
 
 def git(folder: Path, *arguments: str) -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from glue import __version__
 from tests.terminal import BIN, Terminal, run
 
 ROOT = Path(__file__).parents[2]
@@ -112,7 +113,7 @@ def test_command_has_help_with_examples_a_version_and_a_place_in_the_readme(
     shown = run(command, "--help", cwd=tmp_path)
     assert shown.returncode == 0
     assert "Example" in shown.stdout
-    assert importlib.metadata.version("glue-rl") in run(command, "--version", cwd=tmp_path).stdout
+    assert __version__ in run(command, "--version", cwd=tmp_path).stdout
     assert f"`{command}`" in (ROOT / "README.md").read_text(encoding="utf-8")
 
 

@@ -9,7 +9,8 @@ import pytest
 from experiment_runner.executors.dispatch import Dispatcher
 from experiment_runner.executors.job import Job, Lost, Recorded, Report, run_job
 from experiment_runner.executors.resume import create_run, open_run, remaining
-from experiment_runner.executors.run import Place, RunConfig, run_trials
+from experiment_runner.executors.run import RunConfig, run_trials
+from experiment_runner.executors.settings import Place
 from experiment_runner.executors.trial import Start
 from experiment_runner.interrupts import Interrupts
 from experiment_runner.plan import Plan, RoleSweep, TrialSpec

@@ -1,0 +1,18 @@
+"""Settings of a run that the command line shows in its help, apart from what they are settings of."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Final
+
+__all__ = ["CHECKPOINT_EVERY", "Place"]
+
+CHECKPOINT_EVERY: Final = 100
+"""Episodes between checkpoints, by default."""
+
+
+class Place(StrEnum):
+    """Where trials run: on this machine, or on a Ray cluster."""
+
+    LOCAL = "local"
+    RAY = "ray"

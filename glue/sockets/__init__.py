@@ -1,0 +1,1 @@
+"""Sockets, as a hub and its peers use them alike."""
