@@ -10,6 +10,10 @@ itself reserves their roles in this way, whatever role a peer from outside claim
 An address for one role of one session:
 
     Bind("ipc:///run/match-17/agent", frozenset({Role.AGENT}), frozenset({"match-17"}))
+
+Agents can be limited in time, see `glue.core.time_bank`:
+
+    HubConfig(time=TimeLimits(step_seconds=0.5, bank_seconds=30))
 """
 
 from __future__ import annotations
@@ -24,7 +28,16 @@ from glue.errors import ConfigError
 from glue.protocol.limits import MAX_BODY, MAX_NAME
 from glue.protocol.messages import Role
 
-__all__ = ["DEFAULT_HUB", "DEFAULT_SESSION", "Bind", "HubConfig", "LegacyPort", "check_session", "check_url"]
+__all__ = [
+    "DEFAULT_HUB",
+    "DEFAULT_SESSION",
+    "Bind",
+    "HubConfig",
+    "LegacyPort",
+    "TimeLimits",
+    "check_session",
+    "check_url",
+]
 
 DEFAULT_HUB: Final = "tcp://127.0.0.1:4097"
 """The default address of a hub. RL-Glue's own port, 4096, is left to original RL-Glue programs."""
@@ -73,6 +86,36 @@ class Bind:
         return role in self.roles and (self.sessions is None or session in self.sessions)
 
 
+@dataclass(frozen=True, slots=True)
+class TimeLimits:
+    """How much time an agent has in a session.
+
+    An answer that takes longer than `step_seconds` drains the rest from a bank of `bank_seconds`; the agent
+    whose bank is empty is dismissed.
+
+    Args:
+        step_seconds: per answer, without loss.
+        bank_seconds: in all, for what answers take beyond that.
+        start_seconds: until the agent has joined and has answered `agent_init`.
+        total_seconds: for all answers together.
+
+    Raises:
+        ConfigError: a time is negative, or not a number of seconds up to a week.
+    """
+
+    step_seconds: float = 1.0
+    bank_seconds: float = 60.0
+    start_seconds: float = 30.0
+    total_seconds: float = 3600.0
+
+    def __post_init__(self) -> None:
+        for name in ("step_seconds", "bank_seconds", "start_seconds", "total_seconds"):
+            if not 0 <= getattr(self, name) <= _MAX_TIMEOUT:
+                raise ConfigError(
+                    f"{name} must be from 0 to {_MAX_TIMEOUT:g} seconds, not {getattr(self, name)}"
+                )
+
+
 def _quarter_of_memory() -> int:
     return max(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 4, _BODIES * MAX_BODY)
 
@@ -91,6 +134,7 @@ class HubConfig:
             peers have not read. When it is exceeded, the session or connection that uses most is ended. By
             default a quarter of the machine's memory.
         insecure: allow addresses that other machines can reach. Peers are not authenticated.
+        time: limits of the agent in every session; None for none.
 
     Raises:
         ConfigError: an address is malformed, or reachable by others without `insecure`; a time or a limit is
@@ -104,6 +148,7 @@ class HubConfig:
     max_sessions: int = 1024
     max_memory: int = field(default_factory=_quarter_of_memory)
     insecure: bool = False
+    time: TimeLimits | None = None
 
     def __post_init__(self) -> None:
         for bind in self.binds:

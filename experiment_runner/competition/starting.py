@@ -1,0 +1,99 @@
+"""How an entrant's program is started for one trial of a task, whatever it is made of.
+
+An entrant is given a place: a directory with the Unix socket `hub`, on which the hub of this trial admits
+nobody but the agent of one session. What it finds there is all that connects it with the competition.
+
+`programs` starts trusted commands of this machine, `outside` waits for entrants from elsewhere, and
+`containers` starts images.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol
+
+from experiment_runner.competition.settings import Entrant, Limits
+
+__all__ = ["SOCKET", "Place", "Running", "Starter", "variables"]
+
+SOCKET: Final = "hub"
+"""Name of the hub's Unix socket in the folder of a place."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where an entrant meets the hub in one trial of a task.
+
+    Args:
+        folder: a directory of its own, which holds the socket `hub` and nothing else.
+        session: the session's name.
+        log: the file that receives what the entrant prints, at most `Limits.log` bytes.
+        run: identifies the run among all runs of this machine, so that what it leaves behind can be found.
+    """
+
+    folder: Path
+    session: str
+    log: Path
+    run: str
+
+    @property
+    def hub(self) -> str:
+        """URL of the hub, on this machine."""
+        return f"ipc://{self.folder / SOCKET}"
+
+
+class Running(Protocol):
+    """An entrant's program, started for one trial.
+
+    Attributes:
+        log: the file that receives what it prints.
+    """
+
+    log: Path
+
+    @property
+    def reason(self) -> str | None:
+        """How it ended, as in `ended with status 1` or `used more than 1024 MiB of memory`; None while it
+        is alive."""
+        ...
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until it ends, at most so long; return whether it has ended."""
+        ...
+
+    def stop(self) -> None:
+        """End it, with all that it started, and release what it used; may be called twice."""
+        ...
+
+
+class Starter(Protocol):
+    """Starts entrants of one kind."""
+
+    def check(self, entrant: Entrant) -> None:
+        """Check, before a run begins, that the entrant can be started.
+
+        Raises:
+            ConfigError: it cannot, with what to do in one line.
+        """
+        ...
+
+    def start(self, entrant: Entrant, limits: Limits, place: Place) -> Running:
+        """Start the entrant's program, a new one in each trial.
+
+        It must end when this process ends, however that is ended.
+
+        Raises:
+            ExperimentError: it cannot be started, for a reason that is not the entrant's.
+        """
+        ...
+
+    def sweep(self, run: str) -> None:
+        """End what an organiser of this run that was killed has left running."""
+        ...
+
+
+def variables(hub: str, session: str) -> Mapping[str, str]:
+    """Return the environment variables by which an entrant's program finds its place."""
+    return {"GLUE_HUB": hub, "GLUE_SESSION": session}

@@ -1,0 +1,106 @@
+"""Competitions are read from TOML, and a mistake is reported with its line and what was meant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from experiment_runner.competition.file import load_competition, parse_competition
+from experiment_runner.competition.settings import Entrant, Task
+from glue.errors import ConfigError
+
+_FILE = """\
+name = "spring"
+trials = 2
+seed_file = "secret.txt"
+
+[limits]
+step_seconds = 0.5
+memory = "512m"
+cpus = 2
+
+[tasks.easy]
+env = "mario"
+options = { level_difficulty = 0 }
+episodes = 20
+[tasks.long]
+env = "mines"
+steps = 100_000
+
+[entrants.alice]
+image = "alice/agent:1"
+[entrants.bob]
+command = ["glue-agent", "sample"]
+[entrants.carol]
+key = "carol.pub"
+"""
+
+
+def test_a_file_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "spring.toml"
+    path.write_text(_FILE)
+    competition = load_competition(path)
+    assert (competition.name, competition.trials) == ("spring", 2)
+    assert competition.seed_file == tmp_path / "secret.txt"
+    assert competition.tasks == (
+        Task("easy", "mario", {"level_difficulty": 0}, episodes=20),
+        Task("long", "mines", steps=100_000),
+    )
+    assert competition.entrants == (
+        Entrant("alice", image="alice/agent:1"),
+        Entrant("bob", command=("glue-agent", "sample")),
+        Entrant("carol", key=tmp_path / "carol.pub"),
+    )
+    limits = competition.limits
+    assert (limits.time.step_seconds, limits.time.bank_seconds, limits.time.start_seconds) == (0.5, 60, 30)
+    assert (limits.memory, limits.cpus) == (512 * 2**20, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "why"),
+    [
+        ("step_seconds", "step_second", 6, "did you mean step_seconds"),
+        ("seed_file", "seed_fil", 3, "did you mean seed_file"),
+        ("[limits]", "[limit]", 5, "did you mean limits"),
+        ("episodes", "episode", 13, "did you mean episodes"),
+        ("command", "comand", 21, "did you mean command"),
+        ("trials = 2", 'trials = "2"', 2, "a whole number"),
+        ("trials = 2", "trials = true", 2, "a whole number"),
+        ("512m", "lots", 7, "512m"),
+        ("cpus = 2", "cpus = 0", 8, "above 0"),
+        ("0.5", "-1", 6, "step_seconds must be from 0"),
+        ("0.5", "nan", 6, "step_seconds must be from 0"),
+        ("level_difficulty = 0", "level_difficulty = []", 12, "level_difficulty"),
+        ("episodes = 20", "episodes = 20\nsteps = 5", 10, "its length"),
+        ("[entrants.bob]", '[entrants."../bob"]', 20, "cannot be a name"),
+        ("[entrants.bob]", '[entrants."<b>"]', 20, "cannot be a name"),
+        ('image = "alice/agent:1"', 'image = "a"\nkey = "b"', 18, "needs one of"),
+        ('command = ["glue-agent", "sample"]', 'command = "glue-agent sample"', 21, "a list of strings"),
+        ('"spring"', '"spring', 1, "this is not TOML"),
+    ],
+)
+def test_a_mistake_names_its_line(old: str, new: str, line: int, why: str) -> None:
+    with pytest.raises(ConfigError) as failure:
+        parse_competition(_FILE.replace(old, new, 1), Path("spring.toml"))
+    message = str(failure.value)
+    assert "spring.toml" in message
+    assert f"line {line}" in message
+    assert why in message
+    assert "\n" not in message
+
+
+def test_a_table_that_is_missing_is_named() -> None:
+    tasks = 'seed_env = "S"\n[tasks.a]\nenv = "mines"\nsteps = 3\n'
+    entrants = 'seed_env = "S"\n[entrants.a]\nimage = "x"\n'
+    with pytest.raises(ConfigError, match=r"\[entrants.NAME\]"):
+        parse_competition(tasks, Path("spring.toml"))
+    with pytest.raises(ConfigError, match=r"\[tasks.NAME\]"):
+        parse_competition(entrants, Path("spring.toml"))
+
+
+def test_the_secret_is_named_once() -> None:
+    with pytest.raises(ConfigError, match="seed_file"):
+        parse_competition(_FILE.replace('seed_file = "secret.txt"', ""), Path("spring.toml"))
+    with pytest.raises(ConfigError, match="seed_file"):
+        parse_competition('seed_env = "S"\n' + _FILE, Path("spring.toml"))
