@@ -12,7 +12,7 @@ PARALLEL := --numprocesses=2 --dist=worksteal
 # The tests start hundreds of processes: each finds its modules compiled, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test check compile coverage picture bench clean
+.PHONY: help demo test check compile coverage picture vectors bench clean
 
 help:
 	@echo "make demo   set up, then let an agent learn Infinite Mario, as three processes"
@@ -20,6 +20,7 @@ help:
 	@echo "make check  ruff and mypy alone"
 	@echo "make coverage  which lines and branches the tests reach, in every process that they start"
 	@echo "make picture  draw the folders and who imports whom: docs/images/architecture.svg"
+	@echo "make vectors  write glue/testing/vectors.json from the examples of docs/protocol.md"
 	@echo "make bench  measure, and write docs/performance.md"
 
 $(READY): pyproject.toml
@@ -56,6 +57,9 @@ coverage: compile
 
 picture: $(READY)
 	$(BIN)/python -m tests.house.picture
+
+vectors: $(READY)
+	$(BIN)/python -m tests.glue.testing.vectors
 
 bench: $(READY)
 	$(BIN)/python -m benchmarks

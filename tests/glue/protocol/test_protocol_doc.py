@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
 import re
 import socket
 import struct
-from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 import msgpack
 import pytest
@@ -33,16 +31,10 @@ from glue.protocol.messages import (
 )
 from glue.protocol.wire import FROM_HUB, MAX_BODY, MAX_HEADER, MAX_NAME, TO_HUB, decode, encode
 from glue.types import AbstractType, Action, Observation, body_size
+from tests.glue.protocol.examples import DOCS, EXAMPLES, TEXT, Example, blocks
 from tests.players import ScriptedAgent, ScriptedEnvironment
 
-DOCS: Final = Path(__file__).parents[3] / "docs"
-TEXT: Final = (DOCS / "protocol.md").read_text(encoding="utf-8")
-
 NOTHING: Final = "–"
-
-
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
 
 
 def tables(*head: str) -> list[list[list[str]]]:
@@ -59,50 +51,6 @@ def table(*head: str) -> list[list[str]]:
 
 # --- The examples -------------------------------------------------------------------------------------
 
-
-class Example(NamedTuple):
-    """One example: as it is meant, and as it is sent."""
-
-    kind: Kind
-    sender: str
-    receiver: str
-    meant: list[Any]
-    frames: tuple[bytes, ...]
-    comments: list[str]
-
-    @property
-    def shapes(self) -> Any:
-        return TO_HUB if self.receiver == "hub" else FROM_HUB
-
-    def __str__(self) -> str:
-        return f"{self.kind.name}-{self.sender}-to-{self.receiver}"
-
-
-def read_example(block: str) -> Example:
-    title, meant, *lines = block.splitlines()
-    name, sender, receiver = re.fullmatch(r"(\w+)  (\w+) → (\w+)", title).groups()  # type: ignore[union-attr]
-    frames: list[bytes] = []
-    comments: list[str] = []
-    for line in lines:
-        label, rest = line[:8].strip(), line[8:]
-        data, _, comment = rest.partition(";")
-        if label:
-            assert label == ["header", "body"][len(frames)]
-            frames.append(b"")
-        frames[-1] += bytes.fromhex(data)
-        if comment:
-            comments.append(comment.strip())
-    return Example(Kind[name], sender, receiver, read_array(meant), tuple(frames), comments)
-
-
-def read_array(text: str) -> list[Any]:
-    """JSON, and binaries as <00 11 22>."""
-    binaries = [bytes.fromhex(found) for found in re.findall(r"<([0-9a-f ]+)>", text)]
-    values: list[Any] = json.loads(re.sub(r"<[0-9a-f ]+>", "null", text))
-    return [binaries.pop(0) if value is None and binaries else value for value in values]
-
-
-EXAMPLES: Final = [read_example(block) for block in blocks("message")]
 
 KINDS_HEAD: Final = ("code", "kind", "request: scalars", "request: body", "reply: scalars", "reply: body")
 CONTROL_HEAD: Final = ("code", "kind", "direction", "scalars")
