@@ -1,4 +1,4 @@
-"""Make glue/testing/vectors.json: messages and bytes against which a client in any language checks its codec.
+"""Make glue/testing/vectors.json: messages and bytes with which a client in any language checks its codec.
 
 A program: `make vectors` runs it. The messages are the examples of docs/protocol.md, and others made of the same
 shapes; what each entry means is in docs/clients.md. A test holds the file to what this program makes.
@@ -211,12 +211,12 @@ def accepted() -> Iterator[Document]:
         yield message_document(name, "hub", "experiment", ended._replace(scalars=(1.0, meant)), frames)
     error = Message(Kind.ERROR, "walk", 7, ("x", ""))
     for name, code in (
-        ("code as str 8", "d90178"),
-        ("code as str 16", "da000178"),
+        ("str 8", "d90178"),
+        ("str 16", "da000178"),
         ("str 32", "db0000000178"),
     ):
         header = bytes.fromhex("9545a477616c6b07" + code + "a0")
-        yield message_document(name, "hub", "peer", error, (header,))
+        yield message_document(f"code as {name}", "hub", "peer", error, (header,))
     welcome = Message(Kind.WELCOME, "walk", 0, (1, True, 1.0, 5.0, 65536))
     header = bytes.fromhex("9841a477616c6b0001010105d300000000 00010000".replace(" ", ""))
     yield message_document("WELCOME in integers alone", "hub", "peer", welcome, (header,))
