@@ -1,6 +1,6 @@
 """Make glue/testing/vectors.json: messages and bytes with which a client in any language checks its codec.
 
-A program: `make vectors` runs it. The messages are the examples of docs/protocol.md, and others made of the same
+A program: `make vectors` runs it. The messages are the examples of docs/protocol.md, and others of the same
 shapes; what each entry means is in docs/clients.md. A test holds the file to what this program makes.
 """
 
