@@ -215,11 +215,11 @@ def accepted() -> Iterator[Document]:
         ("str 16", "da000178"),
         ("str 32", "db0000000178"),
     ):
-        header = bytes.fromhex("9545a477616c6b07" + code + "a0")
-        yield message_document(f"code as {name}", "hub", "peer", error, (header,))
+        frame = bytes.fromhex("9545a477616c6b07" + code + "a0")
+        yield message_document(f"code as {name}", "hub", "peer", error, (frame,))
     welcome = Message(Kind.WELCOME, "walk", 0, (1, True, 1.0, 5.0, 65536))
-    header = bytes.fromhex("9841a477616c6b0001010105d300000000 00010000".replace(" ", ""))
-    yield message_document("WELCOME in integers alone", "hub", "peer", welcome, (header,))
+    frame = bytes.fromhex("9841a477616c6b0001010105d300000000 00010000".replace(" ", ""))
+    yield message_document("WELCOME in integers alone", "hub", "peer", welcome, (frame,))
 
 
 # --- What is refused ----------------------------------------------------------------------------------
