@@ -1,4 +1,4 @@
-"""The programs in docs/examples, which share no code with ours, play against ours and with each other."""
+"""The programs in docs/examples and our clients in other languages play against ours and with each other."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from tests.system.proxy import WelcomeThief
 
 EXAMPLES: Final = Path(__file__).parents[2] / "docs/examples"
 PYTHON: Final = EXAMPLES / "python"
+JAVASCRIPT: Final = Path(__file__).parents[1] / "clients/walker.mjs"
 
 Agent = Callable[[str], list[str]]
 """The command that starts an agent at a hub."""
@@ -39,7 +40,7 @@ def javascript_agent(hub: str) -> list[str]:
     node = shutil.which("node")
     if node is None:
         pytest.skip("there is no node here to run the JavaScript agent")
-    return [node, str(EXAMPLES / "javascript/agent.mjs"), hub]
+    return [node, str(JAVASCRIPT), hub]
 
 
 @pytest.fixture(scope="module")

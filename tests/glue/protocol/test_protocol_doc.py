@@ -134,7 +134,7 @@ def test_code_in_the_text_is_that_of_the_examples() -> None:
     (javascript,) = blocks("js")
 
     assert c in (DOCS / "examples/c/agent.c").read_text()
-    assert javascript in (DOCS / "examples/javascript/agent.mjs").read_text()
+    assert javascript in (DOCS.parent / "clients/javascript/src/body.js").read_text()
 
 
 # --- The tables ---------------------------------------------------------------------------------------

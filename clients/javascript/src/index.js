@@ -1,0 +1,5 @@
+// RL-Glue for JavaScript: agents, environments and experiments as programs of their own.
+
+export * from "./errors.js";
+export { connect } from "./experiment.js";
+export { serveAgent, serveEnvironment } from "./players.js";

@@ -1,0 +1,102 @@
+// The codec against glue/testing/vectors.json, which docs/clients.md describes.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import test from "node:test";
+import { decode, encode } from "../src/messages.js";
+import { MessageReader, GREETING, READY, frameHead } from "../src/zmtp.js";
+
+const path = process.env.GLUE_VECTORS ?? new URL("../../../glue/testing/vectors.json", import.meta.url);
+const vectors = JSON.parse(readFileSync(path, "utf8"));
+
+/** @param {string} hex */
+const bytes = (hex) => Buffer.from(hex, "hex");
+
+/** @param {string} hex */
+const double = (hex) => bytes(hex).readDoubleBE();
+
+/** @param {any} item @returns {any} */
+function scalar(item) {
+  const [[type, value]] = Object.entries(item);
+  switch (type) {
+    case "int": return BigInt(value);
+    case "float": return double(value);
+    case "binary": return bytes(value);
+    case "nil": return undefined;
+    case "array": return value.map(scalar);
+    default: return value;
+  }
+}
+
+/** @param {{ ints: number[], doubles: string[], chars: string }} one */
+const abstract = ({ ints, doubles, chars }) => ({
+  ints: Int32Array.from(ints), doubles: Float64Array.from(doubles, double), chars: new Uint8Array(bytes(chars)),
+});
+
+/** @param {any} body @returns {any} */
+function valueOf(body) {
+  if (body === null) return undefined;
+  if ("text" in body) return body.text;
+  if ("bytes" in body) return new Uint8Array(bytes(body.bytes));
+  const values = body.abstract.map(abstract);
+  return values.length === 2 ? values : values[0];
+}
+
+/** @param {any} value */
+const exact = (value) => (typeof value === "number" && Number.isInteger(value) && !Object.is(value, -0) ? BigInt(value) : value);
+
+for (const { name, kind, code, session, seq, scalars, body, frames, ...entry } of [...vectors.messages, ...vectors.accepted]) {
+  const wire = frames.map(bytes);
+  if (entry.from === "hub") {
+    test(`decodes ${kind}, ${name}`, () => {
+      const message = decode(wire[0], wire[1]);
+      assert.deepEqual([message.kind, message.session, exact(message.seq)], [code, session, BigInt(seq)]);
+      assert.deepEqual(message.scalars.map(exact), scalars.map(scalar).map(exact));
+      assert.deepEqual(message.value, valueOf(body));
+    });
+  } else {
+    test(`encodes ${kind}, ${name}`, () => {
+      const encoded = encode(code, session, BigInt(seq), scalars.map(scalar), valueOf(body));
+      assert.deepEqual(encoded.map((frame) => frame.toString("hex")), frames);
+    });
+  }
+}
+
+for (const { name, frames } of vectors.refused) {
+  test(`refuses ${name}`, () => {
+    const [header, body, ...more] = frames.map(bytes);
+    assert.throws(() => {
+      if (more.length === 0) decode(header, body);
+      else readMessages(`${frames.map((/** @type {string} */ frame, /** @type {number} */ i) => (i < 2 ? "01" : "00") + (frame.length / 2).toString(16).padStart(2, "0") + frame).join("")}`);
+    }, { name: "ProtocolError" });
+  });
+}
+
+/** @param {string} hex @returns {any[]} */
+function readMessages(hex) {
+  /** @type {any[]} */
+  const read = [];
+  const reader = new MessageReader({
+    command: (name, data) => read.push([name, data.toString("hex")]),
+    message: (frames) => read.push(frames.map((frame) => frame.toString("hex"))),
+  });
+  for (const byte of bytes(hex)) reader.receive(Buffer.from([byte]));
+  return read;
+}
+
+test("speaks ZMTP", () => {
+  const { zmtp } = vectors;
+  assert.equal(GREETING.toString("hex"), zmtp.greeting);
+  assert.equal(Buffer.concat([frameHead(4, READY.length), READY]).toString("hex"), zmtp.ready);
+  assert.deepEqual(readMessages(zmtp["ping with a context"]), [["PING", "012c616263"]]);
+});
+
+for (const { name, wire, frames, from } of vectors.messages) {
+  if (from === "hub") {
+    test(`reads the wire of ${name}`, () => assert.deepEqual(readMessages(wire), [frames]));
+  }
+}
+
+for (const { name, hex } of vectors.zmtp.refused.filter((/** @type {any} */ one) => !one.name.includes("ERROR"))) {
+  test(`refuses ${name}`, () => assert.throws(() => readMessages(hex), { name: "ProtocolError" }));
+}

@@ -1,0 +1,70 @@
+"""The random agent that is an example of every client library, in Python: the same seed, the same actions."""
+
+from __future__ import annotations
+
+import re
+
+from glue.types import Action, Observation
+
+__all__ = ["Generator", "RandomAgent", "bounds_of"]
+
+
+class Generator:
+    """Numerical Recipes' linear congruential generator: 32 bits of state, of which the upper 16 are drawn.
+
+    Args:
+        seed: of which the lower 32 bits count.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self._state = seed & 0xFFFFFFFF
+
+    def draw(self, n: int) -> int:
+        """Return a number from 0 to n - 1."""
+        self._state = (self._state * 1664525 + 1013904223) & 0xFFFFFFFF
+        return (self._state >> 16) % n
+
+
+def bounds_of(task_spec: str) -> list[tuple[int, int]]:
+    """Return the bounds of each int of an action: `ACTIONS INTS (-1 1) (2 0 1)` are three."""
+    actions = re.search(r"\bACTIONS\s+INTS((?:\s*\([^)]*\))*)", task_spec)
+    assert actions is not None
+    return [
+        (int(low), int(high))
+        for count, low, high in re.findall(r"\(\s*(?:(\d+)\s+)?(-?\d+)\s+(-?\d+)\s*\)", actions[1])
+        for _ in range(int(count or 1))
+    ]
+
+
+class RandomAgent:
+    """Acts at random within the bounds of the task spec, from a generator that any language has."""
+
+    name = "random"
+
+    def __init__(self) -> None:
+        self._generator = Generator(0)
+        self._bounds: list[tuple[int, int]] = []
+
+    def agent_seed(self, seed: int) -> None:
+        self._generator = Generator(seed)
+
+    def agent_init(self, task_spec: str) -> None:
+        self._bounds = bounds_of(task_spec)
+
+    def agent_start(self, observation: Observation) -> Action:
+        return self._act()
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return self._act()
+
+    def agent_end(self, reward: float) -> None:
+        pass
+
+    def agent_cleanup(self) -> None:
+        pass
+
+    def agent_message(self, message: str) -> str:
+        return ""
+
+    def _act(self) -> Action:
+        return Action([low + self._generator.draw(high - low + 1) for low, high in self._bounds])
