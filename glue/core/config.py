@@ -11,6 +11,10 @@ An address for one role of one session:
 
     Bind("ipc:///run/match-17/agent", frozenset({Role.AGENT}), frozenset({"match-17"}))
 
+An address where whoever connects is what their key says, and no one else gets in:
+
+    Bind("tcp://0.0.0.0:4097", keys=Keys(secret, {public: Permit("carol", frozenset({Role.AGENT}))}))
+
 Agents can be limited in time, see `glue.core.time_bank`:
 
     HubConfig(time=TimeLimits(step_seconds=0.5, bank_seconds=30))
@@ -24,6 +28,7 @@ import re
 from dataclasses import dataclass, field
 from typing import Final
 
+from glue.core.keys import Keys
 from glue.errors import ConfigError
 from glue.protocol.limits import MAX_BODY, MAX_NAME
 from glue.protocol.messages import Role
@@ -67,6 +72,8 @@ class Bind:
         url: where to listen: `tcp://host:port` or `ipc://path`; `tcp://host:*` takes any free port.
         roles: the roles that are open there; all by default.
         sessions: the sessions that are open there; None for all.
+        keys: who gets in there, by CURVE; None for everybody who reaches it, without encryption. A key opens
+            what both its permit and this address open.
 
     Raises:
         ConfigError: the URL is malformed, or no role or no session is open there.
@@ -75,6 +82,7 @@ class Bind:
     url: str
     roles: frozenset[Role] = frozenset(Role)
     sessions: frozenset[str] | None = None
+    keys: Keys | None = None
 
     def __post_init__(self) -> None:
         check_url(self.url)
@@ -133,7 +141,7 @@ class HubConfig:
         max_memory: maximum number of bytes kept in all: bodies in transit, incomplete messages, and what
             peers have not read. When it is exceeded, the session or connection that uses most is ended. By
             default a quarter of the machine's memory.
-        insecure: allow addresses that other machines can reach. Peers are not authenticated.
+        insecure: allow addresses without keys that other machines can reach. Peers are not authenticated.
         time: limits of the agent in every session; None for none.
 
     Raises:
@@ -152,10 +160,11 @@ class HubConfig:
 
     def __post_init__(self) -> None:
         for bind in self.binds:
-            if not self.insecure and not _is_local(bind.url):
+            if not self.insecure and bind.keys is None and not _is_local(bind.url):
                 raise ConfigError(
                     f"{bind.url} can be reached from other machines, and peers are not authenticated: "
-                    f"bind tcp://127.0.0.1:PORT, or give --insecure if the network is your own"
+                    f"give --keys DIR (see glue-keys), bind tcp://127.0.0.1:PORT, or give --insecure if the "
+                    f"network is your own"
                 )
         if not 0 < self.heartbeat <= self.timeout <= _MAX_TIMEOUT:
             raise ConfigError(

@@ -16,6 +16,7 @@ from functools import partial
 from typing import Final
 
 from glue.core.config import Bind, HubConfig
+from glue.core.keys import Keys
 from glue.core.memory import Memory
 from glue.core.sessions import Route
 from glue.errors import RemoteProtocolError
@@ -24,7 +25,7 @@ from glue.hub.listener import Listener, OpenAddress
 from glue.hub.log import Log
 from glue.hub.loop import Loop
 from glue.protocol import zmtp
-from glue.protocol.messages import Kind, Message
+from glue.protocol.messages import Kind, Message, Role
 from glue.protocol.steps import StepFormat, step_formats
 from glue.protocol.wire import FROM_HUB, MAX_HEADER, encode
 from glue.sockets.options import limit_silence
@@ -56,7 +57,7 @@ class Router:
         receive: takes the route to answer by, the frames received and the time; returns whether the message
             was in turn. RemoteProtocolError ends the connection.
         receive_message: the same, for a message that needs no decoding.
-        failed: takes the route of a connection that was dropped after an error of the hub, and the time.
+        lose: takes the route of a connection that was dropped by the hub, why, and the time.
         num_seats: returns in how many sessions a route takes part.
         memory: accounts for what is kept of messages that are not complete, and of those not yet read.
         log: takes a line for people about each connection that is dropped.
@@ -69,7 +70,7 @@ class Router:
         addresses: Sequence[tuple[Bind, OpenAddress]],
         receive: Callable[[Route, Sequence[bytes], float], bool],
         receive_message: Callable[[Route, Message, float], bool],
-        failed: Callable[[Route, float], None],
+        lose: Callable[[Route, str, float], None],
         num_seats: Callable[[Route], int],
         memory: Memory,
         log: Log,
@@ -77,13 +78,14 @@ class Router:
         self.receive = receive
         self.receive_message = receive_message
         self.expect = loop.expect
-        self.failed = failed
+        self.lose = lose
         self.memory = memory
         self._loop = loop
         self._config = config
         self.num_seats = num_seats
         self._log = log
         self._complaint = ""
+        self._keys: Keys | None = None  # that have replaced those of the addresses
         self._dealers: set[_Dealer] = set()
         self._unseated: dict[_Dealer, float] = {}
         """Those without a seat, the oldest first, and since when."""
@@ -101,6 +103,14 @@ class Router:
         take_leave(lambda: [dealer.connection for dealer in self._dealers], _FAREWELL_SECONDS)
         for dealer in self._dealers:
             dealer.connection.close()
+
+    def renew(self, keys: Keys, now: float) -> None:
+        """Replace the keys of every address that has any; who got in by what has changed is dropped."""
+        self._keys = keys
+        for dealer in list(self._dealers):
+            if isinstance(dealer, _KeyedDealer) and (why := dealer.renew(keys)):
+                self.drop(dealer, why)
+                self.lose(dealer, f"was dropped: {why}", now)
 
     def drop(self, dealer: _Dealer, why: str | None) -> None:
         """Close a connection; `why`, if it should be logged, completes a sentence about it."""
@@ -123,10 +133,14 @@ class Router:
         self._make_room()
         limit_silence(connected, self._config.timeout)
         connection = Connection(self._loop, connected, name, self._config.heartbeat)
-        dealer = _Dealer(self, connection, bind, self._config.max_body)
+        if bind.keys is None:
+            dealer = _Dealer(self, connection, bind, self._config.max_body)
+            connection.send(zmtp.GREETING)
+        else:
+            dealer = _KeyedDealer(self, connection, bind, self._config.max_body, self._keys or bind.keys)
+            connection.send(zmtp.CURVE_GREETING)
         self._dealers.add(dealer)
         self._unseated[dealer] = now
-        connection.send(zmtp.GREETING)
         self._log.connection(f"{name} connected")
 
     def seated(self, dealer: _Dealer) -> None:
@@ -207,6 +221,8 @@ class _Dealer:
         try:
             done = self._work(now)
         except RemoteProtocolError as error:
+            if isinstance(error, zmtp.HandshakeRefused):
+                self.connection.send(error.farewell)
             self._dismiss(str(error))
             return
         if data == b"" and done:
@@ -270,4 +286,46 @@ class _Dealer:
 
     def _failed(self, now: float) -> None:
         self._router.drop(self, None)
-        self._router.failed(self, now)
+        self._router.lose(self, "was dropped after an error of the hub", now)
+
+
+class _KeyedDealer(_Dealer):
+    """A connection at an address with keys: it speaks CURVE, and may join what key and address open."""
+
+    def __init__(self, router: Router, connection: Connection, bind: Bind, max_body: int, keys: Keys) -> None:
+        from glue.protocol.curve import CurveServer  # needs an extra
+
+        super().__init__(router, connection, bind, max_body)
+        self._bind = bind
+        self._keys = keys
+        self._curve = CurveServer(keys.secret, lambda client: client in self._keys.permits)
+        self._decoder = zmtp.Decoder(zmtp.ROUTER, max_body + MAX_HEADER, self._curve)
+        self.admits = self._admits
+
+    def deliver(self, message: Message) -> bool:
+        """As of every dealer; but no step has a quick form here."""
+        connection = self.connection
+        if connection.closed or self._dismissed or connection.unsent > MAX_UNSENT:
+            return False
+        connection.send(self._curve.encode(encode(message, FROM_HUB)))
+        if message.kind in _STEPS:
+            self._router.expect()
+        if connection.unsent:
+            self._weigh()
+        return True
+
+    def renew(self, keys: Keys) -> str | None:
+        """Take the hub's new keys; return why the connection has to end, if it has to."""
+        before, self._keys = self._keys, keys
+        client = self._curve.client
+        if keys.secret != before.secret:
+            return "the hub has a new key"
+        if not client or keys.permits.get(client) == before.permits[client]:
+            return None
+        name = before.permits[client].name
+        return f"the key of {name!r} was {'changed' if client in keys.permits else 'removed'}"
+
+    def _admits(self, role: Role, session: str) -> bool:
+        return self._bind.admits(role, session) and self._keys.permits[self._curve.client].admits(
+            role, session
+        )

@@ -76,7 +76,7 @@ class Hub:
                 addresses,
                 self.receive,
                 self.switchboard.receive,
-                self._failed,
+                self.switchboard.lose,
                 self.switchboard.num_seats,
                 self.switchboard.memory,
                 self.log,
@@ -168,6 +168,3 @@ class Hub:
                 raise
             return False
         return self.switchboard.receive(route, message, now)
-
-    def _failed(self, route: Route, now: float) -> None:
-        self.switchboard.lose(route, "was dropped after an error of the hub", now)

@@ -7,9 +7,9 @@ Bytes go in, messages come out, and bytes to answer at once:
     while (event := decoder.next_event()) is not None:
         ...
 
-Only the mechanism NULL is spoken. Commands that are not understood are ignored, as the standard requires.
-Sizes are checked before anything of that size is kept; frames beyond those that a caller wants to see are not
-kept.
+It speaks NULL, or the server's end of CURVE if it is given that as its mechanism (see `glue.protocol.curve`).
+Commands that are not understood are ignored, as the standard requires. Sizes are checked before anything of
+that size is kept; frames beyond those that a caller wants to see are not kept.
 
 Source: ZeroMQ RFC 23 (ZMTP 3.0) and RFC 37 (ZMTP 3.1).
 """
@@ -18,23 +18,43 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, Protocol
 
 from glue.errors import RemoteProtocolError
 
-__all__ = ["DEALER", "GREETING", "ROUTER", "Decoder", "encode"]
+__all__ = [
+    "CURVE_GREETING",
+    "DEALER",
+    "GREETING",
+    "ROUTER",
+    "Decoder",
+    "HandshakeRefused",
+    "Mechanism",
+    "encode",
+]
 
 DEALER: Final = b"DEALER"
 ROUTER: Final = b"ROUTER"
 
-GREETING: Final = b"\xff" + bytes(8) + b"\x7f" + b"\x03\x01" + b"NULL".ljust(20, b"\0") + bytes(32)
+
+def _greeting(mechanism: bytes, as_server: int) -> bytes:
+    return b"\xff" + bytes(8) + b"\x7f\x03\x01" + mechanism.ljust(20, b"\0") + bytes((as_server,)) + bytes(31)
+
+
+GREETING: Final = _greeting(b"NULL", 0)
 """What either side says first: a signature, version 3.1, the mechanism, and that this is no matter of server
 and client."""
+
+CURVE_GREETING: Final = _greeting(b"CURVE", 1)
+"""What the server says first where CURVE is spoken."""
 
 _MORE: Final = 1
 _LONG: Final = 2
 _COMMAND: Final = 4
 _KNOWN_FLAGS: Final = _MORE | _LONG | _COMMAND
+
+_ENCRYPTED_COMMAND: Final = 2
+"""The flag of a command inside an encrypted frame."""
 
 _MAX_COMMAND: Final = 4096
 """The largest command, in bytes: room for any READY."""
@@ -68,17 +88,61 @@ def encode(frames: Sequence[bytes]) -> bytes:
     return b"".join(parts)
 
 
-def _command(name: bytes, data: bytes) -> bytes:
-    body = bytes((len(name),)) + name + data
+def _command(body: bytes) -> bytes:
     return bytes((_COMMAND, len(body))) + body
 
 
+def _name(name: bytes) -> bytes:
+    return bytes((len(name),)) + name
+
+
 def _property(name: bytes, value: bytes) -> bytes:
-    return bytes((len(name),)) + name + struct.pack(">I", len(value)) + value
+    return _name(name) + struct.pack(">I", len(value)) + value
 
 
-_READY: Final = {own: _command(b"READY", _property(b"Socket-Type", own)) for own in (DEALER, ROUTER)}
+_METADATA: Final = {own: _property(b"Socket-Type", own) for own in (DEALER, ROUTER)}
+_READY: Final = {own: _command(_name(b"READY") + metadata) for own, metadata in _METADATA.items()}
 _PARTNER: Final = {DEALER: ROUTER, ROUTER: DEALER}
+
+
+class HandshakeRefused(RemoteProtocolError):
+    """The other side is not let in.
+
+    Args:
+        reason: why, for people on this side.
+        command: the body of the command that says so to the other side.
+
+    Attributes:
+        farewell: the bytes to be sent before the connection is ended.
+    """
+
+    def __init__(self, reason: str, command: bytes) -> None:
+        super().__init__(reason)
+        self.farewell = _command(command)
+
+
+class Mechanism(Protocol):
+    """How a server authenticates the other end of one connection, and reads what it encrypts."""
+
+    @property
+    def overhead(self) -> int:
+        """Bytes by which an encrypted frame is longer than the frame in it, at most."""
+        ...
+
+    def answer(self, command: bytes, metadata: bytes) -> tuple[bytes, bytes | None]:
+        """Return the body of the answer to a command of the handshake.
+
+        With it comes the other side's metadata once the handshake is complete, and None before that.
+        """
+        ...
+
+    def decrypt(self, frame: bytes) -> tuple[int, bytes]:
+        """Return the flags of a frame, 1 for more to come and 2 for a command, and its payload."""
+        ...
+
+    def encrypt(self, flags: int, payload: bytes) -> bytes:
+        """Return a frame, its head included."""
+        ...
 
 
 class Decoder:
@@ -87,14 +151,16 @@ class Decoder:
     Args:
         own: this end of the connection, ROUTER or DEALER; the other end has to be its partner.
         max_frame: the largest frame that is accepted, in bytes.
+        mechanism: the server's end of CURVE; None for NULL.
 
     Attributes:
         ready: the handshake is complete.
     """
 
-    def __init__(self, own: bytes, max_frame: int) -> None:
+    def __init__(self, own: bytes, max_frame: int, mechanism: Mechanism | None = None) -> None:
         self._own = own
         self._max_frame = max_frame
+        self._mechanism = mechanism
         self._buffer = b""
         self._at = 0  # what comes before it is done with
         self._later: list[bytes] = []  # what was received after it, until it is needed
@@ -106,8 +172,8 @@ class Decoder:
 
     @property
     def between_messages(self) -> bool:
-        """Whether the next byte begins a message: nothing is kept, and nothing of the handshake is left."""
-        return self.ready and not self._size and not self._frames
+        """Whether the next byte begins a message in plain text: nothing is kept or left of a handshake."""
+        return self.ready and not self._size and not self._frames and self._mechanism is None
 
     @property
     def buffered(self) -> int:
@@ -132,6 +198,7 @@ class Decoder:
         Of a message of more than two frames, three are returned.
 
         Raises:
+            HandshakeRefused: the mechanism does not let the other side in.
             RemoteProtocolError: this is not ZMTP 3, not what a DEALER says, or too large.
         """
         for _ in range(_AT_ONCE):
@@ -145,7 +212,7 @@ class Decoder:
                 self._check_greeting(self._take(0, len(GREETING)))
                 self._greeted = True
                 self._needed = 2
-                return _READY[self._own]
+                return _READY[self._own] if self._mechanism is None else b""
             flags, size = self._buffer[self._at], self._buffer[self._at + 1]
             head = 2
             if flags & _LONG:
@@ -161,6 +228,10 @@ class Decoder:
                 return None
             self._needed = 2
             frame = self._take(head, size)
+            if self._mechanism is not None:
+                if not self.ready:
+                    return self._shake_hands(self._mechanism, frame)
+                flags, frame = self._decrypt(self._mechanism, frame)
             if flags & _COMMAND:
                 answer = self._obey(frame)
                 if answer:
@@ -191,11 +262,14 @@ class Decoder:
             raise RemoteProtocolError("it does not speak ZeroMQ's protocol")
         if greeting[10] < 3:
             raise RemoteProtocolError("it speaks a ZMTP before 3: use a ZeroMQ library from 4.0 on")
+        wanted = b"NULL" if self._mechanism is None else b"CURVE"
         mechanism = greeting[12:32].rstrip(b"\0")
-        if mechanism != b"NULL":
+        if mechanism != wanted:
             raise RemoteProtocolError(
-                f"it wants the security mechanism {mechanism!r}; only NULL is spoken here"
+                f"it wants the security mechanism {mechanism!r}; only {wanted.decode()} is spoken here"
             )
+        if self._mechanism is not None and greeting[32]:
+            raise RemoteProtocolError("it wants to be the server of the CURVE handshake, as this side is")
 
     def _check_head(self, flags: int, size: int) -> None:
         if flags & ~_KNOWN_FLAGS or (flags & _COMMAND and flags & _MORE):
@@ -203,8 +277,28 @@ class Decoder:
         if not self.ready and not flags & _COMMAND:
             raise RemoteProtocolError("a message was received before READY")
         limit = _MAX_COMMAND if flags & _COMMAND else self._max_frame
+        if self._mechanism is not None and self.ready:
+            if flags & ~_LONG:
+                raise RemoteProtocolError(f"an encrypted frame cannot have the flags {flags}")
+            limit += self._mechanism.overhead
         if size > limit:
             raise RemoteProtocolError(f"a frame of {size} bytes was received; {limit} are allowed")
+
+    def _shake_hands(self, mechanism: Mechanism, command: bytes) -> bytes:
+        """Act on a command of a mechanism's handshake; return what is to be said to it."""
+        if command.startswith(b"\x05ERROR"):
+            self._obey(command)
+        answer, metadata = mechanism.answer(command, _METADATA[self._own])
+        if metadata is not None:
+            self._check_socket(metadata)
+            self.ready = True
+        return _command(answer)
+
+    def _decrypt(self, mechanism: Mechanism, frame: bytes) -> tuple[int, bytes]:
+        flags, payload = mechanism.decrypt(frame)
+        if flags not in (0, _MORE, _ENCRYPTED_COMMAND):
+            raise RemoteProtocolError(f"an encrypted frame cannot have the flags {flags} in it")
+        return _COMMAND if flags == _ENCRYPTED_COMMAND else flags, payload
 
     def _obey(self, command: bytes) -> bytes:
         """Act on a command; return what is to be said to it, if anything."""
@@ -212,8 +306,13 @@ class Decoder:
         name, data = command[1:end], command[end:]
         if name == b"PING":
             # Two bytes of time to live, which is the sender's own business, and a context to give back.
-            return _command(b"PONG", data[2:18])
-        if name == b"READY":
+            pong = _name(b"PONG") + data[2:18]
+            return (
+                _command(pong)
+                if self._mechanism is None
+                else self._mechanism.encrypt(_ENCRYPTED_COMMAND, pong)
+            )
+        if name == b"READY" and self._mechanism is None:
             self._check_socket(data)
             self.ready = True
         elif name == b"ERROR":

@@ -23,6 +23,7 @@ MODULES_IN_A_FOLDER = 16
 
 HOMES: Mapping[str, Sequence[str]] = {
     "zmq": ["glue/client/libzmq.py"],
+    "nacl": ["glue/protocol/curve.py"],
     "msgpack": ["glue/protocol/*", "experiment_runner/executors/job.py"],
     "numba": ["glue/compiled/jit.py"],
     "click": ["*command.py", "*/commands/*", "glue/commands.py", "glue/players/naming.py"],
@@ -151,7 +152,9 @@ import importlib, importlib.metadata, sys
 class Missing:
     "Hides what a plain install does not bring along."
     def find_spec(self, name, path=None, target=None):
-        if name.partition('.')[0] in {'matplotlib', 'PIL', 'scipy', 'pyarrow', 'gymnasium', 'ray', 'pandas'}:
+        if name.partition('.')[0] in {
+            'matplotlib', 'PIL', 'scipy', 'pyarrow', 'gymnasium', 'nacl', 'ray', 'pandas'
+        }:
             raise ModuleNotFoundError(name)
 
 sys.meta_path.insert(0, Missing())

@@ -1,0 +1,55 @@
+"""Who may join a hub over a network: the hub's own secret key, and what the owners of other keys may be."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
+
+from glue.errors import ConfigError
+from glue.protocol.messages import Role
+
+__all__ = ["KEY_SIZE", "Keys", "Permit"]
+
+KEY_SIZE: Final = 32
+"""Bytes of a CURVE key, public or secret."""
+
+
+@dataclass(frozen=True, slots=True)
+class Permit:
+    """What the owner of a key may be.
+
+    Args:
+        name: what the owner of the hub calls the owner of the key.
+        roles: the roles that it may take.
+        sessions: the sessions in which it may take them; None for all.
+    """
+
+    name: str
+    roles: frozenset[Role]
+    sessions: frozenset[str] | None = None
+
+    def admits(self, role: Role, session: str) -> bool:
+        """Return whether the owner of the key may join `session` as `role`."""
+        return role in self.roles and (self.sessions is None or session in self.sessions)
+
+
+@dataclass(frozen=True, slots=True)
+class Keys:
+    """The keys of one hub.
+
+    Args:
+        secret: the hub's own secret key.
+        permits: what may be joined with which public key; with any other key nothing.
+
+    Raises:
+        ConfigError: a key has not 32 bytes.
+    """
+
+    secret: bytes = field(repr=False)
+    permits: Mapping[bytes, Permit]
+
+    def __post_init__(self) -> None:
+        for key in (self.secret, *self.permits):
+            if len(key) != KEY_SIZE:
+                raise ConfigError(f"a key has {KEY_SIZE} bytes, not {len(key)}")
