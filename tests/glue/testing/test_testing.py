@@ -376,6 +376,12 @@ class LoadsAnything(Corridor):
             super().env_load(data)
 
 
+class LoadsEmptyBytes(Corridor):
+    def env_load(self, data: bytes) -> None:
+        if data:
+            super().env_load(data)
+
+
 class LoadsWithATraceback(Corridor):
     def env_load(self, data: bytes) -> None:
         self.generator = load_generator(struct.pack("40s", data[:0]) if not data[39] else data)
@@ -408,6 +414,7 @@ BROKEN_ENVIRONMENTS: list[tuple[type[Corridor], Rule]] = [
     (SavesText, Rule.SAVE),
     (SavesNothing, Rule.SAVE),
     (LoadsAnything, Rule.DAMAGE),
+    (LoadsEmptyBytes, Rule.DAMAGE),
     (LoadsWithATraceback, Rule.DAMAGE),
 ]
 
