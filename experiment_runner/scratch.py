@@ -12,6 +12,7 @@ from typing import Final
 
 from experiment_runner.lock import LOCK_FILE, RunLock, lock_holder
 from glue.errors import ExperimentError
+from glue.hub.listener import is_left_over
 
 __all__ = ["SOCKET", "scratch_folder"]
 
@@ -54,10 +55,13 @@ def _remove_abandoned(parent: Path) -> None:
         # Only what is certainly ours: other programs make folders in /tmp, too.
         with suppress(OSError, ExperimentError):
             names = {path.name for path in folder.iterdir()}
-            ours = (
-                folder.lstat().st_uid == os.getuid() and LOCK_FILE in names and names <= {LOCK_FILE, SOCKET}
-            )
-            if ours and lock_holder(folder) is None:
+            if folder.lstat().st_uid != os.getuid() or not names <= {LOCK_FILE, SOCKET}:
+                continue
+            if LOCK_FILE in names:
+                abandoned = lock_holder(folder) is None
+            else:  # of version 0.1.0, which had no lock
+                abandoned = is_left_over(str(folder / SOCKET))
+            if abandoned:
                 lock = RunLock(folder)
                 shutil.rmtree(folder, ignore_errors=True)
                 lock.release()

@@ -27,7 +27,7 @@ from glue.errors import ConfigError
 from glue.hub.loop import READ, Loop
 from glue.sockets.options import unix_address
 
-__all__ = ["Accept", "Listener", "OpenAddress", "open_address"]
+__all__ = ["Accept", "Listener", "OpenAddress", "is_left_over", "open_address"]
 
 Accept = Callable[[socket.socket, str, float], None]
 """Takes a connection, the peer's address for people, and the time."""
@@ -66,7 +66,7 @@ class OpenAddress:
         path = self.socket.getsockname() if self.socket.family == socket.AF_UNIX else b""
         self.socket.close()
         # If it was removed meanwhile, another hub may listen there by now.
-        if isinstance(path, str) and _is_left_over(path):
+        if isinstance(path, str) and is_left_over(path):
             with suppress(OSError):
                 os.unlink(path)
 
@@ -185,7 +185,7 @@ def _listen_on_path(path: str) -> socket.socket:
     address = unix_address(path)
     listening = socket.socket(socket.AF_UNIX)
     try:
-        if address == path and _is_left_over(path):
+        if address == path and is_left_over(path):
             os.unlink(path)
         listening.bind(address)
         listening.listen(_BACKLOG)
@@ -195,7 +195,8 @@ def _listen_on_path(path: str) -> socket.socket:
     return listening
 
 
-def _is_left_over(path: str) -> bool:
+def is_left_over(path: str) -> bool:
+    """Return whether `path` is a Unix socket on which no process listens any more."""
     try:
         if not stat.S_ISSOCK(os.stat(path).st_mode):
             return False

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
@@ -51,3 +52,18 @@ def test_folder_of_a_killed_run_is_removed_and_that_of_a_living_one_stays(tmp_pa
     assert (others / "thesis.tex").exists()
     living.communicate()
     assert sorted(tmp_path.iterdir()) == [others]
+
+
+def test_folder_of_version_0_1_0_is_removed_when_nobody_listens_in_it(tmp_path: Path) -> None:
+    """That version took no lock."""
+    dead, living, empty = (tmp_path / f"glue-{name}" for name in ("dead", "living", "empty"))
+    for folder in (dead, living, empty):
+        folder.mkdir()
+    with socket.socket(socket.AF_UNIX) as once, socket.socket(socket.AF_UNIX) as listening:
+        once.bind(str(dead / "hub"))
+        once.listen()
+        once.close()
+        listening.bind(str(living / "hub"))
+        listening.listen()
+        with scratch_folder():
+            assert [folder.exists() for folder in (dead, living, empty)] == [False, True, True]
