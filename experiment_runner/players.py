@@ -18,7 +18,7 @@ from typing import Final
 from experiment_runner import player_command
 from experiment_runner.children import KeptAlive, Say
 from experiment_runner.plan import Plan, TrialSpec
-from experiment_runner.rewards import FiniteRewards
+from experiment_runner.rewards import FiniteRewards, WatchedRewards
 from experiment_runner.scratch import SOCKET, scratch_folder
 from glue.client.experiment import connect
 from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, Bind, HubConfig, LegacyPort
@@ -149,9 +149,11 @@ def _over_hub(
     expected = frozenset(players.keys() - named.keys())
     public = options.hub or ""
     ports: tuple[LegacyPort, ...] = ()
+    present: dict[Role, str] = {}
 
     def notice(event: str, role: str, name: str) -> None:
         line = f"{role} {name} {event}"
+        present[Role(role)] = name
         if event != Event.JOINED:
             say(line)
         elif Role(role) in expected:
@@ -193,7 +195,10 @@ def _over_hub(
             children.start(f"{role} {player.label}", player_command.MODULE, arguments, glue.give_up)
         try:
             glue.wait_for_players(tell_missing)
-            yield glue
+            if Role.ENVIRONMENT in expected and not meeting.any_reward:
+                yield WatchedRewards(glue, lambda: present[Role.ENVIRONMENT])
+            else:
+                yield glue
         except KeyboardInterrupt:
             children.hurry()
             raise

@@ -27,6 +27,7 @@ from experiment_runner.executors.trial import BEGINNING, Start
 from experiment_runner.interrupts import Interrupts
 from experiment_runner.plan import TrialSpec
 from experiment_runner.report.progress import Reporter
+from experiment_runner.store.joined import joined_player, trial_name
 from experiment_runner.store.store import Store
 from glue.trajectory import TrajectoryWriter
 
@@ -88,6 +89,8 @@ class Dispatcher:
         self._specs = {record.spec.id: record.spec for record in store.trials()}
         self._losses: dict[str, tuple[int, int]] = {}
         """For each lost trial: its progress, and how often it was lost without further progress."""
+        self._joined: dict[tuple[str, str], str] = {}
+        """Names of players from outside, by trial and role."""
 
     def run_here(self, trials: Iterable[Remaining], recording: TrajectoryWriter | None = None) -> None:
         """Run trials in this process, one after the other.
@@ -150,6 +153,8 @@ class Dispatcher:
                 self._say(trial_id, f"episode {episode} is void: {why}")
             case Happened(kind, text):
                 store.record_event(kind, text, trial_id)
+                if kind == "joined":
+                    self._note_player(spec, text)
                 self._say(trial_id, text)
             case Said(line):
                 self._say(trial_id, line)
@@ -186,6 +191,14 @@ class Dispatcher:
             self.take(trial_id, Ended(None))
         return left
 
+    def _note_player(self, spec: TrialSpec, text: str) -> None:
+        player = joined_player(text)
+        if player is not None:
+            role, name = player
+            self._joined[spec.id, role] = name
+            self._reporter.rename(spec, trial_name(spec, self._joined))
+
     def _say(self, trial_id: str, text: str) -> None:
+        name = trial_name(self._specs[trial_id], self._joined)
         for line in text.splitlines():
-            self._reporter.say(line if len(self._specs) == 1 else f"{trial_id}: {line}")
+            self._reporter.say(line if len(self._specs) == 1 else f"{name}: {line}")

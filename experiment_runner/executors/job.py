@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import threading
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from typing import Any, Final, NamedTuple
 
@@ -39,6 +39,7 @@ __all__ = [
     "encode_job",
     "encode_report",
     "run_job",
+    "unpack",
     "unpacker",
 ]
 
@@ -187,6 +188,13 @@ _REPORTS: Final = {kind.__name__: kind for kind in (Recorded, Voided, Happened, 
 def unpacker() -> Any:
     """Return msgpack's unpacker for a stream of jobs or reports."""
     return msgpack.Unpacker(max_buffer_size=_MAX_MESSAGE)
+
+
+def unpack(data: bytes) -> Iterator[Any]:
+    """Yield the values of jobs or reports that are complete in `data`."""
+    stream = unpacker()
+    stream.feed(data)
+    yield from stream
 
 
 def encode_job(job: Job) -> bytes:

@@ -3,6 +3,9 @@
 Ray's own retries are disabled: they would repeat a trial from its start, and report episodes a second time
 that are already stored. Instead a lost trial continues from its checkpoint, see
 `experiment_runner.executors.dispatch`.
+
+Jobs and reports cross the cluster as bytes, in our own encoding. Ray itself uses pickle for what else it
+sends, such as its exceptions, so the members of a cluster must trust each other.
 """
 
 from __future__ import annotations
@@ -17,7 +20,18 @@ from queue import SimpleQueue
 from threading import Thread
 from typing import Any, Final, Self
 
-from experiment_runner.executors.job import Ended, Job, Lost, Report, run_job
+from experiment_runner.executors.job import (
+    Ended,
+    Job,
+    Lost,
+    Report,
+    decode_job,
+    decode_report,
+    encode_job,
+    encode_report,
+    run_job,
+    unpack,
+)
 from glue.errors import ConfigError, ExperimentError
 
 __all__ = ["RayExecutor", "parse_address"]
@@ -48,7 +62,7 @@ class RayExecutor:
     def start(self, job: Job) -> None:
         """Run a trial as a task that uses one processor."""
         task = self._ray.remote(num_cpus=1, max_retries=0)(_run)
-        self._running[task.remote(job)] = job.spec.id
+        self._running[task.remote(encode_job(job))] = job.spec.id
 
     def receive(self, seconds: float) -> list[tuple[str, Report]]:
         """Return reports with the ids of their trials; wait at most `seconds`."""
@@ -67,12 +81,12 @@ class RayExecutor:
 
     def _read(self, stream: Any) -> list[Report]:
         try:
-            reports: list[Report] = self._ray.get(next(stream))
+            data: bytes = self._ray.get(next(stream))
         except (self._ray.exceptions.RayError, StopIteration) as error:
             self._cancel(stream)  # in case it is still running
             why = str(error).strip().partition("\n")[0]
             return [Lost(f"its Ray worker was lost: {type(error).__name__}: {why}")]
-        return reports
+        return list(map(decode_report, unpack(data)))
 
     def _cancel(self, stream: Any) -> None:
         with contextlib.suppress(self._ray.exceptions.RayError):
@@ -95,11 +109,12 @@ class RayExecutor:
         self._ray.shutdown()
 
 
-def _run(job: Job) -> Iterator[list[Report]]:
-    """Run a trial in a Ray worker, yielding its reports in batches.
+def _run(data: bytes) -> Iterator[bytes]:
+    """Run the trial of an encoded job in a Ray worker, yielding its encoded reports in batches.
 
     The trial runs in a thread, so that Ray creates at most ten objects per second, not one per episode.
     """
+    [job] = map(decode_job, unpack(data))
     reports: SimpleQueue[Report] = SimpleQueue()
     Thread(target=run_job, args=(job, reports.put), daemon=True).start()
     ended = False
@@ -109,7 +124,7 @@ def _run(job: Job) -> Iterator[list[Report]]:
         while not reports.empty():
             batch.append(reports.get())
         ended = isinstance(batch[-1], Ended)
-        yield batch
+        yield b"".join(map(encode_report, batch))
 
 
 def parse_address(address: str) -> tuple[str, int]:

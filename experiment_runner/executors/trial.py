@@ -81,7 +81,7 @@ def run_trial(
         interrupts: lets the running episode end, followed by a checkpoint, before Ctrl-C takes effect; None
             to not defer it.
         any_reward: whether rewards may be infinite or NaN. If not, an episode whose return is infinite or NaN
-            ends the trial: that covers environments from outside, whose single rewards are not checked here.
+            ends the trial; single rewards are checked by `glue`, see `experiment_runner.rewards`.
 
     Raises:
         GlueError: the trial cannot continue. What the sink received remains valid.

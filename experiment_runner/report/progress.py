@@ -49,6 +49,10 @@ class Reporter(Protocol):
         """A trial starts, or continues after `done` episodes."""
         ...
 
+    def rename(self, spec: TrialSpec, name: str) -> None:
+        """A player from outside joined a trial, which is shown by this name from now on."""
+        ...
+
     def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
         """An episode is finished."""
         ...
@@ -93,6 +97,9 @@ class Progress:
     def begin(self, spec: TrialSpec, done: int) -> None:
         self._rows[spec.id] = _Row(spec, done)
         self._total.done[spec.id] = done
+
+    def rename(self, spec: TrialSpec, name: str) -> None:
+        self._rows[spec.id].name = name
 
     def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
         now = self._clock()
@@ -150,9 +157,15 @@ class Progress:
 
 
 class _Row:
-    """A running trial."""
+    """A running trial.
+
+    Attributes:
+        name: the first column.
+        recent: the returns of the newest episodes.
+    """
 
     def __init__(self, spec: TrialSpec, done: int) -> None:
+        self.name = spec.id
         self._spec = spec
         self._before = self._done = done
         self._steps = 0
@@ -171,7 +184,7 @@ class _Row:
         elapsed = _at_least_an_instant(now - self._began)
         left = elapsed / (self._done - self._before) * (self._spec.episodes - self._done)
         return (
-            self._spec.id,
+            self.name,
             f"{self._done}/{self._spec.episodes}",
             f"{self._steps / elapsed:,.0f}",
             f"{self.recent[-1]:.2f}",
@@ -237,6 +250,9 @@ class JsonLines:
 
     def begin(self, spec: TrialSpec, done: int) -> None:
         self._inner.begin(spec, done)
+
+    def rename(self, spec: TrialSpec, name: str) -> None:
+        self._inner.rename(spec, name)
 
     def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
         self.write(

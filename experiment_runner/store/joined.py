@@ -12,10 +12,16 @@ from typing import Final
 from experiment_runner.plan import REMOTE, TrialSpec
 from experiment_runner.store.results import Results
 
-__all__ = ["joined_players", "trial_name", "trial_names"]
+__all__ = ["joined_player", "joined_players", "trial_name", "trial_names"]
 
 _JOINED: Final = re.compile(r"(?P<role>agent|environment) (?P<name>.*?)( \([^()]*\))? joined")
 """An event of `experiment_runner.players`; the player's programming language is ignored."""
+
+
+def joined_player(event: str) -> tuple[str, str] | None:
+    """Return role and name of the player in the text of a `joined` event; None if it has none."""
+    found = _JOINED.fullmatch(event)
+    return found and (found["role"], found["name"])
 
 
 def joined_players(run: Results) -> dict[tuple[str, str], str]:
@@ -26,9 +32,9 @@ def joined_players(run: Results) -> dict[tuple[str, str], str]:
     """
     players = {}
     for event in run.events():
-        found = _JOINED.fullmatch(event.text) if event.kind == "joined" and event.trial_id else None
-        if found is not None and event.trial_id is not None:
-            players[event.trial_id, found["role"]] = found["name"]
+        if event.kind == "joined" and event.trial_id and (player := joined_player(event.text)):
+            role, name = player
+            players[event.trial_id, role] = name
     return players
 
 

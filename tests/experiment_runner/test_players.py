@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from agents.baselines import SkeletonAgent
-from env_server.toys import MinesEnvironment
+from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.players import HubOptions, Meeting, open_experiment
 from glue.client.players import serve_agent, serve_environment
 from glue.core.config import LegacyPort
-from glue.errors import PeerFailed, PeerLost, Refused
+from glue.errors import GlueError, PeerFailed, PeerLost, Refused
 from glue.types import Action, Observation
 
 
@@ -110,6 +110,50 @@ def test_reward_that_is_not_finite_ends_the_trial_with_environment_and_step(
                 with pytest.raises(PeerFailed, match=f"Odd.* step 3 is {reward}") as raised:
                     glue.rl_episode(10)
                 assert "--any-reward" in str(raised.value)
+
+
+def test_reward_of_an_environment_from_outside_that_is_not_finite_is_named_with_its_step() -> None:
+    class Odd(SkeletonEnvironment):
+        """Its third reward, in the second episode, is not finite."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.starts = self.steps = 0
+
+        def env_start(self) -> Observation:
+            self.starts += 1
+            self.steps = 0
+            return super().env_start()
+
+        def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+            self.steps += 1
+            reward, observation, terminal = super().env_step(action)
+            odd = (self.starts, self.steps) == (2, 3)
+            return math.nan if odd else reward, observation, terminal
+
+    def say(line: str) -> None:
+        if found := re.search(r"waiting for an environment; .* --hub (\S+)$", line):
+            serve = threading.Thread(
+                target=serve_environment, args=(Odd(), found[1]), kwargs={"log": lambda line: None}
+            )
+            serve.start()
+            serving.append(serve)
+
+    spec = TrialSpec("skeleton/remote/0", RoleSpec("skeleton"), None, episodes=2, max_steps=0, seed=1)
+    for any_reward in (False, True):
+        serving: list[threading.Thread] = []
+        meeting = Meeting(hub=HubOptions(bind=("tcp://127.0.0.1:*",)), any_reward=any_reward)
+        with open_experiment(spec, meeting, say, lambda: 0) as glue:
+            glue.rl_init(1)
+            assert not glue.rl_episode(3)  # 1 + 2 steps
+            assert (glue.rl_num_steps(), glue.rl_num_episodes()) == (3, 0)
+            if any_reward:
+                glue.rl_episode(9)
+                assert math.isnan(glue.rl_return())
+            else:
+                with pytest.raises(GlueError, match=r"^environment Odd.*: the reward of step 3 is nan"):
+                    glue.rl_episode(9)
+        serving[0].join()
 
 
 class Stopped(Exception):

@@ -17,6 +17,7 @@ from experiment_runner.executors.job import (
     decode_report,
     encode_job,
     encode_report,
+    unpack,
     unpacker,
 )
 from experiment_runner.executors.trial import Start
@@ -50,9 +51,7 @@ def test_job_arrives_as_it_was_sent() -> None:
     agent = RoleSpec("sarsa", {"step_size": 0.1, "episodes": 2**70, "greedy": True, "file": "ä"}, "mine")
     spec = TrialSpec("mine/mines/0", agent, RoleSpec("mines"), 12, 30, 2**63 - 1)
     job = Job(spec, Meeting(True, any_reward=True), Start(5, Checkpoint(b"a", b"e")), 4)
-    stream = unpacker()
-    stream.feed(encode_job(job))
-    assert [decode_job(value) for value in stream] == [job]
+    assert list(map(decode_job, unpack(encode_job(job)))) == [job]
 
 
 @pytest.mark.parametrize("value", [None, 7, [], ["Recorded"], ["Recorded", 1, 2], ["__class__", 1], [[], 1]])

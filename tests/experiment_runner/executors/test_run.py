@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
 import pytest
 
 from experiment_runner.executors.dispatch import Dispatcher
-from experiment_runner.executors.job import Job, Lost, Recorded, Report, run_job
+from experiment_runner.executors.job import Happened, Job, Lost, Recorded, Report, Said, run_job
 from experiment_runner.executors.resume import create_run, open_run, remaining
 from experiment_runner.executors.run import RunConfig, run_trials
 from experiment_runner.executors.settings import Place
@@ -36,10 +37,15 @@ class Silent:
 
     def __init__(self, interrupt_after: int = 0) -> None:
         self._left = interrupt_after
+        self.names: dict[str, str] = {}
+        self.said: list[str] = []
 
     def start(self, trials: Sequence[TrialRecord]) -> None: ...
 
     def begin(self, spec: TrialSpec, done: int) -> None: ...
+
+    def rename(self, spec: TrialSpec, name: str) -> None:
+        self.names[spec.id] = name
 
     def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
         self._left -= 1
@@ -48,7 +54,8 @@ class Silent:
 
     def end(self, spec: TrialSpec) -> None: ...
 
-    def say(self, line: str) -> None: ...
+    def say(self, line: str) -> None:
+        self.said.append(line)
 
     def close(self) -> None: ...
 
@@ -116,6 +123,19 @@ def test_lost_trials_end_as_undisturbed_ones(undisturbed: Path, tmp_path: Path, 
     assert contents(tmp_path / "run") == contents(undisturbed)
     assert sorted(lost, key=str) == [FIRST] * 4 + [SECOND, THIRD]
     assert pool.most_at_a_time == min(size, 3)
+
+
+def test_players_from_outside_are_shown_by_their_names(tmp_path: Path) -> None:
+    plan = replace(PLAN, agents=())
+    first, second, *_ = (spec.id for spec in plan.expand())
+    shown = Silent()
+    with create_run(tmp_path / "run", plan) as store:
+        run = dispatcher(store, shown)
+        run.take(first, Happened("joined", "agent Jumper (Python 3.11.7) joined"))
+        run.take(first, Said("hello"))
+        run.take(second, Said("hello"))
+    assert shown.names == {first: first.replace("remote", "Jumper")}
+    assert shown.said[1:] == [f"{shown.names[first]}: hello", f"{second}: hello"]
 
 
 def test_trial_that_gets_no_further_is_given_up(undisturbed: Path, tmp_path: Path) -> None:

@@ -259,7 +259,7 @@ def test_two_episodes_of_players_that_cannot_save_end_in_silence() -> None:
 
 @pytest.mark.parametrize("reward", [math.nan, math.inf, -math.inf])
 def test_return_that_is_not_finite_ends_the_trial(reward: float) -> None:
-    """As that of an environment which joins from outside, whose rewards nobody has checked."""
+    """Even where nobody has checked the single rewards."""
 
     class Odd(MinesEnvironment):
         def env_step(self, action: Action) -> tuple[float, Observation, bool]:

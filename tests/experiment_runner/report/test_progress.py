@@ -91,6 +91,18 @@ def test_table_of_one_trial_shows_rate_mean_and_time_left(terminal: Terminal, cl
     ]
 
 
+def test_trial_has_the_name_of_its_player_from_outside_once_that_has_joined(
+    terminal: Terminal, clock: Clock
+) -> None:
+    progress = Progress(terminal, clock)
+    progress.start(records(FIRST))
+    progress.begin(FIRST, 0)
+    progress.rename(FIRST, "Jumper/mines/0")
+    clock.now += 0.5
+    progress.episode(FIRST, result(1))
+    assert terminal.screen()[1].startswith("Jumper/mines/0  ")
+
+
 def test_table_of_many_trials_is_redrawn_in_place(terminal: Terminal, clock: Clock) -> None:
     progress = Progress(terminal, clock)
     progress.start(records(FIRST, SECOND, THIRD))
