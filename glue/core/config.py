@@ -98,13 +98,13 @@ class Bind:
 class TimeLimits:
     """How much time an agent has in a session.
 
-    An answer that takes longer than `step_seconds` drains the rest from a bank of `bank_seconds`; the agent
-    whose bank is empty is dismissed.
+    An answer that takes longer than `step_seconds` drains the rest from a bank of `bank_seconds`. An agent
+    whose time is over is dismissed. See `glue.core.time_bank`.
 
     Args:
         step_seconds: per answer, without loss.
         bank_seconds: in all, for what answers take beyond that.
-        start_seconds: until the agent has joined and has answered `agent_init`.
+        start_seconds: to initialise, that is for `agent_seed` and `agent_init`.
         total_seconds: for all answers together.
 
     Raises:

@@ -15,6 +15,7 @@ from typing import Final, Protocol
 from glue.core.calls import skippable, unsupported
 from glue.core.engine import Engine, Instruction
 from glue.core.memory import Memory
+from glue.core.time_bank import TimeBank
 from glue.errors import PeerLost, RemoteProtocolError
 from glue.protocol.messages import CALLS, ErrorCode, Event, Kind, Message, Role
 from glue.protocol.wire import clip
@@ -98,9 +99,19 @@ class Board(Protocol):
         """End a session: say goodbye to all its peers."""
         ...
 
+    def dismiss(self, player: Peer, why: str) -> None:
+        """Say goodbye to a player that failed, and go on without it; `why` completes a sentence about it."""
+        ...
+
 
 class Session:
-    """One experiment's engine and its players."""
+    """One experiment's engine and its players.
+
+    Args:
+        board: the hub.
+        name: of the session.
+        time: limits the time of the agent; None for no limit.
+    """
 
     __slots__ = (
         "_board",
@@ -112,16 +123,18 @@ class Session:
         "_request_seq",
         "_seq",
         "_slow_after",
+        "_time",
         "_watched",
         "_watched_since",
         "name",
         "peers",
     )
 
-    def __init__(self, board: Board, name: str) -> None:
+    def __init__(self, board: Board, name: str, time: TimeBank | None = None) -> None:
         self.name = name
         self.peers: dict[Role, Peer] = {}
         self._board = board
+        self._time = time
         self._engine = Engine(Action().body)
         self._confirmed: dict[Role, bytes] = {}
         self._seq = 0
@@ -224,6 +237,13 @@ class Session:
         if stranded:
             self._fail(code, reason)
 
+    def enforce_time(self) -> None:
+        """Dismiss an agent that has not answered, and whose time is over."""
+        agent = self.peers.get(Role.AGENT)
+        why = None if self._time is None else self._time.overdue()
+        if agent is not None and why is not None:
+            self._board.dismiss(agent, why)
+
     def report_if_slow(self, now: float) -> None:
         """Report, at growing intervals, a player that has not answered its call."""
         asked = self._outstanding
@@ -284,6 +304,9 @@ class Session:
             return False
         if not peer.confirmed:
             self._confirm(peer)
+        if self._time is not None and peer.role is Role.AGENT and (why := self._time.answered()) is not None:
+            self._board.dismiss(peer, why)
+            return True
         if message.kind is Kind.ERROR:
             text = clip(str(message.scalars[1]))
             what = outstanding.kind.name.lower()
@@ -324,6 +347,8 @@ class Session:
         if self._heavy or len(outstanding.body) > _LIGHT:
             self._weigh()
         if player is not None:
+            if self._time is not None and role is Role.AGENT:
+                self._time.called(kind)
             self._board.deliver(player, outstanding)
 
     def _without_capability(self, kind: Kind, role: Role, player: Peer) -> None:

@@ -18,6 +18,7 @@ from typing import Final
 from glue.core.config import HubConfig
 from glue.core.memory import Memory
 from glue.core.session import Peer, Route, Session
+from glue.core.time_bank import TimeBank
 from glue.errors import RemoteProtocolError
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 from glue.protocol.wire import UnknownKind, clip
@@ -40,16 +41,21 @@ class Switchboard:
     Args:
         config: limits and times.
         log: called with one line for people about each peer that joins, leaves or is slow to answer.
+        clock: returns seconds, to measure the time of agents if `config` limits it; by default the time of
+            the last message or tick.
 
     Attributes:
         memory: bounds the memory of sessions, and of everything else that the hub keeps.
     """
 
-    def __init__(self, config: HubConfig, log: Callable[[str], None]) -> None:
+    def __init__(
+        self, config: HubConfig, log: Callable[[str], None], clock: Callable[[], float] | None = None
+    ) -> None:
         self.memory = Memory(config.max_memory)
         self._config = config
         self.log = log
         self._now = 0.0
+        self._clock = clock or (lambda: self._now)
         self._sessions: dict[str, Session] = {}
         self._seats: dict[Route, dict[str, Peer]] = {}
         """The peers of each connection, by session."""
@@ -119,8 +125,9 @@ class Switchboard:
                 since = peer.unreachable_since
                 if since is not None and now - since >= self._config.timeout:
                     self._lose(peer, f"was unreachable for {now - since:.1f} s")
-        for session in self._sessions.values():
+        for session in list(self._sessions.values()):
             session.report_if_slow(now)
+            session.enforce_time()
         self.memory.relieve()
 
     def close(self, reason: str) -> None:
@@ -176,7 +183,8 @@ class Switchboard:
             if len(self._sessions) >= self._config.max_sessions:
                 text = f"this hub serves {self._config.max_sessions} sessions at once, and all are in use"
                 return ErrorCode.FULL, text
-            session = self._sessions[message.session] = Session(self, message.session)
+            bank = None if self._config.time is None else TimeBank(self._config.time, self._clock)
+            session = self._sessions[message.session] = Session(self, message.session, bank)
         other = seats.get(message.session)
         if other is not None and other.role is not role:
             return ErrorCode.MALFORMED, f"this connection is already the {other.role} of the session"
@@ -217,6 +225,11 @@ class Switchboard:
             if peer is not None:
                 self._lose(peer, f"was dismissed: {why}")
                 self.send(peer.route, goodbye)
+
+    def dismiss(self, player: Peer, why: str) -> None:
+        """Say goodbye to a player that failed, and go on without it; `why` completes a sentence about it."""
+        self.send(player.route, Message(Kind.GOODBYE, player.session.name, 0, (clip(f"it {why}"),)))
+        self._lose(player, why, ErrorCode.PEER_FAILED)
 
     def _dismiss(self, session: Session) -> None:
         """The run is over: say goodbye to the players that take part in a single run."""

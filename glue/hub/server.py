@@ -10,6 +10,7 @@ peer. Other sources of messages, such as the gateway for RL-Glue's original prog
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from types import TracebackType
@@ -40,6 +41,7 @@ class Hub:
         log: takes a line for people about each peer that joins or leaves, in a thread of its own: nothing in
             the hub waits for it. Or a `Log` to choose more; the hub closes it.
         opened: addresses of `config.bind`, by URL, that are open already; they stay open when the hub closes.
+        clock: returns seconds, to measure the time of agents if `config` limits it.
 
     Attributes:
         config: as given.
@@ -57,6 +59,7 @@ class Hub:
         config: HubConfig,
         log: Callable[[str], None] | Log = lambda line: None,
         opened: Mapping[str, OpenAddress] = _NONE,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.config = config
         self.log = log if isinstance(log, Log) else Log(log)
@@ -69,7 +72,7 @@ class Hub:
             self.endpoints = [address.endpoint for _, address in addresses]
             self.loop = Loop(config.heartbeat, self.log.error)
             closing.callback(self.loop.close)
-            self.switchboard = Switchboard(config, self.log)
+            self.switchboard = Switchboard(config, self.log, clock)
             self._router = Router(
                 self.loop,
                 config,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -55,8 +56,8 @@ class Rig:
     Everything goes through the frames of the wire, both ways, so nothing impossible can be said.
     """
 
-    def __init__(self, config: HubConfig = CONFIG) -> None:
-        self.board = Switchboard(config, self._log)
+    def __init__(self, config: HubConfig = CONFIG, clock: Callable[[], float] | None = None) -> None:
+        self.board = Switchboard(config, self._log, clock)
         self.routes: dict[str, Named] = {}
         self.binds: dict[str, Bind] = {}
         self.inbox: dict[str, list[Message]] = {}
