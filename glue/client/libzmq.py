@@ -13,8 +13,6 @@ import zmq
 from zmq.utils.monitor import recv_monitor_message
 
 from glue.errors import ConfigError
-from glue.protocol.messages import Value
-from glue.protocol.steps import StepFormat
 
 __all__ = ["Context", "DealerTransport"]
 
@@ -120,13 +118,6 @@ class DealerTransport:
                 self.connections += self.connected
         except zmq.Again:
             return
-
-    def receive_step(self, step: StepFormat, seq: int) -> None:
-        """Return None: messages of libzmq come frame by frame, and `receive` has them all."""
-
-    def send_step(self, step: StepFormat, seq: int, scalars: tuple[Value, ...], body: bytes) -> bool:
-        """Queue a message of a step; as `send`."""
-        return self.send((step.header(seq, scalars), body))
 
     def close(self, linger: float | None = None) -> None:
         """Close, giving the last messages at most `linger` seconds (by default one) to leave."""

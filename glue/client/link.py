@@ -9,15 +9,16 @@ from __future__ import annotations
 import os
 import platform
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Final
 
+from glue.client.sockets import SocketTransport
 from glue.client.transport import Transport, open_transport
 from glue.core.config import check_session
 from glue.core.sessions import INSTANCE_SIZE
 from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolError, Refused
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role, Value
-from glue.protocol.steps import StepFormat
+from glue.protocol.steps import Step, StepFormat
 from glue.protocol.wire import FROM_HUB, MAX_BODY, TO_HUB, UnknownKind, clip, decode, encode
 
 if TYPE_CHECKING:
@@ -121,21 +122,21 @@ class Link:
             return message
         return self._control(message)
 
-    def receive_step(self, step: StepFormat, seq: int) -> tuple[tuple[Value, ...], bytes] | None:
-        """Return scalars and body of the message `seq` of `step`, if that is exactly what comes next.
+    def receive_steps(self, step: StepFormat, after: int) -> Iterator[Step]:
+        """Yield messages of `step`, numbered above `after`, until anything else arrives, or nothing in time.
 
-        None: anything else is left for `receive`, which returns None if nothing arrived.
+        That is left for `receive`. Only a plain socket knows how; over any other, `receive` has them all.
         """
-        found = self._transport.receive_step(step, seq)
-        if found is not None:
+        if isinstance(self._transport, SocketTransport):
+            yield from self._transport.receive_steps(step, after, self._max_body)
             self._received = time.monotonic()
-        return found
 
     def send_step(self, step: StepFormat, seq: int, scalars: tuple[Value, ...], body: bytes) -> None:
-        """Send a message of a step; as `send`."""
+        """Send the answer to what `receive_steps` yielded; as `send`."""
         if len(body) > self._max_body:
             raise self._too_large(step.kind, body)
-        self._transport.send_step(step, seq, scalars, body)
+        assert isinstance(self._transport, SocketTransport)
+        self._transport.send_data(step.encode(seq, scalars, body))
 
     def close(self, reason: str) -> None:
         """Say goodbye to the hub, if there is one, and close."""

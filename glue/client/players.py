@@ -29,6 +29,7 @@ from glue.protocol.messages import CALLS, ErrorCode, Kind, Message, Role
 from glue.protocol.steps import step_formats
 from glue.protocol.wire import clip
 from glue.roles import Agent, Environment, capabilities
+from glue.types import Action, Observation
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
@@ -128,18 +129,23 @@ class _Player:
     def answer_steps(self, link: Link) -> None:
         """Answer one step after the other, each in two system calls, until something else arrives."""
         kind, session = self._step, self._session
-        handler, read = self._handlers[kind], READ[CALLS[kind].request.body]
+        handler = self._handlers[kind]
+        read = Observation._wrap if kind is Kind.AGENT_STEP else Action._wrap  # the body has been checked
         request, reply = step_formats(kind, session)
-        receive, send = link.receive_step, link.send_step
-        seq = self._last_seq + 1
-        while (step := receive(request, seq)) is not None:
-            scalars, body = step
-            self.last_call = Message(kind, session, seq, scalars, body)
-            replied, result = handler(scalars, read(body))
-            self._last_seq = seq
-            self._last_answer = Message(kind, session, seq, replied, result.body)
-            send(reply, seq, replied, result.body)
-            seq += 1
+        send = link.send_step
+        call = answer = None
+        try:
+            for call in link.receive_steps(request, self._last_seq):
+                seq, scalars, body = call
+                replied, result = handler(scalars, read(body))
+                answer = seq, replied, result._body
+                send(reply, *answer)
+        finally:
+            if call is not None:
+                self.last_call = Message(kind, session, *call)
+            if answer is not None:
+                self._last_seq = answer[0]
+                self._last_answer = Message(kind, session, *answer)
 
 
 def _serve(

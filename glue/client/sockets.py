@@ -10,13 +10,12 @@ import select
 import socket
 import struct
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from glue.errors import RemoteProtocolError
 from glue.protocol import zmtp
-from glue.protocol.messages import Value
-from glue.protocol.steps import StepFormat
+from glue.protocol.steps import Step, StepFormat
 from glue.sockets.options import limit_silence, probe_when_silent, unix_address
 
 __all__ = ["SocketTransport"]
@@ -74,9 +73,9 @@ class SocketTransport:
         """Send a message; return False, having sent nothing, if there is no connection."""
         return self.connected and self._send(zmtp.encode(frames))
 
-    def send_step(self, step: StepFormat, seq: int, scalars: tuple[Value, ...], body: bytes) -> bool:
-        """Send a message of a step; as `send`."""
-        return self.connected and self._send(step.encode(seq, scalars, body))
+    def send_data(self, data: bytes) -> bool:
+        """Send a message that is encoded; as `send`."""
+        return self.connected and self._send(data)
 
     def receive(self) -> list[bytes] | None:
         """Return the next message; None if none arrived in time, or as soon as there is a connection."""
@@ -104,21 +103,28 @@ class SocketTransport:
                     return None
                 self._decoder.receive_data(data)
 
-    def receive_step(self, step: StepFormat, seq: int) -> tuple[tuple[Value, ...], bytes] | None:
-        """Return scalars and body of the message `seq` of `step`, if that is exactly what arrives next.
+    def receive_steps(self, step: StepFormat, after: int, limit: int) -> Iterator[Step]:
+        """Yield one message of `step` after the other, until something else arrives, or nothing in time.
 
-        None: `receive` knows more.
+        What that was, `receive` returns.
+
+        Args:
+            step: the format of the messages.
+            after: a sequence number that all of theirs are larger than.
+            limit: bytes of the longest message.
         """
-        if not self._decoder.between_messages:
-            return None
-        data = self._receive_data()
-        if data is None:
-            self._timed_out = True
-            return None
-        found = step.decode(data, seq)
-        if found is None:
-            self._decoder.receive_data(data)
-        return found
+        decode = step.decode
+        while self._decoder.between_messages:
+            data = self._receive_data()
+            if data is None:
+                self._timed_out = True
+                return
+            found = decode(data) if len(data) <= limit else None
+            if found is None or found[0] <= after:
+                self._decoder.receive_data(data)
+                return
+            after = found[0]
+            yield found
 
     def close(self, linger: float | None = None) -> None:
         """Close, giving the hub at most `linger` seconds (by default one) to read what was sent last."""

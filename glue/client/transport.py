@@ -15,8 +15,6 @@ from urllib.parse import urlsplit
 from glue.client.sockets import SocketTransport
 from glue.core.config import check_url
 from glue.errors import ConfigError
-from glue.protocol.messages import Value
-from glue.protocol.steps import StepFormat
 from glue.protocol.wire import MAX_BODY, MAX_HEADER
 
 if TYPE_CHECKING:
@@ -53,19 +51,8 @@ class Transport(Protocol):
         """Send a message; return False, having sent nothing, if there is no connection or no room."""
         ...
 
-    def send_step(self, step: StepFormat, seq: int, scalars: tuple[Value, ...], body: bytes) -> bool:
-        """Send a message of a step; as `send`."""
-        ...
-
     def receive(self) -> Sequence[bytes] | None:
         """Return the next message; None if none arrived in time, or as soon as there is a connection."""
-        ...
-
-    def receive_step(self, step: StepFormat, seq: int) -> tuple[tuple[Value, ...], bytes] | None:
-        """Return scalars and body of the message `seq` of `step`, if that is exactly what comes next.
-
-        None: anything else is left for `receive`, which returns None if nothing arrived.
-        """
         ...
 
     def close(self, linger: float | None = None) -> None:

@@ -11,8 +11,7 @@ from collections import deque
 from collections.abc import Sequence
 
 from glue.hub.server import Hub
-from glue.protocol.messages import Message, Role, Value
-from glue.protocol.steps import StepFormat
+from glue.protocol.messages import Message, Role
 from glue.protocol.wire import FROM_HUB, encode
 
 __all__ = ["InsideTransport"]
@@ -69,13 +68,6 @@ class InsideTransport:
         if not received and loop.stopping is not None:
             self._hub.join(self._wait)  # it says goodbye as it ends
         return received.popleft() if received else None
-
-    def receive_step(self, step: StepFormat, seq: int) -> None:
-        """Return None: an experiment is not asked for steps."""
-
-    def send_step(self, step: StepFormat, seq: int, scalars: tuple[Value, ...], body: bytes) -> bool:
-        """Return False: an experiment answers no steps."""
-        return False
 
     def notice_connections(self) -> None:
         """Do nothing: there is one."""

@@ -185,7 +185,7 @@ class _Dealer:
         connection = self.connection
         if connection.closed or self._dismissed or connection.unsent > MAX_UNSENT:
             return False
-        if message.kind in _STEPS:
+        if message.kind in _STEPS and message.seq <= StepFormat.max_seq:
             request, reply = step_formats(message.kind, message.session)
             self._step = (reply, message)
             connection.send(request.encode(message.seq, message.scalars, message.body))
@@ -237,11 +237,11 @@ class _Dealer:
         reply, step = self._step
         if len(data) > self._max_body or not self._decoder.between_messages or self.connection.unsent:
             return False
-        found = reply.decode(data, step.seq)
-        if found is None:
+        found = reply.decode(data)
+        if found is None or found[0] != step.seq:
             return False
         self._step = None
-        scalars, body = found
+        _, scalars, body = found
         answer = Message(step.kind, step.session, step.seq, scalars, body)
         self.connection.in_turn = self._router.receive_message(self, answer, now)
         return True

@@ -1,38 +1,55 @@
 """The usual messages of a step, written and recognised as a whole, without a parser.
 
 Nearly all messages of an experiment are ENV_STEP and AGENT_STEP, one call at a time, each of them complete
-in what one system call receives. All of such a message but two scalars and the body is known before it
-arrives, so that comparing bytes replaces parsing. Whatever differs, be it as legal as a number of another
-width, is left to `zmtp.Decoder` and `wire.decode`, which check everything.
+in what one system call receives. All of such a message but three numbers and the body is known before it
+arrives, so that one comparison replaces parsing. Whatever differs, be it as legal as a scalar of another
+type, is left to `zmtp.Decoder` and `wire.decode`, which check everything.
 """
 
 from __future__ import annotations
 
 import struct
 from functools import lru_cache
-from typing import Final
+from typing import Final, NamedTuple
 
 import msgpack
 
 from glue.protocol.messages import CALLS, Body, Kind, Shape, Value
 from glue.types import PREFIX_SIZE
 
-__all__ = ["StepFormat", "step_formats"]
+__all__ = ["Step", "StepFormat", "step_formats"]
+
+Step = tuple[int, tuple[Value, ...], bytes]
+"""A message of a step: its sequence number, scalars and body."""
 
 _FALSE: Final = 0xC2
 _TRUE: Final = 0xC3
-_FLOAT: Final = b"\xcb"
+_FLOAT: Final = 0xCB
 _MORE: Final = 1
 _LONG: Final = 2
-
-_REWARD: Final = struct.Struct(">d")
-_REWARD_TERMINAL: Final = struct.Struct(">dB")
-_SIZE: Final = struct.Struct(">Q")
-_COUNTS: Final = struct.Struct("<4I")
-_SHORT_HEADS: Final = [bytes((0, size)) for size in range(256)]
 _MAX_SHORT: Final = 255
+_NO_SCALARS: Final[tuple[Value, ...]] = ()
 
-_pack_number: Final = msgpack.Packer(autoreset=True).pack
+_COUNTS: Final = struct.Struct("<4I")
+_SCALARS: Final = ("", "Bd", "BdB")
+"""A reward is its type and eight bytes, a terminal is one byte."""
+
+_MAX_FIXED: Final = 7
+_NUMBERS: Final = ((_MAX_FIXED, b"", "B"), (8, b"\xcc", "B"), (16, b"\xcd", "H"), (32, b"\xce", "I"))
+"""msgpack's whole numbers: the bits that each form has room for, its first byte, and what follows."""
+
+
+class _Layout(NamedTuple):
+    """All that comes before the body, with one form of the sequence number.
+
+    `start` is what comes before that number; `short` and `long` pack it, the number, the scalars, and the
+    head of the body's frame, which begins at `head`.
+    """
+
+    start: bytes
+    short: struct.Struct
+    long: struct.Struct
+    head: int
 
 
 @lru_cache(maxsize=4096)
@@ -52,67 +69,74 @@ class StepFormat:
 
     Attributes:
         kind: as given.
+        max_seq: the largest sequence number that it has a form for, 2**32 - 1.
     """
 
-    __slots__ = ("_lead", "_scalars", "kind")
+    __slots__ = ("_by_bits", "_by_first", "_number_at", "_scalars", "kind")
+
+    max_seq: Final = 2**32 - 1
 
     def __init__(self, kind: Kind, session: str, shape: Shape) -> None:
         assert shape.body in (Body.OBSERVATION, Body.ACTION)
         self.kind = kind
         self._scalars = len(shape.scalars)
-        self._lead = msgpack.packb((int(kind), session, 0, *([None] * self._scalars)))[: -1 - self._scalars]
-
-    def _start(self, seq: int) -> bytes:
-        """Return what is known of message `seq`: all up to its sequence number, and the type of a reward."""
-        number = _pack_number(seq)
-        scalars = self._scalars
-        size = len(self._lead) + len(number) + (0, 9, 10)[scalars]
-        start: bytes = bytes((_MORE, size)) + self._lead + number
-        return start + _FLOAT if scalars else start
-
-    def header(self, seq: int, scalars: tuple[Value, ...]) -> bytes:
-        """Return the first frame of the message."""
-        return self.encode(seq, scalars, b"")[2:-2]
+        lead = msgpack.packb((int(kind), session, 0, *([None] * self._scalars)))[: -1 - self._scalars]
+        self._number_at = 2 + len(lead)
+        self._by_bits: list[_Layout] = []
+        self._by_first: list[_Layout | None] = [None] * 256
+        for bits, first, letter in _NUMBERS:
+            numbers = letter + _SCALARS[self._scalars]
+            size = len(lead) + len(first) + struct.calcsize(">" + numbers)
+            start = bytes((_MORE, size)) + lead + first
+            short, long = (struct.Struct(f">{len(start)}s{numbers}{frame}") for frame in ("BB", "BQ"))
+            layout = _Layout(start, short, long, 2 + size)
+            self._by_bits += [layout] * (bits + 1 - len(self._by_bits))
+            for byte in first or range(2**_MAX_FIXED):
+                self._by_first[byte] = layout
 
     def encode(self, seq: int, scalars: tuple[Value, ...], body: bytes) -> bytes:
-        """Return the message."""
+        """Return the message; `seq` is at most `max_seq`."""
+        start, short, long, _ = self._by_bits[seq.bit_length()]
         size = len(body)
-        head = _SHORT_HEADS[size] if size <= _MAX_SHORT else b"\2" + _SIZE.pack(size)
+        pack, flags = (short.pack, 0) if size <= _MAX_SHORT else (long.pack, _LONG)
         if not scalars:
-            return self._start(seq) + head + body
+            return pack(start, seq, flags, size) + body
         if len(scalars) == 1:
-            return self._start(seq) + _REWARD.pack(scalars[0]) + head + body
+            return pack(start, seq, _FLOAT, scalars[0], flags, size) + body
         reward, terminal = scalars
-        return self._start(seq) + _REWARD_TERMINAL.pack(reward, _TRUE if terminal else _FALSE) + head + body
+        return pack(start, seq, _FLOAT, reward, _TRUE if terminal else _FALSE, flags, size) + body
 
-    def decode(self, data: bytes, seq: int) -> tuple[tuple[Value, ...], bytes] | None:
-        """Return the scalars and the body if `data` is exactly the message `seq` as `encode` writes it."""
-        start = self._start(seq)
-        if not data.startswith(start):
-            return None
-        at = len(start)
-        scalars: tuple[Value, ...] = ()
+    def decode(self, data: bytes) -> Step | None:
+        """Return what `data` carries if it is exactly one message as `encode` writes it."""
+        scalars = _NO_SCALARS
         try:
-            if self._scalars == 2:
-                reward, terminal = _REWARD_TERMINAL.unpack_from(data, at)
-                if terminal != _FALSE and terminal != _TRUE:
+            layout = self._by_first[data[self._number_at]]
+            if layout is None:
+                return None
+            expected, short, long, head = layout
+            form = long if data[head] else short
+            at = form.size
+            if not self._scalars:
+                start, seq, flags, size = form.unpack_from(data)
+            elif self._scalars == 1:
+                start, seq, type_, reward, flags, size = form.unpack_from(data)
+                if type_ != _FLOAT:
+                    return None
+                scalars = (reward,)
+            else:
+                start, seq, type_, reward, terminal, flags, size = form.unpack_from(data)
+                if type_ != _FLOAT or (terminal != _FALSE and terminal != _TRUE):
                     return None
                 scalars = (reward, terminal == _TRUE)
-                at += 9
-            elif self._scalars:
-                scalars = _REWARD.unpack_from(data, at)
-                at += 8
-            if data[at] == 0:
-                size = data[at + 1]
-                at += 2
-            elif data[at] == _LONG:
-                (size,) = _SIZE.unpack_from(data, at + 1)
-                at += 9
-            else:
-                return None
             ints, doubles, chars, reserved = _COUNTS.unpack_from(data, at)
         except (struct.error, IndexError):
             return None
-        if size != len(data) - at or size != PREFIX_SIZE + 8 * doubles + 4 * ints + chars or reserved:
+        if (
+            start != expected
+            or (flags and flags != _LONG)
+            or size != len(data) - at
+            or size != PREFIX_SIZE + 8 * doubles + 4 * ints + chars
+            or reserved
+        ):
             return None
-        return scalars, data[at:]
+        return seq, scalars, data[at:]

@@ -60,13 +60,19 @@ def test_a_step_is_recognised_by_its_bytes_and_everything_else_is_left_to_receiv
     transport.send([b"here"])
     identity = router.recv_multipart()[0]
     router.send_multipart([identity, b"\x93\x0d\xa7default\x07", action])
-    assert transport.receive_step(request, 7) == ((), action)
-    transport.send_step(reply, 7, (1.5, True), action)
+    steps = transport.receive_steps(request, 5, MAX_FRAME)
+    assert next(steps) == (7, (), action)
+    assert transport.send_data(reply.encode(7, (1.5, True), action))
     header = b"\x95\x0d\xa7default\x07\xcb\x3f\xf8" + bytes(6) + b"\xc3"
     assert router.recv_multipart() == [identity, header, action]
-    router.send_multipart([identity, b"\x93\x0d\xa7default\x09", action])
-    assert transport.receive_step(request, 8) is None
-    assert transport.receive() == [b"\x93\x0d\xa7default\x09", action]
+    repeated = [b"\x93\x0d\xa7default\x07", action]
+    router.send_multipart([identity, *repeated])
+    assert next(steps, None) is None
+    assert transport.receive() == repeated
+    long = [b"\x93\x0d\xa7default\x09", action]
+    router.send_multipart([identity, *long])
+    assert next(transport.receive_steps(request, 7, len(action)), None) is None
+    assert transport.receive() == long
     transport.close()
 
 
@@ -75,7 +81,7 @@ def test_nothing_in_time_is_none_and_waited_for_once(router: zmq.Socket[bytes]) 
     transport.wait_at_most(0.01)
     request, _ = step_formats(Kind.ENV_STEP, "default")
     assert transport.receive() is None
-    assert transport.receive_step(request, 1) is None
+    assert next(transport.receive_steps(request, 1, MAX_FRAME), None) is None
     transport.wait_at_most(1000 * SECONDS)
     assert transport.receive() is None
     transport.close()

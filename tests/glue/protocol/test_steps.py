@@ -19,35 +19,67 @@ MESSAGES = [
     ),
     pytest.param(step_formats(Kind.AGENT_STEP, "s")[0], (-0.25,), id="a reward and an observation"),
 ]
+NUMBERS = [1, 127, 128, 255, 256, 65_535, 65_536, StepFormat.max_seq]
+"""At both ends of each form that msgpack has for a whole number."""
 
 
 @pytest.mark.parametrize(("form", "scalars"), MESSAGES)
 @pytest.mark.parametrize("body", [BODY, LONG], ids=["short", "long"])
-def test_what_is_written_is_recognised_with_its_number_alone(
-    form: StepFormat, scalars: tuple[float, ...], body: bytes
+@pytest.mark.parametrize("seq", NUMBERS)
+def test_what_is_written_is_what_the_codec_writes_and_is_recognised(
+    form: StepFormat, scalars: tuple[float, ...], body: bytes, seq: int
 ) -> None:
-    data = form.encode(7, scalars, body)
-    header: bytes = msgpack.packb((int(form.kind), "s", 7, *scalars))
-    assert form.header(7, scalars) == header
-    assert data == zmtp.encode([header, body])
-    assert form.decode(data, 7) == (scalars, body)
-    assert form.decode(data, 8) is None
+    data = form.encode(seq, scalars, body)
+    assert data == zmtp.encode([msgpack.packb((int(form.kind), "s", seq, *scalars)), body])
+    assert form.decode(data) == (seq, scalars, body)
 
 
 @pytest.mark.parametrize(("form", "scalars"), MESSAGES)
-def test_what_is_cut_or_longer_is_left_to_the_parser(form: StepFormat, scalars: tuple[float, ...]) -> None:
-    data = form.encode(7, scalars, BODY)
-    assert [form.decode(data[:size], 7) for size in range(len(data))] == [None] * len(data)
-    assert form.decode(data + b"\0", 7) is None
+def test_other_kinds_and_sessions_are_left_to_the_parser(
+    form: StepFormat, scalars: tuple[float, ...]
+) -> None:
+    for seq in NUMBERS:
+        for kind in (Kind.ENV_STEP, Kind.AGENT_STEP):
+            for session in ("s", "t", "longer"):
+                other = zmtp.encode([msgpack.packb((int(kind), session, seq, *scalars)), BODY])
+                assert (form.decode(other) is None) == ((kind, session) != (form.kind, "s"))
 
 
 @pytest.mark.parametrize(("form", "scalars"), MESSAGES)
-def test_a_changed_byte_is_never_a_body_of_another_size(form: StepFormat, scalars: tuple[float, ...]) -> None:
-    data = form.encode(7, scalars, BODY)
+@pytest.mark.parametrize("body", [BODY, LONG], ids=["short", "long"])
+@pytest.mark.parametrize("seq", NUMBERS)
+def test_what_is_cut_or_longer_is_left_to_the_parser(
+    form: StepFormat, scalars: tuple[float, ...], body: bytes, seq: int
+) -> None:
+    data = form.encode(seq, scalars, body)
+    assert [form.decode(data[:size]) for size in range(len(data))] == [None] * len(data)
+    assert form.decode(data + b"\0") is None
+    assert form.decode(data + data) is None
+
+
+@pytest.mark.parametrize(("form", "scalars"), MESSAGES)
+@pytest.mark.parametrize("seq", NUMBERS)
+def test_a_changed_byte_changes_a_number_or_is_not_recognised(
+    form: StepFormat, scalars: tuple[float, ...], seq: int
+) -> None:
+    data = form.encode(seq, scalars, BODY)
     head = len(data) - len(BODY)
     for at in range(head + 16):
         changed = bytearray(data)
         changed[at] ^= 0x80
-        found = form.decode(bytes(changed), 7)
-        # A reward may be any number; nothing else before the numbers of the body has a choice.
-        assert found is None or (found[1] == BODY and found[0] != scalars)
+        found = form.decode(bytes(changed))
+        # The sequence number and the reward may be any; nothing else before the body's numbers has a choice.
+        if found is not None:
+            assert found[2] == BODY
+            assert found[:2] != (seq, scalars)
+            assert found == read(bytes(changed))
+
+
+def read(data: bytes) -> tuple[int, tuple[float, ...], bytes]:
+    """Return what a message carries, by way of the parsers."""
+    decoder = zmtp.Decoder(zmtp.ROUTER, 2**20)
+    decoder.receive_data(zmtp.GREETING + b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER" + data)
+    while not isinstance(event := decoder.next_event(), list):
+        assert event is not None
+    _, _, seq, *scalars = msgpack.unpackb(event[0])
+    return seq, tuple(scalars), event[1]
