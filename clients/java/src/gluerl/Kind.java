@@ -1,0 +1,103 @@
+package gluerl;
+
+import static gluerl.Kind.Body.ABSTRACT;
+import static gluerl.Kind.Body.BOTH;
+import static gluerl.Kind.Body.BYTES;
+import static gluerl.Kind.Body.NONE;
+import static gluerl.Kind.Body.TEXT;
+
+import java.util.HashMap;
+import java.util.Map;
+
+/**
+ * Every kind of message, and what it carries to the hub and from it: docs/protocol.md, "Every kind of message".
+ *
+ * <p>Scalars are written as one letter each: {@code i} int, {@code f} float, {@code b} bool, {@code t} text, {@code n}
+ * int or nil, {@code x} binary, {@code I} array of int, {@code T} array of text. A null says that the kind does not go
+ * that way.
+ */
+enum Kind {
+    AGENT_INIT(4, "", NONE, "", TEXT),
+    AGENT_START(5, "", ABSTRACT, "", ABSTRACT),
+    AGENT_STEP(6, "", ABSTRACT, "f", ABSTRACT),
+    AGENT_END(7, "", NONE, "f", NONE),
+    AGENT_CLEANUP(8, "", NONE, "", NONE),
+    AGENT_MESSAGE(10, "", TEXT, "", TEXT),
+    AGENT_SEED(80, "", NONE, "i", NONE),
+    AGENT_SAVE(81, "", BYTES, "", NONE),
+    AGENT_LOAD(82, "", NONE, "", BYTES),
+
+    ENV_INIT(11, "", TEXT, "", NONE),
+    ENV_START(12, "", ABSTRACT, "", NONE),
+    ENV_STEP(13, "fb", ABSTRACT, "", ABSTRACT),
+    ENV_CLEANUP(14, "", NONE, "", NONE),
+    ENV_MESSAGE(19, "", TEXT, "", TEXT),
+    ENV_SEED(83, "", NONE, "i", NONE),
+    ENV_SAVE(84, "", BYTES, "", NONE),
+    ENV_LOAD(85, "", NONE, "", BYTES),
+
+    RL_INIT(20, "n", NONE, "", TEXT),
+    RL_START(21, "", NONE, "", BOTH),
+    RL_STEP(22, "", NONE, "fb", BOTH),
+    RL_CLEANUP(23, "", NONE, "", NONE),
+    RL_RETURN(24, "", NONE, "f", NONE),
+    RL_NUM_STEPS(25, "", NONE, "i", NONE),
+    RL_NUM_EPISODES(26, "", NONE, "i", NONE),
+    RL_EPISODE(27, "i", NONE, "b", NONE),
+    RL_AGENT_MESSAGE(33, "", TEXT, "", TEXT),
+    RL_ENV_MESSAGE(34, "", TEXT, "", TEXT),
+    RL_ENV_START(36, "", NONE, "", ABSTRACT),
+    RL_ENV_STEP(37, "", ABSTRACT, "fb", ABSTRACT),
+    RL_AGENT_START(38, "", ABSTRACT, "", ABSTRACT),
+    RL_AGENT_STEP(39, "f", ABSTRACT, "", ABSTRACT),
+    RL_AGENT_END(40, "f", NONE, "", NONE),
+    RL_AGENT_SAVE(90, "", NONE, "", BYTES),
+    RL_AGENT_LOAD(91, "", BYTES, "", NONE),
+    RL_ENV_SAVE(92, "", NONE, "", BYTES),
+    RL_ENV_LOAD(93, "", BYTES, "", NONE),
+
+    HELLO(64, "ItxttT", NONE, null, NONE),
+    WELCOME(65, null, NONE, "ibffi", NONE),
+    REFUSE(66, null, NONE, "tt", NONE),
+    HEARTBEAT(67, "", NONE, "", NONE),
+    GOODBYE(68, "t", NONE, "t", NONE),
+    ERROR(69, "tt", NONE, "tt", NONE),
+    NOTICE(70, null, NONE, "ttt", NONE);
+
+    /** What a body is. */
+    enum Body {
+        NONE,
+        TEXT,
+        BYTES,
+        ABSTRACT,
+        BOTH
+    }
+
+    private static final Map<Long, Kind> BY_CODE = new HashMap<>();
+
+    static {
+        for (Kind kind : values()) {
+            BY_CODE.put((long) kind.code, kind);
+        }
+    }
+
+    final int code;
+    final String toHub;
+    final Body bodyToHub;
+    final String fromHub;
+    final Body bodyFromHub;
+
+    Kind(int code, String toHub, Body bodyToHub, String fromHub, Body bodyFromHub) {
+        this.code = code;
+        this.toHub = toHub;
+        this.bodyToHub = bodyToHub;
+        this.fromHub = fromHub;
+        this.bodyFromHub = bodyFromHub;
+    }
+
+    /** Returns the kind that the hub sends with this code, or null. */
+    static Kind fromHub(long code) {
+        Kind kind = BY_CODE.get(code);
+        return kind == null || kind.fromHub == null ? null : kind;
+    }
+}

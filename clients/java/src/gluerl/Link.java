@@ -1,0 +1,202 @@
+package gluerl;
+
+import java.nio.charset.StandardCharsets;
+import java.security.SecureRandom;
+
+/** A peer's place in a session: greetings, heartbeats, and reconnecting after a break. */
+final class Link {
+    private static final long DEFAULT_HEARTBEAT_MS = 1000;
+    private static final long DEFAULT_TIMEOUT_MS = 5000;
+    private static final int MAX_TEXT = 1000;
+    private static final String CODEC = "Java " + Runtime.version().feature();
+
+    private final String role;
+    private final Options options;
+    private final String[] capabilities;
+    private final byte[] instance = new byte[16];
+    private final Dealer dealer;
+    private long heartbeat = DEFAULT_HEARTBEAT_MS;
+    private long timeout = DEFAULT_TIMEOUT_MS;
+    private int maxBody = Message.MAX_BODY;
+    private int greeted; // the connection that was greeted last; also the seq of that HELLO
+    private boolean welcomed; // over that connection
+    private boolean waiting; // for a hub, and has said so
+    private final long started = System.nanoTime();
+
+    Link(String role, Options options, String... capabilities) {
+        checkSession(options.session());
+        if (isSet("GLUE_KEY") || isSet("GLUE_HUB_KEY")) {
+            throw new GlueException.Config(
+                    "this library has no encryption: unset GLUE_KEY and GLUE_HUB_KEY, or write in C++ or Python");
+        }
+        this.role = role;
+        this.options = options;
+        this.capabilities = capabilities;
+        new SecureRandom().nextBytes(instance);
+        dealer = new Dealer(options.hub(), options.log());
+    }
+
+    /** Returns whether the hub has let us in over the latest connection. */
+    boolean isWelcomed() {
+        return welcomed && dealer.isReady() && dealer.connections() == greeted;
+    }
+
+    String session() {
+        return options.session();
+    }
+
+    void log(String line) {
+        options.log().accept(line);
+    }
+
+    /** Checks that the hub takes a body of this size. */
+    void check(byte[][] frames) {
+        if (frames.length > 1 && frames[1].length > maxBody) {
+            throw new IllegalArgumentException(
+                    "a body has %d bytes, and the hub takes %d".formatted(frames[1].length, maxBody));
+        }
+    }
+
+    /** Sends what {@link Message#encode} made. */
+    void send(byte[][] frames) {
+        dealer.send(frames);
+    }
+
+    /**
+     * Returns the next call, reply, ERROR, NOTICE, or WELCOME over the latest connection; null if there is none for a
+     * heartbeat.
+     */
+    Message receive() {
+        byte[][] frames;
+        Message message;
+        try {
+            frames = dealer.receive(heartbeat, timeout);
+            if (frames == null) {
+                idle();
+                return null;
+            }
+            message = Message.decode(frames);
+        } catch (GlueException.Protocol error) {
+            throw new GlueException.Protocol(
+                    "the hub at %s broke the protocol: %s".formatted(options.hub(), error.getMessage()));
+        }
+        if (!message.session().equals(options.session())) {
+            if (message.kind() == Kind.ERROR && message.session().isEmpty()) {
+                log("the hub says: " + message.text(1));
+            }
+            return null;
+        }
+        if (message.kind() == null) {
+            send(error(message.seq(), "unknown-kind", "this " + role + " does not know kind " + message.code()));
+            return null;
+        }
+        return control(message);
+    }
+
+    /** Says goodbye, and leaves. */
+    void close(String reason) {
+        if (isWelcomed()) {
+            send(Message.encode(Kind.GOODBYE, session(), 0, null, clip(reason)));
+        }
+        dealer.close();
+    }
+
+    /** Returns the ERROR with which a player answers. */
+    byte[][] error(long seq, String code, String text) {
+        return Message.encode(Kind.ERROR, session(), seq, null, code, clip(text));
+    }
+
+    private Message control(Message message) {
+        switch (message.kind()) {
+            case HEARTBEAT:
+                return null;
+            case WELCOME:
+                return welcome(message) ? message : null;
+            case REFUSE:
+                throw new GlueException.Refused(
+                        "the hub at %s refused this %s: %s".formatted(options.hub(), role, message.text(1)));
+            case GOODBYE:
+                welcomed = false; // a goodbye has no answer
+                throw new GlueException.HubClosed(message.text(0));
+            case ERROR:
+                if (!message.text(0).equals("unknown-peer")) {
+                    return message;
+                }
+                // While a HELLO is unanswered, this was for what was sent before it.
+                if (welcomed) {
+                    greet();
+                }
+                return null;
+            default:
+                return message;
+        }
+    }
+
+    private void greet() {
+        welcomed = false;
+        greeted = dealer.connections();
+        send(Message.encode(Kind.HELLO, session(), greeted, null,
+                new long[] {1}, role, instance, options.name(), CODEC, capabilities));
+    }
+
+    private boolean welcome(Message message) {
+        // The answer to an earlier HELLO says nothing of the hub at the other end of this connection.
+        if (message.seq() != greeted) {
+            return false;
+        }
+        if (message.integer(0) != 1) {
+            throw new GlueException.Protocol("version %d was chosen, and 1 was offered".formatted(message.integer(0)));
+        }
+        heartbeat = (long) (1000 * Math.min(Math.max(message.real(2), 0.01), 60));
+        timeout = Math.max((long) (1000 * message.real(3)), heartbeat);
+        maxBody = (int) Math.min(message.integer(4), Message.MAX_BODY);
+        if (waiting) {
+            log("the hub at " + options.hub() + " is there");
+        }
+        waiting = false;
+        welcomed = true;
+        return true;
+    }
+
+    private void idle() {
+        if (!dealer.isReady()) {
+            welcomed = false;
+        } else if (dealer.connections() != greeted) {
+            greet();
+            return;
+        }
+        if (welcomed) {
+            send(Message.encode(Kind.HEARTBEAT, session(), 0, null));
+        } else if (!waiting && System.nanoTime() - started > heartbeat * 1_000_000) {
+            waiting = true;
+            log("no hub answers at %s yet; waiting for one (glue-hub and glue-experiment start one)"
+                    .formatted(options.hub()));
+        }
+    }
+
+    private static boolean isSet(String variable) {
+        return !System.getenv().getOrDefault(variable, "").isEmpty();
+    }
+
+    private static void checkSession(String session) {
+        boolean printable = session.codePoints().noneMatch(c -> switch (Character.getType(c)) {
+            case Character.CONTROL, Character.FORMAT, Character.SURROGATE, Character.PRIVATE_USE, Character.UNASSIGNED,
+                    Character.LINE_SEPARATOR, Character.PARAGRAPH_SEPARATOR -> true;
+            default -> false;
+        });
+        int length = session.codePointCount(0, session.length());
+        if (!printable || length < 1 || length > 255) {
+            throw new GlueException.Config(
+                    "the name of a session has 1 to 255 printable characters, not \"%s\"".formatted(session));
+        }
+    }
+
+    /** Returns one line of at most a thousand bytes. */
+    private static String clip(String text) {
+        String line = text.strip().replaceAll("\\s+", " ");
+        while (line.getBytes(StandardCharsets.UTF_8).length > MAX_TEXT) {
+            line = line.substring(0, Math.min(line.length() - 1, MAX_TEXT));
+        }
+        return line;
+    }
+}

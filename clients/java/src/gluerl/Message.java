@@ -1,0 +1,133 @@
+package gluerl;
+
+import java.nio.ByteBuffer;
+import java.nio.charset.StandardCharsets;
+
+/**
+ * A message from the hub, checked.
+ *
+ * @param kind its kind, or null if that is not known
+ * @param code the code of its kind
+ * @param session the name of the session
+ * @param seq the sequence number
+ * @param scalars each a Long, Double, Boolean or String, as the kind says
+ * @param body the body, or null
+ */
+record Message(Kind kind, long code, String session, long seq, Object[] scalars, byte[] body) {
+    static final int MAX_BODY = 16777216;
+    private static final int MAX_SESSION = 255;
+    private static final Object[] NO_SCALARS = {};
+
+    /** Returns the message that frames stand for; a {@link GlueException.Protocol} says what is wrong with them. */
+    static Message decode(byte[][] frames) {
+        HeaderReader reader = new HeaderReader(frames[0]);
+        reader.array();
+        long code = reader.integer();
+        String session = reader.text();
+        long seq = reader.integer();
+        if (session.codePointCount(0, session.length()) > MAX_SESSION) {
+            throw new GlueException.Protocol("the name of a session has more than " + MAX_SESSION + " characters");
+        }
+        Kind kind = Kind.fromHub(code);
+        byte[] body = frames.length > 1 ? frames[1] : null;
+        if (kind == null) {
+            return new Message(null, code, session, seq, NO_SCALARS, body);
+        }
+        int count = kind.fromHub.length();
+        Object[] scalars = count == 0 ? NO_SCALARS : new Object[count];
+        for (int i = 0; i < count; i++) {
+            scalars[i] = switch (kind.fromHub.charAt(i)) {
+                case 'i' -> (Object) reader.integer();
+                case 'f' -> reader.real();
+                case 'b' -> reader.truth();
+                default -> reader.text();
+            };
+        }
+        reader.end();
+        check(kind, body);
+        return new Message(kind, code, session, seq, scalars, body);
+    }
+
+    /** Returns the frames of a message to the hub. */
+    static byte[][] encode(Kind kind, String session, long seq, byte[] body, Object... scalars) {
+        HeaderWriter header = new HeaderWriter().array(3 + scalars.length);
+        header.integer(kind.code).text(session).integer(seq);
+        for (int i = 0; i < scalars.length; i++) {
+            Object value = scalars[i];
+            switch (kind.toHub.charAt(i)) {
+                case 'i' -> header.integer((Long) value);
+                case 'f' -> header.real((Double) value);
+                case 'b' -> header.truth((Boolean) value);
+                case 't' -> header.text((String) value);
+                case 'x' -> header.binary((byte[]) value);
+                case 'I' -> {
+                    long[] numbers = (long[]) value;
+                    header.array(numbers.length);
+                    for (long number : numbers) {
+                        header.integer(number);
+                    }
+                }
+                case 'T' -> {
+                    String[] texts = (String[]) value;
+                    header.array(texts.length);
+                    for (String text : texts) {
+                        header.text(text);
+                    }
+                }
+                default -> {
+                    if (value == null) {
+                        header.nil();
+                    } else {
+                        header.integer((Long) value);
+                    }
+                }
+            }
+        }
+        return body == null ? new byte[][] {header.finish()} : new byte[][] {header.finish(), body};
+    }
+
+    static byte[] utf8(String text) {
+        return text.getBytes(StandardCharsets.UTF_8);
+    }
+
+    String text() {
+        return new String(body, StandardCharsets.UTF_8);
+    }
+
+    /** Returns the body for reading, where it begins. */
+    ByteBuffer reader() {
+        return AbstractType.littleEndian(body);
+    }
+
+    double real(int scalar) {
+        return (Double) scalars[scalar];
+    }
+
+    boolean truth(int scalar) {
+        return (Boolean) scalars[scalar];
+    }
+
+    long integer(int scalar) {
+        return (Long) scalars[scalar];
+    }
+
+    String text(int scalar) {
+        return (String) scalars[scalar];
+    }
+
+    private static void check(Kind kind, byte[] body) {
+        if ((body == null) != (kind.bodyFromHub == Kind.Body.NONE)) {
+            throw new GlueException.Protocol(
+                    kind + (body == null ? " has a body, and came without one" : " has no body, and came with one"));
+        }
+        if (kind.bodyFromHub == Kind.Body.ABSTRACT || kind.bodyFromHub == Kind.Body.BOTH) {
+            int end = AbstractType.endOf(body, 0);
+            if (kind.bodyFromHub == Kind.Body.BOTH) {
+                end = AbstractType.endOf(body, end);
+            }
+            if (end != body.length) {
+                throw new GlueException.Protocol("the body of " + kind + " is longer than its counts say");
+            }
+        }
+    }
+}
