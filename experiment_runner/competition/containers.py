@@ -1,0 +1,278 @@
+"""Entrants in containers: a new one, which is a jail, for each trial of a task.
+
+The engine is Docker's, or any other that offers Docker's API at a Unix socket, as podman does; the
+environment variable DOCKER_HOST says where.
+"""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+from docker.errors import APIError, DockerException, ImageNotFound, NotFound
+from requests.exceptions import RequestException
+
+import docker
+from experiment_runner.competition.jail import LABEL, check_engine, check_image, jail, user_of
+from experiment_runner.competition.settings import Entrant, Limits
+from experiment_runner.competition.starting import SOCKET, Place
+from glue.console import say
+from glue.errors import ConfigError, ExperimentError
+
+__all__ = ["Container", "Containers"]
+
+_DOCKER: Final = "unix:///var/run/docker.sock"
+
+_ALIVE: Final = frozenset({"created", "running", "paused", "restarting"})
+
+_SIGNALLED: Final = 128
+"""The exit status for signal 0."""
+
+_LOOK_SECONDS: Final = 0.1
+
+_BYTES_PER_SECOND: Final = 2**20
+"""What is read of what a container prints. Measured: one that prints without end then takes 0.02 of a core
+from the engine; without this limit, with its logs in files, a whole one."""
+
+_LAST_WORDS_SECONDS: Final = 3.0
+"""How long to wait for what a container printed after it has ended."""
+
+
+class Containers:
+    """Starts entrants that have an image.
+
+    Args:
+        warn: shows a line about an image that can take part but should be better.
+    """
+
+    def __init__(self, warn: Callable[[str], None] = say) -> None:
+        self._warn = warn
+
+    def check(self, entrant: Entrant) -> None:
+        """Check that the image is here and can be jailed.
+
+        Raises:
+            ConfigError: it is not, or there is no engine that can hold a jail.
+        """
+        warning = check_image(str(entrant.image), self._image(entrant))
+        if warning is not None:
+            self._warn(f"{entrant.name}: {warning}")
+
+    def start(self, entrant: Entrant, limits: Limits, place: Place) -> Container:
+        """Start the image in a jail of its own.
+
+        Raises:
+            ConfigError: as `check`.
+            ExperimentError: the engine cannot start it.
+        """
+        user, _ = user_of(self._image(entrant).get("User") or "")
+        # An unprivileged user passes through; the folder above keeps other users of this machine out.
+        place.folder.chmod(0o711)
+        (place.folder / SOCKET).chmod(0o666)
+        with _asking(f"start a container for {entrant.name}"):
+            made = self._engine.containers.create(entrant.image, **jail(limits, place, user))
+            container = Container(made, limits, place.log)
+            container.start()
+        return container
+
+    def sweep(self, run: str) -> None:
+        """Remove the containers of a run that was killed, and what they wrote.
+
+        Raises:
+            ConfigError: there is no engine.
+            ExperimentError: it cannot remove them.
+        """
+        with _asking("remove the containers that are left over"):
+            for container in self._engine.containers.list(all=True, filters={"label": f"{LABEL}={run}"}):
+                _remove(container)
+
+    def _image(self, entrant: Entrant) -> Mapping[str, Any]:
+        """Return the configuration of an entrant's image."""
+        engine = self._engine
+        with _asking(f"look at the image {entrant.image}"):
+            try:
+                settings: Mapping[str, Any] = engine.images.get(entrant.image).attrs["Config"]
+            except ImageNotFound:
+                raise ConfigError(
+                    f"{entrant.name}: the image {entrant.image} is not on this machine: bring it with docker "
+                    "pull, docker load or docker build"
+                ) from None
+        return settings
+
+    @cached_property
+    def _engine(self) -> Any:
+        """The engine's client."""
+        address = os.environ.get("DOCKER_HOST") or _DOCKER
+        if not address.startswith("unix://"):
+            raise ConfigError(
+                f"DOCKER_HOST is {address}, but a container reaches the hub through a directory of this "
+                f"machine: its engine must be here too, as in DOCKER_HOST={_DOCKER}"
+            )
+        try:
+            engine = docker.DockerClient(base_url=address)
+            found = engine.info()
+        except (DockerException, RequestException, OSError) as error:
+            raise ConfigError(
+                f"no container engine answers at {address}: start Docker (systemctl start docker), or set "
+                f"DOCKER_HOST to podman's socket; {_in_short(error)}"
+            ) from None
+        check_engine(found, address)
+        return engine
+
+
+class Container:
+    """An entrant's container, for one trial of a task.
+
+    Args:
+        container: as the engine made it.
+        limits: of the competition.
+        log: the file that receives what it prints, once it is stopped.
+    """
+
+    def __init__(self, container: Any, limits: Limits, log: Path) -> None:
+        self.log = log
+        self._container = container
+        self._memory = limits.memory
+        self._since = int(time.time())
+        self._printed = _Printed(container.attach(stream=True), limits.log)
+        self._reason: str | None = None
+        self._stopped = False
+
+    def start(self) -> None:
+        """Start it; an image that has nothing to run ends at once.
+
+        Raises:
+            APIError: the engine cannot start it.
+        """
+        self._printed.start()
+        try:
+            self._container.start()
+        except APIError as error:
+            if not error.is_client_error():
+                _remove(self._container)
+                raise
+            self._reason = f"could not be started: {_in_short(error)}"
+
+    @property
+    def reason(self) -> str | None:
+        """How it ended; None while it is alive."""
+        if self._reason is None and not self._stopped:
+            with _asking("look at a container"):
+                self._container.reload()
+                state = self._container.attrs["State"]
+                if state["Status"] not in _ALIVE:
+                    self._reason = self._ran_out_of_memory() or _how_it_ended(int(state["ExitCode"]))
+        return self._reason
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until it ends, at most so long; return whether it has ended."""
+        end = time.monotonic() + seconds
+        while self.reason is None and not self._stopped:
+            left = end - time.monotonic()
+            if left <= 0:
+                return False
+            time.sleep(min(left, _LOOK_SECONDS))
+        return True
+
+    def stop(self) -> None:
+        """Kill its processes, keep what they printed, and remove it.
+
+        Raises:
+            ExperimentError: the engine cannot do so.
+        """
+        if self._stopped:
+            return
+        with _asking("stop a container"), suppress(NotFound):  # somebody else removed it
+            with suppress(APIError):  # it has ended
+                self._container.kill()
+            self._container.reload()
+            self._reason = self._reason or self._ran_out_of_memory()
+            _remove(self._container)
+        self._stopped = True
+        self.log.write_bytes(self._printed.take())
+
+    def _ran_out_of_memory(self) -> str | None:
+        # The state tells of the first process alone, the events of all.
+        events = self._container.client.api.events(
+            since=self._since,
+            until=f"{time.time():.6f}",
+            filters={"container": self._container.id, "event": "oom"},
+            decode=True,
+        )
+        if [*events] or self._container.attrs["State"].get("OOMKilled"):
+            return f"used more than {self._memory / 2**20:g} MiB of memory"
+        return None
+
+
+class _Printed(threading.Thread):
+    """Keeps the last of what a container prints.
+
+    It reads no faster than an honest program writes. The engine, which passes on what is printed, would
+    otherwise spend a whole core on a program that prints without end; this way that program has to wait.
+
+    Args:
+        stream: of what it prints; closed by `take`.
+        size: number of bytes to keep.
+    """
+
+    def __init__(self, stream: Any, size: int) -> None:
+        super().__init__(name="printed", daemon=True)
+        self._stream = stream
+        self._size = size
+        self._kept = bytearray()
+
+    def run(self) -> None:
+        """Read until the container ends."""
+        with suppress(OSError):  # the engine is gone
+            for chunk in self._stream:
+                self._kept += chunk
+                del self._kept[: -self._size]
+                time.sleep(len(chunk) / _BYTES_PER_SECOND)
+
+    def take(self) -> bytes:
+        """Return what was kept of a container that has ended."""
+        self.join(_LAST_WORDS_SECONDS)
+        with suppress(OSError):
+            self._stream.close()
+        return bytes(self._kept)
+
+
+@contextmanager
+def _asking(what: str) -> Iterator[None]:
+    """Turn the engine's errors into one line.
+
+    Raises:
+        ExperimentError: the engine cannot do `what`.
+    """
+    try:
+        yield
+    except APIError as error:
+        why = _in_short(error)
+        remedy = "; make room with docker system prune" if "no space left" in why else ""
+        raise ExperimentError(f"the container engine cannot {what}: {why}{remedy}") from None
+    except (RequestException, OSError) as error:
+        raise ExperimentError(
+            f"the container engine does not answer: cannot {what}: {_in_short(error)}"
+        ) from None
+
+
+def _how_it_ended(status: int) -> str:
+    if status > _SIGNALLED:
+        return f"was killed by signal {status - _SIGNALLED}"
+    return f"ended with status {status}"
+
+
+def _remove(container: Any) -> None:
+    with suppress(NotFound):
+        container.remove(force=True, v=True)
+
+
+def _in_short(error: Exception) -> str:
+    text = str(getattr(error, "explanation", None) or error)
+    return " ".join(text.split())[:300] or "no reason was given"

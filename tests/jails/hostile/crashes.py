@@ -1,0 +1,21 @@
+"""Crashes in the middle of an episode, without a word to the hub."""
+
+from __future__ import annotations
+
+import os
+
+from honest import Honest, play
+
+from glue.types import Action
+
+
+class Crashes(Honest):
+    def act(self) -> Action:
+        if self.steps == 20:
+            print("the last words of crashes")
+            os._exit(3)
+        return super().act()
+
+
+if __name__ == "__main__":
+    play(Crashes())

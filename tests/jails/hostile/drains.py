@@ -1,0 +1,19 @@
+"""Takes a little longer for each answer than a step may, and so drains its bank slowly."""
+
+from __future__ import annotations
+
+import time
+
+from honest import Honest, play
+
+from glue.types import Action
+
+
+class Drains(Honest):
+    def act(self) -> Action:
+        time.sleep(0.3)
+        return super().act()
+
+
+if __name__ == "__main__":
+    play(Drains())

@@ -1,0 +1,51 @@
+"""Fills every file system that it can write to, and gives up when there is no more room anywhere."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from honest import Honest, play
+
+from glue.types import Action
+
+_FOLDERS = (
+    "/tmp",
+    "/dev/shm",
+    "/var/tmp",
+    "/run",
+    "/run/glue",
+    "/home/glue",
+    "/dev",
+    "/dev/mqueue",
+    "/proc",
+    ".",
+)
+
+
+class Fills(Honest):
+    def act(self) -> Action:
+        if self.steps == 20:
+            for folder in _FOLDERS:
+                print(f"{folder}: {fill(Path(folder))}")
+            os._exit(4)
+        return super().act()
+
+
+def fill(folder: Path) -> str:
+    """Write until there is no more room; return how that ended, and how many MiB were written."""
+    written, number = 0, 0
+    try:
+        while True:
+            number += 1
+            with (folder / f"junk{number}").open("wb", buffering=0) as file:
+                while file.tell() < 2**30:
+                    written += file.write(bytes(2**20))
+    except OSError as error:
+        return f"{error.strerror} after {written / 2**20:.0f} MiB"
+
+
+if __name__ == "__main__":
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    play(Fills())

@@ -1,0 +1,9 @@
+"""Prints without end."""
+
+from __future__ import annotations
+
+import sys
+
+if __name__ == "__main__":
+    while True:
+        sys.stdout.write("shout\n" * 1000)

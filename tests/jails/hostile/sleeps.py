@@ -1,0 +1,21 @@
+"""Sleeps for ever, in the middle of an episode."""
+
+from __future__ import annotations
+
+import time
+
+from honest import Honest, play
+
+from glue.types import Action
+
+
+class Sleeps(Honest):
+    def act(self) -> Action:
+        if self.steps == 20:
+            while True:
+                time.sleep(1000)
+        return super().act()
+
+
+if __name__ == "__main__":
+    play(Sleeps())

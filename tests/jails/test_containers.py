@@ -1,0 +1,237 @@
+"""One container at a time, in the real engine."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from experiment_runner.competition.containers import Container, Containers
+from experiment_runner.competition.jail import LABEL
+from experiment_runner.competition.settings import Entrant, Limits
+from experiment_runner.competition.starting import SOCKET, Place
+from glue.errors import ConfigError
+from tests.jails.conftest import SDK
+
+pytestmark = SDK
+
+_MEBIBYTE = 2**20
+_SECONDS = 30.0
+_LIMITS = Limits(memory=64 * _MEBIBYTE, tmp=2 * _MEBIBYTE, shm=3 * _MEBIBYTE, log=4096, pids=20, cpus=0.5)
+
+Run = Callable[..., Container]
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Iterator[Place]:
+    folder = tmp_path / "place"
+    folder.mkdir()
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(folder / SOCKET))
+        listening.listen()
+        yield Place(folder, "easy/honest/0", tmp_path / "log", f"test {tmp_path}")
+
+
+@pytest.fixture
+def run(image: Callable[..., str], place: Place) -> Iterator[Run]:
+    """Return a function that runs a Python program in a jail."""
+    containers = Containers(warn=lambda line: None)
+    started: list[Container] = []
+
+    def run(program: str, *lines: str) -> Container:
+        command = json.dumps(["python3", "-u", "-c", program])
+        entrant = Entrant("alice", image=image("USER 1234:1234", *lines, f"CMD {command}"))
+        container = containers.start(entrant, _LIMITS, place)
+        started.append(container)
+        return container
+
+    yield run
+    for container in started:
+        container.stop()
+
+
+def printed(container: Container) -> str:
+    """Return what a program that ends printed."""
+    assert container.wait(_SECONDS)
+    container.stop()
+    return container.log.read_text(errors="replace")
+
+
+def test_it_reaches_the_hub_and_finds_its_place_in_the_environment(run: Run) -> None:
+    said = printed(
+        run(
+            "import os, socket\n"
+            "path = os.environ['GLUE_HUB'].removeprefix('ipc://')\n"
+            "socket.socket(socket.AF_UNIX).connect(path)\n"
+            "print(os.environ['GLUE_SESSION'])\n"
+        )
+    )
+    assert said == "easy/honest/0\n"
+
+
+def test_it_has_no_privileges_and_no_network(run: Run) -> None:
+    said = printed(
+        run(
+            "import os\n"
+            "print(os.getuid(), os.getgid(), os.getgroups(), os.listdir('/sys/class/net'))\n"
+            "for line in open('/proc/self/status'):\n"
+            "    if line.startswith(('Cap', 'NoNew', 'Seccomp')): print(line, end='')\n"
+            "for line in open('/proc/mounts'): print(*line.split()[1:4:2])\n"
+        )
+    )
+    assert said.startswith(("1234 1234 [1234] ['lo']", "1234 1234 [] ['lo']"))
+    for line in ("CapEff:\t0000000000000000", "CapBnd:\t0000000000000000", "NoNewPrivs:\t1", "Seccomp:\t2"):
+        assert line in said
+    mounts = {
+        path: flags.split(",") for path, _, flags in (line.partition(" ") for line in said.splitlines())
+    }
+    assert "ro" in mounts["/"]
+    assert "ro" in mounts["/run/glue"]
+    assert {"rw", "nosuid", "nodev", "noexec"} <= set(mounts["/tmp"])
+
+
+def test_what_it_may_use_is_limited(engine: Any, run: Run, place: Place) -> None:
+    run("import time; time.sleep(1000)")
+    (container,) = engine.containers.list(filters={"label": f"{LABEL}={place.run}"})
+    settings = container.attrs["HostConfig"]
+    assert settings["Memory"] == settings["MemorySwap"] == _LIMITS.memory
+    assert settings["PidsLimit"] == _LIMITS.pids
+    assert settings["NanoCpus"] == 500_000_000
+    assert settings["ShmSize"] == _LIMITS.shm
+    assert settings["Init"] is True
+    assert settings["CapDrop"] == ["ALL"]
+    assert settings["NetworkMode"] == "none"
+
+
+def test_disks_are_full_at_their_limits(run: Run) -> None:
+    said = printed(
+        run(
+            "for folder in ('/tmp', '/dev/shm', '/var/tmp', '/run/glue', '/dev', '/'):\n"
+            "    written = 0\n"
+            "    try:\n"
+            "        with open(folder + '/junk', 'wb', buffering=0) as file:\n"
+            "            while True: written += file.write(bytes(2 ** 18))\n"
+            "    except OSError as error: print(folder, written // 2 ** 20)\n"
+        )
+    )
+    assert said.split() == [
+        "/tmp",
+        "2",
+        "/dev/shm",
+        "3",
+        "/var/tmp",
+        "0",
+        "/run/glue",
+        "0",
+        "/dev",
+        "0",
+        "/",
+        "0",
+    ]
+
+
+def test_a_process_of_its_own_that_needs_too_much_memory_is_the_reason(run: Run) -> None:
+    eater = "x = []\nwhile True: x.append(bytearray(2 ** 20))"
+    first = run(eater)
+    assert first.wait(_SECONDS)
+    assert first.reason == "used more than 64 MiB of memory"
+    child = run(
+        f"import subprocess, sys\nprint(subprocess.call([sys.executable, '-c', {eater!r}]), 'was it')"
+    )
+    assert printed(child) == "-9 was it\n"
+    assert child.reason == "used more than 64 MiB of memory"
+
+
+def test_how_it_ended_is_said_as_of_any_program(run: Run) -> None:
+    for program, reason in (
+        ("raise SystemExit(3)", "ended with status 3"),
+        ("import os; os.kill(os.getpid(), 11)", "was killed by signal 11"),
+    ):
+        container = run(program)
+        assert container.wait(_SECONDS)
+        assert container.reason == reason
+
+
+def test_nothing_of_it_is_left_when_it_is_stopped(engine: Any, run: Run, place: Place) -> None:
+    program = (
+        "import subprocess, time\n"
+        "subprocess.Popen(['sleep', '1000'], start_new_session=True)\n"
+        "print('started'); time.sleep(1000)\n"
+    )
+    container = run(program)
+    assert not container.wait(0.0)
+    assert container.reason is None
+    container.stop()
+    container.stop()
+    assert container.reason is None
+    assert not engine.containers.list(all=True, filters={"label": f"{LABEL}={place.run}"})
+
+
+def test_a_program_that_prints_without_end_waits_and_leaves_a_short_log(run: Run) -> None:
+    container = run("while True: print('shout ' * 100)")
+    assert not container.wait(2.0)
+    container.stop()
+    assert 0 < container.log.stat().st_size <= _LIMITS.log
+
+
+def test_the_last_words_are_kept(run: Run) -> None:
+    said = printed(run("print('x' * 10_000); raise RuntimeError('my mistake')"))
+    assert said.endswith("RuntimeError: my mistake\n")
+    assert len(said) == _LIMITS.log
+
+
+def test_what_an_organiser_that_was_killed_left_is_swept(engine: Any, run: Run, place: Place) -> None:
+    run("import time; time.sleep(1000)")
+    Containers().sweep("another run")
+    assert len(engine.containers.list(filters={"label": f"{LABEL}={place.run}"})) == 1
+    Containers().sweep(place.run)
+    assert not engine.containers.list(all=True, filters={"label": f"{LABEL}={place.run}"})
+
+
+def test_an_image_that_cannot_run_is_its_entrants_fault(image: Callable[..., str], place: Place) -> None:
+    entrant = Entrant("alice", image=image("USER 1000", 'ENTRYPOINT ["/no/such/program"]'))
+    container = Containers().start(entrant, _LIMITS, place)
+    assert container.wait(_SECONDS)
+    assert container.reason == "ended with status 127"
+    container.stop()
+    assert "/no/such/program" in container.log.read_text()
+
+
+@pytest.mark.parametrize(
+    ("lines", "warned"), [(["USER 1000"], False), ([], True), (["USER root"], True), (["USER nobody"], True)]
+)
+def test_an_image_that_runs_as_root_is_run_as_nobody_with_a_warning(
+    image: Callable[..., str], place: Place, lines: list[str], warned: bool
+) -> None:
+    warnings: list[str] = []
+    containers = Containers(warnings.append)
+    entrant = Entrant("alice", image=image(*lines, "CMD id -u"))
+    containers.check(entrant)
+    assert bool(warnings) == warned
+    assert printed(containers.start(entrant, _LIMITS, place)) == ("65534\n" if warned else "1000\n")
+
+
+def test_an_image_with_a_volume_could_fill_the_disk(image: Callable[..., str]) -> None:
+    with pytest.raises(ConfigError, match="declares a volume, /data"):
+        Containers().check(Entrant("alice", image=image("VOLUME /data", "CMD id")))
+
+
+def test_an_image_without_a_command_has_nothing_to_run(image: Callable[..., str]) -> None:
+    with pytest.raises(ConfigError, match="has nothing to run"):
+        Containers().check(Entrant("alice", image=image("CMD []")))
+
+
+def test_an_image_that_is_not_here(engine: Any) -> None:
+    with pytest.raises(
+        ConfigError, match=r"alice: the image alice/agent:1 is not on this machine: .*docker pull"
+    ):
+        Containers().check(Entrant("alice", image="alice/agent:1"))
+
+
+def test_several_at_once(run: Run) -> None:
+    containers = [run("print('here')") for _ in range(4)]
+    assert [printed(container) for container in containers] == ["here\n"] * 4
