@@ -26,6 +26,8 @@ HOMES: Mapping[str, Sequence[str]] = {
     "nacl": ["glue/protocol/curve.py"],
     "msgpack": ["glue/protocol/*", "experiment_runner/executors/job.py"],
     "numba": ["glue/compiled/jit.py"],
+    "docker": ["experiment_runner/competition/containers.py"],
+    "requests": ["experiment_runner/competition/containers.py"],
     "click": ["*command.py", "*/commands/*", "glue/commands.py", "glue/players/naming.py"],
     "matplotlib": ["experiment_runner/report/*", "experiment_runner/paper/figures.py"],
     "PIL": ["env_server/render/*"],
@@ -153,7 +155,8 @@ class Missing:
     "Hides what a plain install does not bring along."
     def find_spec(self, name, path=None, target=None):
         if name.partition('.')[0] in {
-            'matplotlib', 'PIL', 'scipy', 'pyarrow', 'gymnasium', 'nacl', 'ray', 'pandas'
+            'matplotlib', 'PIL', 'scipy', 'pyarrow', 'gymnasium', 'nacl', 'ray', 'pandas', 'docker',
+            'requests',
         }:
             raise ModuleNotFoundError(name)
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import os
 from contextlib import suppress
 
-from honest import Honest, play
-
 from glue.types import Action
+from tests.jails.hostile.honest import Honest, play
 
 
 class Bombs(Honest):

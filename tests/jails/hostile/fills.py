@@ -6,9 +6,8 @@ import os
 import sys
 from pathlib import Path
 
-from honest import Honest, play
-
 from glue.types import Action
+from tests.jails.hostile.honest import Honest, play
 
 _FOLDERS = (
     "/tmp",

@@ -7,7 +7,7 @@ import sys
 from contextlib import suppress
 from pathlib import Path
 
-from honest import Honest, play
+from tests.jails.hostile.honest import Honest, play
 
 _FOLDERS = ("/tmp", "/dev/shm", "/dev/mqueue", "/var/tmp", "/run", "/run/glue", "/home/glue", ".")
 _NAME = "from-the-process-before"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
@@ -74,13 +74,14 @@ def found() -> Iterator[str]:
 
 def gained() -> Iterator[str]:
     """Yield privileges that could be gained."""
-    for what, attempt in {
+    attempts: dict[str, Callable[[], object]] = {
         "root": lambda: os.setuid(0),
         "a namespace": lambda: os.chroot("/proc/1/root"),
         "a device": lambda: os.mknod("/tmp/disk", 0o60600, os.makedev(254, 0)),
         "another priority": lambda: os.nice(-5),
         "the host's name": lambda: socket.sethostname("mine"),
-    }.items():
+    }
+    for what, attempt in attempts.items():
         with suppress(OSError):
             attempt()
             yield what

@@ -5,45 +5,35 @@ from __future__ import annotations
 import os
 import sys
 import threading
+from collections.abc import Callable
+from functools import partial
 
-from honest import Honest
-
+from env_server.toys import SkeletonEnvironment
 from glue import serve_agent, serve_environment
 from glue.client.experiment import connect
 from glue.errors import GlueError
+from tests.jails.hostile.honest import Honest
 
 _SECONDS = 5.0
 
 
-class Mole:
-    """An environment that would pay whatever it likes."""
-
-    def env_init(self) -> str:
-        return ""
-
-    def __getattr__(self, name: str) -> object:
-        raise AssertionError(f"{name} was called: the pose was believed")
-
-
-def poses(hub: str, own: str) -> dict[str, object]:
+def poses(hub: str, own: str) -> dict[str, Callable[[], object]]:
     """Return what is tried, by name."""
     others = [own.replace(part, other) for part in own.split("/") for other in ("honest", "0", "1")]
-    tried: dict[str, object] = {
-        "environment": lambda: serve_environment(Mole(), hub, own, wait=_SECONDS),  # type: ignore[arg-type]
-        "experiment": lambda: connect(hub, own, wait=_SECONDS).__enter__(),
+    tried: dict[str, Callable[[], object]] = {
+        "environment": lambda: serve_environment(SkeletonEnvironment(), hub, own, wait=_SECONDS),
+        "experiment": lambda: connect(hub, own, wait=_SECONDS),
     }
     for session in ("default", *others):
         if session != own:
-            tried[f"agent of {session!r}"] = lambda name=session: serve_agent(
-                Honest(), hub, name, wait=_SECONDS
-            )
+            tried[f"agent of {session!r}"] = partial(serve_agent, Honest(), hub, session, wait=_SECONDS)
     return tried
 
 
-def attempt(what: str, pose: object) -> None:
+def attempt(what: str, pose: Callable[[], object]) -> None:
     """Try one pose, and print what came of it."""
     try:
-        pose()  # type: ignore[operator]
+        pose()
         print(f"{what}: believed")
     except GlueError as error:
         print(f"{what}: {type(error).__name__}: {error}")

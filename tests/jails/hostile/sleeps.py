@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import time
 
-from honest import Honest, play
-
 from glue.types import Action
+from tests.jails.hostile.honest import Honest, play
 
 
 class Sleeps(Honest):
