@@ -179,7 +179,7 @@ def test_a_program_that_prints_without_end_waits_and_leaves_a_short_log(run: Run
 
 
 def test_the_last_words_are_kept(run: Run) -> None:
-    said = printed(run("print('x' * 10_000); raise RuntimeError('my mistake')"))
+    said = printed(run("import sys; sys.stderr.write('x' * 10_000); raise RuntimeError('my mistake')"))
     assert said.endswith("RuntimeError: my mistake\n")
     assert len(said) == _LIMITS.log
 
