@@ -12,8 +12,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from typing import Final, Self
 
 import numpy as np
@@ -23,6 +21,7 @@ from env_server.mario.game import start_first, step_world
 from env_server.mario.observation import BODY_SIZE
 from env_server.mario.parameters import Parameters
 from env_server.mario.sim.state import WORLD, World, Worlds
+from env_server.mario.threads import Threads
 from glue.compiled.jit import announce_compilation, entry
 from glue.errors import SimulatorError
 from glue.types import Observation
@@ -49,9 +48,7 @@ class Batch:
         self._sizes = np.zeros(len(tasks), np.int64)
         worth_it = min(os.cpu_count() or 1, len(tasks) // _GAMES_PER_THREAD)
         workers = max(1, worth_it if threads is None else threads)
-        bounds = [len(tasks) * worker // workers for worker in range(workers + 1)]
-        self._ranges = list(pairwise(bounds))
-        self._pool = ThreadPoolExecutor(max(1, workers - 1), "mario")
+        self._threads = Threads(workers, len(tasks))
         self._load()
 
     def __len__(self) -> int:
@@ -65,7 +62,7 @@ class Batch:
 
     def close(self) -> None:
         """End the threads."""
-        self._pool.shutdown()
+        self._threads.close()
 
     def start(self, which: npt.NDArray[np.bool_] | None = None) -> None:
         """Begin an episode in every game, or in those where `which`, shape (N,), is true."""
@@ -89,11 +86,7 @@ class Batch:
         actions = self._checked(actions)
         rewards = np.empty(len(self))
         ended = np.empty(len(self), np.bool_)
-        shared = (self._worlds, actions, rewards, ended, self._sizes, self._bodies)
-        others = [self._pool.submit(_step_range, *shared, *part) for part in self._ranges[1:]]
-        _step_range(*shared, *self._ranges[0])
-        for other in others:
-            other.result()
+        self._threads.run(_step_range, self._worlds, actions, rewards, ended, self._sizes, self._bodies)
         return rewards, ended
 
     def observation(self, i: int) -> Observation:

@@ -51,9 +51,10 @@ from env_server.mario.parameters import Parameters, resolve
 from env_server.mario.saving import State, pack_state, unpack_state
 from glue.errors import ConfigError, SaveError, SimulatorError
 from glue.options import parameters, parse_assignments
+from glue.suggestions import did_you_mean
 from glue.types import Action, Observation
 
-__all__ = ["InfiniteMario"]
+__all__ = ["InfiniteMario", "check_parameters"]
 
 _LEVEL: Final = ("level_seed", "level_type", "level_difficulty")
 _BUTTONS: Final = ("button_left", "button_right", "button_jump", "button_run")
@@ -127,11 +128,7 @@ class InfiniteMario:
         """
         # The first statement, so that the parameters are all the locals there are.
         given = {name: value for name, value in locals().items() if name != "self" and value is not None}
-        given = _check(given)
-        instance, mdp = given.pop("instance"), given.pop("mdp", None)
-        if instance and mdp:
-            raise SimulatorError(f"instance {instance} and mdp {mdp} are two tasks: leave out one")
-        self._task = resolve(given, instance=instance, mdp=mdp)
+        self._task = check_parameters(given)
         self._parameters = self._task
         self._game: Game | None = None
 
@@ -243,9 +240,25 @@ class InfiniteMario:
             self._game.set_task(self._parameters)
 
 
+def check_parameters(options: dict[str, Any]) -> Parameters:
+    """Return the task that options of `InfiniteMario`, by name, stand for.
+
+    Raises:
+        SimulatorError: an option is unknown or out of bounds, or both an instance and an MDP are given.
+    """
+    given = _check(options)
+    instance, mdp = given.pop("instance", 0), given.pop("mdp", None)
+    if instance and mdp:
+        raise SimulatorError(f"instance {instance} and mdp {mdp} are two tasks: leave out one")
+    return resolve(given, instance=instance, mdp=mdp)
+
+
 def _check(values: dict[str, Any]) -> dict[str, Any]:
     """Return parameters by name, each within its bounds."""
     known = parameters(InfiniteMario)
+    for name in values:
+        if name not in known:
+            raise SimulatorError(f"InfiniteMario has no option {name}{did_you_mean(name, known)}")
     try:
         checked = {name: known[name].check(value) for name, value in values.items()}
     except ConfigError as error:

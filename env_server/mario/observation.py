@@ -29,7 +29,16 @@ from env_server.mario.sim.tiles import tile_at
 from glue.compiled.jit import jit
 from glue.types import PREFIX_SIZE
 
-__all__ = ["BODY_SIZE", "COLUMNS_SHOWN", "ROWS_SHOWN", "encode"]
+__all__ = [
+    "BODY_SIZE",
+    "CHAR_OF",
+    "COLUMNS_SHOWN",
+    "ROWS_SHOWN",
+    "encode",
+    "encode_place",
+    "encode_tiles",
+    "kind_of_mario",
+]
 
 ROWS_SHOWN: Final = 16
 COLUMNS_SHOWN: Final = 21
@@ -58,7 +67,7 @@ def _char_of(code: int) -> int:
     return ord(str(digit)) if digit else ord(" ")
 
 
-_CHAR_OF: Final = np.array([_char_of(code) for code in range(256)], np.uint8)
+CHAR_OF: Final = np.array([_char_of(code) for code in range(256)], np.uint8)
 
 
 @jit
@@ -82,27 +91,32 @@ def encode(world: World, body: npt.NDArray[np.uint8]) -> int:
     reals = body.view(np.float64)[PREFIX_SIZE // 8 :]
     numbers[0] = world.drawn_camera // 16
     mario = world.actors[0]
-    numbers[1] = _kind_of_mario(world)
+    numbers[1] = kind_of_mario(world)
     numbers[2] = 0
-    _encode_place(world, mario, reals)
+    encode_place(world, mario, reals)
     for i in range(world.listed):
         actor = world.actors[world.order[i]]
         numbers[3 + 2 * i] = actor.kind
         numbers[4 + 2 * i] = actor.kind <= PLANT and actor.winged
-        _encode_place(world, actor, reals[4 + 4 * i :])
-    _encode_tiles(world, int(numbers[0]), int(reals[0]), 15 - int(reals[1]), body[end_of_ints:])
+        encode_place(world, actor, reals[4 + 4 * i :])
+    chars = body[end_of_ints:]
+    encode_tiles(world, CHAR_OF, _GOAL, _MARIO, COLUMNS_SHOWN + 1, chars)
+    for row in range(ROWS_SHOWN):
+        chars[row * (COLUMNS_SHOWN + 1) + COLUMNS_SHOWN] = _NEWLINE
     return end_of_ints + _CHARS
 
 
 @jit
-def _kind_of_mario(world: World) -> int:
+def kind_of_mario(world: World) -> int:
+    """Return the number that stands for Mario: 0 small, 10 large, 11 with fire."""
     if world.fire:
         return 11
     return 10 if world.large else 0
 
 
 @jit
-def _encode_place(world: World, actor: Actor, reals: npt.NDArray[np.float64]) -> None:
+def encode_place(world: World, actor: Actor, reals: npt.NDArray[np.float64]) -> None:
+    """Write where an actor is and how fast, as the doubles of an observation, shape (4,)."""
     dx = actor.x - actor.old_x
     dy = actor.y - actor.old_y
     ticks = np.float32(TICKS_PER_ACTION)
@@ -117,16 +131,26 @@ def _encode_place(world: World, actor: Actor, reals: npt.NDArray[np.float64]) ->
 
 
 @jit
-def _encode_tiles(
-    world: World, first_column: int, column_of_mario: int, row_of_mario: int, chars: npt.NDArray[np.uint8]
+def encode_tiles(
+    world: World, codes: npt.NDArray[np.uint8], goal: int, mario: int, stride: int, cells: npt.NDArray[np.uint8]
 ) -> None:
+    """Write the window of tiles, 16 rows from the top down.
+
+    Args:
+        world: the game.
+        codes: what to write for each tile code, shape (256,).
+        goal, mario: what to write for the column of the goal, and where Mario is.
+        stride: distance between two rows of `cells`, at least 21.
+        cells: shape (16 * stride,).
+    """
+    first_column = world.drawn_camera // 16
     for j in range(COLUMNS_SHOWN):
         column = first_column + j
         for row in range(ROWS_SHOWN):
-            code = _CHAR_OF[tile_at(world, column, row)]
-            chars[row * (COLUMNS_SHOWN + 1) + j] = _GOAL if column == world.exit_x else code
-    for row in range(ROWS_SHOWN):
-        chars[row * (COLUMNS_SHOWN + 1) + COLUMNS_SHOWN] = _NEWLINE
-    j = column_of_mario - first_column
-    if 0 <= j < COLUMNS_SHOWN and 0 <= row_of_mario < ROWS_SHOWN:
-        chars[row_of_mario * (COLUMNS_SHOWN + 1) + j] = _MARIO
+            code = codes[tile_at(world, column, row)]
+            cells[row * stride + j] = goal if column == world.exit_x else code
+    actor = world.actors[0]
+    j = int(np.float64(actor.x) / 16.0) - first_column
+    row = 15 - int(16.0 - np.float64(actor.y) / 16.0)
+    if 0 <= j < COLUMNS_SHOWN and 0 <= row < ROWS_SHOWN:
+        cells[row * stride + j] = mario

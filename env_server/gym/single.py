@@ -1,0 +1,153 @@
+"""One game of Infinite Mario as a `gymnasium.Env`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from env_server.gym.games import DISABLED, INFOS, Games
+from env_server.gym.rendering import FPS, RENDER_MODES, Renderer, usable_modes
+from env_server.gym.spaces import action_space, observation_space, read_action, unpack
+from glue.errors import SimulatorError
+
+__all__ = ["GameState", "InfiniteMarioEnv"]
+
+
+@dataclass(frozen=True, slots=True)
+class GameState:
+    """Where a game is, as `clone_state` returned it; it means nothing to another version of the program."""
+
+    arrays: tuple[npt.NDArray[Any], ...]
+
+
+class InfiniteMarioEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
+    """Infinite Mario of the RL-Competition 2009.
+
+    Args:
+        observation: `tiles`, `planes`, `pixels` or `raw`: see docs/gymnasium.md.
+        action: `buttons`, MultiDiscrete([3, 2, 2]) of direction (0 left, 1 neither, 2 right), jump and run;
+            or `discrete`, Discrete(12), whose action is 4 * direction + 2 * jump + run.
+        levels: the name of a set of levels; each episode is played on one of them.
+        num_levels, start_level: as many levels, from that number on, instead of a set.
+        render_mode: `rgb_array`, `ansi` or `human`.
+        options: every parameter of the game, as for `glue-env mario`. A level type or difficulty that is
+            given holds for all levels of a set.
+
+    Mario's own step limit, `max_trial_steps`, pays the reward of death and terminates the episode; then
+    `info["timeout"]` is true.
+
+    Raises:
+        ConfigError, SimulatorError: an argument is out of bounds, or two contradict each other.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": [*RENDER_MODES], "render_fps": FPS}
+
+    def __init__(
+        self,
+        *,
+        observation: str = "tiles",
+        action: str = "buttons",
+        levels: str | None = None,
+        num_levels: int | None = None,
+        start_level: int | None = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        self.action_space = action_space(action)
+        self._renderer = Renderer(render_mode)
+        self._games = Games(1, observation, DISABLED, 1, None, levels, num_levels, start_level, options)
+        self.observation_space = observation_space(observation)
+        # The class names every mode, for gymnasium.make; an instance those that can be tried here.
+        self.metadata = {**type(self).metadata, "render_modes": usable_modes()}
+        self.render_mode = render_mode
+        self._view = observation
+        self._action = action
+        self._seeded = False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode.
+
+        With a seed nothing of earlier episodes remains; without one, as in the original, the buttons that the
+        last episode left pressed are still held in the first tick.
+        """
+        super().reset(seed=seed)
+        if seed is not None or not self._seeded:
+            self._games.seed(0, int(self.np_random.integers(2**63)))
+            self._seeded = True
+        self._games.reset(np.ones(1, np.bool_))
+        self._show()
+        return self._observation(), self._info()
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Hold the buttons of `action` for five ticks of the game.
+
+        The last observation of an episode that terminates is the one before it, again.
+
+        Raises:
+            SimulatorError: the action is not in the space, or there is no episode to step in.
+        """
+        buttons = read_action(self._action, action)
+        games = self._games
+        if games.step(buttons, games.cells, games.reals) >= 0:
+            raise SimulatorError("a step needs an episode: call reset first, and again after each end")
+        self._show()
+        lane = games.lanes[0]
+        return self._observation(), float(lane["reward"]), bool(lane["terminated"]), False, self._info()
+
+    def render(self) -> Any:
+        """Return what the render mode says; see Gymnasium.
+
+        Raises:
+            SimulatorError: there is no episode yet.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn(
+                "render() was called without a render mode: gymnasium.make(..., render_mode='rgb_array')"
+            )
+            return None
+        if not self._games.lanes["begun"][0]:
+            raise SimulatorError("there is nothing to render: call reset first")
+        return None if self.render_mode == "human" else self._renderer.show(self._games.observation(0))
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self._games.close()
+        self._renderer.close()
+
+    def clone_state(self) -> GameState:
+        """Return where the game is, and which levels come next, to go back to later."""
+        return GameState(tuple(array.copy() for array in self._arrays()))
+
+    def restore_state(self, state: GameState) -> None:
+        """Go to where `clone_state` of an environment of the same options was called.
+
+        Raises:
+            SimulatorError: `state` is of an environment with other observations.
+        """
+        pairs = [*zip(self._arrays(), state.arrays, strict=True)]
+        if any(ours.shape != theirs.shape or ours.dtype != theirs.dtype for ours, theirs in pairs):
+            raise SimulatorError("this state is of an environment with another kind of observation")
+        for ours, theirs in pairs:
+            ours[:] = theirs
+        self._seeded = True
+
+    def _arrays(self) -> tuple[npt.NDArray[Any], ...]:
+        games = self._games
+        return games.worlds.view(np.uint8), games.lanes.view(np.uint8), games.cells, games.reals
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self._renderer.show(self._games.observation(0))
+
+    def _observation(self) -> Any:
+        return unpack(self._view, self._games.cells[0].copy(), self._games.reals[0].copy())
+
+    def _info(self) -> dict[str, Any]:
+        timeout, goal, *level = self._games.lanes["info"][0].tolist()
+        return dict(zip(INFOS, (bool(timeout), bool(goal), *level), strict=True))

@@ -1,0 +1,203 @@
+"""Many games of Infinite Mario as a `gymnasium.vector.VectorEnv`, stepped in one compiled call."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium.utils.seeding import np_random
+from gymnasium.vector import VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from env_server.gym.games import DISABLED, INFOS, NEXT_STEP, SAME_STEP, Games
+from env_server.gym.rendering import FPS, RENDER_MODES, Renderer
+from env_server.gym.spaces import action_space, observation_space, read_actions, unpack
+from glue.errors import ConfigError, SimulatorError
+from glue.gym.modes import AutoresetMode, read_mode
+
+__all__ = ["InfiniteMarioVectorEnv"]
+
+_MODES = {
+    AutoresetMode.NEXT_STEP: NEXT_STEP,
+    AutoresetMode.SAME_STEP: SAME_STEP,
+    AutoresetMode.DISABLED: DISABLED,
+}
+_FLAGS = 2  # the first of INFOS are true or false
+
+
+class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
+    """`num_envs` games, each as `InfiniteMarioEnv` would play it with the seed `seed + i`.
+
+    Args:
+        num_envs: how many games.
+        max_episode_steps: steps after which an episode is truncated; None for no such limit.
+        autoreset_mode: Gymnasium's NEXT_STEP, SAME_STEP or DISABLED, or its value.
+        num_threads: threads that step the games. Results do not depend on it.
+        copy: False returns views of memory that the next step overwrites.
+        observation, action, levels, num_levels, start_level, options: as for `InfiniteMarioEnv`.
+        render_mode: `rgb_array` or `ansi`.
+
+    Raises:
+        ConfigError, SimulatorError: an argument is out of bounds, or two contradict each other.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": [*RENDER_MODES[:2]], "render_fps": FPS}
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        *,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        num_threads: int = 1,
+        copy: bool = True,
+        observation: str = "tiles",
+        action: str = "buttons",
+        levels: str | None = None,
+        num_levels: int | None = None,
+        start_level: int | None = None,
+        render_mode: str | None = None,
+        **options: Any,
+    ) -> None:
+        for name, number in (("num_envs", num_envs), ("num_threads", num_threads)):
+            if not isinstance(number, int) or number < 1:
+                raise ConfigError(f"{name} must be at least 1, not {number!r:.80}")
+        if render_mode == "human":
+            raise ConfigError("many games have no window: render_mode is rgb_array or ansi")
+        mode = read_mode(autoreset_mode)
+        self.num_envs = num_envs
+        self.single_action_space = action_space(action)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._renderer = Renderer(render_mode)
+        threads = min(num_threads, num_envs)
+        self._games = Games(
+            num_envs,
+            observation,
+            _MODES[mode],
+            threads,
+            max_episode_steps,
+            levels,
+            num_levels,
+            start_level,
+            options,
+        )
+        self.single_observation_space = observation_space(observation)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.metadata = {**type(self).metadata, "autoreset_mode": mode}
+        self.render_mode = render_mode
+        self._view = observation
+        self._action = action
+        self._copy = copy
+        self._mode = mode
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode in every game, or in those that `options["reset_mask"]`, shape (N,), chooses.
+
+        Game `i` of a seed is seeded with `seed + i`. For what a seeded game forgets see `InfiniteMarioEnv`.
+
+        Raises:
+            ConfigError: there is not one seed per game, or the mask is not N bools of which one is true.
+        """
+        super().reset(seed=seed if isinstance(seed, int) else None)
+        games = self._games
+        which = self._mask(options)
+        seeds = self._seeds(seed)
+        for i in np.flatnonzero(which):
+            one = seeds[i]
+            if one is not None or not games.lanes["begun"][i]:
+                generator = self.np_random if one is None else np_random(one)[0]
+                games.seed(int(i), int(generator.integers(2**63)))
+        games.reset(which)
+        if self._copy:
+            return unpack(self._view, games.cells.copy(), games.reals.copy()), self._infos(which)
+        return unpack(self._view, games.cells, games.reals), self._infos(which)
+
+    def step(
+        self, actions: Any
+    ) -> tuple[Any, npt.NDArray[np.float64], npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
+        """Carry out an action in every game.
+
+        Raises:
+            SimulatorError: an action is not in the space, or a game has no episode to step in; then no game
+                was stepped.
+        """
+        games = self._games
+        buttons = read_actions(self._action, actions, self.num_envs)
+        cells, reals = games.cells, games.reals
+        if self._copy:
+            cells, reals = np.empty_like(cells), np.empty_like(reals)
+        unready = games.step(buttons, cells, reals)
+        if unready >= 0:
+            raise SimulatorError(f"game {unready} has no episode to step in: reset it first")
+        lanes = games.lanes
+        terminated, truncated = lanes["terminated"].copy(), lanes["truncated"].copy()
+        infos: dict[str, Any] = {}
+        if self._mode is AutoresetMode.SAME_STEP:
+            over = terminated | truncated
+            if over.any():
+                infos = self._final(over)
+        infos.update(self._infos(np.ones(self.num_envs, np.bool_)))
+        return unpack(self._view, cells, reals), lanes["reward"].copy(), terminated, truncated, infos
+
+    def render(self) -> tuple[Any, ...] | None:
+        """Return what the render mode shows of each game."""
+        if self.render_mode is None:
+            return None
+        if not self._games.lanes["begun"].all():
+            raise SimulatorError("there is nothing to render: call reset first")
+        return tuple(self._renderer.show(self._games.observation(i)) for i in range(self.num_envs))
+
+    def close_extras(self, **_: Any) -> None:
+        """End the threads."""
+        self._games.close()
+
+    def _mask(self, options: dict[str, Any] | None) -> npt.NDArray[np.bool_]:
+        mask = (options or {}).get("reset_mask")
+        if mask is None:
+            return np.ones(self.num_envs, np.bool_)
+        good = isinstance(mask, np.ndarray) and mask.dtype == np.bool_ and mask.shape == (self.num_envs,)
+        if not good or not mask.any():
+            raise ConfigError(
+                f"options['reset_mask'] is an array of {self.num_envs} bools, one of them true; "
+                f"received {mask!r:.80}"
+            )
+        chosen: npt.NDArray[np.bool_] = mask
+        return chosen
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, int):
+            return [seed + i for i in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ConfigError(f"expected a seed for each of {self.num_envs} games; received {len(seed)}")
+        return [*seed]
+
+    def _infos(self, which: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        return _columns(self._games.lanes["info"], which)
+
+    def _final(self, over: npt.NDArray[np.bool_]) -> dict[str, Any]:
+        """Return what Gymnasium says of episodes that are over, when the next ones have begun already."""
+        games = self._games
+        last = np.full(self.num_envs, None, object)
+        for i in np.flatnonzero(over):
+            last[i] = unpack(self._view, games.final_cells[i].copy(), games.final_reals[i].copy())
+        final_info = _columns(games.lanes["final_info"], over)
+        return {"final_obs": last, "_final_obs": over, "final_info": final_info, "_final_info": over.copy()}
+
+
+def _columns(infos: npt.NDArray[np.int64], which: npt.NDArray[np.bool_]) -> dict[str, Any]:
+    """Return rows of infos as Gymnasium's vector environments do: by name, each with a mask."""
+    found: dict[str, Any] = {}
+    for number, name in enumerate(INFOS):
+        column = np.where(which, infos[:, number], 0)
+        found[name] = column.astype(np.bool_) if number < _FLAGS else column
+        found[f"_{name}"] = which.copy()
+    return found

@@ -1,0 +1,116 @@
+"""Numbered levels, and named sets of them: to train on some levels and be tested on others.
+
+Level `n` has a type, a difficulty from 0 to 3 and a seed, which depend on `n` alone:
+
+    type        n mod 3
+    difficulty  (n div 3) mod 4
+    seed        the upper 31 bits of SplitMix64's n-th output, because Java's generator makes
+                similar levels of neighbouring seeds
+
+so every set holds all types and difficulties, in nearly equal numbers. A set never changes: other rules would
+get another `VERSION`, and other names.
+
+Source of the hash: Steele, Lea and Flood (2014), Fast splittable pseudorandom number generators.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from env_server.mario.parameters import Parameters
+from glue.compiled.jit import entry, jit
+from glue.errors import ConfigError
+from glue.suggestions import did_you_mean
+
+__all__ = ["LEVEL_SETS", "VERSION", "LevelRange", "level_seed", "numbered_level", "resolve_levels", "splitmix"]
+
+VERSION: Final = 1
+TYPES: Final = 3
+DIFFICULTIES: Final = 4
+_TESTING: Final = 1_000_000
+_LAST: Final = 2**31 - 1
+
+
+class LevelRange(NamedTuple):
+    """The levels from number `first` on, `count` of them."""
+
+    first: int
+    count: int
+
+    def __contains__(self, number: object) -> bool:
+        return isinstance(number, int) and self.first <= number < self.first + self.count
+
+    @property
+    def numbers(self) -> range:
+        """The numbers of the levels."""
+        return range(self.first, self.first + self.count)
+
+
+LEVEL_SETS: Final = {
+    "train-200": LevelRange(0, 200),
+    "train-500": LevelRange(0, 500),
+    "test-1000": LevelRange(_TESTING, 1000),
+}
+"""The levels of the two training sets overlap; no level of the test set is in either."""
+
+
+def resolve_levels(
+    levels: str | None, num_levels: int | None, start_level: int | None
+) -> LevelRange | None:
+    """Return the levels that a set's name, or a number of levels and the first one, stand for.
+
+    Returns:
+        None if nothing is given: there is one level, that of the task.
+
+    Raises:
+        ConfigError: the set is unknown, both forms are given, or a number is out of range.
+    """
+    if levels is not None:
+        if num_levels is not None or start_level is not None:
+            raise ConfigError("levels names a set: leave out num_levels and start_level")
+        if levels not in LEVEL_SETS:
+            known = ", ".join(LEVEL_SETS)
+            raise ConfigError(
+                f"levels is one of {known}, not {levels!r}{did_you_mean(str(levels), LEVEL_SETS)}"
+            )
+        return LEVEL_SETS[levels]
+    if num_levels is None:
+        if start_level is not None:
+            raise ConfigError(f"start_level={start_level} needs num_levels: how many levels there are")
+        return None
+    first = 0 if start_level is None else start_level
+    if not 0 <= first <= _LAST:
+        raise ConfigError(f"start_level must be from 0 to {_LAST}, not {first}")
+    if not 1 <= num_levels <= _LAST + 1 - first:
+        raise ConfigError(
+            f"num_levels must be from 1 to {_LAST + 1 - first} after level {first}, not {num_levels}"
+        )
+    return LevelRange(first, num_levels)
+
+
+def numbered_level(task: Parameters, number: int) -> Parameters:
+    """Return `task` on level `number`."""
+    return replace(
+        task,
+        level_seed=int(level_seed(number)),
+        level_type=number % TYPES,
+        level_difficulty=number // TYPES % DIFFICULTIES,
+    )
+
+
+@jit
+def splitmix(number: np.uint64) -> np.uint64:
+    """Return output `number` of SplitMix64 seeded with 0, counted from 0."""
+    state = (number + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return state ^ (state >> np.uint64(31))
+
+
+@entry
+def level_seed(number: int) -> int:
+    """Return the seed of level `number`, 0 to 2**31 - 1."""
+    return int(splitmix(np.uint64(number)) >> np.uint64(33))

@@ -1,0 +1,1 @@
+"""RL-Glue and Gymnasium, each as the other: docs/gymnasium.md."""
