@@ -15,7 +15,6 @@ from env_server.gym.views import VIEWS, write_view
 from env_server.mario.environment import check_parameters
 from env_server.mario.level_sets import DIFFICULTIES, TYPES, level_seed, resolve_levels, splitmix
 from env_server.mario.observation import BODY_SIZE, encode
-from env_server.mario.parameters import Parameters
 from env_server.mario.reward import ordinary_reward, terminal_reward
 from env_server.mario.sim.state import WORLD, World, Worlds
 from env_server.mario.sim.step import act, begin
@@ -32,8 +31,13 @@ SAME_STEP: Final = 1
 DISABLED: Final = 2
 
 INFOS: Final = ("timeout", "goal", "level_seed", "level_type", "level_difficulty")
-"""What an info says, in this order: whether the step limit ended the episode, whether the goal did; the level."""
+"""What an info says, in this order: whether the step limit or the goal ended the episode, and the level."""
 _MAX_STEPS: Final = 2**31 - 1
+
+# What a call can order of a game.
+_LEAVE: Final = 0
+_ACT: Final = 1
+_BEGIN: Final = 2
 
 Bytes = npt.NDArray[np.uint8]
 Reals = npt.NDArray[np.float32]
@@ -114,7 +118,7 @@ class Games:
         setup["mode"] = mode
         setup["max_steps"] = max_episode_steps or _MAX_STEPS
         if chosen is not None:
-            setup["first_level"], setup["levels"] = chosen
+            setup["first_level"], setup["levels"] = chosen.start, len(chosen)
         for name in ("level_type", "level_difficulty"):
             setup[name] = options.get(name, -1)
         self.worlds: Worlds = np.zeros(count, WORLD)
@@ -126,6 +130,8 @@ class Games:
         finals = count if mode == SAME_STEP else 0
         self.final_cells: Bytes = np.zeros((finals, shape.bytes), np.uint8)
         self.final_reals: Reals = np.zeros((finals, shape.reals), np.float32)
+        self._all_act = np.full(count, _ACT, np.int8)
+        self._no_buttons = np.zeros((count, 3), np.int64)
         self._threads = Threads(threads, count)
         self._load()
 
@@ -145,7 +151,7 @@ class Games:
 
     def reset(self, which: npt.NDArray[np.bool_]) -> None:
         """Begin an episode in the games that `which`, shape (N,), chooses."""
-        self._threads.run(_reset, self.worlds, self.lanes, self._setup, which, self.cells, self.reals)
+        self._run(np.where(which, _BEGIN, _LEAVE).astype(np.int8), self._no_buttons, self.cells, self.reals)
 
     def step(self, buttons: npt.NDArray[np.int64], cells: Bytes, reals: Reals) -> int:
         """Carry out an action in every game, and write what is shown to `cells` and `reals` as well.
@@ -159,8 +165,7 @@ class Games:
         """
         unready = int(_first_unready(self.lanes, self._setup))
         if unready < 0:
-            shown = (self.cells, self.reals, cells, reals, self.final_cells, self.final_reals)
-            self._threads.run(_step, self.worlds, self.lanes, self._setup, buttons, *shown)
+            self._run(self._all_act, buttons, cells, reals)
         return unready
 
     def observation(self, i: int) -> Observation:
@@ -168,15 +173,17 @@ class Games:
         body = np.zeros(BODY_SIZE, np.uint8)
         return Observation.from_body(body[: _body(self.worlds[i : i + 1], body)].tobytes())
 
+    def _run(
+        self, orders: npt.NDArray[np.int8], buttons: npt.NDArray[np.int64], cells: Bytes, reals: Reals
+    ) -> None:
+        shown = (self.cells, self.reals, cells, reals, self.final_cells, self.final_reals)
+        self._threads.run(_advance, self.worlds, self.lanes, self._setup, orders, buttons, *shown)
+
     def _load(self) -> None:
         """Load the compiled rules, or compile them and say so."""
-        nothing = (self.worlds[:0], self.lanes[:0], self._setup)
-        shown = (self.cells[:0], self.reals[:0])
         with announce_compilation("Infinite Mario for Gymnasium"):
             _first_unready(self.lanes[:0], self._setup)
-            _reset(*nothing, np.zeros(0, np.bool_), *shown, 0, 0)
-            finals = (self.final_cells[:0], self.final_reals[:0])
-            _step(*nothing, np.zeros((0, 3), np.int64), *shown, *shown, *finals, 0, 0)
+            self._run(np.zeros(len(self), np.int8), self._no_buttons, self.cells, self.reals)
             # An observation is asked for by `render` alone, which may compile when it comes to that.
 
 
@@ -203,28 +210,6 @@ def _begin(world: World, lane: Lane, setup: Setup) -> None:
 
 
 @entry
-def _reset(
-    worlds: Worlds,
-    lanes: Array,
-    setups: Array,
-    which: npt.NDArray[np.bool_],
-    cells: Bytes,
-    reals: Reals,
-    first: int,
-    last: int,
-) -> None:
-    setup: Setup = setups[0]
-    for i in range(first, last):
-        if which[i]:
-            world: World = worlds[i]
-            lane: Lane = lanes[i]
-            _begin(world, lane, setup)
-            lane.terminated = False
-            lane.truncated = False
-            write_view(world, setup.view_number, cells[i], reals[i])
-
-
-@entry
 def _first_unready(lanes: Array, setups: Array) -> int:
     """Return the first game in which no step can be made, or -1."""
     setup: Setup = setups[0]
@@ -236,10 +221,11 @@ def _first_unready(lanes: Array, setups: Array) -> int:
 
 
 @entry
-def _step(
+def _advance(
     worlds: Worlds,
     lanes: Array,
     setups: Array,
+    orders: npt.NDArray[np.int8],
     buttons: npt.NDArray[np.int64],
     cells: Bytes,
     reals: Reals,
@@ -250,45 +236,50 @@ def _step(
     first: int,
     last: int,
 ) -> None:
-    """Carry out an action in the games from `first` up to `last`."""
+    """Do as ordered in the games from `first` up to `last`.
+
+    One function for all that can happen to a game, because the rules are compiled into each that calls them.
+    """
     setup: Setup = setups[0]
     for i in range(first, last):
+        if orders[i] == _LEAVE:
+            continue
         world: World = worlds[i]
         lane: Lane = lanes[i]
-        if lane.over and setup.mode == NEXT_STEP:
-            _begin(world, lane, setup)
+        begins = orders[i] == _BEGIN or (lane.over and setup.mode == NEXT_STEP)
+        if begins:
             lane.reward = 0.0
             lane.terminated = False
             lane.truncated = False
-            write_view(world, setup.view_number, cells[i], reals[i])
         else:
-            _act(world, lane, setup, buttons[i], cells[i], reals[i])
+            _act(world, lane, setup, buttons[i])
             if lane.over and setup.mode == SAME_STEP:
+                if not lane.terminated:
+                    write_view(world, setup.view_number, cells[i], reals[i])
                 final_cells[i] = cells[i]
                 final_reals[i] = reals[i]
                 lane.final_info[:] = lane.info
-                _begin(world, lane, setup)
-                write_view(world, setup.view_number, cells[i], reals[i])
+                begins = True
+        if begins:
+            _begin(world, lane, setup)
+        # The observation of a terminal step is the one before it, as in the original.
+        if begins or not lane.terminated:
+            write_view(world, setup.view_number, cells[i], reals[i])
         shown_cells[i] = cells[i]
         shown_reals[i] = reals[i]
 
 
 @jit
-def _act(
-    world: World, lane: Lane, setup: Setup, buttons: npt.NDArray[np.int64], cells: Bytes, reals: Reals
-) -> None:
-    """Carry out an action. The observation of a terminal step is the one before it, as in the original."""
+def _act(world: World, lane: Lane, setup: Setup, buttons: npt.NDArray[np.int64]) -> None:
     was_dying = world.death_timer > 0
-    if act(world, buttons[0], buttons[1], buttons[2]):
-        lane.reward = ordinary_reward(world)
-        lane.terminated = False
-        write_view(world, setup.view_number, cells, reals)
-    else:
+    lane.terminated = not act(world, buttons[0], buttons[1], buttons[2])
+    if lane.terminated:
         lane.reward = terminal_reward(world)
-        lane.terminated = True
         lane.info[1] = world.win_timer > 0
         lane.info[0] = world.win_timer == 0 and not was_dying and world.steps >= world.max_trial_steps
-    lane.truncated = not lane.terminated and world.steps >= setup.max_steps
+    else:
+        lane.reward = ordinary_reward(world)
+    lane.truncated = world.steps >= setup.max_steps  # as Gymnasium has it, even if the episode ended as well
     lane.over = lane.terminated or lane.truncated
 
 

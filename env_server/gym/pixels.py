@@ -36,7 +36,7 @@ _NAMES: Final = {
     8: "coin",
     9: "pole",
 }
-"""The picture of each tile of a view; Mario's is drawn as a sprite. A pipe's right half is its left's mirror."""
+"""The picture of each tile of a view; Mario is drawn as a sprite."""
 
 
 def _shrunk(lines: tuple[str, ...]) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
@@ -129,9 +129,7 @@ def _draw_tiles(tiles: npt.NDArray[np.uint8], left: int, pixels: npt.NDArray[np.
 
 
 @jit
-def _draw_sprite(
-    kind: int, place: npt.NDArray[np.float64], left: int, pixels: npt.NDArray[np.uint8]
-) -> None:
+def _draw_sprite(kind: int, place: npt.NDArray[np.float64], left: int, pixels: npt.NDArray[np.uint8]) -> None:
     """Draw a sprite with its feet at `place`: x, height, velocity."""
     top = int(np.floor((ROWS_SHOWN - place[1]) * _TILE)) - _ROOM
     first = int(np.floor(place[0] * _TILE)) - _TILE // 2 - left

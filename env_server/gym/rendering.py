@@ -82,7 +82,7 @@ class _Window:
             self._root: Any = tkinter.Tk()
         except tkinter.TclError as error:
             raise ConfigError(
-                f"render_mode='human' needs a screen, and there is none ({error}): use render_mode='rgb_array'"
+                f"render_mode='human' needs a screen ({error}): use render_mode='rgb_array' without one"
             ) from None
         self._photo_image = tkinter.PhotoImage
         self._root.title("Infinite Mario")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, Final
 
 import gymnasium
 import numpy as np
@@ -15,6 +15,9 @@ from env_server.gym.spaces import action_space, observation_space, read_action, 
 from glue.errors import SimulatorError
 
 __all__ = ["GameState", "InfiniteMarioEnv"]
+
+
+_METADATA: Final = {"render_modes": [*RENDER_MODES], "render_fps": FPS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +47,7 @@ class InfiniteMarioEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         ConfigError, SimulatorError: an argument is out of bounds, or two contradict each other.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [*RENDER_MODES], "render_fps": FPS}
+    metadata: dict[str, Any] = _METADATA
 
     def __init__(
         self,

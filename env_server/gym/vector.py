@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,9 @@ _MODES = {
 _FLAGS = 2  # the first of INFOS are true or false
 
 
+_METADATA: Final = {"render_modes": [*RENDER_MODES[:2]], "render_fps": FPS}
+
+
 class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
     """`num_envs` games, each as `InfiniteMarioEnv` would play it with the seed `seed + i`.
 
@@ -43,7 +46,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         ConfigError, SimulatorError: an argument is out of bounds, or two contradict each other.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": [*RENDER_MODES[:2]], "render_fps": FPS}
+    metadata: dict[str, Any] = _METADATA
 
     def __init__(
         self,

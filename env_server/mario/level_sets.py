@@ -16,7 +16,7 @@ Source of the hash: Steele, Lea and Flood (2014), Fast splittable pseudorandom n
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -25,42 +25,31 @@ from glue.compiled.jit import entry, jit
 from glue.errors import ConfigError
 from glue.suggestions import did_you_mean
 
-__all__ = ["LEVEL_SETS", "VERSION", "LevelRange", "level_seed", "numbered_level", "resolve_levels", "splitmix"]
+__all__ = [
+    "LEVEL_SETS",
+    "VERSION",
+    "level_seed",
+    "numbered_level",
+    "resolve_levels",
+    "splitmix",
+]
 
 VERSION: Final = 1
 TYPES: Final = 3
 DIFFICULTIES: Final = 4
-_TESTING: Final = 1_000_000
 _LAST: Final = 2**31 - 1
 
 
-class LevelRange(NamedTuple):
-    """The levels from number `first` on, `count` of them."""
-
-    first: int
-    count: int
-
-    def __contains__(self, number: object) -> bool:
-        return isinstance(number, int) and self.first <= number < self.first + self.count
-
-    @property
-    def numbers(self) -> range:
-        """The numbers of the levels."""
-        return range(self.first, self.first + self.count)
-
-
 LEVEL_SETS: Final = {
-    "train-200": LevelRange(0, 200),
-    "train-500": LevelRange(0, 500),
-    "test-1000": LevelRange(_TESTING, 1000),
+    "train-200": range(200),
+    "train-500": range(500),
+    "test-1000": range(1_000_000, 1_001_000),
 }
-"""The levels of the two training sets overlap; no level of the test set is in either."""
+"""The numbers of the levels. Those of the two training sets overlap; none of the test set is in either."""
 
 
-def resolve_levels(
-    levels: str | None, num_levels: int | None, start_level: int | None
-) -> LevelRange | None:
-    """Return the levels that a set's name, or a number of levels and the first one, stand for.
+def resolve_levels(levels: str | None, num_levels: int | None, start_level: int | None) -> range | None:
+    """Return the numbers of the levels that a set's name, or a number of levels and the first one, stand for.
 
     Returns:
         None if nothing is given: there is one level, that of the task.
@@ -88,7 +77,7 @@ def resolve_levels(
         raise ConfigError(
             f"num_levels must be from 1 to {_LAST + 1 - first} after level {first}, not {num_levels}"
         )
-    return LevelRange(first, num_levels)
+    return range(first, first + num_levels)
 
 
 def numbered_level(task: Parameters, number: int) -> Parameters:

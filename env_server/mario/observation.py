@@ -132,7 +132,12 @@ def encode_place(world: World, actor: Actor, reals: npt.NDArray[np.float64]) -> 
 
 @jit
 def encode_tiles(
-    world: World, codes: npt.NDArray[np.uint8], goal: int, mario: int, stride: int, cells: npt.NDArray[np.uint8]
+    world: World,
+    codes: npt.NDArray[np.uint8],
+    goal: int,
+    mario: int,
+    stride: int,
+    cells: npt.NDArray[np.uint8],
 ) -> None:
     """Write the window of tiles, 16 rows from the top down.
 

@@ -16,7 +16,7 @@ ROOT: Final = Path(__file__).parents[2]
 
 PACKAGES: Final = ("glue", "env_server", "agents", "experiment_runner")
 
-_GLUE: Final = ("glue/commands", "glue/testing")
+_GLUE: Final = ("glue/commands", "glue/gym", "glue/testing")
 """All of glue."""
 
 MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
@@ -33,6 +33,7 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "glue/hub": ("glue/core", "glue/sockets"),
     "glue/legacy": ("glue/hub",),
     "glue/testing": ("glue/client", "glue/legacy"),
+    "glue/gym": ("glue/client",),
     "glue/__init__": ("glue/client", "glue/compiled", "glue/trajectory"),
     "glue/commands": ("glue/__init__", "glue/legacy"),
     # Environments and agents run on different machines, and share what crosses the wire.
@@ -40,6 +41,7 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "env_server/mario/sim": ("env_server",),
     "env_server/mario": ("env_server/mario/sim",),
     "env_server/render": ("env_server",),
+    "env_server/gym": ("env_server/mario", "env_server/render"),
     "env_server/replay": ("env_server/mario", "env_server/render"),
     "env_server/commands": ("env_server/replay",),
     "agents": _GLUE,

@@ -35,6 +35,8 @@ HOMES: Mapping[str, Sequence[str]] = {
     "pyarrow": ["experiment_runner/store/*"],
     "scipy": ["experiment_runner/analysis/*"],
     "ray": ["experiment_runner/executors/*"],
+    "gymnasium": ["glue/gym/*", "env_server/gym/*", "agents/ppo.py"],
+    "torch": ["agents/ppo.py"],
 }
 """Where a dependency may be imported. Everything else goes through these."""
 

@@ -1,0 +1,417 @@
+"""Gymnasium's spaces as task specs, and back.
+
+A space becomes a run of ints, one of doubles and one of chars, its leaves one after the other: those of a
+Dict in the order of its keys, those of a Tuple in its own.
+
+    Discrete, MultiDiscrete, MultiBinary    ints
+    Box of integers other than uint8        ints, if they fit 32 bits
+    Box of uint8                            chars
+    Box of float16, float32 or float64      doubles
+
+What the ranges of a task spec do not say (shapes, types, names, the bounds of chars) is the *layout*: JSON
+behind the word LAYOUT in the task spec's EXTRA. A space read back from text and layout is equal to the first.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from glue.errors import ConfigError, SimulatorError
+from glue.taskspec import RL_GLUE_3, Range, Ranges, Space, TaskSpec
+from glue.types import AbstractType
+
+__all__ = ["Codec", "SpaceLike", "read_spaces", "task_spec"]
+
+SpaceLike: TypeAlias = "spaces.Space[Any]"
+
+_MARK: Final = "LAYOUT "
+_INT32: Final = np.iinfo(np.int32)
+_FLOATS: Final = ("float16", "float32", "float64")
+_MAX_DEPTH: Final = 16
+_MAX_SIZE: Final = 2**24
+
+INT, DOUBLE, CHAR = range(3)
+
+
+class Leaf(NamedTuple):
+    """A space without parts: its run, and the shape and type of its values."""
+
+    space: SpaceLike
+    run: int
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    @property
+    def size(self) -> int:
+        """How many numbers it is."""
+        return int(np.prod(self.shape, dtype=np.int64))
+
+
+class Codec:
+    """Values of a space as the ints, doubles and chars of an abstract type.
+
+    Raises:
+        ConfigError: the space is not of the kinds named at the top of this module.
+    """
+
+    def __init__(self, space: SpaceLike) -> None:
+        self.space = space
+        self._leaves = [*_leaves(space, 0)]
+        self._clips = [leaf.run == DOUBLE and bool(np.isfinite(_ends(leaf)).any()) for leaf in self._leaves]
+        self.layout = _layout(space)
+
+    @property
+    def ranges(self) -> Space:
+        """What a task spec says of this space."""
+        runs: list[list[tuple[int, Range]]] = [[], []]
+        chars = 0
+        for leaf in self._leaves:
+            if leaf.run == CHAR:
+                chars += leaf.size
+            else:
+                runs[leaf.run] += _runs(leaf)
+        return Space(Ranges(tuple(runs[INT])), Ranges(tuple(runs[DOUBLE])), chars)
+
+    def pack(self, value: Any) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64], bytes]:
+        """Return a value of the space as ints, doubles and chars."""
+        parts: tuple[list[npt.NDArray[Any]], ...] = ([], [], [])
+        for leaf, part in zip(self._leaves, _parts(self.space, value), strict=True):
+            parts[leaf.run].append(np.asarray(part).reshape(-1))
+        ints, doubles, chars = (
+            np.concatenate(run).astype(dtype, copy=False) if run else np.empty(0, dtype)
+            for run, dtype in zip(parts, (np.int32, np.float64, np.uint8), strict=True)
+        )
+        return ints, doubles, chars.tobytes()
+
+    def unpack(self, value: AbstractType) -> Any:
+        """Return the value of the space that ints, doubles and chars stand for.
+
+        Doubles outside of their bounds are clipped to them.
+
+        Raises:
+            SimulatorError: the counts are wrong, a number is NaN, or another one is not in the space.
+        """
+        wrong = self.ranges_wrong(value)
+        if wrong:
+            raise SimulatorError(wrong)
+        runs: tuple[npt.NDArray[Any], ...] = (
+            value.ints,
+            value.doubles,
+            np.frombuffer(value.chars, np.uint8),
+        )
+        at = [0, 0, 0]
+        found = []
+        for leaf, clips in zip(self._leaves, self._clips, strict=True):
+            start = at[leaf.run]
+            at[leaf.run] = start + leaf.size
+            numbers = runs[leaf.run][start : at[leaf.run]]
+            if clips:
+                numbers = np.clip(numbers, *_ends(leaf))
+            one = numbers.astype(leaf.dtype).reshape(leaf.shape)
+            part = one[()] if isinstance(leaf.space, spaces.Discrete) else one
+            if not leaf.space.contains(part):
+                raise SimulatorError(f"{part!r:.80} is not in {leaf.space!r:.200}")
+            found.append(part)
+        return _build(self.space, iter(found))
+
+    def ranges_wrong(self, value: AbstractType) -> str:
+        """Return why the counts of `value` are not those of the space, or ""."""
+        counts = [sum(leaf.size for leaf in self._leaves if leaf.run == run) for run in (INT, DOUBLE, CHAR)]
+        if value.counts == tuple(counts):
+            return "" if not np.isnan(value.doubles).any() else f"a number is NaN: {value!r:.200}"
+        return (
+            f"expected {counts[INT]} ints, {counts[DOUBLE]} doubles and {counts[CHAR]} chars for "
+            f"{self.space!r:.200}; received {value!r:.200}"
+        )
+
+
+def task_spec(observations: Codec, actions: Codec) -> str:
+    """Return the task spec of an environment with these spaces.
+
+    Raises:
+        TaskSpecError: it would be longer than a task spec may be.
+    """
+    layout = json.dumps({"observation": observations.layout, "action": actions.layout}, separators=(",", ":"))
+    spec = TaskSpec(
+        RL_GLUE_3, "episodic", 1.0, observations.ranges, actions.ranges, Range(), f"{_MARK}{layout}"
+    )
+    return str(spec)
+
+
+def read_spaces(spec: TaskSpec) -> tuple[SpaceLike, SpaceLike]:
+    """Return the spaces of observations and actions that a task spec describes.
+
+    Where there is no layout, one bounded int is Discrete, several are MultiDiscrete, other ints, doubles and
+    chars are Boxes, and of more than one kind a Dict of `ints`, `doubles` and `chars`. What is not stated is
+    a Dict of sequences of any length.
+
+    Raises:
+        ConfigError: the layout is damaged or does not fit the ranges.
+    """
+    _, mark, text = spec.extra.partition(_MARK)
+    if not mark:
+        return _plain(spec.observations), _plain(spec.actions)
+    try:
+        layout = json.loads(text)
+        return (
+            _read(layout["observation"], spec.observations),
+            _read(layout["action"], spec.actions),
+        )
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ConfigError(
+            f"the layout in the task spec's EXTRA cannot be read ({type(error).__name__}): {text:.60}"
+        ) from None
+
+
+def _leaves(space: SpaceLike, depth: int) -> Iterator[Leaf]:
+    if depth > _MAX_DEPTH:
+        raise ConfigError(f"a space nests more than {_MAX_DEPTH} deep")
+    if isinstance(space, spaces.Dict):
+        for key in sorted(space.spaces):
+            yield from _leaves(space.spaces[key], depth + 1)
+    elif isinstance(space, spaces.Tuple):
+        for part in space.spaces:
+            yield from _leaves(part, depth + 1)
+    elif isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary):
+        leaf = Leaf(space, INT, tuple(space.shape), np.dtype(space.dtype))
+        _check_ints(leaf)
+        yield leaf
+    elif isinstance(space, spaces.Box):
+        yield _box_leaf(space)
+    else:
+        raise ConfigError(
+            f"a task spec cannot describe {type(space).__name__}: only Discrete, MultiDiscrete, MultiBinary, "
+            "Box, and Dict and Tuple of these"
+        )
+
+
+def _box_leaf(space: spaces.Box) -> Leaf:
+    dtype = np.dtype(space.dtype)
+    if dtype == np.uint8:
+        return Leaf(space, CHAR, space.shape, dtype)
+    if dtype.name in _FLOATS:
+        return Leaf(space, DOUBLE, space.shape, dtype)
+    if dtype.kind in "iu":
+        leaf = Leaf(space, INT, space.shape, dtype)
+        _check_ints(leaf)
+        return leaf
+    raise ConfigError(f"a task spec cannot describe a Box of {dtype}: only of integers and floats of 64 bits")
+
+
+def _check_ints(leaf: Leaf) -> None:
+    low, high = _ends(leaf)
+    if leaf.size and (low.min() < _INT32.min or high.max() > _INT32.max):
+        raise ConfigError(f"the ints of RL-Glue have 32 bits; {leaf.space!r:.200} needs more")
+
+
+def _ends(leaf: Leaf) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Return the smallest and the largest value of each number of a leaf, flat."""
+    space = leaf.space
+    if isinstance(space, spaces.Discrete):
+        return np.array([space.start]), np.array([space.start + space.n - 1])
+    if isinstance(space, spaces.MultiDiscrete):
+        return space.start.reshape(-1), (space.start + space.nvec - 1).reshape(-1)
+    if isinstance(space, spaces.MultiBinary):
+        return np.zeros(leaf.size, np.int64), np.ones(leaf.size, np.int64)
+    return space.low.reshape(-1), space.high.reshape(-1)
+
+
+def _runs(leaf: Leaf) -> Iterator[tuple[int, Range]]:
+    """Yield the ranges of a leaf's numbers, equal neighbours together."""
+    low, high = _ends(leaf)
+    if not leaf.size:
+        return
+    changes = np.flatnonzero((low[1:] != low[:-1]) | (high[1:] != high[:-1])) + 1
+    for start, stop in zip([0, *changes.tolist()], [*changes.tolist(), leaf.size], strict=True):
+        yield stop - start, Range(low[start].item(), high[start].item())
+
+
+def _parts(space: SpaceLike, value: Any) -> Iterator[Any]:
+    """Yield the parts of a value, one for each leaf."""
+    if isinstance(space, spaces.Dict):
+        for key in sorted(space.spaces):
+            yield from _parts(space.spaces[key], value[key])
+    elif isinstance(space, spaces.Tuple):
+        for part, one in zip(space.spaces, value, strict=True):
+            yield from _parts(part, one)
+    else:
+        yield value
+
+
+def _build(space: SpaceLike, parts: Iterator[Any]) -> Any:
+    if isinstance(space, spaces.Dict):
+        return {key: _build(space.spaces[key], parts) for key in sorted(space.spaces)}
+    if isinstance(space, spaces.Tuple):
+        return tuple(_build(part, parts) for part in space.spaces)
+    return next(parts)
+
+
+def _layout(space: SpaceLike) -> Any:
+    if isinstance(space, spaces.Dict):
+        for key in space.spaces:
+            if not isinstance(key, str):
+                raise ConfigError(f"the keys of a Dict space are texts, not {key!r:.80}")
+        return {"Dict": {key: _layout(space.spaces[key]) for key in sorted(space.spaces)}}
+    if isinstance(space, spaces.Tuple):
+        return {"Tuple": [_layout(part) for part in space.spaces]}
+    kind = type(space).__name__
+    if isinstance(space, spaces.Discrete):
+        return {kind: np.dtype(space.dtype).name}
+    described: list[Any] = [[*space.shape], np.dtype(space.dtype).name]
+    if isinstance(space, spaces.Box) and space.dtype == np.uint8 and (space.low.any() or (~space.high).any()):
+        described += [_shortened(space.low), _shortened(space.high)]
+    return {kind: described}
+
+
+def _shortened(bounds: npt.NDArray[np.uint8]) -> int | list[int]:
+    """Return equal bounds as one."""
+    flat: list[int] = bounds.reshape(-1).tolist()
+    return flat[0] if len(set(flat)) == 1 else flat
+
+
+class _Reader:
+    """Takes ranges from a task spec's runs, in order."""
+
+    def __init__(self, space: Space) -> None:
+        self._ends = tuple(
+            np.array([range_.ends for _, range_ in ranges.runs], np.float64)
+            .reshape(-1, 2)
+            .repeat([repeat for repeat, _ in ranges.runs], axis=0)
+            for ranges in (space.ints, space.doubles)
+        )
+        self._chars = space.chars
+        self._at = [0, 0, 0]
+
+    def take(self, run: int, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
+        """Return the next bounds of a run, shape (2, *shape)."""
+        size = int(np.prod(shape, dtype=np.int64))
+        start = self._at[run]
+        available = self._chars if run == CHAR else len(self._ends[run])
+        if not 0 <= size <= available - start:
+            raise ValueError(f"{size} numbers are taken, and {available - start} are left")
+        self._at[run] = start + size
+        if run == CHAR:
+            return np.empty((2, 0))
+        return self._ends[run][start : start + size].T.reshape(2, *shape)
+
+    def finish(self) -> None:
+        if self._at != [len(self._ends[INT]), len(self._ends[DOUBLE]), self._chars]:
+            raise ValueError("it describes fewer numbers than the ranges")
+
+
+def _read(layout: Any, space: Space) -> SpaceLike:
+    reader = _Reader(space)
+    found = _read_part(layout, reader)
+    reader.finish()
+    return found
+
+
+def _read_part(layout: Any, reader: _Reader) -> SpaceLike:
+    ((kind, described),) = layout.items()
+    if kind == "Dict":
+        return spaces.Dict({key: _read_part(described[key], reader) for key in sorted(described)})
+    if kind == "Tuple":
+        return spaces.Tuple([_read_part(part, reader) for part in described])
+    read = _KINDS.get(kind)
+    if read is None:
+        raise ValueError(f"there is no kind {kind!r:.40}")
+    return read(described, reader)
+
+
+def _shape(described: Any) -> tuple[int, ...]:
+    shape = tuple(described[0])
+    if any(type(length) is not int or length < 0 for length in shape):
+        raise ValueError(f"a shape is whole numbers, not {described[0]!r:.40}")
+    return shape
+
+
+def _read_discrete(described: Any, reader: _Reader) -> SpaceLike:
+    low, high = reader.take(INT, ()).astype(np.int64).tolist()
+    return spaces.Discrete(high - low + 1, start=low, dtype=_integers(described))
+
+
+def _read_multi_discrete(described: Any, reader: _Reader) -> SpaceLike:
+    low, high = reader.take(INT, _shape(described)).astype(np.int64)
+    return spaces.MultiDiscrete(high - low + 1, dtype=_integers(described[1]), start=low)
+
+
+def _read_multi_binary(described: Any, reader: _Reader) -> SpaceLike:
+    shape = _shape(described)
+    reader.take(INT, shape)
+    return spaces.MultiBinary(shape if len(shape) != 1 else shape[0])
+
+
+def _read_box(described: Any, reader: _Reader) -> SpaceLike:
+    shape, name = _shape(described), described[1]
+    if name == "uint8":
+        reader.take(CHAR, shape)
+        low, high = described[2:] or (0, 255)
+        return spaces.Box(*(_bytes(bound, shape) for bound in (low, high)), shape, np.uint8)
+    if name in _FLOATS:
+        dtype = np.dtype(name)
+        low, high = reader.take(DOUBLE, shape)
+        return spaces.Box(low.astype(dtype), high.astype(dtype), shape, dtype.type)
+    dtype = _integers(name)
+    low, high = reader.take(INT, shape)
+    return spaces.Box(low.astype(dtype), high.astype(dtype), shape, dtype.type)
+
+
+def _bytes(bound: Any, shape: tuple[int, ...]) -> npt.NDArray[np.uint8]:
+    return np.broadcast_to(
+        np.array(bound, np.uint8).reshape(shape if isinstance(bound, list) else ()), shape
+    ).copy()
+
+
+def _integers(name: Any) -> np.dtype[Any]:
+    dtype = np.dtype(str(name))
+    if dtype.kind not in "iu":
+        raise ValueError(f"{name!r:.40} is not a type of integers")
+    return dtype
+
+
+_KINDS: Final[dict[str, Callable[[Any, _Reader], SpaceLike]]] = {
+    "Discrete": _read_discrete,
+    "MultiDiscrete": _read_multi_discrete,
+    "MultiBinary": _read_multi_binary,
+    "Box": _read_box,
+}
+
+
+def _plain(space: Space) -> SpaceLike:
+    """Return the space of a task spec without a layout."""
+    if not space.stated:
+        kinds = {"ints": np.int32, "doubles": np.float64, "chars": np.uint8}
+        return spaces.Dict({name: _any_length(dtype) for name, dtype in kinds.items()})
+    reader = _Reader(space)
+    ints, doubles, chars = space.counts
+    found: dict[str, SpaceLike] = {}
+    if ints:
+        found["ints"] = _plain_ints(reader.take(INT, (ints,)))
+    if doubles:
+        low, high = reader.take(DOUBLE, (doubles,))
+        found["doubles"] = spaces.Box(low, high, dtype=np.float64)
+    if chars or not found:
+        found["chars"] = spaces.Box(0, 255, (chars,), np.uint8)
+    return next(iter(found.values())) if len(found) == 1 else spaces.Dict(found)
+
+
+def _plain_ints(ends: npt.NDArray[np.float64]) -> SpaceLike:
+    low, high = ends
+    if np.isfinite(ends).all():
+        start, last = low.astype(np.int64), high.astype(np.int64)
+        if len(start) == 1:
+            return spaces.Discrete(int(last[0] - start[0]) + 1, start=int(start[0]))
+        return spaces.MultiDiscrete(last - start + 1, start=start)
+    bounds = [np.clip(end, _INT32.min, _INT32.max).astype(np.int32) for end in (low, high)]
+    return spaces.Box(*bounds, dtype=np.int32)
+
+
+def _any_length(dtype: type) -> SpaceLike:
+    low, high = (-np.inf, np.inf) if dtype is np.float64 else (np.iinfo(dtype).min, np.iinfo(dtype).max)
+    return spaces.Sequence(spaces.Box(low, high, (), dtype), stack=True)

@@ -1,0 +1,409 @@
+"""Infinite Mario as Gymnasium's: as the original recorded it, and as Gymnasium puts games together."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import pytest
+
+from env_server.mario.observation import BODY_SIZE
+from glue.errors import ConfigError, SimulatorError
+from glue.types import Observation
+from tests.env_server.mario import golden_check
+
+gymnasium: Any = pytest.importorskip("gymnasium", reason="needs Gymnasium: the extra gym")
+checker: Any = pytest.importorskip("gymnasium.utils.env_checker")
+vector: Any = pytest.importorskip("gymnasium.vector")
+
+ID = "env_server.gym:glue/InfiniteMario-v0"
+STEPS = int(os.environ.get("GYM_STEPS", "4000"))
+"""Steps of all games together; .ci/run plays 100,000."""
+GAMES = 64
+MODES = ("NextStep", "SameStep", "Disabled")
+VIEWS = ("tiles", "planes", "pixels", "raw")
+
+
+def make(**options: Any) -> Any:
+    return gymnasium.make(ID, **options)
+
+
+def make_vec(count: int = GAMES, **options: Any) -> Any:
+    return gymnasium.make_vec(ID, num_envs=count, **options)
+
+
+def rows(observation: Any) -> list[bytes]:
+    """Return an observation, of one game or of many, as bytes."""
+    if isinstance(observation, dict):
+        return [part.tobytes() for _, part in sorted(observation.items())]
+    return [observation.tobytes()]
+
+
+def assert_equal(ours: Any, theirs: Any) -> None:
+    """Compare what vector environments return, to the last byte; nested as infos are."""
+    if isinstance(theirs, dict):
+        assert ours.keys() == theirs.keys()
+        for name in theirs:
+            assert_equal(ours[name], theirs[name])
+    elif isinstance(theirs, np.ndarray) and theirs.dtype == object:
+        for one, other in zip(ours, theirs, strict=True):
+            assert_equal(one, other)
+    elif theirs is None:
+        assert ours is None
+    else:
+        assert ours.dtype == theirs.dtype
+        assert ours.shape == theirs.shape
+        assert ours.tobytes() == theirs.tobytes()
+
+
+def lively(generator: np.random.Generator, count: int) -> np.ndarray:
+    """Return actions that mostly run to the right."""
+    direction = generator.choice(3, count, p=[0.1, 0.1, 0.8])
+    return np.stack([direction, generator.integers(0, 2, count), generator.integers(0, 2, count)], 1)
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_check_env_finds_nothing_but_infinite_bounds(view: str) -> None:
+    env = make(observation=view, render_mode="rgb_array").unwrapped
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        checker.check_env(env)
+    assert all("infinity" in str(warning.message) for warning in caught)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_vector_environment_is_as_gymnasium_puts_single_ones_together(mode: str) -> None:
+    options: dict[str, Any] = {"levels": "train-200", "max_trial_steps": 90}
+    ours = make_vec(autoreset_mode=mode, num_threads=2, max_episode_steps=60, **options)
+    singles = [lambda: make(max_episode_steps=60, **options)] * GAMES
+    theirs = vector.SyncVectorEnv(singles, autoreset_mode=vector.AutoresetMode(mode))
+    assert ours.metadata["autoreset_mode"] is theirs.metadata["autoreset_mode"]
+    assert ours.observation_space == theirs.observation_space
+    assert ours.action_space == theirs.action_space
+    generator = np.random.default_rng(7)
+    assert_equal(ours.reset(seed=7)[1], theirs.reset(seed=7)[1])
+    ends = 0
+    for _ in range(STEPS // GAMES):
+        actions = lively(generator, GAMES)
+        mine, other = ours.step(actions), theirs.step(actions)
+        for part, expected in zip(mine, other, strict=True):
+            assert_equal(part, expected)
+        over = mine[2] | mine[3]
+        ends += over.sum()
+        if mode == "Disabled" and over.any():
+            mask = {"reset_mask": over}
+            mine, other = ours.reset(options=dict(mask)), theirs.reset(options=dict(mask))
+            assert_equal(mine[0], other[0])
+            for name in other[1]:
+                assert_equal(mine[1][name], other[1][name])
+    assert ends > GAMES // 2
+    ours.close()
+    theirs.close()
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_batches_of_any_size_and_number_of_threads_play_the_same(view: str) -> None:
+    games = [
+        make_vec(count, num_threads=threads, observation=view, levels="test-1000", copy=copy)
+        for count, threads, copy in ((6, 1, True), (6, 3, True), (3, 2, False))
+    ]
+    for env in games:
+        env.reset(seed=3)
+    generator = np.random.default_rng(3)
+    for _ in range(40):
+        actions = lively(generator, 6)
+        shown = [env.step(actions[: env.num_envs])[0] for env in games]
+        assert rows(shown[0]) == rows(shown[1])
+        if isinstance(shown[0], dict):
+            assert rows({name: part[:3] for name, part in shown[0].items()}) == rows(shown[2])
+        else:
+            assert rows(shown[0][:3]) == rows(shown[2])
+
+
+def recorded_runs() -> Iterator[tuple[dict[str, Any], list[golden_check.Line]]]:
+    """Yield the options of each recorded run, and its starts and steps."""
+    options: dict[str, Any] = {}
+    steps: list[golden_check.Line] = []
+    for name in ("episodes", "variants"):
+        for line in golden_check.lines(name):
+            if line["kind"] == "run":
+                if steps:
+                    yield options, steps
+                options, steps = asdict(golden_check.parameters_of(line)), []
+            elif line["kind"] in ("start", "step"):
+                steps.append(line)
+    yield options, steps
+
+
+def as_recorded(shown: dict[str, Any]) -> Observation:
+    """Return the RL-Glue observation that the raw view shows."""
+    actors = int(shown["actors"][0])
+    return Observation(
+        shown["ints"][: 1 + 2 * actors], shown["doubles"][: 4 * actors], shown["chars"].tobytes()
+    )
+
+
+def test_single_and_vector_environment_play_what_the_original_recorded() -> None:
+    compared = 0
+    for options, lines in recorded_runs():
+        env = make(observation="raw", **options)
+        envs = make_vec(2, observation="raw", autoreset_mode="Disabled", **options)
+        for line in lines:
+            if line["kind"] == "start":
+                seed = 0 if line is lines[0] else None
+                shown, _ = env.reset(seed=seed)
+                both, _ = envs.reset(seed=seed)
+                reward, ended, rewards, ends = 0.0, False, [0.0] * 2, [False] * 2
+            else:
+                action = np.array([line["a"][0] + 1, *line["a"][1:]])
+                shown, reward, ended, _, _ = env.step(action)
+                both, rewards, ends, _, _ = envs.step(np.stack([action, action]))
+            assert golden_check.same(line, reward, as_recorded(shown), ended)
+            for i in range(2):
+                one = {name: part[i] for name, part in both.items()}
+                assert golden_check.same(line, float(rewards[i]), as_recorded(one), bool(ends[i]))
+            compared += 1
+        env.close()
+        envs.close()
+        if compared >= STEPS:
+            break
+    assert compared >= min(STEPS, 20_000)
+
+
+def test_views_show_what_the_raw_observation_says() -> None:
+    envs = {view: make(observation=view, level_difficulty=3) for view in VIEWS}
+    for env in envs.values():
+        env.reset(seed=1)
+    generator = np.random.default_rng(1)
+    for _ in range(150):
+        action = lively(generator, 1)[0]
+        outcomes = {view: env.step(action) for view, env in envs.items()}
+        if outcomes["raw"][2]:
+            for env in envs.values():
+                env.reset()
+            continue
+        shown = {view: outcome[0] for view, outcome in outcomes.items()}
+        raw = as_recorded(shown["raw"])
+        codes = np.frombuffer(raw.chars, np.uint8).reshape(16, 22)[:, :21]
+        tiles = shown["tiles"]["tiles"]
+        assert bytes(b" 1237b?|$!M"[code] for code in tiles.ravel()) == codes.tobytes()
+        kinds, places = raw.ints[1:].reshape(-1, 2), raw.doubles.reshape(-1, 4)
+        sprites = shown["tiles"]["sprites"]
+        count = len(kinds)
+        assert sprites[:, 0].tolist() == [1.0] * count + [0.0] * (16 - count)
+        assert sprites[0, 1:].tolist() == pytest.approx([*kinds[0], *(places[0, :2] % 1), *places[0, 2:]])
+        offsets = places[1:, :2] - places[0, :2]
+        order = np.argsort(np.hypot(*offsets.T), kind="stable")
+        expected = np.column_stack([kinds[1:], offsets, places[1:, 2:]])[order]
+        np.testing.assert_allclose(sprites[1:count, 1:], expected, rtol=1e-6, atol=1e-6)
+        planes = shown["planes"]
+        for code in range(1, 11):
+            assert (planes[code - 1] == (tiles == code)).all()
+        cells = {
+            (int(kind), 15 - int(np.floor(y)), int(np.floor(x)) - raw.ints[0])
+            for kind, (x, y) in zip(kinds[1:, 0], places[1:, :2], strict=True)
+        }
+        seen = {(kind, r, c) for kind, r, c in cells if 0 <= r < 16 and 0 <= c < 21}
+        assert {(p - 9, r, c) for p, r, c in np.argwhere(planes[:19]).tolist() if p > 9} == seen
+
+
+def test_pixels_show_mario_where_he_is() -> None:
+    env = make(observation="pixels")
+    first, _ = env.reset(seed=0)
+    for _ in range(6):
+        last, *_ = env.step(np.array([2, 0, 0]))
+    reds = [((shown[..., 0] > 170) & (shown[..., 1] < 110)).nonzero()[1].mean() for shown in (first, last)]
+    assert 6 <= reds[0] < reds[1] - 2 <= 28  # he begins in tile 2 of the picture, and walks up to its seventh
+    assert len(np.unique(last.reshape(-1, 3), axis=0)) > 10
+
+
+def test_seeded_reset_forgets_and_an_unseeded_one_keeps_the_buttons() -> None:
+    env = make(max_trial_steps=3, start_ticks=5)
+    first = rows(env.reset(seed=5)[0])
+    for _ in range(2):
+        for _ in range(3):
+            *_, terminated, _, _ = env.step(np.array([2, 1, 1]))
+        assert terminated
+        kept = rows(env.reset()[0])
+    assert kept != first
+    assert rows(env.reset(seed=5)[0]) == first
+
+
+def test_levels_of_a_set_depend_on_the_seed_alone() -> None:
+    def played(seed: int, steps: int) -> list[int]:
+        env = make(levels="train-200", max_trial_steps=steps)
+        seeds = []
+        _, info = env.reset(seed=seed)
+        for _ in range(20):
+            seeds.append(info["level_seed"])
+            while not env.step(env.unwrapped.action_space.sample())[2]:
+                pass
+            _, info = env.reset()
+        return seeds
+
+    assert played(1, 1) == played(1, 2) != played(2, 1)
+    assert len(set(played(1, 1))) > 15
+
+
+def test_step_limit_of_mario_terminates_and_that_of_gymnasium_truncates() -> None:
+    env = make(max_trial_steps=4)
+    env.reset(seed=0)
+    outcomes = [env.step(np.array([1, 0, 0])) for _ in range(4)]
+    assert [outcome[4]["timeout"] for outcome in outcomes] == [False, False, False, True]
+    assert outcomes[-1][1:4] == (-10.0, True, False)
+    env = make(max_episode_steps=4)
+    env.reset(seed=0)
+    outcomes = [env.step(np.array([1, 0, 0])) for _ in range(4)]
+    assert outcomes[-1][2:4] == (False, True)
+    assert outcomes[-1][4]["timeout"] is False
+
+
+def test_death_is_no_timeout_and_the_goal_is_told() -> None:
+    env = make(level_difficulty=10)
+    env.reset(seed=0)
+    for step in range(999):
+        *_, terminated, _, info = env.step(np.array([2, step // 2 % 2, 0]))
+        if terminated:
+            break
+    assert (info["timeout"], info["goal"]) == (False, False)
+    env = make(level_seed=121, level_width=0)
+    env.reset(seed=0)
+    for _ in range(200):
+        _, reward, terminated, _, info = env.step(np.array([2, 1, 1]))
+        if terminated:
+            break
+    assert (reward, info["timeout"], info["goal"]) == (100.0, False, True)
+
+
+def test_state_can_be_cloned_and_restored() -> None:
+    env = make(levels="train-200", max_trial_steps=40).unwrapped
+    env.reset(seed=2)
+    generator = np.random.default_rng(2)
+    for _ in range(10):
+        env.step(lively(generator, 1)[0])
+    state = env.clone_state()
+    actions = lively(generator, 60)
+
+    def future() -> list[Any]:
+        seen: list[Any] = []
+        for action in actions:
+            shown, reward, terminated, _, info = env.step(action)
+            seen.append((rows(shown), reward, terminated, info))
+            if terminated:
+                shown, info = env.reset()
+                seen.append((rows(shown), info))
+        return seen
+
+    first = future()
+    env.restore_state(state)
+    assert future() == first
+    with pytest.raises(SimulatorError, match="another kind of observation"):
+        make(observation="pixels").unwrapped.restore_state(state)
+
+
+@pytest.mark.parametrize("action", ["buttons", "discrete"])
+def test_an_action_outside_the_space_is_refused_and_nothing_moves(action: str) -> None:
+    env = make(action=action).unwrapped
+    envs = make_vec(2, action=action)
+    env.reset(seed=0)
+    envs.reset(seed=0)
+    before = env.clone_state()
+    good = env.action_space.sample()
+    wrongs: list[Any] = [99, -1, 1.5, [3, 0, 0], [0, 2, 0], [1] * 4, "jump", None, [[1, 0, 0]], np.nan]
+    for wrong in wrongs:
+        with pytest.raises(SimulatorError):
+            env.step(wrong)
+        with pytest.raises(SimulatorError):
+            envs.step([good, wrong] if np.shape(wrong) == np.shape(good) else wrong)
+    for ours, theirs in zip(env.clone_state().arrays, before.arrays, strict=True):
+        assert ours.tobytes() == theirs.tobytes()
+    shown = envs.step(np.stack([good, good]))[0]
+    expected = rows(env.step(good)[0])
+    assert rows({name: part[0] for name, part in shown.items()}) == expected
+    assert rows({name: part[1] for name, part in shown.items()}) == expected
+
+
+def test_discrete_actions_are_the_buttons_in_order() -> None:
+    for number in range(12):
+        one, other = make(action="discrete"), make()
+        one.reset(seed=0)
+        other.reset(seed=0)
+        for _ in range(5):
+            shown = one.step(number)[0]
+            expected = other.step(np.array([number // 4, number // 2 % 2, number % 2]))[0]
+        assert rows(shown) == rows(expected)
+
+
+def test_copies_are_fresh_and_views_are_not() -> None:
+    for copy in (True, False):
+        envs = make_vec(2, copy=copy)
+        first, _ = envs.reset(seed=0)
+        before = first["sprites"].copy()
+        envs.step(np.array([[2, 0, 1]] * 2))
+        assert (first["sprites"] == before).all() == copy
+
+
+def test_what_cannot_be_is_refused_by_name() -> None:
+    for options, message in (
+        ({"observation": "tile"}, "observation is one of"),
+        ({"action": "joystick"}, "action is one of"),
+        ({"levels": "train-20"}, "did you mean"),
+        ({"levels": "train-200", "num_levels": 3}, "leave out num_levels"),
+        ({"start_level": 3}, "needs num_levels"),
+        ({"num_levels": 0}, "num_levels must be"),
+        ({"levels": "train-200", "level_seed": 3}, "level_seed is one level"),
+        ({"level_dificulty": 1}, "no option level_dificulty"),
+        ({"level_type": 7}, "level_type must be"),
+    ):
+        for maker in (make, make_vec):
+            with pytest.raises((ConfigError, SimulatorError), match=message):
+                maker(**options)
+    for options, message in (
+        ({"autoreset_mode": "Never"}, "autoreset_mode is one of"),
+        ({"num_threads": 0}, "num_threads must be"),
+        ({"render_mode": "human"}, "many games have no window"),
+        ({"max_episode_steps": 0}, "max_episode_steps must be"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            make_vec(**options)
+    envs = make_vec(2)
+    envs.reset(seed=0)
+    with pytest.raises(ConfigError, match="reset_mask"):
+        envs.reset(options={"reset_mask": np.zeros(2, np.bool_)})
+    with pytest.raises(ConfigError, match="a seed for each"):
+        envs.reset(seed=[1])
+
+
+def test_ended_games_need_a_reset_where_it_is_not_automatic() -> None:
+    envs = make_vec(2, autoreset_mode="Disabled", max_episode_steps=1)
+    with pytest.raises(SimulatorError, match="game 0 has no episode"):
+        envs.step(np.array([[1, 0, 0]] * 2))
+    envs.reset(seed=0)
+    envs.step(np.array([[1, 0, 0]] * 2))
+    envs.reset(options={"reset_mask": np.array([True, False])})
+    with pytest.raises(SimulatorError, match="game 1 has no episode"):
+        envs.step(np.array([[1, 0, 0]] * 2))
+
+
+def test_renders_pixels_and_text_and_says_what_a_window_needs(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = make(render_mode="rgb_array")
+    env.reset(seed=0)
+    assert env.render().shape == (240, 320, 3)
+    env = make(render_mode="ansi")
+    env.reset(seed=0)
+    assert "tiles/step" in env.render()
+    assert len(make_vec(3, render_mode="rgb_array").unwrapped.metadata["render_modes"]) == 2
+    monkeypatch.delenv("DISPLAY", raising=False)
+    env = make(render_mode="human")
+    with pytest.raises(ConfigError, match="render_mode='rgb_array'"):
+        env.reset(seed=0)
+
+
+def test_raw_view_has_room_for_every_observation() -> None:
+    space = make(observation="raw").observation_space
+    size = 16 + 8 * space["doubles"].shape[0] + 4 * space["ints"].shape[0] + 352
+    assert BODY_SIZE - 8 < size <= BODY_SIZE
