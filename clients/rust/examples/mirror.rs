@@ -1,0 +1,241 @@
+//! The mirror, with which `glue-conform` judges this library: docs/clients.md says what it does.
+//!
+//! `glue-conform agent -- target/release/examples/mirror agent` (or environment, experiment)
+
+use std::cell::RefCell;
+
+use glue_rl::{
+    serve_agent, serve_environment, AbstractType, Action, Agent, Capability, Environment, Error, Experiment,
+    Observation, Options, Outcome, Step,
+};
+
+#[derive(Default)]
+struct Mirror {
+    count: i32,
+    seed: u64,
+}
+
+impl Mirror {
+    fn message(&self, text: &str) -> Outcome<String> {
+        if text == "fail" {
+            return Err("asked to fail".into());
+        }
+        Ok(text.to_owned())
+    }
+
+    fn save(&self) -> Outcome<Vec<u8>> {
+        Ok(format!("{} {}", self.count, self.seed).into_bytes())
+    }
+
+    fn load(&mut self, data: &[u8]) -> Outcome<()> {
+        let (count, seed) = std::str::from_utf8(data)?.split_once(' ').ok_or("two numbers are saved")?;
+        self.count = count.parse()?;
+        self.seed = seed.parse()?;
+        Ok(())
+    }
+
+    fn mirror(&self, shown: &AbstractType, more: &[f64]) -> AbstractType {
+        if *shown == AbstractType::default() {
+            return AbstractType::default();
+        }
+        let doubles = shown.doubles.iter().rev().copied();
+        AbstractType {
+            ints: shown.ints.iter().rev().copied().chain([self.count]).collect(),
+            doubles: doubles.chain([sum(&shown.ints)]).chain(more.iter().copied()).collect(),
+            chars: shown.chars.iter().rev().copied().collect(),
+        }
+    }
+}
+
+fn sum(ints: &[i32]) -> f64 {
+    ints.iter().map(|value| i64::from(*value)).sum::<i64>() as f64
+}
+
+impl Agent for Mirror {
+    fn capabilities(&self) -> &[Capability] {
+        &[Capability::Seed, Capability::Save]
+    }
+
+    fn init(&mut self, _: &str) -> Outcome<()> {
+        self.count = 0;
+        Ok(())
+    }
+
+    fn start(&mut self, observation: &Observation) -> Outcome<Action> {
+        Agent::step(self, 0.0, observation)
+    }
+
+    fn step(&mut self, reward: f64, observation: &Observation) -> Outcome<Action> {
+        self.count += 1;
+        Ok(self.mirror(observation, &[reward]))
+    }
+
+    fn end(&mut self, _: f64) -> Outcome<()> {
+        self.count += 1;
+        Ok(())
+    }
+
+    fn message(&mut self, text: &str) -> Outcome<String> {
+        Mirror::message(self, text)
+    }
+
+    fn seed(&mut self, seed: u64) -> Outcome<()> {
+        self.seed = seed;
+        Ok(())
+    }
+
+    fn save(&mut self) -> Outcome<Vec<u8>> {
+        Mirror::save(self)
+    }
+
+    fn load(&mut self, data: &[u8]) -> Outcome<()> {
+        Mirror::load(self, data)
+    }
+}
+
+impl Environment for Mirror {
+    fn capabilities(&self) -> &[Capability] {
+        &[Capability::Seed, Capability::Save]
+    }
+
+    fn init(&mut self) -> Outcome<String> {
+        self.count = 0;
+        Ok("a mirror, größer than it is".to_owned())
+    }
+
+    fn start(&mut self) -> Outcome<Observation> {
+        self.count += 1;
+        Ok([self.count].into())
+    }
+
+    fn step(&mut self, action: &Action) -> Outcome<Step> {
+        self.count += 1;
+        Ok(Step {
+            reward: action.doubles.first().copied().unwrap_or(0.0),
+            terminal: action.chars.last() == Some(&b'!'),
+            observation: self.mirror(action, &[]),
+        })
+    }
+
+    fn message(&mut self, text: &str) -> Outcome<String> {
+        Mirror::message(self, text)
+    }
+
+    fn seed(&mut self, seed: u64) -> Outcome<()> {
+        self.seed = seed;
+        Ok(())
+    }
+
+    fn save(&mut self) -> Outcome<Vec<u8>> {
+        Mirror::save(self)
+    }
+
+    fn load(&mut self, data: &[u8]) -> Outcome<()> {
+        Mirror::load(self, data)
+    }
+}
+
+/// What the experiment shows of a verb's values.
+fn result(ints: Vec<i32>, mut doubles: Vec<f64>, chars: Vec<u8>) -> Action {
+    doubles.push(sum(&ints));
+    Action { ints, doubles, chars }
+}
+
+fn words(text: &str) -> Action {
+    result(vec![], vec![], text.into())
+}
+
+fn both(observation: &Observation, action: &Action, ints: &[i32], doubles: &[f64]) -> Action {
+    result(
+        [&observation.ints, &action.ints, ints].concat(),
+        [&observation.doubles, &action.doubles, doubles].concat(),
+        [&observation.chars[..], &action.chars].concat(),
+    )
+}
+
+fn carry_out(
+    glue: &mut Experiment<'_>,
+    verb: &str,
+    argument: &[u8],
+    order: &Step,
+    notices: &RefCell<Vec<String>>,
+) -> Result<Action, Error> {
+    let text = String::from_utf8_lossy(argument);
+    let Observation { ints, doubles, .. } = order.observation.clone();
+    let given = Action { ints, doubles, chars: argument.to_vec() };
+    let nothing = AbstractType::default();
+    let number = || text.parse().expect("a number");
+    Ok(match verb {
+        "RL_INIT" => words(&glue.init(if text.is_empty() { None } else { Some(number()) })?),
+        "RL_START" => {
+            let start = glue.start()?;
+            both(&start.observation, &start.action, &[], &[])
+        }
+        "RL_STEP" => {
+            let step = glue.step()?;
+            both(&step.observation, &step.action, &[step.terminal.into()], &[step.reward])
+        }
+        "RL_EPISODE" => result(vec![glue.episode(number())?.into()], vec![], vec![]),
+        "RL_RETURN" => result(vec![], vec![glue.episode_return()?], vec![]),
+        "RL_NUM_STEPS" => words(&glue.num_steps()?.to_string()),
+        "RL_NUM_EPISODES" => words(&glue.num_episodes()?.to_string()),
+        "RL_AGENT_MESSAGE" => words(&glue.agent_message(&text)?),
+        "RL_ENV_MESSAGE" => words(&glue.env_message(&text)?),
+        "RL_CLEANUP" => glue.cleanup().map(|()| words(""))?,
+        "RL_ENV_START" => both(&glue.env_start()?, &nothing, &[], &[]),
+        "RL_ENV_STEP" => {
+            let step = glue.env_step(&given)?;
+            both(&step.observation, &nothing, &[step.terminal.into()], &[step.reward])
+        }
+        "RL_AGENT_START" => both(&nothing, &glue.agent_start(&given)?, &[], &[]),
+        "RL_AGENT_STEP" => both(&nothing, &glue.agent_step(order.reward, &given)?, &[], &[]),
+        "RL_AGENT_END" => glue.agent_end(order.reward).map(|()| words(""))?,
+        "RL_AGENT_SAVE" => result(vec![], vec![], glue.agent_save()?),
+        "RL_ENV_SAVE" => result(vec![], vec![], glue.env_save()?),
+        "RL_AGENT_LOAD" => glue.agent_load(argument).map(|()| words(""))?,
+        "RL_ENV_LOAD" => glue.env_load(argument).map(|()| words(""))?,
+        "notices" => words(&notices.take().join("\n")),
+        _ => panic!("the mirror was ordered to do {verb}, which it does not know"),
+    })
+}
+
+fn mirror_experiment(options: &Options) -> Result<(), Error> {
+    let notices = RefCell::new(Vec::new());
+    let keep = |event: &str, role: &str, name: &str| notices.borrow_mut().push(format!("{event} {role} {name}"));
+    let mut glue = Experiment::connect_with_notices(options, keep)?;
+    let mut shown = Action { chars: b"ready".to_vec(), ..Action::default() };
+    loop {
+        let order = glue.env_step(&shown)?;
+        let chars = &order.observation.chars;
+        let end = chars.iter().position(|char| *char == b' ').unwrap_or(chars.len());
+        let verb = String::from_utf8_lossy(&chars[..end]);
+        if verb == "end" {
+            return Ok(());
+        }
+        let argument = chars.get(end + 1..).unwrap_or_default();
+        shown = match carry_out(&mut glue, &verb, argument, &order, &notices) {
+            Ok(shown) => shown,
+            Err(error) => match error.code() {
+                Some(code) => words(&format!("ERROR {code} {error}")),
+                None => return Err(error),
+            },
+        };
+    }
+}
+
+fn main() {
+    let role = std::env::args().nth(1).unwrap_or_default();
+    let options = Options::named("mirror");
+    let done = match role.as_str() {
+        "agent" => serve_agent(&mut Mirror::default(), &options),
+        "environment" => serve_environment(&mut Mirror::default(), &options),
+        _ => mirror_experiment(&options).map(|()| "the end".to_owned()),
+    };
+    match done {
+        Ok(goodbye) | Err(Error::HubClosed(goodbye)) => println!("{goodbye}"),
+        Err(error) => {
+            println!("{error}");
+            std::process::exit(1);
+        }
+    }
+}

@@ -1,0 +1,206 @@
+//! The header of a message: a msgpack array, read and written item by item.
+
+use crate::Error;
+
+pub(crate) const MAX_HEADER: usize = 4096;
+const MAX_ITEMS: u64 = 64;
+const MAX_EXACT: i128 = 1 << 53;
+
+/// Writes a header.
+#[derive(Default)]
+pub(crate) struct Writer {
+    pub(crate) bytes: Vec<u8>,
+}
+
+impl Writer {
+    pub(crate) fn array(&mut self, items: usize) -> &mut Self {
+        if items < 16 {
+            self.bytes.push(0x90 | items as u8);
+        } else {
+            self.bytes.push(0xdc);
+            self.bytes.extend_from_slice(&(items as u16).to_be_bytes());
+        }
+        self
+    }
+
+    pub(crate) fn int(&mut self, value: u64) -> &mut Self {
+        if value < 0x80 {
+            self.bytes.push(value as u8);
+        } else {
+            let power = match value {
+                0..=0xff => 0,
+                0x100..=0xffff => 1,
+                0x1_0000..=0xffff_ffff => 2,
+                _ => 3,
+            };
+            self.bytes.push(0xcc + power);
+            self.bytes.extend_from_slice(&value.to_be_bytes()[8 - (1 << power)..]);
+        }
+        self
+    }
+
+    pub(crate) fn float(&mut self, value: f64) -> &mut Self {
+        self.bytes.push(0xcb);
+        self.bytes.extend_from_slice(&value.to_be_bytes());
+        self
+    }
+
+    pub(crate) fn bool(&mut self, value: bool) -> &mut Self {
+        self.bytes.push(if value { 0xc3 } else { 0xc2 });
+        self
+    }
+
+    pub(crate) fn nil(&mut self) -> &mut Self {
+        self.bytes.push(0xc0);
+        self
+    }
+
+    pub(crate) fn text(&mut self, value: &str) -> &mut Self {
+        match value.len() {
+            0..=31 => self.bytes.push(0xa0 | value.len() as u8),
+            32..=255 => self.bytes.extend_from_slice(&[0xd9, value.len() as u8]),
+            _ => {
+                self.bytes.push(0xda);
+                self.bytes.extend_from_slice(&(value.len() as u16).to_be_bytes());
+            }
+        }
+        self.bytes.extend_from_slice(value.as_bytes());
+        self
+    }
+
+    /// Writes up to 255 bytes.
+    pub(crate) fn binary(&mut self, value: &[u8]) -> &mut Self {
+        self.bytes.extend_from_slice(&[0xc4, value.len() as u8]);
+        self.bytes.extend_from_slice(value);
+        self
+    }
+}
+
+/// Reads a header; anything but what is asked for is an error.
+pub(crate) struct Reader<'a> {
+    bytes: &'a [u8],
+    /// Items that are yet to come.
+    left: u64,
+}
+
+impl<'a> Reader<'a> {
+    pub(crate) fn new(header: &'a [u8]) -> Result<Self, Error> {
+        if header.len() > MAX_HEADER {
+            return fail(format!("a header has at most {MAX_HEADER} bytes, not {}", header.len()));
+        }
+        Ok(Reader { bytes: header, left: 1 })
+    }
+
+    /// Returns the number of items of an array, whose items come next.
+    pub(crate) fn array(&mut self) -> Result<u64, Error> {
+        let items = match self.tag()? {
+            tag @ 0x90..=0x9f => u64::from(tag & 0x0f),
+            0xdc => self.unsigned(2)?,
+            0xdd => self.unsigned(4)?,
+            tag => return unexpected("an array", tag),
+        };
+        if items > MAX_ITEMS {
+            return fail(format!("an array of a header has at most {MAX_ITEMS} items, not {items}"));
+        }
+        self.left += items;
+        Ok(items)
+    }
+
+    pub(crate) fn int(&mut self) -> Result<u64, Error> {
+        let tag = self.tag()?;
+        match self.integer(tag)? {
+            Some(value) if (0..1 << 63).contains(&value) => Ok(value as u64),
+            Some(value) => fail(format!("integers are from 0 to 2^63 - 1, not {value}")),
+            None => unexpected("an integer", tag),
+        }
+    }
+
+    pub(crate) fn float(&mut self) -> Result<f64, Error> {
+        match self.tag()? {
+            0xcb => Ok(f64::from_bits(self.unsigned(8)?)),
+            0xca => Ok(f64::from(f32::from_bits(self.unsigned(4)? as u32))),
+            tag => match self.integer(tag)? {
+                Some(value) if (-MAX_EXACT..=MAX_EXACT).contains(&value) => Ok(value as f64),
+                Some(value) => fail(format!("a float may be an integer up to 2^53, not {value}")),
+                None => unexpected("a float", tag),
+            },
+        }
+    }
+
+    pub(crate) fn bool(&mut self) -> Result<bool, Error> {
+        match self.tag()? {
+            0xc2 => Ok(false),
+            0xc3 => Ok(true),
+            tag => match self.integer(tag)? {
+                Some(value) => Ok(value != 0),
+                None => unexpected("a bool", tag),
+            },
+        }
+    }
+
+    pub(crate) fn text(&mut self) -> Result<&'a str, Error> {
+        let size = match self.tag()? {
+            tag @ 0xa0..=0xbf => u64::from(tag & 0x1f),
+            0xd9 => self.unsigned(1)?,
+            0xda => self.unsigned(2)?,
+            0xdb => self.unsigned(4)?,
+            tag => return unexpected("a text", tag),
+        };
+        let utf8 = self.take(size as usize)?;
+        std::str::from_utf8(utf8).or_else(|_| fail("a text of a header is not UTF-8".to_owned()))
+    }
+
+    /// Checks that nothing follows.
+    pub(crate) fn end(&self) -> Result<(), Error> {
+        if self.left != 0 || !self.bytes.is_empty() {
+            return fail("a header has other items than its kind says".to_owned());
+        }
+        Ok(())
+    }
+
+    fn tag(&mut self) -> Result<u8, Error> {
+        if self.left == 0 {
+            return fail("a header has fewer items than its kind says".to_owned());
+        }
+        self.left -= 1;
+        Ok(self.take(1)?[0])
+    }
+
+    /// Returns the integer that a tag begins, or none if it begins another type.
+    fn integer(&mut self, tag: u8) -> Result<Option<i128>, Error> {
+        Ok(Some(match tag {
+            0..=0x7f => i128::from(tag),
+            0xe0..=0xff => i128::from(tag as i8),
+            0xcc => i128::from(self.unsigned(1)?),
+            0xcd => i128::from(self.unsigned(2)?),
+            0xce => i128::from(self.unsigned(4)?),
+            0xcf => i128::from(self.unsigned(8)?),
+            0xd0 => i128::from(self.unsigned(1)? as i8),
+            0xd1 => i128::from(self.unsigned(2)? as i16),
+            0xd2 => i128::from(self.unsigned(4)? as i32),
+            0xd3 => i128::from(self.unsigned(8)? as i64),
+            _ => return Ok(None),
+        }))
+    }
+
+    fn unsigned(&mut self, size: usize) -> Result<u64, Error> {
+        Ok(self.take(size)?.iter().fold(0, |value, byte| value << 8 | u64::from(*byte)))
+    }
+
+    fn take(&mut self, size: usize) -> Result<&'a [u8], Error> {
+        if size > self.bytes.len() {
+            return fail("a header ends in the middle of an item".to_owned());
+        }
+        let (taken, rest) = self.bytes.split_at(size);
+        self.bytes = rest;
+        Ok(taken)
+    }
+}
+
+fn unexpected<T>(expected: &str, tag: u8) -> Result<T, Error> {
+    fail(format!("a header has {expected} where the byte {tag:#04x} was received"))
+}
+
+fn fail<T>(text: String) -> Result<T, Error> {
+    Err(Error::Protocol(text))
+}

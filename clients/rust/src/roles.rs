@@ -1,0 +1,115 @@
+use crate::{Action, Observation};
+
+/// What the methods of a player return: any error will do, and is reported to the hub.
+pub type Outcome<T> = Result<T, Box<dyn std::error::Error + Send + Sync>>;
+
+/// What a player can do beyond the basic calls.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Capability {
+    /// It can be given a number from which it draws all its random choices.
+    Seed,
+    /// It can be saved and loaded between episodes.
+    Save,
+}
+
+/// What learns.
+pub trait Agent {
+    /// Returns what this agent can do beyond the basic calls: whoever implements `seed`, or `save` and `load`, says so.
+    fn capabilities(&self) -> &[Capability] {
+        &[]
+    }
+
+    /// Prepares for a task; what was learned before is forgotten.
+    fn init(&mut self, _task_spec: &str) -> Outcome<()> {
+        Ok(())
+    }
+
+    /// Begins an episode: takes its first observation, returns the first action.
+    fn start(&mut self, observation: &Observation) -> Outcome<Action>;
+
+    /// Takes the reward of the last action and the observation after it, returns the next action.
+    fn step(&mut self, reward: f64, observation: &Observation) -> Outcome<Action>;
+
+    /// Takes the last reward of an episode that has reached its end.
+    fn end(&mut self, _reward: f64) -> Outcome<()> {
+        Ok(())
+    }
+
+    /// Lets go of what `init` took; another may follow.
+    fn cleanup(&mut self) -> Outcome<()> {
+        Ok(())
+    }
+
+    /// Answers a text with a text; may come at any time.
+    fn message(&mut self, _text: &str) -> Outcome<String> {
+        Ok(String::new())
+    }
+
+    /// Draws all random choices from this number from now on (0 to 2^63 - 1); comes before `init`.
+    fn seed(&mut self, _seed: u64) -> Outcome<()> {
+        Err("this agent cannot be seeded".into())
+    }
+
+    /// Returns everything that later episodes depend on.
+    fn save(&mut self) -> Outcome<Vec<u8>> {
+        Err("this agent cannot be saved".into())
+    }
+
+    /// Goes on from what `save` returned, after `init`; check it, it may come from someone else.
+    fn load(&mut self, _data: &[u8]) -> Outcome<()> {
+        Err("this agent cannot be loaded".into())
+    }
+}
+
+/// What came of an action.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Step {
+    /// The reward.
+    pub reward: f64,
+    /// Whether the episode is over.
+    pub terminal: bool,
+    /// The observation after the action.
+    pub observation: Observation,
+}
+
+/// The task.
+pub trait Environment {
+    /// Returns what this environment can do beyond the basic calls.
+    fn capabilities(&self) -> &[Capability] {
+        &[]
+    }
+
+    /// Prepares; returns the task spec, which describes observations, actions and rewards.
+    fn init(&mut self) -> Outcome<String>;
+
+    /// Begins an episode; returns its first observation.
+    fn start(&mut self) -> Outcome<Observation>;
+
+    /// Executes an action.
+    fn step(&mut self, action: &Action) -> Outcome<Step>;
+
+    /// Lets go of what `init` took; another may follow.
+    fn cleanup(&mut self) -> Outcome<()> {
+        Ok(())
+    }
+
+    /// Answers a text with a text; may come at any time.
+    fn message(&mut self, _text: &str) -> Outcome<String> {
+        Ok(String::new())
+    }
+
+    /// Draws all random choices from this number from now on (0 to 2^63 - 1); comes before `init`.
+    fn seed(&mut self, _seed: u64) -> Outcome<()> {
+        Err("this environment cannot be seeded".into())
+    }
+
+    /// Returns everything that later episodes depend on.
+    fn save(&mut self) -> Outcome<Vec<u8>> {
+        Err("this environment cannot be saved".into())
+    }
+
+    /// Goes on from what `save` returned, after `init`; check it, it may come from someone else.
+    fn load(&mut self, _data: &[u8]) -> Outcome<()> {
+        Err("this environment cannot be loaded".into())
+    }
+}
