@@ -122,21 +122,21 @@ class Link:
             return message
         return self._control(message)
 
-    def receive_steps(self, step: StepFormat, after: int) -> Iterator[Step]:
-        """Yield messages of `step`, numbered above `after`, until anything else arrives, or nothing in time.
+    def receive_steps(self, form: StepFormat, after: int) -> Iterator[Step]:
+        """Yield messages of `form`, numbered above `after`, until anything else arrives, or nothing in time.
 
         That is left for `receive`. Only a plain socket knows how; over any other, `receive` has them all.
         """
         if isinstance(self._transport, SocketTransport):
-            yield from self._transport.receive_steps(step, after, self._max_body)
+            yield from self._transport.receive_steps(form, after, self._max_body)
             self._received = time.monotonic()
 
-    def send_step(self, step: StepFormat, seq: int, scalars: tuple[Value, ...], body: bytes) -> None:
+    def send_step(self, form: StepFormat, seq: int, scalars: tuple[Value, ...], body: bytes) -> None:
         """Send the answer to what `receive_steps` yielded; as `send`."""
         if len(body) > self._max_body:
-            raise self._too_large(step.kind, body)
+            raise self._too_large(form.kind, body)
         assert isinstance(self._transport, SocketTransport)
-        self._transport.send_data(step.encode(seq, scalars, body))
+        self._transport.send_data(form.encode(seq, scalars, body))
 
     def close(self, reason: str) -> None:
         """Say goodbye to the hub, if there is one, and close."""

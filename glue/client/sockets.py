@@ -103,28 +103,29 @@ class SocketTransport:
                     return None
                 self._decoder.receive_data(data)
 
-    def receive_steps(self, step: StepFormat, after: int, limit: int) -> Iterator[Step]:
-        """Yield one message of `step` after the other, until something else arrives, or nothing in time.
+    def receive_steps(self, form: StepFormat, after: int, limit: int) -> Iterator[Step]:
+        """Yield one message of `form` after the other, until something else arrives, or nothing in time.
 
         What that was, `receive` returns.
 
         Args:
-            step: the format of the messages.
+            form: the format of the messages.
             after: a sequence number that all of theirs are larger than.
             limit: bytes of the longest message.
         """
-        decode = step.decode
+        decode = form.decode
         while self._decoder.between_messages:
             data = self._receive_data()
             if data is None:
                 self._timed_out = True
                 return
             found = decode(data) if len(data) <= limit else None
-            if found is None or found[0] <= after:
+            if found is None or found[1] != len(data) or found[0][0] <= after:
                 self._decoder.receive_data(data)
                 return
-            after = found[0]
-            yield found
+            step = found[0]
+            after = step[0]
+            yield step
 
     def close(self, linger: float | None = None) -> None:
         """Close, giving the hub at most `linger` seconds (by default one) to read what was sent last."""

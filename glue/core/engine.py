@@ -104,7 +104,11 @@ class Engine:
             raise PeerLost(f"the episode is void: {self._void}; start another")
         self.verb = verb
         self._running = _VERBS[verb](self, scalars, body)
-        return self._send(None)
+        try:
+            instruction = next(self._running)
+        except StopIteration as stop:
+            return self._reply(stop.value)
+        return self._asking(instruction)
 
     def resume(self, kind: Kind, scalars: tuple[Value, ...], body: Any) -> Instruction:
         """Take the answer to the outstanding call; return the next call, or the reply.
@@ -117,18 +121,20 @@ class Engine:
                 f"{kind.name} was answered; "
                 + (f"{self.awaiting.name} was asked" if self.awaiting else "nothing was asked")
             )
-        return self._send((scalars, body))
-
-    def _send(self, reply: Reply | None) -> Instruction:
-        running = self._running
-        assert running is not None
+        assert self._running is not None
         try:
-            instruction = running.send(reply)  # type: ignore[arg-type]
+            instruction = self._running.send((scalars, body))
         except StopIteration as stop:
-            verb = self.verb
-            assert verb is not None
-            self.abort()
-            return Instruction(verb, *stop.value)
+            return self._reply(stop.value)
+        return self._asking(instruction)
+
+    def _reply(self, reply: Reply) -> Instruction:
+        verb = self.verb
+        assert verb is not None
+        self.abort()
+        return Instruction(verb, *reply)
+
+    def _asking(self, instruction: Instruction) -> Instruction:
         if self._uninitialised:
             instruction = self._initialised_first(instruction)
         self.asked = instruction

@@ -17,7 +17,8 @@ from glue.core.engine import Engine, Instruction
 from glue.core.memory import Memory
 from glue.core.time_bank import TimeBank
 from glue.errors import PeerLost, RemoteProtocolError
-from glue.protocol.messages import CALLS, ErrorCode, Event, Kind, Message, Role
+from glue.protocol.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value
+from glue.protocol.steps import Step
 from glue.protocol.wire import clip
 from glue.types import Action
 
@@ -28,6 +29,8 @@ _SLOW_SECONDS: Final = 5.0
 
 _RARER: Final = 6.0
 """Factor between the times of successive reports: 5 s, 30 s, 180 s, ..."""
+
+_STEPPED: Final = {Kind.ENV_STEP: Role.ENVIRONMENT, Kind.AGENT_STEP: Role.AGENT}
 
 _LIGHT: Final = 65_536
 """Bytes of bodies that a session may keep unaccounted for: 64 MiB in 1024 sessions."""
@@ -321,6 +324,25 @@ class Session:
         self._advance(instruction)
         return True
 
+    def answer_step(self, peer: Peer, kind: Kind, step: Step) -> bool:
+        """Take the answer to the outstanding call, if that is of `kind` and it answers it; return whether.
+
+        As `answer`, with less to look at: nearly all answers are to ENV_STEP and AGENT_STEP.
+        """
+        outstanding = self._outstanding
+        seq, scalars, body = step
+        if outstanding is None or seq != outstanding[2] or kind is not outstanding[0]:
+            return False
+        if not peer.confirmed or peer.role is not _STEPPED[kind] or self._time is not None:
+            return False
+        kind, scalars, body = instruction = self._engine.resume(kind, scalars, body)
+        player = self.peers.get(_STEPPED[kind]) if kind in _STEPPED else None
+        if player is None:
+            self._advance(instruction)
+        else:
+            self._ask(player, kind, scalars, body)
+        return True
+
     def _advance(self, instruction: Instruction) -> None:
         """Make the call that the engine asks for, or send the experiment its reply."""
         kind, scalars, body = instruction
@@ -342,12 +364,16 @@ class Session:
         if player is not None and not offered:
             self._without_capability(kind, role, player)
             return
+        self._ask(player, kind, scalars, body or b"")
+
+    def _ask(self, player: Peer | None, kind: Kind, scalars: tuple[Value, ...], body: bytes) -> None:
+        """Make a call; it is sent once there is a player."""
         self._seq += 1
-        self._outstanding = outstanding = Message(kind, self.name, self._seq, scalars, body or b"")
-        if self._heavy or len(outstanding.body) > _LIGHT:
+        self._outstanding = outstanding = Message(kind, self.name, self._seq, scalars, body)
+        if self._heavy or len(body) > _LIGHT:
             self._weigh()
         if player is not None:
-            if self._time is not None and role is Role.AGENT:
+            if self._time is not None and player.role is Role.AGENT:
                 self._time.called(kind)
             self._board.deliver(player, outstanding)
 

@@ -21,6 +21,7 @@ from glue.core.session import Peer, Route, Session
 from glue.core.time_bank import TimeBank
 from glue.errors import RemoteProtocolError
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
+from glue.protocol.steps import Step, StepFormat
 from glue.protocol.wire import UnknownKind, clip
 
 __all__ = ["INSTANCE_SIZE", "ONE_RUN", "Route", "Switchboard"]
@@ -93,6 +94,16 @@ class Switchboard:
         else:
             self._error(route, message, ErrorCode.NOT_ASKED, f"{kind.name} is sent by the hub only")
         return False
+
+    def receive_step(self, route: Route, form: StepFormat, step: Step, now: float) -> bool:
+        """Act on a message from `route` if it is the answer to the outstanding step; return whether it is.
+
+        As `receive`, with less to look at.
+        """
+        self._now = now
+        seats = self._seats.get(route)
+        peer = None if seats is None else seats.get(form.session)
+        return peer is not None and peer.session.answer_step(peer, form.kind, step)
 
     def malformed(self, route: Route, error: RemoteProtocolError, now: float) -> None:
         """Act on bytes from `route` that are not a message: their sender loses its seats."""
@@ -270,5 +281,5 @@ class Switchboard:
 
     def deliver(self, peer: Peer, message: Message) -> None:
         """Send `message` to `peer`; if it cannot be reached, its timeout begins."""
-        if not self.send(peer.route, message):
+        if not peer.route.deliver(message):
             self._mark_unreachable(peer)

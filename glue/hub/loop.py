@@ -141,11 +141,14 @@ class Loop:
         That is what is ready, one piece of the queue, and a tick.
         """
         ready = self._ready
-        wait = min(seconds, self._tick_at - time.monotonic())
-        if self._queue:
-            wait = min(wait, -self._saved / _SHARE)
-        events = self._poll(wait)
+        events = self._look() if self._expecting else None
         now = time.monotonic()
+        if not events:
+            wait = min(seconds, self._tick_at - now)
+            if self._queue:
+                wait = min(wait, -self._saved / _SHARE)
+            events = self._poller.poll(max(wait, 0))
+            now = time.monotonic()
         for fd, _ in events:
             # What was called before it may have ended the wait for it.
             work = ready.get(fd)
@@ -158,29 +161,27 @@ class Loop:
                 tick(now)
             self._tick_at = now + self._every
 
-    def _poll(self, seconds: float) -> list[tuple[int, int]]:
-        """Return events, waiting for them up to `seconds`.
+    def _look(self) -> list[tuple[int, int]] | None:
+        """Return events, if there are any within a moment.
 
         Falling asleep and being woken takes longer than most answers, so an expected one is first polled for.
         """
-        poll = self._poller.poll
-        if self._expecting:
-            self._expecting = False
-            if self._without_look:
-                self._without_look -= 1
-            else:
-                clock = time.monotonic
-                until = clock() + _LOOK_SECONDS
-                while True:
-                    events = poll(0)
-                    if events:
-                        self._misses = 0
-                        return events
-                    if clock() >= until:
-                        break
-                self._misses = min(self._misses + 1, _MAX_MISSES)
-                self._without_look = 2**self._misses
-        return poll(max(seconds, 0))
+        self._expecting = False
+        if self._without_look:
+            self._without_look -= 1
+            return None
+        poll, clock = self._poller.poll, time.monotonic
+        until = clock() + _LOOK_SECONDS
+        while True:
+            events = poll(0)
+            if events:
+                self._misses = 0
+                return events
+            if clock() >= until:
+                break
+        self._misses = min(self._misses + 1, _MAX_MISSES)
+        self._without_look = 2**self._misses
+        return None
 
     def _work_off(self) -> None:
         now = time.monotonic()

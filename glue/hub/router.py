@@ -26,7 +26,7 @@ from glue.hub.log import Log
 from glue.hub.loop import Loop
 from glue.protocol import zmtp
 from glue.protocol.messages import Kind, Message, Role
-from glue.protocol.steps import StepFormat, step_formats
+from glue.protocol.steps import Step, StepFormat, lead_of, step_formats
 from glue.protocol.wire import FROM_HUB, MAX_HEADER, encode
 from glue.sockets.options import limit_silence
 
@@ -43,6 +43,9 @@ MAX_UNSENT: Final = 64 * 2**20
 
 _STEPS: Final = frozenset({Kind.ENV_STEP, Kind.AGENT_STEP})
 
+_MAX_EXPECTED: Final = 4096
+"""Maximum number of steps whose answers a connection recognises by their bytes; any others are decoded."""
+
 _FAREWELL_SECONDS: Final = 1.0
 """Seconds that the hub waits at most, when it closes, for its last messages to be read."""
 
@@ -56,7 +59,8 @@ class Router:
         addresses: where peers connect; closed by whoever opened them.
         receive: takes the route to answer by, the frames received and the time; returns whether the message
             was in turn. RemoteProtocolError ends the connection.
-        receive_message: the same, for a message that needs no decoding.
+        receive_step: takes the route, the format, the answer to a step and the time; returns whether it
+            answers the step that is outstanding.
         lose: takes the route of a connection that was dropped by the hub, why, and the time.
         num_seats: returns in how many sessions a route takes part.
         memory: accounts for what is kept of messages that are not complete, and of those not yet read.
@@ -69,14 +73,14 @@ class Router:
         config: HubConfig,
         addresses: Sequence[tuple[Bind, OpenAddress]],
         receive: Callable[[Route, Sequence[bytes], float], bool],
-        receive_message: Callable[[Route, Message, float], bool],
+        receive_step: Callable[[Route, StepFormat, Step, float], bool],
         lose: Callable[[Route, str, float], None],
         num_seats: Callable[[Route], int],
         memory: Memory,
         log: Log,
     ) -> None:
         self.receive = receive
-        self.receive_message = receive_message
+        self.receive_step = receive_step
         self.expect = loop.expect
         self.lose = lose
         self.memory = memory
@@ -174,7 +178,7 @@ class _Dealer:
         self._max_body = max_body
         # What is only a little too long is read, and answered with an error that says so.
         self._decoder = zmtp.Decoder(zmtp.ROUTER, max_body + MAX_HEADER)
-        self._step: tuple[StepFormat, Message] | None = None  # sent last: the form of its answer, and itself
+        self._expected: dict[bytes, StepFormat] = {}  # by their lead, the formats of answers to steps sent
         self._held = 0
         self._dismissed = False
         connection.ready = self._ready
@@ -185,10 +189,13 @@ class _Dealer:
         connection = self.connection
         if connection.closed or self._dismissed or connection.unsent > MAX_UNSENT:
             return False
-        if message.kind in _STEPS and message.seq <= StepFormat.max_seq:
-            request, reply = step_formats(message.kind, message.session)
-            self._step = (reply, message)
-            connection.send(request.encode(message.seq, message.scalars, message.body))
+        kind, session, seq, scalars, body = message
+        if kind in _STEPS and seq <= StepFormat.max_seq:
+            request, reply = step_formats(kind, session)
+            if len(self._expected) > _MAX_EXPECTED:
+                self._expected.clear()
+            self._expected[reply.lead] = reply
+            connection.send(request.encode(seq, scalars, body))
             self._router.expect()
         else:
             connection.send(zmtp.encode(encode(message, FROM_HUB)))
@@ -215,8 +222,10 @@ class _Dealer:
     def _ready(self, now: float) -> None:
         data = self.connection.receive()
         if data:
-            if self._step is not None and self._is_step(data, now):
-                return
+            if self._expected:
+                data = self._answer_steps(data, now)
+                if not data:
+                    return
             self._decoder.receive_data(data)
         try:
             done = self._work(now)
@@ -231,20 +240,26 @@ class _Dealer:
             self._weigh()
         self._router.memory.relieve()
 
-    def _is_step(self, data: bytes, now: float) -> bool:
-        """Act on data that is exactly the answer to the step sent last; return whether it is."""
-        assert self._step is not None
-        reply, step = self._step
-        if len(data) > self._max_body or not self._decoder.between_messages or self.connection.unsent:
-            return False
-        found = reply.decode(data)
-        if found is None or found[0] != step.seq:
-            return False
-        self._step = None
-        _, scalars, body = found
-        answer = Message(step.kind, step.session, step.seq, scalars, body)
-        self.connection.in_turn = self._router.receive_message(self, answer, now)
-        return True
+    def _answer_steps(self, data: bytes, now: float) -> bytes:
+        """Act on the messages that `data` begins with if they answer outstanding steps; return what is left.
+
+        There are at most as many as seats: each of them is the answer to a step of another session.
+        """
+        connection, expected = self.connection, self._expected
+        if len(data) > self._max_body or not self._decoder.between_messages:
+            return data
+        at = 0
+        while at < len(data) and not connection.unsent:
+            form = expected.get(lead_of(data, at))
+            found = None if form is None else form.decode(data, at)
+            if form is None or found is None:
+                break
+            del expected[form.lead]
+            if not self._router.receive_step(self, form, found[0], now):
+                break
+            at = found[1]
+            connection.in_turn = True
+        return data[at:]
 
     def _work(self, now: float) -> bool:
         """Act on messages received, one for each seat; return whether more must arrive first."""

@@ -78,7 +78,7 @@ class Hub:
                 config,
                 addresses,
                 self.receive,
-                self.switchboard.receive,
+                self.switchboard.receive_step,
                 self.switchboard.lose,
                 self.switchboard.num_seats,
                 self.switchboard.memory,

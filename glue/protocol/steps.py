@@ -17,10 +17,12 @@ import msgpack
 from glue.protocol.messages import CALLS, Body, Kind, Shape, Value
 from glue.types import PREFIX_SIZE
 
-__all__ = ["Step", "StepFormat", "step_formats"]
+__all__ = ["Step", "StepFormat", "lead_of", "step_formats"]
 
 Step = tuple[int, tuple[Value, ...], bytes]
 """A message of a step: its sequence number, scalars and body."""
+
+_MAX_FIXED_TEXT: Final = 31
 
 _FALSE: Final = 0xC2
 _TRUE: Final = 0xC3
@@ -69,25 +71,30 @@ class StepFormat:
 
     Attributes:
         kind: as given.
+        session: as given.
+        lead: the bytes from the first frame's beginning to its sequence number, as `lead_of` finds them.
         max_seq: the largest sequence number that it has a form for, 2**32 - 1.
     """
 
-    __slots__ = ("_by_bits", "_by_first", "_number_at", "_scalars", "kind")
+    __slots__ = ("_by_bits", "_by_first", "_number_at", "_scalars", "kind", "lead", "session")
 
     max_seq: Final = 2**32 - 1
 
     def __init__(self, kind: Kind, session: str, shape: Shape) -> None:
         assert shape.body in (Body.OBSERVATION, Body.ACTION)
         self.kind = kind
+        self.session = session
         self._scalars = len(shape.scalars)
-        lead = msgpack.packb((int(kind), session, 0, *([None] * self._scalars)))[: -1 - self._scalars]
-        self._number_at = 2 + len(lead)
+        self.lead: bytes = msgpack.packb((int(kind), session, 0, *([None] * self._scalars)))[
+            : -1 - self._scalars
+        ]
+        self._number_at = 2 + len(self.lead)
         self._by_bits: list[_Layout] = []
         self._by_first: list[_Layout | None] = [None] * 256
         for bits, first, letter in _NUMBERS:
             numbers = letter + _SCALARS[self._scalars]
-            size = len(lead) + len(first) + struct.calcsize(">" + numbers)
-            start = bytes((_MORE, size)) + lead + first
+            size = len(self.lead) + len(first) + struct.calcsize(">" + numbers)
+            start = bytes((_MORE, size)) + self.lead + first
             short, long = (struct.Struct(f">{len(start)}s{numbers}{frame}") for frame in ("BB", "BQ"))
             layout = _Layout(start, short, long, 2 + size)
             self._by_bits += [layout] * (bits + 1 - len(self._by_bits))
@@ -106,37 +113,47 @@ class StepFormat:
         reward, terminal = scalars
         return pack(start, seq, _FLOAT, reward, _TRUE if terminal else _FALSE, flags, size) + body
 
-    def decode(self, data: bytes) -> Step | None:
-        """Return what `data` carries if it is exactly one message as `encode` writes it."""
+    def decode(self, data: bytes, at: int = 0) -> tuple[Step, int] | None:
+        """Return the message that begins at `at`, if it is one as `encode` writes it, and where it ends."""
         scalars = _NO_SCALARS
         try:
-            layout = self._by_first[data[self._number_at]]
+            layout = self._by_first[data[at + self._number_at]]
             if layout is None:
                 return None
             expected, short, long, head = layout
-            form = long if data[head] else short
-            at = form.size
+            form = long if data[at + head] else short
+            body_at = at + form.size
             if not self._scalars:
-                start, seq, flags, size = form.unpack_from(data)
+                start, seq, flags, size = form.unpack_from(data, at)
             elif self._scalars == 1:
-                start, seq, type_, reward, flags, size = form.unpack_from(data)
+                start, seq, type_, reward, flags, size = form.unpack_from(data, at)
                 if type_ != _FLOAT:
                     return None
                 scalars = (reward,)
             else:
-                start, seq, type_, reward, terminal, flags, size = form.unpack_from(data)
+                start, seq, type_, reward, terminal, flags, size = form.unpack_from(data, at)
                 if type_ != _FLOAT or (terminal != _FALSE and terminal != _TRUE):
                     return None
                 scalars = (reward, terminal == _TRUE)
-            ints, doubles, chars, reserved = _COUNTS.unpack_from(data, at)
+            ints, doubles, chars, reserved = _COUNTS.unpack_from(data, body_at)
         except (struct.error, IndexError):
             return None
+        end = body_at + size
         if (
             start != expected
+            or end > len(data)
             or (flags and flags != _LONG)
-            or size != len(data) - at
             or size != PREFIX_SIZE + 8 * doubles + 4 * ints + chars
             or reserved
         ):
             return None
-        return seq, scalars, data[at:]
+        return (seq, scalars, data[body_at:end]), end
+
+
+def lead_of(data: bytes, at: int) -> bytes:
+    """Return what is the `lead` of the format of the message that begins at `at`, if it has a format.
+
+    The name of its session has to be of at most 31 bytes, as nearly every one is.
+    """
+    name = data[at + 4 : at + 5]
+    return data[at + 2 : at + 5 + (name[0] & _MAX_FIXED_TEXT)] if name else b""

@@ -7,7 +7,7 @@ import pytest
 
 from glue.protocol import zmtp
 from glue.protocol.messages import Kind
-from glue.protocol.steps import StepFormat, step_formats
+from glue.protocol.steps import StepFormat, lead_of, step_formats
 from glue.types import Action, Observation
 
 BODY = bytes(Observation([1, 2], [0.5], b"abc").body)
@@ -31,7 +31,7 @@ def test_what_is_written_is_what_the_codec_writes_and_is_recognised(
 ) -> None:
     data = form.encode(seq, scalars, body)
     assert data == zmtp.encode([msgpack.packb((int(form.kind), "s", seq, *scalars)), body])
-    assert form.decode(data) == (seq, scalars, body)
+    assert form.decode(data) == ((seq, scalars, body), len(data))
 
 
 @pytest.mark.parametrize(("form", "scalars"), MESSAGES)
@@ -48,13 +48,26 @@ def test_other_kinds_and_sessions_are_left_to_the_parser(
 @pytest.mark.parametrize(("form", "scalars"), MESSAGES)
 @pytest.mark.parametrize("body", [BODY, LONG], ids=["short", "long"])
 @pytest.mark.parametrize("seq", NUMBERS)
-def test_what_is_cut_or_longer_is_left_to_the_parser(
+def test_what_is_cut_is_left_to_the_parser(
     form: StepFormat, scalars: tuple[float, ...], body: bytes, seq: int
 ) -> None:
     data = form.encode(seq, scalars, body)
     assert [form.decode(data[:size]) for size in range(len(data))] == [None] * len(data)
-    assert form.decode(data + b"\0") is None
-    assert form.decode(data + data) is None
+
+
+@pytest.mark.parametrize(("form", "scalars"), MESSAGES)
+@pytest.mark.parametrize("seq", NUMBERS)
+def test_one_of_several_messages_is_found_where_it_begins(
+    form: StepFormat, scalars: tuple[float, ...], seq: int
+) -> None:
+    other = zmtp.encode([msgpack.packb((int(form.kind), "another", seq, *scalars)), LONG])
+    data = form.encode(seq, scalars, BODY)
+    several = other + data + data[:-1]
+    assert lead_of(several, 0) == step_formats(form.kind, "another")[len(scalars) // 2].lead
+    assert lead_of(several, len(other)) == form.lead
+    assert form.decode(several, len(other)) == ((seq, scalars, BODY), len(other + data))
+    assert form.decode(several, len(other + data)) is None
+    assert [lead_of(b"", 0), lead_of(several, len(several))] == [b"", b""]
 
 
 @pytest.mark.parametrize(("form", "scalars"), MESSAGES)
@@ -70,9 +83,9 @@ def test_a_changed_byte_changes_a_number_or_is_not_recognised(
         found = form.decode(bytes(changed))
         # The sequence number and the reward may be any; nothing else before the body's numbers has a choice.
         if found is not None:
-            assert found[2] == BODY
-            assert found[:2] != (seq, scalars)
-            assert found == read(bytes(changed))
+            assert found == (read(bytes(changed)), len(data))
+            assert found[0][2] == BODY
+            assert found[0][:2] != (seq, scalars)
 
 
 def read(data: bytes) -> tuple[int, tuple[float, ...], bytes]:
