@@ -29,12 +29,8 @@ __all__ = ["Container", "Containers"]
 
 _DOCKER: Final = "unix:///var/run/docker.sock"
 
-_ALIVE: Final = frozenset({"created", "running", "paused", "restarting"})
-
 _SIGNALLED: Final = 128
 """The exit status for signal 0."""
-
-_LOOK_SECONDS: Final = 0.1
 
 _BYTES_PER_SECOND: Final = 2**20
 """What is read of what a container prints. Measured: one that prints without end then takes 0.02 of a core
@@ -133,52 +129,44 @@ class Container:
         container: as the engine made it.
         limits: of the competition.
         log: the file that receives what it prints, once it is stopped.
+
+    Attributes:
+        log: as given.
+        reason: how it ended by itself; None until then. One of whose processes the system killed for want of
+            memory has ended, whatever is left of it.
     """
 
     def __init__(self, container: Any, limits: Limits, log: Path) -> None:
         self.log = log
+        self.reason: str | None = None
         self._container = container
         self._memory = limits.memory
-        self._since = int(time.time())
         self._printed = _Printed(container.attach(stream=True), limits.log)
-        self._reason: str | None = None
+        self._events = container.client.api.events(
+            since=int(time.time()), filters={"container": container.id, "event": ["oom", "die"]}, decode=True
+        )
+        self._ended = threading.Event()
         self._stopped = False
 
     def start(self) -> None:
-        """Start it; an image that has nothing to run ends at once.
+        """Start it; an image that cannot be run ends at once.
 
         Raises:
             APIError: the engine cannot start it.
         """
         self._printed.start()
+        threading.Thread(target=self._watch, name="container", daemon=True).start()
         try:
             self._container.start()
         except APIError as error:
             if not error.is_client_error():
-                _remove(self._container)
+                self.stop()
                 raise
-            self._reason = f"could not be started: {_in_short(error)}"
-
-    @property
-    def reason(self) -> str | None:
-        """How it ended; None while it is alive."""
-        if self._reason is None and not self._stopped:
-            with _asking("look at a container"):
-                self._container.reload()
-                state = self._container.attrs["State"]
-                if state["Status"] not in _ALIVE:
-                    self._reason = self._ran_out_of_memory() or _how_it_ended(int(state["ExitCode"]))
-        return self._reason
+            self._end(f"could not be started: {_in_short(error)}")
 
     def wait(self, seconds: float) -> bool:
         """Wait until it ends, at most so long; return whether it has ended."""
-        end = time.monotonic() + seconds
-        while self.reason is None and not self._stopped:
-            left = end - time.monotonic()
-            if left <= 0:
-                return False
-            time.sleep(min(left, _LOOK_SECONDS))
-        return True
+        return self._ended.wait(seconds)
 
     def stop(self) -> None:
         """Kill its processes, keep what they printed, and remove it.
@@ -188,26 +176,32 @@ class Container:
         """
         if self._stopped:
             return
-        with _asking("stop a container"), suppress(NotFound):  # somebody else removed it
+        self._stopped = True
+        with suppress(OSError):
+            self._events.close()
+        with _asking("stop a container"):
             with suppress(APIError):  # it has ended
                 self._container.kill()
-            self._container.reload()
-            self._reason = self._reason or self._ran_out_of_memory()
             _remove(self._container)
-        self._stopped = True
         self.log.write_bytes(self._printed.take())
 
-    def _ran_out_of_memory(self) -> str | None:
-        # The state tells of the first process alone, the events of all.
-        events = self._container.client.api.events(
-            since=self._since,
-            until=f"{time.time():.6f}",
-            filters={"container": self._container.id, "event": "oom"},
-            decode=True,
-        )
-        if [*events] or self._container.attrs["State"].get("OOMKilled"):
-            return f"used more than {self._memory / 2**20:g} MiB of memory"
-        return None
+    def _watch(self) -> None:
+        with suppress(OSError, DockerException):  # the engine is gone, or the container
+            for event in self._events:
+                if event["Action"] == "oom":
+                    self._end(self._used_too_much())
+                elif not self._stopped:
+                    self._container.reload()
+                    state = self._container.attrs["State"]
+                    memory = self._used_too_much() if state.get("OOMKilled") else None
+                    self._end(memory or _how_it_ended(int(state["ExitCode"])))
+
+    def _end(self, reason: str) -> None:
+        self.reason = self.reason or reason
+        self._ended.set()
+
+    def _used_too_much(self) -> str:
+        return f"used more than {self._memory / 2**20:g} MiB of memory"
 
 
 class _Printed(threading.Thread):

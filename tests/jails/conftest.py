@@ -5,9 +5,11 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import socket
 import subprocess
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,12 +20,18 @@ from tests.house.imports import ROOT
 
 docker = pytest.importorskip("docker", reason="needs the extra compete", exc_type=ImportError)
 
-SDK = pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning")
-"""Docker's SDK leaves its sockets to the garbage collector."""
-
 HOSTILE = ROOT / "tests/jails/hostile"
 
 _BUILD_SECONDS = 600
+
+
+@pytest.fixture(autouse=True)
+def unclosed() -> Iterator[None]:
+    """Allow that Docker's SDK leaves its sockets to the garbage collector."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        yield
+        gc.collect()
 
 
 @pytest.fixture(scope="session")

@@ -20,7 +20,7 @@ _HOSTS = (
     "1.1.1.1",
 )
 _PORTS = (22, 53, 80, 443, 2375, 4096, 4097)
-_SKIPPED = ("/proc", "/sys", "/usr", "/opt", "/lib", "/bin", "/sbin")
+_SKIPPED = ("/proc", "/sys", "/usr", "/opt", "/lib", "/bin", "/sbin", "/etc/ssl", "/var/lib/dpkg")
 """Trees of the image and of the kernel, which hold nothing of the organiser's; a part of /proc is read."""
 
 
@@ -69,7 +69,7 @@ def found() -> Iterator[str]:
                 with path.open("rb"):
                     yield f"device {path}"
             elif path.is_file():
-                yield f"file {path}: {path.read_bytes()[:2000]!r}"
+                yield f"file {path}: {path.read_bytes()[:1000]!r}"
 
 
 def gained() -> Iterator[str]:
