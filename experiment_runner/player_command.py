@@ -33,7 +33,14 @@ MODULE: Final = "experiment_runner.player_command"
 
 
 def arguments(
-    role: Role, name: str, options: Mapping[str, Value], hub: str, session: str, any_reward: bool = True
+    role: Role,
+    name: str,
+    options: Mapping[str, Value],
+    hub: str,
+    session: str,
+    any_reward: bool = True,
+    key: str | None = None,
+    hub_key: str | None = None,
 ) -> Sequence[str]:
     """Return the arguments with which `MODULE` serves a player.
 
@@ -44,9 +51,13 @@ def arguments(
         hub: URL of the hub.
         session: name of the session.
         any_reward: whether an environment may give rewards that are infinite or not a number.
+        key: file with the secret key by which the hub knows the player, if it does.
+        hub_key: the hub's public key, or a file that holds it.
     """
     flags = ["--any-reward"] if any_reward else []
-    return [*flags, "--", str(role), name, json.dumps(dict(options)), hub, session]
+    keys = [f"--key={key}"] if key else []
+    keys += [f"--hub-key={hub_key}"] if hub_key else []
+    return [*flags, *keys, "--", str(role), name, json.dumps(dict(options)), hub, session]
 
 
 @click.command()
@@ -56,7 +67,18 @@ def arguments(
 @click.argument("hub")
 @click.argument("session")
 @click.option("--any-reward", is_flag=True)
-def serve(role: str, name: str, options: str, hub: str, session: str, any_reward: bool) -> None:
+@click.option("--key")
+@click.option("--hub-key")
+def serve(
+    role: str,
+    name: str,
+    options: str,
+    hub: str,
+    session: str,
+    any_reward: bool,
+    key: str | None,
+    hub_key: str | None,
+) -> None:
     """Serve an agent or environment until the hub says goodbye."""
     # Ended while it is imported it is silent, too; see below.
     when_served = signal.signal(signal.SIGTERM, _end)
@@ -64,9 +86,10 @@ def serve(role: str, name: str, options: str, hub: str, session: str, any_reward
         player = build(find(Role(role), name), json.loads(options))
         signal.signal(signal.SIGTERM, when_served)
         if role == Role.AGENT:
-            serve_agent(player, hub, session, log=_ignore)
+            serve_agent(player, hub, session, key=key, hub_key=hub_key, log=_ignore)
         else:
-            serve_environment(player if any_reward else FiniteRewards(player), hub, session, log=_ignore)
+            checked = player if any_reward else FiniteRewards(player)
+            serve_environment(checked, hub, session, key=key, hub_key=hub_key, log=_ignore)
     except PeerFailed as failure:
         if failure.__cause__ is None:
             raise

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Final
 
 from experiment_runner import player_command
@@ -27,7 +28,10 @@ from glue.core.local import local
 from glue.errors import ExperimentError
 from glue.hub.inside import InsideTransport
 from glue.hub.listener import OpenAddress, open_address
+from glue.hub.renewal import renewed_on_hangup
 from glue.hub.server import Hub
+from glue.keys.allowed import HUB, read_keys
+from glue.keys.certificates import PUBLIC, SECRET
 from glue.legacy.gateway import Gateway, open_legacy_port
 from glue.options import build
 from glue.players.loading import example, find
@@ -52,6 +56,9 @@ class HubOptions:
         wait: timeout in seconds for `hub` to answer; None to wait forever.
         insecure: allow addresses that other machines can reach.
         legacy: ports of our own hub for original RL-Glue programs.
+        key: file with the secret key by which `hub` knows the experiment, and the players that it starts.
+        hub_key: the public key of `hub`, or a file that holds it.
+        keys: directory of the keys of our own hub, which players from outside need; None for none.
     """
 
     hub: str | None = None
@@ -60,6 +67,9 @@ class HubOptions:
     wait: float | None = None
     insecure: bool = False
     legacy: tuple[LegacyPort, ...] = ()
+    key: str | None = None
+    hub_key: str | None = None
+    keys: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,11 +123,18 @@ def listening(plan: Plan, meeting: Meeting) -> Iterator[Meeting]:
     options = meeting.hub
     expected = options.hub is None and not (plan.agents and plan.environments)
     outside = _outside(options, expected)
-    HubConfig(bind=outside, insecure=options.insecure)  # refuses addresses that other machines can reach
+    # Refuses addresses without keys that other machines can reach.
+    HubConfig(bind=_binds(options, expected, frozenset(Role)), insecure=options.insecure)
     with ExitStack() as stack:
         opened = {url: stack.enter_context(open_address(url)) for url in outside}
         legacy = {port: stack.enter_context(open_legacy_port(port)) for port in options.legacy}
         yield replace(meeting, opened=opened, opened_legacy=legacy)
+
+
+def _binds(options: HubOptions, expected: bool, roles: frozenset[Role]) -> tuple[Bind, ...]:
+    """Return the addresses of our own hub for players from outside, with the roles that are open to them."""
+    keys = None if options.keys is None else read_keys(options.keys)
+    return tuple(Bind(url, roles, keys=keys) for url in _outside(options, expected))
 
 
 def _outside(options: HubOptions, expected: bool) -> tuple[str, ...]:
@@ -150,6 +167,7 @@ def _over_hub(
     public = options.hub or ""
     ports: tuple[LegacyPort, ...] = ()
     present: dict[Role, str] = {}
+    warnings: list[str] = []  # to be shown once
 
     def notice(event: str, role: str, name: str) -> None:
         line = f"{role} {name} {event}"
@@ -162,7 +180,11 @@ def _over_hub(
             tell_missing(frozenset({Role(role)}))
 
     def tell_missing(missing: frozenset[Role]) -> None:
-        say(_missing(missing, named, public, options.session, ports))
+        nonlocal warnings
+        say(_missing(missing, named, public, options, ports))
+        for line in warnings:
+            say(line)
+        warnings = []
 
     with ExitStack() as stack:
         # Entered first, so left last: the children exit after our hub has said goodbye to them.
@@ -170,27 +192,44 @@ def _over_hub(
         if options.hub is None:
             inside = f"ipc://{stack.enter_context(scratch_folder())}/{SOCKET}"
             # Only our own child may take a role that is named: only it can reach the inside address.
-            outside = _outside(options, bool(expected)) if expected else ()
-            binds = [Bind(url, roles=expected) for url in outside]
+            binds = _binds(options, True, expected) if expected else ()
             config = HubConfig(bind=(inside, *binds), insecure=options.insecure)
             hub = stack.enter_context(Hub(config, opened=meeting.opened))
+            if binds and options.keys is not None:
+                stack.enter_context(renewed_on_hangup(hub, options.keys))
             legacy = {port: replace(port, roles=expected) for port in options.legacy}
             opened_legacy = {legacy[port]: address for port, address in meeting.opened_legacy.items()}
             ports = tuple(Gateway(hub, tuple(legacy.values()), say, opened=opened_legacy).ports)
             for port in ports:
                 say(f"original RL-Glue programs join on {port}")
             stack.enter_context(hub.in_background())
-            public = _from_outside(hub.endpoints[1]) if outside else inside
+            pairs = zip(binds, hub.endpoints[1:], strict=True)
+            warnings = [text for bind, endpoint in pairs if (text := bind.warning(endpoint))]
+            public = _from_outside(hub.endpoints[1]) if binds else inside
             transport: InsideTransport | None = InsideTransport(hub)
         else:
             inside, transport = options.hub, None
         glue = connect(
-            inside, options.session, wait=options.wait, log=say, on_notice=notice, transport=transport
+            inside,
+            options.session,
+            key=options.key,
+            hub_key=options.hub_key,
+            wait=options.wait,
+            log=say,
+            on_notice=notice,
+            transport=transport,
         )
         stack.enter_context(glue)
         for role, player in named.items():
             arguments = player_command.arguments(
-                role, player.name, player.options, inside, options.session, meeting.any_reward
+                role,
+                player.name,
+                player.options,
+                inside,
+                options.session,
+                meeting.any_reward,
+                options.key,
+                options.hub_key,
             )
             children.start(f"{role} {player.label}", player_command.MODULE, arguments, glue.give_up)
         try:
@@ -216,9 +255,10 @@ def _missing(
     missing: frozenset[Role],
     named: Mapping[Role, object],
     hub: str,
-    session: str,
+    options: HubOptions,
     ports: Sequence[LegacyPort],
 ) -> str:
+    session = options.session
     legacy = [f"{port.host}:{port.port}" for port in ports if port.session == session]
     lines = []
     for role in sorted(missing):
@@ -227,6 +267,8 @@ def _missing(
         else:
             where = "" if hub == DEFAULT_HUB else f" --hub {hub}"
             where += "" if session == DEFAULT_SESSION else f" --session {session}"
+            if options.keys is not None:
+                where += f" --key THEIRS{SECRET} --hub-key {options.keys / HUB}{PUBLIC}"
             line = f"waiting for an {role}; in another terminal: {_COMMANDS[role]} {example(role)}{where}"
             lines.append(f"{line}; or an original one on {' or '.join(legacy)}" if legacy else line)
     return "\n".join(lines)

@@ -10,33 +10,53 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import wraps
-from typing import Final, NoReturn, TypeVar
+from pathlib import Path
+from typing import Any, Final, NoReturn, TypeVar
 
 import click
 
 from glue.console import say
+from glue.core.config import HUB_KEY_VARIABLE, KEY_VARIABLE
 from glue.entry import EXIT_INTERRUPTED, EXIT_TERMINATED, Terminated, handle_signals, is_stuck
 from glue.errors import ConfigError, GlueError
 
 __all__ = [
-    "HUB_VARIABLE",
-    "SESSION_VARIABLE",
+    "HUB_KEY_SETTINGS",
+    "KEY_SETTINGS",
     "WAIT_VARIABLE",
     "Terminated",
+    "keys_option",
     "legacy_port_option",
     "run",
 ]
 
-HUB_VARIABLE: Final = "GLUE_HUB"
-"""The environment variable of the option `--hub`, in every command that has it."""
-
-SESSION_VARIABLE: Final = "GLUE_SESSION"
-"""The environment variable of the option `--session`, in every command that has it."""
-
 WAIT_VARIABLE: Final = "GLUE_WAIT"
 """The environment variable of the option `--wait`, in every command that has it."""
+
+keys_option: Final = click.option(
+    "--keys",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Let in only the owners of the keys in DIR, as what DIR/allow.toml says, and encrypt everything. "
+    "DIR is read again on SIGHUP.",
+)
+"""The option of all commands that start a hub; see `glue.keys.allowed`."""
+
+KEY_SETTINGS: Final[Mapping[str, Any]] = {
+    "metavar": "FILE",
+    "envvar": KEY_VARIABLE,
+    "show_envvar": True,
+    "help": "Secret key by which the hub knows you; glue-keys new makes it.",
+}
+HUB_KEY_SETTINGS: Final[Mapping[str, Any]] = {
+    "metavar": "KEY",
+    "envvar": HUB_KEY_VARIABLE,
+    "show_envvar": True,
+    "help": "Public key of the hub, a file or the key itself; needed with --key.",
+}
+"""The options `--key` and `--hub-key` of all commands that join a hub."""
 
 legacy_port_option: Final = click.option(
     "--legacy-port",

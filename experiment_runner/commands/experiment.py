@@ -17,9 +17,24 @@ from experiment_runner.executors.settings import CHECKPOINT_EVERY, Place
 from experiment_runner.plan import Plan, RoleSweep, absolute, check_options, class_files, describe
 from experiment_runner.plan_file import load_plan
 from glue import __version__
-from glue.commands import HUB_VARIABLE, SESSION_VARIABLE, WAIT_VARIABLE, legacy_port_option, run
+from glue.commands import (
+    HUB_KEY_SETTINGS,
+    KEY_SETTINGS,
+    WAIT_VARIABLE,
+    keys_option,
+    legacy_port_option,
+    run,
+)
 from glue.console import say
-from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, LegacyPort, check_session, check_url
+from glue.core.config import (
+    DEFAULT_HUB,
+    DEFAULT_SESSION,
+    HUB_VARIABLE,
+    SESSION_VARIABLE,
+    LegacyPort,
+    check_session,
+    check_url,
+)
 from glue.errors import ConfigError, ExperimentError
 from glue.options import parse_assignments
 from glue.players.loading import find, names
@@ -28,7 +43,7 @@ from glue.protocol.messages import Role
 
 if TYPE_CHECKING:
     from experiment_runner.executors.run import RunConfig
-    from experiment_runner.players import Meeting
+    from experiment_runner.players import HubOptions
 
 __all__ = ["experiment", "main"]
 
@@ -124,6 +139,8 @@ _MAX_SEED: Final = 2**63 - 1
     show_envvar=True,
     help="Session at the hub.",
 )
+@click.option("--key", **KEY_SETTINGS)
+@click.option("--hub-key", **HUB_KEY_SETTINGS)
 @click.option(
     "--wait",
     type=click.FloatRange(0),
@@ -133,7 +150,10 @@ _MAX_SEED: Final = 2**63 - 1
     help="Timeout for the hub at --hub to answer. [default: wait forever]",
 )
 @legacy_port_option
-@click.option("--insecure", is_flag=True, help="Allow --bind to addresses that other machines can reach.")
+@keys_option
+@click.option(
+    "--insecure", is_flag=True, help="Allow --bind without --keys to addresses that other machines can reach."
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -195,8 +215,11 @@ def experiment(
     hub: str | None,
     bind: tuple[str, ...],
     session: str,
+    key: str | None,
+    hub_key: str | None,
     wait: float | None,
     legacy_port: tuple[str, ...],
+    keys: Path | None,
     insecure: bool,
     out: Path | None,
     resume: Path | None,
@@ -220,14 +243,18 @@ def experiment(
       glue-experiment --env mines --agent my_agent.py:MyAgent --episodes 100 --in-process
       glue-experiment --env mines --agent sarsa --agent-option step_size=0.2 --episodes 500 --json
       glue-experiment --env mines --episodes 100 --legacy-port 4096
+      glue-experiment --env mines --episodes 100 --bind tcp://*:4097 --keys keys
       glue-experiment --env mario --agent sample --episodes 10 --record sample.traj
       glue-experiment --plan sweep.toml --workers 4 --out runs/sweep
       glue-experiment --resume runs/sweep --workers 4
     """
     from experiment_runner.executors.resume import recorded_plan
     from experiment_runner.executors.run import RunConfig
+    from experiment_runner.players import HubOptions, Meeting
 
-    if _from_variable("hub") and (in_process or workers or engine == Place.RAY or bind or legacy_port):
+    if _from_variable("hub") and (
+        in_process or workers or engine == Place.RAY or bind or legacy_port or keys
+    ):
         hub = None
     if _from_variable("session") and (in_process or workers or engine == Place.RAY):
         session = DEFAULT_SESSION
@@ -258,8 +285,20 @@ def experiment(
         except ExperimentError as error:  # a mistake in a plan is one in the command
             raise ConfigError(str(error)) from error
         directory = out or _new_directory(plan_file.stem if plan_file else _labels(plan))
-    meeting = _meeting(in_process, hub, bind, session, wait if hub else None, legacy_port, insecure)
-    meeting = replace(meeting, any_reward=any_reward)
+    options = HubOptions(
+        hub,
+        tuple(dict.fromkeys(bind)),
+        check_session(session),
+        wait if hub else None,
+        insecure,
+        # Each is opened once, even if it is given twice.
+        tuple(dict.fromkeys(LegacyPort.parse(text, session, insecure) for text in legacy_port)),
+        key if hub or not _from_variable("key") else None,
+        hub_key if hub or not _from_variable("hub_key") else None,
+        keys,
+    )
+    _check(options)
+    meeting = Meeting(in_process, options, any_reward=any_reward)
     config = RunConfig(meeting, checkpoint_every, Place(engine), workers, address)
     config.check(plan, recording=record is not None)
     if dry_run:
@@ -307,29 +346,19 @@ def _ask_for_trust(directory: Path, plan: Plan) -> None:
     click.confirm(f"{directory} will execute {files}. Do you trust it?", abort=True, err=True)
 
 
-def _meeting(
-    in_process: bool,
-    hub: str | None,
-    bind: tuple[str, ...],
-    session: str,
-    wait: float | None,
-    legacy_port: tuple[str, ...],
-    insecure: bool,
-) -> Meeting:
-    from experiment_runner.players import HubOptions, Meeting
-
-    if hub is not None and (bind or legacy_port):
-        flag = "--bind" if bind else "--legacy-port"
+def _check(options: HubOptions) -> None:
+    """Refuse options that contradict each other, and addresses that are malformed."""
+    ours = {"--bind": options.bind, "--legacy-port": options.legacy, "--keys": options.keys}
+    theirs = {"--key": options.key, "--hub-key": options.hub_key}
+    flag = next((flag for flag, value in (theirs if options.hub is None else ours).items() if value), None)
+    if flag is not None and options.hub is None:
+        raise ConfigError(f"{flag} is for a running hub: name it with --hub")
+    if flag is not None:
         raise ConfigError(
             f"{flag} is for a hub that the experiment starts, and --hub names a running one: leave one out"
         )
-    for url in (*bind, *([hub] if hub else [])):
+    for url in (*options.bind, *([options.hub] if options.hub else [])):
         check_url(url)
-    check_session(session)
-    # Each is opened once, even if it is given twice.
-    legacy = dict.fromkeys(LegacyPort.parse(text, session, insecure) for text in legacy_port)
-    bind = tuple(dict.fromkeys(bind))
-    return Meeting(in_process, HubOptions(hub, bind, session, wait, insecure, tuple(legacy)))
 
 
 def _labels(plan: Plan) -> str:

@@ -10,13 +10,14 @@ with connect() as glue:
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from glue.client.bodies import READ, write
 from glue.client.link import Link, Log
+from glue.client.place import Place, find_place
 from glue.client.transport import Transport
 from glue.console import say
-from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.core.experiment import Experiment
 from glue.errors import GlueError, HubClosed, LocalProtocolError, PeerFailed, PeerLost, Unsupported
 from glue.protocol.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value
@@ -28,9 +29,11 @@ __all__ = ["RemoteExperiment", "connect"]
 
 
 def connect(
-    hub: str = DEFAULT_HUB,
-    session: str = DEFAULT_SESSION,
+    hub: str | None = None,
+    session: str | None = None,
     *,
+    key: str | Path | None = None,
+    hub_key: str | Path | None = None,
     name: str = "experiment",
     wait: float | None = None,
     context: Context | None = None,
@@ -41,8 +44,11 @@ def connect(
     """Return an experiment of `session` at `hub`, once the hub has let it in.
 
     Args:
-        hub: URL of the hub.
-        session: name of the session.
+        hub: URL of the hub; by default that of GLUE_HUB, with the keys of GLUE_KEY and GLUE_HUB_KEY, or
+            else tcp://127.0.0.1:4097.
+        session: name of the session, by default that of GLUE_SESSION.
+        key: file with the secret key by which the hub knows this program.
+        hub_key: the hub's public key, or a file that holds it; needed with `key`.
         name: what the hub calls this program in its messages.
         wait: seconds after which a hub that has not answered is given up; None waits forever.
         context: the ZeroMQ context, if the connection is to be libzmq's.
@@ -51,11 +57,12 @@ def connect(
         transport: the connection, if there is one already: `glue.hub.inside.InsideTransport`.
 
     Raises:
-        ConfigError: an address or a session name is malformed, or the host's name does not resolve.
+        ConfigError: an address, a key or a session name is malformed, or the host's name does not resolve.
         HubUnreachable: no hub has answered within `wait` seconds.
         Refused: the hub does not let it in.
     """
-    return RemoteExperiment(hub, session, name, wait, context, log, on_notice, transport)
+    place = find_place(hub, session, key, hub_key)
+    return RemoteExperiment(place, name, wait, context, log, on_notice, transport)
 
 
 class RemoteExperiment(Experiment):
@@ -63,8 +70,7 @@ class RemoteExperiment(Experiment):
 
     def __init__(
         self,
-        hub: str,
-        session: str,
+        place: Place,
         name: str,
         wait: float | None,
         context: Context | None,
@@ -72,7 +78,7 @@ class RemoteExperiment(Experiment):
         on_notice: Callable[[str, str, str], None] | None,
         transport: Transport | None,
     ) -> None:
-        self._session = session
+        self._session = session = place.session
         self._log = log
         self._on_notice = on_notice
         self._seq = 0
@@ -80,7 +86,8 @@ class RemoteExperiment(Experiment):
         self._players: set[Role] = set()
         self._loss: str | None = None
         self._given_up: str | None = None
-        self._link = Link(Role.EXPERIMENT, hub, {session: (name, ())}, wait, context, log, transport)
+        names = {session: (name, ())}
+        self._link = Link(Role.EXPERIMENT, place.hub, names, wait, context, log, transport, place.key)
         self._closed = False
         try:
             while not self._link.ready(session):

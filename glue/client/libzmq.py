@@ -1,7 +1,7 @@
-"""A DEALER of libzmq: a peer's end where a ZeroMQ context is given.
+"""A DEALER of libzmq: a peer's end where a ZeroMQ context or a key is given.
 
 The only module that knows libzmq. It reconnects without saying so; its monitor says so, and with it a peer
-greets the hub once for each connection.
+greets the hub once for each connection. The monitor also says why a handshake failed.
 """
 
 from __future__ import annotations
@@ -12,9 +12,11 @@ from typing import Final
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
-from glue.errors import ConfigError
+from glue.client.place import OwnKey, needs_key
+from glue.errors import ConfigError, Refused
+from glue.keys.certificates import KeyPair, decode, encode
 
-__all__ = ["Context", "DealerTransport"]
+__all__ = ["Context", "DealerTransport", "new_pair"]
 
 Context = zmq.Context[zmq.Socket[bytes]]
 
@@ -26,14 +28,38 @@ _LINGER_MS: Final = 1000
 """How long a closing socket tries to deliver its last messages, in milliseconds."""
 
 
+_EVENTS: Final = (
+    zmq.Event.HANDSHAKE_SUCCEEDED
+    | zmq.Event.HANDSHAKE_FAILED_AUTH
+    | zmq.Event.HANDSHAKE_FAILED_PROTOCOL
+    | zmq.Event.HANDSHAKE_FAILED_NO_DETAIL
+    | zmq.Event.DISCONNECTED
+)
+_MAX_FAILURES: Final = 3
+"""Handshakes in succession that the hub may end without a reason: one may have been cut by the network."""
+
+
+def new_pair() -> KeyPair:
+    """Return a new pair of keys.
+
+    Raises:
+        ConfigError: this libzmq was built without CURVE.
+    """
+    if not zmq.has("curve"):
+        raise ConfigError("this libzmq was built without CURVE: install the pyzmq of PyPI, which has it")
+    public, secret = zmq.curve_keypair()
+    return KeyPair(decode(public.decode()), decode(secret.decode()))
+
+
 class DealerTransport:
     """A peer's end. It connects when the hub is there, and again whenever the connection breaks.
 
     Args:
-        context: the ZeroMQ context.
+        context: the ZeroMQ context; None for one of its own.
         url: address of the hub, as `glue.core.config.check_url` accepts it.
         timeout: seconds after which a connection attempt, or data that is not acknowledged, is given up.
         max_frame: longest frame that is received, in bytes.
+        key: by which the hub knows the peer, and the peer the hub; None to speak without encryption.
 
     Attributes:
         connected: whether there is a connection, as far as `receive` has noticed.
@@ -44,10 +70,18 @@ class DealerTransport:
         ConfigError: libzmq refuses the address.
     """
 
-    def __init__(self, context: Context, url: str, timeout: float, max_frame: int) -> None:
+    def __init__(
+        self, context: Context | None, url: str, timeout: float, max_frame: int, key: OwnKey | None = None
+    ) -> None:
         self.connected = False
         self.connections = 0
+        self._url = url
+        self._key = key
+        self._failures = 0
         self._wait_ms = -1
+        self._own_context: Context | None = None
+        if context is None:
+            context = self._own_context = zmq.Context()
         self.socket = context.socket(zmq.DEALER)
         milliseconds = max(1, int(timeout * 1000))
         for option, value in {
@@ -64,7 +98,11 @@ class DealerTransport:
             zmq.IPV6: int("[" in url),
         }.items():
             self.socket.setsockopt(option, value)
-        self._monitor = self.socket.get_monitor_socket(zmq.Event.HANDSHAKE_SUCCEEDED | zmq.Event.DISCONNECTED)
+        if key is not None:
+            self.socket.curve_serverkey = encode(key.hub).encode()
+            self.socket.curve_publickey = encode(key.pair.public).encode()
+            self.socket.curve_secretkey = encode(key.pair.secret).encode()
+        self._monitor = self.socket.get_monitor_socket(_EVENTS)
         self._poller = zmq.Poller()
         self._poller.register(self.socket, zmq.POLLIN)
         self._poller.register(self._monitor, zmq.POLLIN)
@@ -110,17 +148,55 @@ class DealerTransport:
             return None
 
     def notice_connections(self) -> None:
-        """Bring `connected` and `connections` up to date."""
+        """Bring `connected` and `connections` up to date.
+
+        Raises:
+            Refused: hub and peer cannot agree on how to authenticate, or the hub does not know the key.
+        """
         try:
             while True:
-                event = recv_monitor_message(self._monitor, _AT_ONCE)["event"]
+                message = recv_monitor_message(self._monitor, _AT_ONCE)
+                event = message["event"]
                 self.connected = event == zmq.Event.HANDSHAKE_SUCCEEDED
                 self.connections += self.connected
+                if not self.connected and event != zmq.Event.DISCONNECTED:
+                    self._handshake_failed(event, message["value"])
+                elif self.connected:
+                    self._failures = 0
         except zmq.Again:
             return
+
+    def _handshake_failed(self, event: int, value: int) -> None:
+        key = self._key
+        if (
+            event == zmq.Event.HANDSHAKE_FAILED_PROTOCOL
+            and value == zmq.Event.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH
+        ):
+            if key is None:
+                raise Refused(needs_key(self._url))
+            raise Refused(
+                f"the hub at {self._url} does not encrypt and knows no keys: leave out --key and --hub-key "
+                "if you trust the network, or ask whoever runs it to start it with --keys"
+            )
+        if key is None:
+            return
+        public = encode(key.pair.public)
+        if event == zmq.Event.HANDSHAKE_FAILED_AUTH:
+            raise Refused(
+                f"the hub at {self._url} does not know your key, {public} in {key.file}: "
+                "ask whoever runs it to allow this key for your role and session, or give another with --key"
+            )
+        self._failures += 1
+        if self._failures == _MAX_FAILURES or event == zmq.Event.HANDSHAKE_FAILED_PROTOCOL:
+            raise Refused(
+                f"no handshake with the hub at {self._url} succeeds; perhaps its public key is not "
+                f"{encode(key.hub)}: ask whoever runs it for the right --hub-key"
+            )
 
     def close(self, linger: float | None = None) -> None:
         """Close, giving the last messages at most `linger` seconds (by default one) to leave."""
         self.socket.disable_monitor()
         self._monitor.close(0)
         self.socket.close(_LINGER_MS if linger is None else int(linger * 1000))
+        if self._own_context is not None:
+            self._own_context.term()

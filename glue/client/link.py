@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Final
 
+from glue.client.place import OwnKey
 from glue.client.sockets import SocketTransport
 from glue.client.transport import Transport, open_transport
 from glue.core.config import check_session
@@ -44,6 +45,7 @@ class Link:
         context: the ZeroMQ context, if the connection is to be libzmq's.
         log: takes lines for people.
         transport: the connection, if there is one already; `hub` is then only shown to people.
+        key: by which the hub knows the program, if it does.
 
     Raises:
         ConfigError: an address or a session name is malformed, or the host's name does not resolve.
@@ -58,6 +60,7 @@ class Link:
         context: Context | None,
         log: Log,
         transport: Transport | None = None,
+        key: OwnKey | None = None,
     ) -> None:
         if wait is not None and not wait >= 0:
             raise ConfigError(f"the seconds to wait for a hub are 0 or more, not {wait}")
@@ -69,7 +72,7 @@ class Link:
         self._instance = os.urandom(INSTANCE_SIZE)
         self._max_body = MAX_BODY
         self._heartbeat, self._timeout = _HEARTBEAT, _TIMEOUT
-        self._transport = transport or open_transport(hub, context)
+        self._transport = transport or open_transport(hub, context, key)
         self._transport.wait_at_most(_HEARTBEAT if wait is None else min(_HEARTBEAT, wait))
         self._greeted = 0  # the connection that was greeted last; also the `seq` of that HELLO
         self._welcomed: set[str] = set()  # sessions, over that connection

@@ -17,13 +17,14 @@ from __future__ import annotations
 
 import traceback
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from glue.client.bodies import READ, write
 from glue.client.link import Link, Log
+from glue.client.place import Place, find_place
 from glue.console import say
 from glue.core.calls import Handler, name_of, role_calls
-from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.errors import GlueError, HubClosed, PeerFailed, RemoteProtocolError
 from glue.protocol.messages import CALLS, ErrorCode, Kind, Message, Role
 from glue.protocol.steps import step_formats
@@ -39,9 +40,11 @@ __all__ = ["serve_agent", "serve_environment"]
 
 def serve_agent(
     agent: Agent | Mapping[str, Agent],
-    hub: str = DEFAULT_HUB,
-    session: str = DEFAULT_SESSION,
+    hub: str | None = None,
+    session: str | None = None,
     *,
+    key: str | Path | None = None,
+    hub_key: str | Path | None = None,
     wait: float | None = None,
     context: Context | None = None,
     log: Log = say,
@@ -51,34 +54,41 @@ def serve_agent(
     Args:
         agent: the agent; or a mapping from session names to agents, which serves several sessions over
             one connection.
-        hub: URL of the hub.
-        session: name of the session; not used with a mapping.
+        hub: URL of the hub; by default that of GLUE_HUB, with the keys of GLUE_KEY and GLUE_HUB_KEY, or
+            else tcp://127.0.0.1:4097.
+        session: name of the session, by default that of GLUE_SESSION; not used with a mapping.
+        key: file with the secret key by which the hub knows the agent.
+        hub_key: the hub's public key, or a file that holds it; needed with `key`.
         wait: seconds after which a hub that has not answered is given up; None waits forever.
         context: the ZeroMQ context, if the connection is to be libzmq's.
         log: takes lines for people; by default they go to standard error.
 
     Raises:
-        ConfigError: an address or a session name is malformed, or the host's name does not resolve.
+        ConfigError: an address, a key or a session name is malformed, or the host's name does not resolve.
         HubUnreachable: no hub has answered within `wait` seconds.
         Refused: the hub does not let it in, for instance because the session has an agent.
         PeerFailed: the agent lacks a method of its role, or raised; the hub is informed.
     """
-    agents = agent if isinstance(agent, Mapping) else {session: agent}
-    return _serve(Role.AGENT, agents, hub, wait, context, log)
+    place = find_place(hub, session, key, hub_key)
+    agents = agent if isinstance(agent, Mapping) else {place.session: agent}
+    return _serve(Role.AGENT, agents, place, wait, context, log)
 
 
 def serve_environment(
     environment: Environment | Mapping[str, Environment],
-    hub: str = DEFAULT_HUB,
-    session: str = DEFAULT_SESSION,
+    hub: str | None = None,
+    session: str | None = None,
     *,
+    key: str | Path | None = None,
+    hub_key: str | Path | None = None,
     wait: float | None = None,
     context: Context | None = None,
     log: Log = say,
 ) -> str:
     """Let `environment` take part in a session; arguments and errors are those of `serve_agent`."""
-    environments = environment if isinstance(environment, Mapping) else {session: environment}
-    return _serve(Role.ENVIRONMENT, environments, hub, wait, context, log)
+    place = find_place(hub, session, key, hub_key)
+    environments = environment if isinstance(environment, Mapping) else {place.session: environment}
+    return _serve(Role.ENVIRONMENT, environments, place, wait, context, log)
 
 
 class _Player:
@@ -151,14 +161,14 @@ class _Player:
 def _serve(
     role: Role,
     players: Mapping[str, Agent] | Mapping[str, Environment],
-    hub: str,
+    place: Place,
     wait: float | None,
     context: Context | None,
     log: Log,
 ) -> str:
     served = {session: _Player(role, session, player) for session, player in players.items()}
     names = {session: (player.name, player.capabilities) for session, player in served.items()}
-    link = Link(role, hub, names, wait, context, log)
+    link = Link(role, place.hub, names, wait, context, log, key=place.key)
     reason = "interrupted"
     try:
         while True:
@@ -171,7 +181,7 @@ def _serve(
             if message.kind is Kind.WELCOME:
                 if not message.scalars[1]:
                     player.forget()
-                    log(f"{role} {player.name} is in session {message.session!r} at {hub}")
+                    log(f"{role} {player.name} is in session {message.session!r} at {place.hub}")
             elif message.kind in CALLS:
                 try:
                     answer = player.answer(message)

@@ -13,7 +13,8 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from glue.errors import RemoteProtocolError
+from glue.client.place import needs_key
+from glue.errors import Refused, RemoteProtocolError
 from glue.protocol import zmtp
 from glue.protocol.steps import Step, StepFormat
 from glue.sockets.options import limit_silence, probe_when_silent, unix_address
@@ -78,13 +79,20 @@ class SocketTransport:
         return self.connected and self._send(data)
 
     def receive(self) -> list[bytes] | None:
-        """Return the next message; None if none arrived in time, or as soon as there is a connection."""
+        """Return the next message; None if none arrived in time, or as soon as there is a connection.
+
+        Raises:
+            Refused: the hub lets in only peers whose keys it knows.
+        """
         if self._timed_out:
             self._timed_out = False
             return None
         while True:
             try:
                 event = self._decoder.next_event()
+            except zmtp.OtherMechanism:
+                self._fail()
+                raise Refused(needs_key(self._url)) from None
             except RemoteProtocolError as error:
                 self.problem = str(error)
                 self._fail()

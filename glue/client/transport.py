@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, Protocol
 from urllib.parse import urlsplit
 
+from glue.client.place import OwnKey
 from glue.client.sockets import SocketTransport
 from glue.core.config import check_url
 from glue.errors import ConfigError
@@ -60,12 +61,13 @@ class Transport(Protocol):
         ...
 
 
-def open_transport(url: str, context: Context | None = None) -> Transport:
-    """Return a transport to the hub at `url`: a plain socket, or libzmq's where a context is given.
+def open_transport(url: str, context: Context | None = None, key: OwnKey | None = None) -> Transport:
+    """Return a transport to the hub at `url`: a plain socket, or libzmq's where a context or a key is given.
 
     Args:
         url: address of the hub.
         context: the ZeroMQ context.
+        key: by which the hub knows the peer, if it does.
 
     Raises:
         ConfigError: the address is malformed, or the host's name does not resolve.
@@ -73,11 +75,11 @@ def open_transport(url: str, context: Context | None = None) -> Transport:
     check_url(url)
     _check_host(url)
     max_frame = 2 * MAX_BODY + MAX_HEADER
-    if context is None:
+    if context is None and key is None:
         return SocketTransport(url, _TIMEOUT, max_frame)
     from glue.client.libzmq import DealerTransport  # libzmq takes long to load, and few need it
 
-    return DealerTransport(context, url, _TIMEOUT, max_frame)
+    return DealerTransport(context, url, _TIMEOUT, max_frame, key)
 
 
 def _check_host(url: str) -> None:

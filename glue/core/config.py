@@ -36,6 +36,10 @@ from glue.protocol.messages import Role
 __all__ = [
     "DEFAULT_HUB",
     "DEFAULT_SESSION",
+    "HUB_KEY_VARIABLE",
+    "HUB_VARIABLE",
+    "KEY_VARIABLE",
+    "SESSION_VARIABLE",
     "Bind",
     "HubConfig",
     "LegacyPort",
@@ -48,6 +52,13 @@ DEFAULT_HUB: Final = "tcp://127.0.0.1:4097"
 """The default address of a hub. RL-Glue's own port, 4096, is left to original RL-Glue programs."""
 
 DEFAULT_SESSION: Final = "default"
+
+HUB_VARIABLE: Final = "GLUE_HUB"
+"""The environment variable of the option `--hub`, in every command and client that has it; and so on."""
+
+SESSION_VARIABLE: Final = "GLUE_SESSION"
+KEY_VARIABLE: Final = "GLUE_KEY"
+HUB_KEY_VARIABLE: Final = "GLUE_HUB_KEY"
 
 _IPC_PATH_LIMIT: Final = 107
 """Bytes in the path of a Unix socket; Linux, sockaddr_un."""
@@ -88,6 +99,13 @@ class Bind:
         check_url(self.url)
         if not self.roles or (self.sessions is not None and not self.sessions):
             raise ConfigError(f"no peer could join at {self.url}: name at least one role and one session")
+
+    def warning(self, endpoint: str) -> str:
+        """Say who else can join at `endpoint`, in a sentence; empty if keys or a file's mode prevent it."""
+        if self.keys is not None or (self.url.startswith("ipc://") and self.url[6] != "@"):
+            return ""
+        who = "any user of this machine" if _is_local(self.url) else "anyone who reaches this machine"
+        return f"{who} can join at {endpoint}; with --keys DIR only those whose key you know"
 
     def admits(self, role: Role, session: str) -> bool:
         """Return whether a peer that connects here can join `session` as `role`."""

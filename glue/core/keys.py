@@ -53,3 +53,7 @@ class Keys:
         for key in (self.secret, *self.permits):
             if len(key) != KEY_SIZE:
                 raise ConfigError(f"a key has {KEY_SIZE} bytes, not {len(key)}")
+
+    def __str__(self) -> str:
+        number = len(self.permits)
+        return f"{number} key{'s' * (number != 1)} may join"

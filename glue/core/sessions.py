@@ -183,7 +183,10 @@ class Switchboard:
                 "the name of a session must have printable characters, and at least one",
             )
         if not route.admits(role, message.session):
-            text = f"no {role} of session {message.session!r} may join at this address of the hub"
+            text = (
+                f"no {role} of session {message.session!r} may join at this address of the hub, or with this "
+                "key: ask whoever runs it"
+            )
             return ErrorCode.NOT_ADMITTED, text
         seats = self._seats.get(route, {})
         if message.session not in seats and len(seats) >= self._config.max_seats:

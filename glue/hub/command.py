@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import resource
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+from pathlib import Path
 from typing import Final
 
 import click
 
 from glue import __version__
-from glue.commands import Terminated, legacy_port_option, run
+from glue.commands import Terminated, keys_option, legacy_port_option, run
 from glue.console import say
-from glue.core.config import DEFAULT_HUB, HubConfig, LegacyPort
+from glue.core.config import DEFAULT_HUB, Bind, HubConfig, LegacyPort
 from glue.errors import ConfigError
 from glue.hub.log import Level, Log
 
@@ -63,7 +64,10 @@ _DEFAULTS: Final = HubConfig()
     "session or connection that uses most is ended.",
 )
 @legacy_port_option
-@click.option("--insecure", is_flag=True, help="Allow addresses that other machines can reach.")
+@keys_option
+@click.option(
+    "--insecure", is_flag=True, help="Allow addresses without --keys that other machines can reach."
+)
 @click.option("--quiet", is_flag=True, help="Log only the addresses and the hub's own errors.")
 @click.option("--verbose", is_flag=True, help="Log every connection, not only the peers of sessions.")
 @click.version_option(__version__, prog_name="glue-hub")
@@ -74,6 +78,7 @@ def hub(
     max_sessions: int,
     max_memory: int,
     legacy_port: tuple[str, ...],
+    keys: Path | None,
     insecure: bool,
     quiet: bool,
     verbose: bool,
@@ -89,9 +94,13 @@ def hub(
       glue-hub --bind tcp://127.0.0.1:5000
       glue-experiment --hub tcp://127.0.0.1:5000 --session a --episodes 100
       glue-hub --legacy-port 4096 --legacy-port 5096=b
+      glue-hub --bind tcp://*:4097 --keys keys
     """
+    from glue.keys.allowed import read_keys
+
+    known = None if keys is None else read_keys(keys)
     config = HubConfig(
-        bind=bind,
+        bind=tuple(Bind(url, keys=known) for url in bind),
         heartbeat=heartbeat,
         timeout=timeout,
         max_sessions=max_sessions,
@@ -102,22 +111,35 @@ def hub(
     if quiet and verbose:
         raise ConfigError("--quiet and --verbose contradict each other: give one of them")
     level = Level.ERROR if quiet else Level.CONNECTIONS if verbose else Level.PEERS
-    serve_until_interrupted(config, ports, level)
+    serve_until_interrupted(config, ports, level, keys)
 
 
 def serve_until_interrupted(
-    config: HubConfig, ports: Sequence[LegacyPort] = (), level: Level = Level.PEERS
+    config: HubConfig,
+    ports: Sequence[LegacyPort] = (),
+    level: Level = Level.PEERS,
+    keys: Path | None = None,
 ) -> None:
-    """Serve until Ctrl-C or SIGTERM, of which every peer is notified."""
+    """Serve until Ctrl-C or SIGTERM, of which every peer is notified; read `keys` again on SIGHUP."""
+    from glue.hub.renewal import renewed_on_hangup
     from glue.hub.server import Hub
+    from glue.keys.allowed import HUB
+    from glue.keys.certificates import PUBLIC
     from glue.legacy.gateway import Gateway
 
     _allow_many_connections()
     log = Log(say, level, stamped=True)
-    with Hub(config, log) as running:
+    with ExitStack() as stack:
+        running = stack.enter_context(Hub(config, log))
+        if keys is not None:
+            stack.enter_context(renewed_on_hangup(running, keys))
         gateway = Gateway(running, ports, log)
-        for endpoint in running.endpoints:
+        for bind, endpoint in zip(config.binds, running.endpoints, strict=True):
             say(f"listening on {endpoint}")
+            if warning := bind.warning(endpoint):
+                say(warning)
+        if keys is not None:
+            say(f"{config.binds[0].keys}; the hub's public key, for --hub-key, is in {keys / HUB}{PUBLIC}")
         for port in gateway.ports:
             say(f"listening for original RL-Glue programs on {port}")
         with running.in_background():

@@ -17,8 +17,9 @@ from types import TracebackType
 from typing import Final, Self
 
 from glue.core.config import HubConfig
+from glue.core.keys import Keys
 from glue.core.sessions import Route, Switchboard
-from glue.errors import GlueError, RemoteProtocolError
+from glue.errors import ConfigError, GlueError, RemoteProtocolError
 from glue.hub.listener import OpenAddress, open_address
 from glue.hub.log import Log
 from glue.hub.loop import Loop
@@ -88,11 +89,13 @@ class Hub:
             self._closing = closing.pop_all()
         self._closing.callback(self._take_leave)
         self._closers: list[Callable[[], None]] = []
+        self._read_keys: Callable[[], Keys] | None = None
         self._ended = threading.Event()
 
     def run(self) -> None:
         """Serve until `stop` is called; then close."""
         self.loop.on_tick(self.switchboard.tick)
+        self.loop.on_tick(self._renew_keys)
         with self:
             self.loop.run()
 
@@ -129,6 +132,25 @@ class Hub:
     def stop(self, reason: str) -> None:
         """Let `run` end; may be called from any thread or signal handler. Peers are sent `reason`."""
         self.loop.stop(reason)
+
+    def renew_keys(self, read: Callable[[], Keys]) -> None:
+        """Replace the keys of every address that has any by those that `read` returns, at the next heartbeat.
+
+        It may be called from any thread or signal handler. Peers whose key is gone, or is for something else
+        now, lose their connection and their places. If `read` raises ConfigError, all stays as it was.
+        """
+        self._read_keys = read
+
+    def _renew_keys(self, now: float) -> None:
+        read, self._read_keys = self._read_keys, None
+        if read is not None:
+            try:
+                keys = read()
+            except ConfigError as error:
+                self.log.error(f"the keys stay as they were: {error}")
+            else:
+                self.log(f"the keys were read again: {keys}")
+                self._router.renew(keys, now)
 
     @contextmanager
     def in_background(self) -> Iterator[Hub]:

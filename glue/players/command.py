@@ -16,9 +16,9 @@ import click
 from click.shell_completion import CompletionItem
 
 from glue import __version__
-from glue.commands import HUB_VARIABLE, SESSION_VARIABLE, WAIT_VARIABLE
+from glue.commands import HUB_KEY_SETTINGS, KEY_SETTINGS, WAIT_VARIABLE
 from glue.console import say
-from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
+from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
 from glue.options import Parameter, Value, build, parameters
 from glue.players.loading import find, names, summaries
 from glue.protocol.messages import Role
@@ -106,7 +106,13 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
 
     # The names are ours, so that a player may have a parameter called hub or quiet.
     def start(
-        _hub: str, _session: tuple[str, ...], _wait: float | None, _quiet: bool, **options: Value | None
+        _hub: str,
+        _session: tuple[str, ...],
+        _key: str | None,
+        _hub_key: str | None,
+        _wait: float | None,
+        _quiet: bool,
+        **options: Value | None,
     ) -> None:
         from glue.client.players import serve_agent, serve_environment
 
@@ -117,7 +123,8 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
             players = {one: extra.apply(player, added) for one, player in players.items()}
         log = _ignore if _quiet else say
         serve = serve_agent if role is Role.AGENT else serve_environment
-        log(f"the hub said goodbye: {serve(players, _hub, wait=_wait, log=log)}")
+        reason = serve(players, _hub, key=_key, hub_key=_hub_key, wait=_wait, log=log)
+        log(f"the hub said goodbye: {reason}")
 
     summary = (factory.__doc__ or f"The {role} {name}.").strip()
     common = [
@@ -138,6 +145,8 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
             show_envvar=True,
             help="Session to take part in; repeat it to serve several over one connection.",
         ),
+        click.Option(["--key", "_key"], **KEY_SETTINGS),
+        click.Option(["--hub-key", "_hub_key"], **HUB_KEY_SETTINGS),
         click.Option(
             ["--wait", "_wait"],
             type=click.FloatRange(0),

@@ -30,6 +30,7 @@ __all__ = [
     "Decoder",
     "HandshakeRefused",
     "Mechanism",
+    "OtherMechanism",
     "encode",
 ]
 
@@ -103,6 +104,10 @@ def _property(name: bytes, value: bytes) -> bytes:
 _METADATA: Final = {own: _property(b"Socket-Type", own) for own in (DEALER, ROUTER)}
 _READY: Final = {own: _command(_name(b"READY") + metadata) for own, metadata in _METADATA.items()}
 _PARTNER: Final = {DEALER: ROUTER, ROUTER: DEALER}
+
+
+class OtherMechanism(RemoteProtocolError):
+    """The other side speaks ZMTP 3, but authenticates in another way."""
 
 
 class HandshakeRefused(RemoteProtocolError):
@@ -265,7 +270,7 @@ class Decoder:
         wanted = b"NULL" if self._mechanism is None else b"CURVE"
         mechanism = greeting[12:32].rstrip(b"\0")
         if mechanism != wanted:
-            raise RemoteProtocolError(
+            raise OtherMechanism(
                 f"it wants the security mechanism {mechanism!r}; only {wanted.decode()} is spoken here"
             )
         if self._mechanism is not None and greeting[32]:

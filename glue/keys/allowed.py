@@ -1,0 +1,157 @@
+"""A hub's directory of keys, which says who may join it and as what:
+
+    keys/hub.key_secret    the hub's own pair, made by `glue-keys new hub --dir keys`
+    keys/hub.key           its public half, to be handed to everyone who is to join
+    keys/carol.key         the public key that Carol sent
+    keys/allow.toml        what each may be
+
+    # allow.toml
+    [carol]
+    role = "agent"                            # or several: ["agent", "environment"]
+    session = ["a", "b"]                      # left out: every session
+    key = "carol.pub"                         # left out: carol.key or carol.pub; or the 40 characters
+
+What a key may be stands in this one file of the hub's owner, and not in the file of the key: that one comes
+from who is to be let in.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from glue.core.config import check_session
+from glue.core.keys import Keys, Permit
+from glue.errors import ConfigError
+from glue.keys.certificates import PUBLIC, SECRET, KeyPair, read_pair, read_public
+from glue.protocol.messages import Role
+from glue.suggestions import did_you_mean
+
+__all__ = ["HUB", "LIST", "read_keys"]
+
+HUB: Final = "hub"
+"""The name of the hub's own pair."""
+
+LIST: Final = "allow.toml"
+
+_MAX_LIST: Final = 2**20
+_FIELDS: Final = ("role", "session", "key")
+_ENDINGS: Final = (PUBLIC, ".pub")
+_OTHERS_WRITE: Final = 0o002
+
+
+def read_keys(directory: Path) -> Keys:
+    """Return the keys of the hub whose directory this is.
+
+    Raises:
+        ConfigError: a file is missing or damaged, open to other users, or says what cannot be.
+    """
+    from glue.protocol.curve import public_key  # needs an extra
+
+    pair = _own_pair(directory)
+    if public_key(pair.secret) != pair.public:
+        raise ConfigError(f"{directory / HUB}{SECRET} is damaged: its two keys do not belong together")
+    text = _read_list(directory / LIST)
+    try:
+        document = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{directory / LIST} is not TOML: {error}") from None
+    permits: dict[bytes, Permit] = {}
+    for name, table in document.items():
+        try:
+            key, permit = _permit(directory, name, table)
+        except ConfigError as error:
+            raise ConfigError(f"{directory / LIST}: [{name}] {error}") from None
+        if key in permits:
+            raise ConfigError(
+                f"{directory / LIST}: {permits[key].name} and {name} have the same key; one table can name "
+                "several roles and sessions"
+            )
+        permits[key] = permit
+    return Keys(pair.secret, permits)
+
+
+def _own_pair(directory: Path) -> KeyPair:
+    path = directory / f"{HUB}{SECRET}"
+    if not path.exists():
+        raise ConfigError(
+            f"--keys: there is no {path}, the hub's own key: glue-keys new {HUB} --dir {directory}"
+        )
+    return read_pair(path)
+
+
+def _read_list(path: Path) -> str:
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MAX_LIST + 1)
+            mode = os.fstat(file.fileno()).st_mode
+    except FileNotFoundError:
+        raise ConfigError(
+            f"--keys: there is no {path}, which says who may join. For a key carol{PUBLIC} beside it "
+            'write:\n[carol]\nrole = "agent"\nsession = "a"'
+        ) from None
+    except OSError as error:
+        raise ConfigError(f"cannot read {path}: {error.strerror}") from None
+    if mode & _OTHERS_WRITE:
+        raise ConfigError(f"{path} says who may join, and other users can change it: chmod o-w {path}")
+    if len(data) > _MAX_LIST:
+        raise ConfigError(f"{path} is larger than {_MAX_LIST} bytes")
+    try:
+        return data.decode()
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path} is not UTF-8: {error.reason}") from None
+
+
+def _permit(directory: Path, name: str, table: object) -> tuple[bytes, Permit]:
+    if not isinstance(table, dict):
+        raise ConfigError(f"should be a table, not {table!r:.60}")
+    for field in table:
+        if field not in _FIELDS:
+            raise ConfigError(f"has a field {field!r}{did_you_mean(field, _FIELDS)}")
+    return _key(directory, name, table), Permit(name, _roles(table), _sessions(table))
+
+
+def _roles(table: Mapping[str, Any]) -> frozenset[Role]:
+    words = _words(table, "role")
+    if not words:
+        raise ConfigError('does not say which role it may take, as in: role = "agent"')
+    for word in words:
+        if word not in list(Role):
+            raise ConfigError(f"names the role {word!r}{did_you_mean(word, Role)}")
+    return frozenset(map(Role, words))
+
+
+def _sessions(table: Mapping[str, Any]) -> frozenset[str] | None:
+    if "session" not in table:
+        return None
+    words = _words(table, "session")
+    if not words:
+        raise ConfigError("may join no session; leave the field out for every session")
+    return frozenset(map(check_session, words))
+
+
+def _words(table: Mapping[str, Any], field: str) -> list[str]:
+    value = table.get(field, [])
+    words = value if isinstance(value, list) else [value]
+    if not all(isinstance(word, str) for word in words):
+        raise ConfigError(f"{field} should be a string or a list of strings, not {value!r:.60}")
+    return words
+
+
+def _key(directory: Path, name: str, table: Mapping[str, Any]) -> bytes:
+    given = table.get("key")
+    if given is None:
+        for ending in _ENDINGS:
+            path = directory / f"{name}{ending}"
+            if path.exists():
+                return read_public(path)
+        raise ConfigError(
+            f"has no key: put the file that its owner sent there, as {directory / name}{PUBLIC}"
+        )
+    if not isinstance(given, str):
+        raise ConfigError(f"key should be the name of a file or a key, not {given!r:.60}")
+    path = directory / given
+    return read_public(path if path.is_file() else given, "key")
