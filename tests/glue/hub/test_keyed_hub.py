@@ -45,6 +45,10 @@ def folder(tmp_path: Path) -> KeyFolder:
     return made
 
 
+def ignore(line: str) -> None:
+    """Say nothing."""
+
+
 class Log:
     """A hub's log, of which one can wait for a line."""
 
@@ -61,9 +65,9 @@ class Log:
 
 
 @contextmanager
-def serving(folder: KeyFolder, log: Log | None = None, **limits: int) -> Iterator[Hub]:
+def serving(folder: KeyFolder, log: Log | None = None) -> Iterator[Hub]:
     bind = Bind("tcp://127.0.0.1:*", keys=read_keys(folder.path))
-    config = HubConfig(bind=(bind,), heartbeat=0.05, **limits)
+    config = HubConfig(bind=(bind,), heartbeat=0.05)
     with Hub(config, log or (lambda line: None)).in_background() as hub:
         yield hub
 
@@ -74,7 +78,7 @@ def secret(folder: KeyFolder, name: str) -> Path:
 
 def join(hub: Hub, folder: KeyFolder, name: str, session: str = "a") -> RemoteExperiment:
     return connect(
-        hub.endpoints[0], session, key=secret(folder, name), hub_key=folder.hub_key, wait=TIMEOUT, log=str
+        hub.endpoints[0], session, key=secret(folder, name), hub_key=folder.hub_key, wait=TIMEOUT, log=ignore
     )
 
 
@@ -84,7 +88,7 @@ def players(hub: Hub, folder: KeyFolder) -> Iterator[None]:
 
     def serve_one(serve: object, player: object, name: str) -> None:
         with suppress(GlueError):
-            serve(player, hub.endpoints[0], "a", key=secret(folder, name), hub_key=folder.hub_key, log=str)  # type: ignore[operator]
+            serve(player, hub.endpoints[0], "a", key=secret(folder, name), hub_key=folder.hub_key, log=ignore)  # type: ignore[operator]
 
     threads = [
         threading.Thread(target=serve_one, args=(serve_agent, ScriptedAgent(), "agent"), daemon=True),
@@ -159,7 +163,9 @@ def test_a_hub_without_keys_is_an_error_for_who_has_one(folder: KeyFolder) -> No
 
 def test_no_hub_is_waited_for_as_without_keys(folder: KeyFolder) -> None:
     with pytest.raises(HubUnreachable):
-        connect("tcp://127.0.0.1:1", key=secret(folder, "agent"), hub_key=folder.hub_key, wait=0.2, log=str)
+        connect(
+            "tcp://127.0.0.1:1", key=secret(folder, "agent"), hub_key=folder.hub_key, wait=0.2, log=ignore
+        )
 
 
 def test_key_and_hub_key_go_together(folder: KeyFolder) -> None:

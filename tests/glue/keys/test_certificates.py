@@ -49,7 +49,8 @@ def test_we_read_what_zmq_auth_writes(tmp_path: Path) -> None:
     public, secret = zmq.auth.create_certificates(tmp_path, "carol", {"role": "a public-key = of another"})
     Path(secret).chmod(0o600)
     pair = read_pair(Path(secret))
-    assert encode(pair.public).encode(), encode(pair.secret).encode() == zmq.auth.load_certificate(secret)
+    keys = encode(pair.public).encode(), encode(pair.secret).encode()
+    assert keys == zmq.auth.load_certificate(secret)
     assert read_public(public) == pair.public
 
 
