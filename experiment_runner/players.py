@@ -204,7 +204,7 @@ def _over_hub(
                 say(f"original RL-Glue programs join on {port}")
             stack.enter_context(hub.in_background())
             pairs = zip(binds, hub.endpoints[1:], strict=True)
-            warnings = [text for bind, endpoint in pairs if (text := bind.warning(endpoint))]
+            warnings = [f"{bind.warning}listening on {endpoint}" for bind, endpoint in pairs if bind.warning]
             public = _from_outside(hub.endpoints[1]) if binds else inside
             transport: InsideTransport | None = InsideTransport(hub)
         else:

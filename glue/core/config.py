@@ -100,12 +100,13 @@ class Bind:
         if not self.roles or (self.sessions is not None and not self.sessions):
             raise ConfigError(f"no peer could join at {self.url}: name at least one role and one session")
 
-    def warning(self, endpoint: str) -> str:
-        """Say who else can join at `endpoint`, in a sentence; empty if keys or a file's mode prevent it."""
+    @property
+    def warning(self) -> str:
+        """Who else can join here, as the beginning of a line; empty if keys or a file's mode prevent it."""
         if self.keys is not None or (self.url.startswith("ipc://") and self.url[6] != "@"):
             return ""
         who = "any user of this machine" if _is_local(self.url) else "anyone who reaches this machine"
-        return f"{who} can join at {endpoint}; with --keys DIR only those whose key you know"
+        return f"{who} can join, unless --keys DIR says whose key you know: "
 
     def admits(self, role: Role, session: str) -> bool:
         """Return whether a peer that connects here can join `session` as `role`."""
