@@ -148,6 +148,8 @@ class RemoteExperiment(Experiment):
         if event == Event.SLOW:
             self._log(f"{role} {name}")
             return
+        if event not in _PRESENCE or role not in _PLAYERS:
+            return  # of a newer hub
         if event == Event.LOST:
             self._players.discard(Role(role))
             self._loss = f"the {role} {name} was lost between two verbs, and another is in its place"
@@ -203,6 +205,9 @@ class RemoteExperiment(Experiment):
         if kind is not Kind.RL_INIT:
             raise PeerLost(loss)
 
+
+_PRESENCE: Final = frozenset({Event.JOINED, Event.LOST, Event.RETURNED})
+_PLAYERS: Final = frozenset({Role.AGENT, Role.ENVIRONMENT})
 
 _MAX_SENDS: Final = 8
 """How often a request is sent to a hub that never has received it: each time its connection ended.

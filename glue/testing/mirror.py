@@ -18,7 +18,7 @@ from glue.client.experiment import connect
 from glue.client.players import serve_agent, serve_environment
 from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.core.experiment import Experiment
-from glue.errors import GlueError, HubClosed, PeerFailed, PeerLost, Refused, Unsupported
+from glue.errors import GlueError, HubClosed, PeerFailed, PeerLost, Unsupported
 from glue.protocol.messages import ErrorCode, Role
 from glue.types import AbstractType, Action, Observation
 
@@ -28,17 +28,16 @@ if TYPE_CHECKING:
 __all__ = [
     "FAIL",
     "FAILURE",
-    "NAME",
     "TASK_SPEC",
     "MirrorAgent",
     "MirrorEnvironment",
+    "carry_out",
     "main",
-    "mirror_experiment",
     "play",
     "result",
+    "run_mirror",
 ]
 
-NAME: Final = "mirror"
 TASK_SPEC: Final = "a mirror, größer than it is"
 FAIL: Final = "fail"
 FAILURE: Final = "asked to fail"
@@ -48,8 +47,6 @@ END: Final = b"!"[0]
 
 class _Mirror:
     """What agent and environment have in common: `count`, `seed`, and what is done with them."""
-
-    name = NAME
 
     def __init__(self) -> None:
         self.count = 0
@@ -157,7 +154,7 @@ def play(glue: Experiment, notices: list[str]) -> None:
         if verb == b"end":
             return
         try:
-            shown = _carry_out(glue, verb.decode(), argument, reward, order, notices)
+            shown = carry_out(glue, verb.decode(), argument, reward, order, notices)
         except (PeerLost, PeerFailed, Unsupported) as error:
             shown = result(chars=f"ERROR {_CODES[type(error)]} {error}".encode())
 
@@ -169,9 +166,10 @@ _CODES: Final[dict[type[GlueError], str]] = {
 }
 
 
-def _carry_out(
+def carry_out(
     glue: Experiment, verb: str, argument: bytes, reward: float, order: Observation, notices: list[str]
 ) -> Action:
+    """Carry out one order; return what came of it."""
     text = argument.decode("utf-8", "surrogateescape")
     ints, doubles = order.ints, order.doubles
     match verb:
@@ -233,43 +231,42 @@ def _both(
     )
 
 
-def mirror_experiment(hub: str, session: str, context: Context | None = None) -> None:
-    """Connect to a hub, and do what it orders."""
+def run_mirror(role: Role, hub: str, session: str, context: Context | None = None) -> int:
+    """Take part in a session until the hub says goodbye, or refuses; return the exit code."""
     notices: list[str] = []
 
     def keep(event: str, role: str, name: str) -> None:
         notices.append(f"{event} {role} {name}")
 
-    with connect(hub, session, name=NAME, context=context, on_notice=keep) as glue:
-        play(glue, notices)
+    try:
+        if role is Role.AGENT:
+            print(serve_agent(MirrorAgent(), hub, session, context=context))
+        elif role is Role.ENVIRONMENT:
+            print(serve_environment(MirrorEnvironment(), hub, session, context=context))
+        else:
+            with connect(hub, session, name="mirror", context=context, on_notice=keep) as glue:
+                play(glue, notices)
+    except HubClosed as goodbye:
+        print(goodbye)
+    except GlueError as error:
+        print(f"Error: {error}", file=sys.stderr)
+        return 1
+    return 0
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run a mirror in the role that is named, until the hub says goodbye."""
+    """Run a mirror in the role that is named."""
     parser = argparse.ArgumentParser(prog="python -m glue.testing.mirror")
-    parser.add_argument("role", choices=list(Role))
+    parser.add_argument("role", choices=[str(role) for role in Role])
     parser.add_argument("--libzmq", action="store_true", help="connect with libzmq, not with plain sockets")
     options = parser.parse_args(arguments)
-    hub = os.environ.get("GLUE_HUB", DEFAULT_HUB)
-    session = os.environ.get("GLUE_SESSION", DEFAULT_SESSION)
     context = None
     if options.libzmq:
         from glue.client.libzmq import Context  # libzmq takes long to load, and few need it
 
         context = Context()
-    try:
-        if options.role == Role.AGENT:
-            print(serve_agent(MirrorAgent(), hub, session, context=context))
-        elif options.role == Role.ENVIRONMENT:
-            print(serve_environment(MirrorEnvironment(), hub, session, context=context))
-        else:
-            mirror_experiment(hub, session, context)
-    except HubClosed as goodbye:
-        print(goodbye)
-    except (GlueError, Refused) as error:
-        print(f"Error: {error}", file=sys.stderr)
-        return 1
-    return 0
+    hub = os.environ.get("GLUE_HUB", DEFAULT_HUB)
+    return run_mirror(Role(options.role), hub, os.environ.get("GLUE_SESSION", DEFAULT_SESSION), context)
 
 
 if __name__ == "__main__":

@@ -35,8 +35,9 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "glue/legacy": ("glue/hub",),
     "glue/testing": ("glue/client", "glue/legacy"),
     "glue/gym": ("glue/client",),
+    "glue/testing/conform": ("glue/testing",),
     "glue/__init__": ("glue/client", "glue/compiled", "glue/trajectory"),
-    "glue/commands": ("glue/__init__", "glue/legacy"),
+    "glue/commands": ("glue/__init__", "glue/legacy", "glue/testing/conform"),
     # Environments and agents run on different machines, and share what crosses the wire.
     "env_server": _GLUE,
     "env_server/mario/sim": ("env_server",),

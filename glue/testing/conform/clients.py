@@ -1,0 +1,101 @@
+"""The client under test, as a process."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import tempfile
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Final, Protocol
+
+from glue.errors import ConfigError
+
+__all__ = ["Client", "ClientProcess", "Start", "starter"]
+
+
+class Client(Protocol):
+    """A client that was started."""
+
+    def wait(self, seconds: float) -> int | None:
+        """Return its exit code, negative for a signal; None if it does not end in time."""
+        ...
+
+    def kill(self) -> None:
+        """End it."""
+        ...
+
+    def output(self) -> str:
+        """Return what it has printed."""
+        ...
+
+    def cpu(self) -> float | None:
+        """Return the seconds of CPU that it has used; None if that cannot be known."""
+        ...
+
+
+Start = Callable[[str, str], Client]
+"""Starts a client for the hub at an address, and a session."""
+
+
+def starter(command: Sequence[str]) -> Start:
+    """Return what starts `command`; it finds its hub by GLUE_HUB and GLUE_SESSION."""
+
+    def start(hub: str, session: str) -> Client:
+        return ClientProcess(command, {"GLUE_HUB": hub, "GLUE_SESSION": session})
+
+    return start
+
+
+_TICKS: Final = os.sysconf("SC_CLK_TCK")
+
+
+class ClientProcess:
+    """A process, with whatever it starts.
+
+    Raises:
+        ConfigError: there is no such program.
+    """
+
+    def __init__(self, command: Sequence[str], variables: dict[str, str]) -> None:
+        self._printed = tempfile.TemporaryFile()  # noqa: SIM115
+        try:
+            self._process = subprocess.Popen(
+                command,
+                env={**os.environ, **variables},
+                stdin=subprocess.DEVNULL,
+                stdout=self._printed,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        except OSError as error:
+            self._printed.close()
+            raise ConfigError(f"cannot start {command[0]!r}: {error.strerror}; check the command") from None
+
+    def wait(self, seconds: float) -> int | None:
+        with suppress(subprocess.TimeoutExpired):
+            return self._process.wait(seconds)
+        return None
+
+    def kill(self) -> None:
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+        self._printed.close()
+
+    def output(self) -> str:
+        if self._printed.closed:
+            return ""
+        self._printed.seek(0)
+        text = self._printed.read().decode(errors="replace")
+        self._printed.seek(0, os.SEEK_END)
+        return text
+
+    def cpu(self) -> float | None:
+        try:
+            fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            return None
+        return (int(fields[11]) + int(fields[12])) / _TICKS

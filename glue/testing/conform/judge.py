@@ -1,0 +1,120 @@
+"""Judge a client: one rule after the other, each by its scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Final
+
+from glue.protocol.messages import Role
+from glue.testing.conform import everyone, experiments, players
+from glue.testing.conform.clients import Start
+from glue.testing.conform.desk import Desk
+from glue.testing.conform.experiments import ExperimentDesk
+from glue.testing.conform.players import PlayerDesk
+from glue.testing.conform.rules import Broken, NotJudged, Rule, Tier
+from glue.testing.conform.wire import Listener
+
+__all__ = ["TRANSPORTS", "Outcome", "Verdict", "judge", "rules_of"]
+
+TRANSPORTS: Final = ("tcp", "ipc")
+
+
+class Outcome(StrEnum):
+    """What came of a rule."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+    NOT_JUDGED = "not judged"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What came of one rule over one transport.
+
+    Attributes:
+        rule: the rule.
+        transport: `tcp` or `ipc`.
+        outcome: what came of it.
+        expected: what should have come, if it failed; else why it was not judged.
+        received: what came instead.
+        frames: the bytes of that, in hex.
+    """
+
+    rule: Rule
+    transport: str
+    outcome: Outcome
+    expected: str = ""
+    received: str = ""
+    frames: tuple[str, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether the client may count it: what it does not offer need not be judged."""
+        return self.outcome is Outcome.PASSED
+
+
+def rules_of(role: Role, tier: Tier = Tier.COMPLETE) -> list[Rule]:
+    """Return the rules for a role, those of `tier` and of the tiers before it, as they are judged."""
+    own = experiments.RULES if role is Role.EXPERIMENT else players.RULES
+    tiers = list(Tier)[: list(Tier).index(tier) + 1]
+    return [
+        rule for rule in (*everyone.FIRST, *own, *everyone.LAST) if rule.tier in tiers and role in rule.roles
+    ]
+
+
+def judge(
+    role: Role,
+    start: Start,
+    *,
+    transport: str = "tcp",
+    tier: Tier = Tier.COMPLETE,
+    wait: float = 5.0,
+    report: Callable[[Verdict], None] = lambda verdict: None,
+) -> list[Verdict]:
+    """Judge the clients that `start` starts by the rules of their role.
+
+    Args:
+        role: the client's.
+        start: starts one; most rules are judged with the same.
+        transport: `tcp` or `ipc`.
+        tier: the highest tier to judge.
+        wait: seconds in which whatever is to come must come.
+        report: takes each verdict as soon as there is one.
+
+    Raises:
+        ConfigError: the client cannot be started.
+    """
+    listener = Listener(transport)
+    desk: Desk = (ExperimentDesk if role is Role.EXPERIMENT else PlayerDesk)(role, start, listener, wait)
+    verdicts = []
+    try:
+        for rule in rules_of(role, tier):
+            verdict = _judged(rule, desk, transport)
+            report(verdict)
+            verdicts.append(verdict)
+    finally:
+        desk.drop()
+        listener.remove()
+    return verdicts
+
+
+def _judged(rule: Rule, desk: Desk, transport: str) -> Verdict:
+    verdict = Verdict(rule, transport, Outcome.PASSED)
+    try:
+        if rule not in everyone.FIRST:
+            desk.ready()
+        rule.scene(desk)
+    except NotJudged as reason:
+        return replace(verdict, outcome=Outcome.NOT_JUDGED, expected=str(reason))
+    except Broken as broken:
+        desk.abandon()
+        return replace(
+            verdict,
+            outcome=Outcome.FAILED,
+            expected=broken.expected,
+            received=broken.received,
+            frames=tuple(bytes(frame).hex(" ") for frame in broken.frames),
+        )
+    return verdict

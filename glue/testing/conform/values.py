@@ -1,0 +1,50 @@
+"""The values that clients get wrong."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from glue.types import Observation
+
+__all__ = ["CHARS", "DOUBLES", "EMPTY", "INTS", "NOT_UTF_8", "REWARDS", "TEXTS"]
+
+INTS: Final = [0, 1, -1, 127, 128, -128, 255, 256, 65536, 2**31 - 1, -(2**31)]
+
+DOUBLES: Final = [
+    *(0.0, -0.0, 1.0, -0.1, 1 / 3),
+    *(math.inf, -math.inf, math.nan),
+    *(5e-324, 2.0**-1022, 1.7976931348623157e308),
+]
+
+REWARDS: Final = [0.0, -0.0, 1.0, -0.1, 1 / 3, math.inf, -math.inf, math.nan, 5e-324, 1e300, 2.0**53]
+
+CHARS: Final = bytes(range(256))
+
+EMPTY: Final = [
+    Observation(),
+    Observation([1]),
+    Observation([], [1.0]),
+    Observation([], [], b"a"),
+    Observation([1], [1.0]),
+    Observation([], [1.0], b"a"),
+    Observation([1], [], b"a"),
+    Observation(),
+]
+
+TEXTS: Final = [
+    text.encode()
+    for text in (
+        "",
+        "plain",
+        "größer als π",
+        "走る 🏃",
+        "a\0b\0",
+        "\0",
+        "two\nlines\r\n",
+        "x" * 255,
+        "ß" * 40_000,
+    )
+]
+
+NOT_UTF_8: Final = [b"\xff\xfe", b"a\xc3", b"\xed\xa0\x80", b"\xc0\x80"]
