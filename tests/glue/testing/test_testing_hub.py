@@ -50,8 +50,8 @@ def test_hub_that_is_not_there_is_no_hub() -> None:
 class Spoiled(Switchboard):
     """Ours, but for what is changed on its way out and on its way in."""
 
-    def __init__(self, config: HubConfig, log: Callable[[str], None]) -> None:
-        super().__init__(config, log)
+    def __init__(self, config: HubConfig, log: Callable[[str], None], clock: Callable[[], float]) -> None:
+        super().__init__(config, log, clock)
         self.seen: dict[Any, Any] = {}
 
     def send(self, route: Route, message: Message) -> bool:
