@@ -12,11 +12,12 @@ PARALLEL := --numprocesses=2 --dist=worksteal
 # The tests start hundreds of processes: each finds its modules compiled, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test check compile coverage picture vectors bench clean
+.PHONY: help demo test proof check compile coverage picture vectors bench clean
 
 help:
 	@echo "make demo   set up, then let an agent learn Infinite Mario, as three processes"
 	@echo "make test   set up, then run every check (ruff, mypy, pytest)"
+	@echo "make proof  run the tests that prove more the longer they run, for minutes instead of seconds"
 	@echo "make check  ruff and mypy alone"
 	@echo "make coverage  which lines and branches the tests reach, in every process that they start"
 	@echo "make picture  draw the folders and who imports whom: docs/images/architecture.svg"
@@ -48,6 +49,9 @@ compile: $(READY)
 test:
 	$(MAKE) --jobs=2 check compile
 	$(BIN)/python -m pytest $(PARALLEL)
+
+proof: compile
+	GLUE_PROOF=full $(BIN)/python -m pytest -m proof $(PARALLEL)
 
 coverage: compile
 	$(BIN)/coverage erase

@@ -299,13 +299,13 @@ def test_trial_that_goes_on_is_recorded_from_its_checkpoint() -> None:
 def test_killed_recording_holds_every_episode_of_the_results_and_the_rest_goes_to_another(
     tmp_path: Path,
 ) -> None:
-    arguments = ("--env", "mines", "--agent", "sarsa", "--episodes", "4000", "--in-process", "--out", "run")
+    arguments = ("--env", "mines", "--agent", "sarsa", "--episodes", "1500", "--in-process", "--out", "run")
     begun = start(*arguments, "--checkpoint-every", "20", "--record", "a.traj", cwd=tmp_path)
     wait_until(lambda: Path("run/plan.toml").exists() and len(done()) > 50, "fifty episodes")
     begun.send_signal(signal.SIGKILL)
     begun.communicate()
     before = done()
-    assert len(before) < 4000
+    assert len(before) < 1500
     first = numbers(counting(Path("a.traj")))
     assert first[: len(before)] == before
     assert len(first) <= len(before) + 1
@@ -315,7 +315,7 @@ def test_killed_recording_holds_every_episode_of_the_results_and_the_rest_goes_t
     assert invoke("--resume", "run", "--in-process", "--record", "b.traj").return_value == 0
     second = numbers(counting(Path("b.traj")))
     assert second == in_results(Path("run"))[-len(second) :]
-    assert 4000 - len(before) <= len(second) < 4000 - len(before) + 20
+    assert 1500 - len(before) <= len(second) < 1500 - len(before) + 20
 
 
 def done() -> list[tuple[float, int, bool]]:

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from glue.errors import TaskSpecError
 from glue.taskspec import parse_task_spec
+from tests.proof import size
 
 DOCUMENT: Final = (Path(__file__).parents[2] / "docs/taskspec.md").read_text()
 
@@ -102,13 +103,16 @@ def test_examples_are_of_the_grammar(text: str) -> None:
     assert refusal(text) is None
 
 
-@settings(max_examples=30)  # To make one takes some milliseconds.
+@pytest.mark.proof
+@settings(max_examples=size(15, 300))  # To make one takes some milliseconds.
 @given(FROM_GRAMMAR)
 def test_what_the_grammar_makes_is_read_but_for_what_the_document_says(text: str) -> None:
     error = refusal(text)
     assert error is None or any(reason in error for reason in BEYOND), error
 
 
+@pytest.mark.proof
+@settings(max_examples=size(50, 1000))
 @given(mutated())
 def test_grammar_and_parser_agree_on_texts_with_mistakes(text: str) -> None:
     if not re.match(r"\s*VERSION\s+(RL-Glue-3\.0|Mario-v1)(?=\s|PROBLEMTYPE|$)", text, re.IGNORECASE):

@@ -14,20 +14,21 @@ import pytest
 
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
+from tests.proof import FULL, size
 from tests.system.runs import alive, children, contents, run, start, wait_until
 
 PLAN = [
     *("--env", "mines", "--env-option", "random_start=true", "--agent", "sarsa"),
-    *("--episodes", 1000, "--max-steps", 30, "--trials", 4, "--seed", 11),
+    *("--episodes", size(700, 3000), "--max-steps", 30, "--trials", 4, "--seed", 11),
 ]
-KILLS = 8
+KILLS = size(4, 24)
 VICTIMS = (
     "experiment",
     "player_command -- agent",
     "player_command -- environment",
     "experiment_runner.executors.local",
 )
-LONGEST_LIFE = 0.5
+LONGEST_LIFE = size(0.3, 1.0)
 
 
 def kill_one(experiment: subprocess.Popen[str], program: str, chance: random.Random) -> None:
@@ -68,7 +69,8 @@ def wait_for_an_episode(directory: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(400)
+@pytest.mark.proof
+@pytest.mark.timeout(size(300, 900))
 def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
     undisturbed = run(*PLAN, "--in-process", "--out", "undisturbed", cwd=tmp_path)
     assert undisturbed.returncode == 0, undisturbed.stderr
@@ -78,14 +80,14 @@ def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(tmp_path: Pat
     for kill in range(KILLS):
         time.sleep(chance.uniform(0, LONGEST_LIFE))
         victim = VICTIMS[kill % len(VICTIMS)]
-        if (kill // len(VICTIMS)) % 2:  # every second round in the midst of episodes, not at a start
+        if not FULL or (kill // len(VICTIMS)) % 2:  # in the midst of episodes, not at a start
             wait_for_an_episode(tmp_path / "killed")
         if victim == "experiment":
             kill_experiment(experiment)
             experiment = start(*command, cwd=tmp_path)
         else:
             kill_one(experiment, victim, chance)
-    _, errors = experiment.communicate(timeout=200)
+    _, errors = experiment.communicate(timeout=size(200, 600))
     assert experiment.returncode == 0, errors
     assert contents(tmp_path / "killed") == contents(tmp_path / "undisturbed")
     with Results.open(tmp_path / "killed") as results:

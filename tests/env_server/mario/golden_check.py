@@ -1,7 +1,8 @@
 """Play the recordings of the original against the simulator, and list every difference.
 
-Also a program: `python golden_check.py` compares every tick's inner state, which takes the rules
-uncompiled (NUMBA_DISABLE_JIT=1), and prints the counts and the differences as JSON.
+Also a program: `python golden_check.py TICKS STEPS` takes the names of runs, separated by commas, of which
+to compare the inner state at every tick, or every step. It takes the rules uncompiled (NUMBA_DISABLE_JIT=1),
+and prints the counts and the differences as JSON.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def check_levels(name: str) -> Checked:
     return Checked(compared, differences)
 
 
-def check_runs(name: str, only: frozenset[str] = frozenset()) -> Checked:
+def check_runs(name: str, only: frozenset[str] | None = None) -> Checked:
     """Compare all runs of a file, or `only` those so named; a run is left at its first difference."""
     compared, differences = 0, []
     game, where, lost = None, "", True
@@ -71,7 +72,7 @@ def check_runs(name: str, only: frozenset[str] = frozenset()) -> Checked:
         kind = line["kind"]
         if kind == "run":
             game, where = Game(parameters_of(line)), line["id"]
-            lost = bool(only) and where not in only
+            lost = only is not None and where not in only
         if lost or kind not in ("start", "step"):
             continue
         assert game is not None
@@ -92,8 +93,8 @@ def same(line: Line, reward: float, observation: Observation, ended: bool) -> bo
     )
 
 
-def check_ticks(name: str) -> Checked:
-    """Compare the state after every tick, and every observation."""
+def check_ticks(name: str, only: frozenset[str]) -> Checked:
+    """Compare the state after every tick, and every observation, of the runs so named."""
     compared, differences = 0, []
     ticks: list[Line] = []
     game, where, lost = None, "", True
@@ -102,7 +103,8 @@ def check_ticks(name: str) -> Checked:
     for line in lines(name):
         kind = line["kind"]
         if kind == "run":
-            game, where, lost, ticks = Game(parameters_of(line)), line["id"], False, []
+            game, where, ticks = Game(parameters_of(line)), line["id"], []
+            lost = where not in only
         if kind == "tick":
             ticks.append(line)
         if lost or kind not in ("start", "step"):
@@ -221,8 +223,8 @@ def _sprite(actor: Actor) -> Line:
 
 
 def main() -> None:
-    runs = frozenset({"dev-0009", "dev-0083", "dev-0084", "dev-0086"})
-    result = {"ticks": check_ticks("ticks"), "steps": check_runs("episodes", runs)}
+    ticks, steps = (frozenset(runs.split(",")) for runs in sys.argv[1:])
+    result = {"ticks": check_ticks("ticks", ticks), "steps": check_runs("episodes", steps)}
     json.dump(result, sys.stdout)
 
 

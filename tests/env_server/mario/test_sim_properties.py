@@ -15,11 +15,12 @@ from hypothesis import strategies as st
 
 from env_server.mario.game import Game
 from glue.types import Observation
+from tests.proof import size
 
 Step = tuple[float, Observation, bool]
 Actions = list[list[int]]
 
-RANDOM_STEPS = 250_000
+RANDOM_STEPS = size(100_000, 1_000_000)
 
 _SEEDS = st.integers(0, 2**32 - 1)
 
@@ -96,6 +97,7 @@ def test_restored_end_is_still_an_end(random_play: ModuleType) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.proof
 def test_random_steps_stay_in_bounds(random_play: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
     run = subprocess.run(
         [sys.executable, "-W", "error", random_play.__file__ or "", str(RANDOM_STEPS)],

@@ -27,6 +27,7 @@ from env_server.render.text import draw_text
 from glue.errors import ConfigError, SimulatorError
 from glue.players.screen import TerminalScreen, has_color
 from glue.types import Observation
+from tests.proof import size
 
 SCREEN = """
                      
@@ -426,7 +427,8 @@ def test_missing_pillow_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         save_png(tmp_path / "a.png", screen())
 
 
-@settings(deadline=None, max_examples=50)
+@pytest.mark.proof
+@settings(deadline=None, max_examples=size(50, 200))
 @given(data=st.data())
 def test_any_observation_of_the_right_shape_is_drawn_or_refused(data: st.DataObject) -> None:
     def strange() -> Observation:

@@ -503,10 +503,34 @@ def test_command_says_what_is_wrong_with_its_arguments(tmp_path: Path) -> None:
         ([tmp_path / "a", "--png", tmp_path / "x.png", "--episode", "9"], 2, "no episode 9"),
         ([write_golden(tmp_path / "run", [GOOD_RUN])], 1, "holds no whole episode"),
     ]
-    for arguments, code, message in cases:
-        done = command(*arguments)
-        assert (done.returncode, message in done.stderr) == (code, True), done.stderr
-        assert "Traceback" not in done.stderr
+    commands = [list(map(str, arguments)) for arguments, _, _ in cases]
+    done = subprocess.run(
+        [sys.executable, "-c", SEVERAL_TIMES, json.dumps(commands)],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=True,
+    )
+    answers = [answer.split("\n", 1) for answer in done.stderr.split("exit code ")[1:]]
+    for (arguments, code, message), (exited, said) in zip(cases, answers, strict=True):
+        assert (int(exited), message in said) == (code, True), (arguments, said)
+        assert "Traceback" not in said
+
+
+SEVERAL_TIMES = """
+import contextlib, io, json, sys
+from env_server.replay.command import main
+
+for arguments in json.loads(sys.argv[1]):
+    sys.argv[1:] = arguments
+    said = io.StringIO()
+    with contextlib.redirect_stderr(said):
+        try:
+            main()
+        except SystemExit as done:
+            code = done.code
+    sys.stderr.write(f"exit code {code}\\n{said.getvalue()}")
+"""
 
 
 def test_command_tells_of_a_recording_that_was_not_closed(tmp_path: Path) -> None:
