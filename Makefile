@@ -6,8 +6,8 @@ BIN    := $(VENV)/bin
 DEMO   := runs/demo
 READY  := $(VENV)/.ready
 
-# Each of two processes begins with one half of the tests, in order, and takes over from the other at the end.
-PARALLEL := --numprocesses=2 --dist=worksteal
+# Three processes, as they often wait; each begins with its share of the tests, and takes over from others at the end.
+PARALLEL := --numprocesses=3 --dist=worksteal
 
 # The tests start hundreds of processes: each finds its modules compiled, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE

@@ -74,8 +74,12 @@ def without_write_permission(folder: Path) -> Iterator[None]:
 
 
 def start(program: str, *arguments: object, prefix: Sequence[str] = ()) -> subprocess.Popen[str]:
+    """Start a Python program, without `make coverage`: where files are limited it could not write its data."""
     command = [*prefix, sys.executable, "-c", program, *map(str, arguments)]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE_")}
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    )
 
 
 def test_recorded_episodes_read_back(store: Store) -> None:
