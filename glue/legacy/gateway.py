@@ -5,7 +5,8 @@ switchboard, and the switchboard's messages are translated into frames, one at a
 
 - A player, that is an agent or environment, is sent a call only after it has answered the one before, even
   if that answer is no longer needed: a Java program loses a frame that arrives together with another.
-- An experiment's next request is taken up only after the reply to the one before has been sent.
+- An experiment's next request is taken up only after the reply to the one before has been sent. If it sends
+  several ahead and closes its sending half, it still gets their replies.
 - A player takes part in one run, as the originals do. It is sent message 35, on which it ends, when the
   experiment leaves, when the hub closes, when its role is taken, and when it breaks the protocol. If the
   connection were merely closed, C programs would go on with stale data and Python programs would hang.
@@ -41,7 +42,8 @@ from glue.legacy.codec import (
     Decoder,
     Vocabulary,
 )
-from glue.legacy.peers import Experiment, Player
+from glue.legacy.experiment import Experiment
+from glue.legacy.peers import Player
 from glue.legacy.pending import Pending
 from glue.protocol.messages import Kind, Role
 

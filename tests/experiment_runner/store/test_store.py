@@ -74,7 +74,7 @@ def without_write_permission(folder: Path) -> Iterator[None]:
 
 
 def start(program: str, *arguments: object, prefix: Sequence[str] = ()) -> subprocess.Popen[str]:
-    """Start a Python program, without `make coverage`: where files are limited it could not write its data."""
+    """Start a Python program, without coverage: where files are limited, that could not write its data."""
     command = [*prefix, sys.executable, "-c", program, *map(str, arguments)]
     environment = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE_")}
     return subprocess.Popen(

@@ -13,8 +13,9 @@ import pytest
 from glue.core.config import HubConfig, LegacyPort
 from glue.errors import PeerLost
 from glue.hub.server import Hub
+from glue.legacy.experiment import Experiment
 from glue.legacy.gateway import Gateway
-from glue.legacy.peers import Experiment, Player
+from glue.legacy.peers import Player
 from glue.protocol.messages import Kind, Message
 from tests.system.legacy.legacy_client import TIMEOUT, Closed, Connection, Id
 from tests.system.legacy.legacy_programs import FiveStepEnvironment, MirrorAgent

@@ -363,6 +363,34 @@ def test_all_requests_before_a_half_close_that_need_no_player_are_answered(rig: 
     assert answers == struct.pack(">iIi", Id.RL_NUM_STEPS, 4, 0) * count
 
 
+def test_all_requests_before_a_half_close_are_answered_behind_calls_of_players_too(rig: Rig) -> None:
+    rig.agent(MirrorAgent())
+    rig.environment(FiveStepEnvironment())
+    glue = rig.experiment()
+    glue.init()
+    requests = [(Id.RL_START, b""), *[(Id.RL_STEP, b"")] * 4, (Id.RL_EPISODE, struct.pack(">i", 0))] * 20
+    glue.connection.send_raw(b"".join(struct.pack(">iI", kind, len(body)) + body for kind, body in requests))
+    glue.connection.close_writing()
+    stream = ending(glue.connection)
+    kinds = []
+    while stream:
+        kind, size = struct.unpack_from(">iI", stream)
+        kinds.append(kind)
+        stream = stream[8 + size :]
+    assert kinds == [kind for kind, _ in requests]
+    rig.experiment().close()  # the role is free again
+
+
+def test_requests_before_a_half_close_wait_for_no_player_longer_than_the_timeout() -> None:
+    with gateway(heartbeat=0.05, timeout=0.5) as rig:
+        glue = rig.experiment()
+        glue.connection.send_raw(struct.pack(">iI", Id.RL_INIT, 0) * 2)
+        glue.connection.close_writing()
+        assert ending(glue.connection) == b""
+        rig.log.wait_for("it has closed its connection during RL_INIT")
+        run_test_1(rig)
+
+
 @pytest.mark.parametrize("role", ROLES)
 def test_a_second_of_a_role_is_turned_away_and_the_first_stays(rig: Rig, role: Id) -> None:
     rig.agent(MirrorAgent())

@@ -1,0 +1,203 @@
+"""Original programs as experiments: between the frames of their protocol and the hub's messages.
+
+The two sides' rules about each other are in `glue.legacy.gateway`, those about states in
+`glue.legacy.states`.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from glue.core.engine import EPISODE_VERBS
+from glue.errors import LocalProtocolError, RemoteProtocolError
+from glue.legacy.codec import TO_EXPERIMENT, Control, Frame, encode
+from glue.legacy.peers import Peer
+from glue.legacy.states import EXPERIMENT, ExperimentEvent, ExperimentState, after
+from glue.protocol.messages import Event, Kind, Message
+from glue.types import Action, body_size
+
+__all__ = ["READ_AHEAD", "Experiment"]
+
+READ_AHEAD: Final = 2**20
+"""Bytes of requests that are received before it is their turn; the rest stays in the network."""
+
+
+class Experiment(Peer):
+    """An experiment, which makes requests."""
+
+    _state = ExperimentState.IDLE
+
+    _seq = 0
+
+    _request: Message | None = None
+    """The request that is being carried out, or is to be made again."""
+
+    _lost_player = ""
+    """The player that was lost last, for people."""
+
+    _failure = ""
+    """Why the connection is to be reset."""
+
+    _has_stepped = False
+    """Whether a step was made after which the episode went on."""
+
+    _pipelines = False
+    """Whether the newest request did not wait for the reply before it, or another follows it already."""
+
+    _ahead: Frame | None = None
+    """What it sent behind the newest request, if that has been looked at already."""
+
+    _ended = False
+    """Whether it has closed its sending half, and is still owed replies."""
+
+    def _take(self, message: Message) -> bool:
+        if self._state is ExperimentState.GONE:
+            return False
+        kind, request = message.kind, self._request
+        waiting = ExperimentEvent.REPLY in EXPERIMENT[self._state]
+        if kind is Kind.NOTICE:
+            event, role, name = message.scalars
+            if event == Event.LOST:
+                self._lost_player = f"{role!s} {name!s}"
+                self._on(ExperimentEvent.PLAYER_LOST)
+        elif kind is Kind.GOODBYE or kind is Kind.REFUSE:
+            self._on(ExperimentEvent.LEFT)
+            self._connection.reset()
+        elif waiting and request is not None and message.seq == request.seq:
+            if kind is request.kind:
+                self._reply(message)
+            else:
+                self._fail(request.kind, str(message.scalars[1]))
+        return not self._connection.closed
+
+    def _on(self, event: ExperimentEvent) -> None:
+        self._state = after(EXPERIMENT, self._state, event)
+
+    def _reply(self, reply: Message) -> None:
+        kind, _, _, scalars, body = reply
+        if kind is Kind.RL_STEP and scalars[1] and not self._has_stepped:
+            # The original takes the action of a terminal step from the step before: so far there is none.
+            body = body[: body_size(body)] + Action().body
+        elif kind is Kind.RL_STEP or (kind is Kind.RL_EPISODE and self._num_steps() > 1):
+            self._has_stepped = True
+        try:
+            frame = encode(Frame(kind, scalars, body), TO_EXPERIMENT)
+        except LocalProtocolError as error:
+            self._on(ExperimentEvent.FAILURE)
+            self._reset_later(str(error))
+            return
+        self._on(ExperimentEvent.REPLY)
+        self._connection.send(frame)
+        if self._ended:
+            self._expect_end()
+        if self._decoder.buffered or self._ended:
+            self._connection.later()
+
+    def _num_steps(self) -> int:
+        return self._pending.hub.switchboard.num_steps(self._session)
+
+    def _fail(self, kind: Kind, why: str) -> None:
+        repeatable = kind not in EPISODE_VERBS
+        self._on(ExperimentEvent.REPEATABLE_FAILURE if repeatable else ExperimentEvent.FAILURE)
+        if self._state is ExperimentState.FAILED:
+            self._reset_later(f"its protocol cannot say that {kind.name} failed: {why}")
+            return
+        self._pending.log(
+            f"session {self._session!r}: {self._role} {self._connection.name} waits for another player in "
+            f"place of the {self._lost_player}, to begin {kind.name} again"
+        )
+        self._connection.later()
+
+    def _reset_later(self, why: str) -> None:
+        self._failure = f"was cut off: {why}"
+        self._connection.later()
+
+    def _work(self, now: float) -> None:
+        connection, switchboard = self._connection, self._pending.hub.switchboard
+        if self._state is ExperimentState.FAILED:
+            self._on(ExperimentEvent.LEFT)
+            connection.reset()
+            switchboard.lose(self, self._failure, now)
+            return
+        try:
+            self._take_up(now)
+        except RemoteProtocolError as error:
+            self._on(ExperimentEvent.LEFT)
+            connection.reset()
+            switchboard.malformed(self, error, now)
+
+    def _take_up(self, now: float) -> None:
+        """Take up at most one request, so that every session gets its turn, and receive more."""
+        connection, decoder = self._connection, self._decoder
+        if self._state is ExperimentState.RETRYING:
+            assert self._request is not None
+            self._carry_out(self._request, now)
+        request = self._next_request()
+        pipelined = request is not None and self._request is not None
+        if request is None:
+            # Only now, so that what was requested before the connection was closed is carried out.
+            data = b"" if self._ended and self._is_free else connection.receive()
+            if data == b"":
+                if self._ended or self._is_free or not self._is_owed():
+                    self._end(now)
+                    return
+                self._ended = True
+                self._expect_end()
+            elif data:
+                decoder.receive_data(data)
+                request = self._next_request()
+        incomplete = request is None and self._is_free
+        if request is not None:
+            if request.kind is Control.TERMINATE:
+                self._pending.terminate(connection)
+                self._leave(now)
+                return
+            assert isinstance(request.kind, Kind)
+            self._pipelines = pipelined or decoder.buffered > 0
+            self._carry_out(Message(request.kind, "", 0, request.scalars, request.body), now)
+            if self._is_free and decoder.buffered:
+                connection.later()
+        connection.read(not self._ended and (incomplete or decoder.buffered < READ_AHEAD))
+
+    @property
+    def _is_free(self) -> bool:
+        """Whether the next request can be taken up: the reply to the one before has left."""
+        return self._state is ExperimentState.IDLE and not self._connection.unsent
+
+    def _next_request(self) -> Frame | None:
+        if not self._is_free:
+            return None
+        ahead, self._ahead = self._ahead, None
+        return ahead or self._next_frame()
+
+    def _is_owed(self) -> bool:
+        """Return whether a program that has closed its sending half may still wait for replies.
+
+        One that makes a request and waits for its reply has left, and may have said so: only one that sends
+        requests ahead closes that half while the other is needed.
+        """
+        self._ahead = self._next_frame()
+        return self._pipelines or (self._ahead is not None and self._ahead.kind is not Control.TERMINATE)
+
+    def _carry_out(self, request: Message, now: float) -> None:
+        self._on(ExperimentEvent.REQUEST)
+        self._seq += 1
+        self._request = request._replace(session=self._session, seq=self._seq)
+        self._send(self._request, now)
+
+    def _expect_end(self) -> None:
+        """Give the request under way the hub's timeout: whoever sent it may be gone altogether."""
+        self._pending.add(self._connection, self._end, closing=True)
+
+    def _end(self, now: float) -> None:
+        """Close the connection, and give up the role."""
+        self._connection.close()
+        self._leave(now)
+
+    def _leave(self, now: float) -> None:
+        """Give up the role."""
+        why = "it has closed its connection"
+        if ExperimentEvent.REPLY in EXPERIMENT[self._state] and self._request is not None:
+            why += f" during {self._request.kind.name}"
+        self._on(ExperimentEvent.LEFT)
+        self._send(Message(Kind.GOODBYE, self._session, 0, (why,)), now)
