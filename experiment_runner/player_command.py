@@ -22,8 +22,8 @@ from glue.client.players import serve_agent, serve_environment
 from glue.commands import run
 from glue.entry import EXIT_TERMINATED
 from glue.errors import PeerFailed
-from glue.options import Value, build
-from glue.players.loading import find
+from glue.options import Value
+from glue.players.loading import construct, find
 from glue.protocol.messages import Role
 
 __all__ = ["MODULE", "arguments", "main"]
@@ -83,7 +83,7 @@ def serve(
     # Ended while it is imported it is silent, too; see below.
     when_served = signal.signal(signal.SIGTERM, _end)
     try:
-        player = build(find(Role(role), name), json.loads(options))
+        player = construct(find(Role(role), name), json.loads(options))
         signal.signal(signal.SIGTERM, when_served)
         if role == Role.AGENT:
             serve_agent(player, hub, session, key=key, hub_key=hub_key, log=_ignore)

@@ -33,8 +33,7 @@ from glue.hub.server import Hub
 from glue.keys.allowed import HUB, read_keys
 from glue.keys.certificates import PUBLIC, SECRET
 from glue.legacy.gateway import Gateway, open_legacy_port
-from glue.options import build
-from glue.players.loading import example, find
+from glue.players.loading import construct, example, find
 from glue.protocol.messages import Event, Role
 
 __all__ = ["HubOptions", "Meeting", "Note", "listening", "open_experiment"]
@@ -148,7 +147,7 @@ def _in_process(spec: TrialSpec, meeting: Meeting) -> Iterator[Experiment]:
     for role, player in ((Role.AGENT, spec.agent), (Role.ENVIRONMENT, spec.environment)):
         if player is None:
             raise ExperimentError(f"name an {role}: without a hub, none can join from outside")
-        players[role] = build(find(role, player.name), player.options)
+        players[role] = construct(find(role, player.name), player.options)
     environment = players[Role.ENVIRONMENT]
     if not meeting.any_reward:
         environment = FiniteRewards(environment)

@@ -13,8 +13,8 @@ import click
 from glue import __version__
 from glue.commands import run
 from glue.console import say
-from glue.options import build, parse_assignments
-from glue.players.loading import find
+from glue.options import parse_assignments
+from glue.players.loading import construct, find
 from glue.players.naming import NamingCommand, complete_names
 from glue.players.trained import load_trained
 from glue.protocol.messages import Role
@@ -105,8 +105,8 @@ def watch(
     from glue.players.screen import TerminalScreen, renderer
 
     env_class, agent_class = find(Role.ENVIRONMENT, environment), find(Role.AGENT, agent)
-    world = build(env_class, parse_assignments(env_class, env_option))
-    player = build(agent_class, parse_assignments(agent_class, agent_option))
+    world = construct(env_class, parse_assignments(env_class, env_option))
+    player = construct(agent_class, parse_assignments(agent_class, agent_option))
     if load is not None:
         player = load_trained(player, load)
     screen = TerminalScreen(sys.stdout, renderer(world))

@@ -22,6 +22,7 @@ from experiment_runner.players import Meeting, open_experiment
 from experiment_runner.recording import Recorder
 from experiment_runner.store.database import StorageError
 from experiment_runner.store.records import Checkpoint, EpisodeResult
+from glue.console import show_failure
 from glue.errors import ExperimentError, GlueError, PeerFailed
 from glue.trajectory import TrajectoryWriter
 
@@ -149,7 +150,7 @@ def run_job(
         raise
     except GlueError as error:
         if isinstance(error, PeerFailed) and not isinstance(error.__cause__, GlueError | None):
-            traceback.print_exception(error.__cause__)  # shows where the user's code failed
+            show_failure(error.__cause__)
         failure = str(error)
     except (Exception, SystemExit) as error:
         traceback.print_exception(error)

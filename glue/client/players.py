@@ -15,7 +15,6 @@ as if nothing had happened.
 
 from __future__ import annotations
 
-import traceback
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +22,7 @@ from typing import TYPE_CHECKING
 from glue.client.bodies import READ, write
 from glue.client.link import Link, Log
 from glue.client.place import Place, find_place
-from glue.console import say
+from glue.console import say, show_failure
 from glue.core.calls import Handler, name_of, role_calls
 from glue.errors import GlueError, HubClosed, PeerFailed, RemoteProtocolError
 from glue.protocol.messages import CALLS, ErrorCode, Kind, Message, Role
@@ -203,7 +202,7 @@ def _serve(
 def _report(link: Link, call: Message, error: Exception) -> str:
     """Print where the user's code failed; send the hub a short text, and return it."""
     if not isinstance(error, GlueError):
-        traceback.print_exception(error)
+        show_failure(error)
     text = str(error) if isinstance(error, GlueError) else f"{type(error).__name__}: {error}"
     link.send(Message(Kind.ERROR, call.session, call.seq, (str(ErrorCode.EXCEPTION), clip(text))))
     return text

@@ -19,8 +19,8 @@ from glue import __version__
 from glue.commands import HUB_KEY_SETTINGS, KEY_SETTINGS, WAIT_VARIABLE
 from glue.console import say
 from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
-from glue.options import Parameter, Value, build, parameters
-from glue.players.loading import find, names, summaries
+from glue.options import Parameter, Value, parameters
+from glue.players.loading import construct, find, names, summaries
 from glue.protocol.messages import Role
 
 __all__ = ["Extra", "player_command"]
@@ -118,7 +118,7 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
 
         added = options.pop(extra_name)
         given = {key: value for key, value in options.items() if value is not None}
-        players = {one: build(factory, given) for one in _session}
+        players = {one: construct(factory, given) for one in _session}
         if added:
             players = {one: extra.apply(player, added) for one, player in players.items()}
         log = _ignore if _quiet else say

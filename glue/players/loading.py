@@ -14,13 +14,15 @@ import importlib
 import importlib.util
 import sys
 import traceback
+from collections.abc import Mapping
 from importlib.machinery import ModuleSpec, PathFinder
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
-from glue.errors import ConfigError
+from glue.console import show_failure
+from glue.errors import ConfigError, GlueError, PeerFailed
 from glue.options import Value, build
 from glue.protocol.messages import Role
 from glue.suggestions import did_you_mean
@@ -28,7 +30,7 @@ from glue.suggestions import did_you_mean
 if TYPE_CHECKING:
     from glue.roles import Agent, Environment
 
-__all__ = ["example", "find", "make", "make_agent", "names", "summaries"]
+__all__ = ["construct", "example", "find", "make", "make_agent", "names", "summaries"]
 
 _GROUPS: Final = {Role.AGENT: "glue.agents", Role.ENVIRONMENT: "glue.environments"}
 
@@ -51,6 +53,23 @@ def make_agent(name: str, /, **options: Value) -> Agent:
     """Return the agent called `name`, as in `make_agent("sarsa", epsilon=0.1)`; otherwise as `make`."""
     agent: Agent = build(find(Role.AGENT, name), options)
     return agent
+
+
+def construct(factory: type, options: Mapping[str, Value]) -> Any:
+    """Return an instance of `factory` for a command, which shows where the constructor fails if it does.
+
+    Raises:
+        ConfigError: an option is unknown, of another type or out of bounds.
+        PeerFailed: the constructor raised an exception, whose traceback has been printed.
+    """
+    try:
+        return build(factory, options)
+    except GlueError:
+        raise
+    except Exception as error:
+        show_failure(error)
+        why = f"{type(error).__name__}: {error}"
+        raise PeerFailed(f"{factory.__name__} raised in its constructor: {why}") from None
 
 
 def names(role: Role) -> list[str]:

@@ -256,6 +256,36 @@ def test_agent_that_raises_shows_its_traceback_and_one_error(tmp_path: Path, top
     error = "Error: agent Broken raised in agent_step: ArithmeticError: cannot add up"
     assert shown.stderr.splitlines().count(error) == 1
     assert (shown.stdout + shown.stderr).count("agent Broken raised") == 1
+    first = shown.stderr.partition("Traceback (most recent call last):\n")[2].splitlines()[0]
+    assert 'mine.py", line' in first  # the traceback begins in the user's code
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "glue-experiment --env mines --episodes 2 --agent",
+        "glue-experiment --env mines --episodes 2 --in-process --agent",
+        "glue-agent",
+    ],
+)
+def test_constructor_that_raises_shows_its_traceback_and_one_error(tmp_path: Path, command: str) -> None:
+    (tmp_path / "mine.py").write_text(_UNMADE, encoding="utf-8")
+    shown = run(*command.split(), "mine.py:Unmade", cwd=tmp_path)
+    assert shown.returncode == 1
+    assert shown.stderr.count("Traceback") == 1
+    first = shown.stderr.partition("Traceback (most recent call last):\n")[2].splitlines()[0]
+    assert 'mine.py", line' in first
+    assert "Error: Unmade raised in its constructor: ArithmeticError: cannot add up\n" in shown.stderr
+
+
+_UNMADE = """
+class Unmade:
+    def __init__(self):
+        raise ArithmeticError("cannot add up")
+
+    def agent_init(self, task_spec):
+        pass
+"""
 
 
 @pytest.mark.parametrize("topology", [[], ["--in-process"]], ids=["processes", "in-process"])
