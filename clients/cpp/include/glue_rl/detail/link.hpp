@@ -1,0 +1,197 @@
+#pragma once
+
+#include <algorithm>
+#include <chrono>
+#include <optional>
+#include <random>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "../options.hpp"
+#include "dealer.hpp"
+
+namespace glue_rl::detail {
+
+using Clock = std::chrono::steady_clock;
+using Milliseconds = std::chrono::milliseconds;
+
+/// Returns one line of at most a thousand bytes, and of whole characters.
+inline std::string clip(std::string_view text) {
+  constexpr std::size_t kMaxText = 1000;
+  std::string line(text.substr(0, kMaxText));
+  std::replace_if(
+      line.begin(), line.end(), [](char c) { return static_cast<unsigned char>(c) < 0x20; }, ' ');
+  for (int i = 0; i < 3 && !is_utf8(line) && !line.empty(); ++i) line.pop_back();
+  return is_utf8(line) ? line : std::string("a text that is not UTF-8");
+}
+
+/// A peer's place in a session: greetings, heartbeats, and reconnecting after a break.
+class Link {
+ public:
+  Link(std::string role, const Options& options, std::vector<std::string> capabilities)
+      : role_(std::move(role)), options_(options), capabilities_(std::move(capabilities)) {
+    check_session(options.session);
+    std::optional<Keys> keys;
+    if (!options.key.empty() || !options.hub_key.empty()) keys = read_keys(options.key, options.hub_key);
+    std::random_device random;  // of the operating system
+    for (std::size_t i = 0; i < kInstance; ++i) instance_.push_back(static_cast<char>(random()));
+    dealer_.emplace(options.hub, keys ? &*keys : nullptr);
+  }
+
+  /// Returns whether the hub has let us in over the latest connection, as far as is known.
+  bool welcomed() {
+    dealer_->look();
+    return welcomed_ && dealer_->connected() && dealer_->connections() == greeted_;
+  }
+
+  const std::string& session() const noexcept { return options_.session; }
+
+  void log(std::string_view line) const { options_.log(line); }
+
+  /// Checks that the hub takes a body of this size.
+  void check(std::size_t size) const {
+    if (size > max_body_) {
+      throw Error("a body has " + std::to_string(size) + " bytes, and the hub takes " + std::to_string(max_body_));
+    }
+  }
+
+  void send(const Frames& frames) { dealer_->send(frames); }
+
+  /// Sends a message without a body.
+  void send(const HeaderWriter& header) {
+    Frames frames;
+    frames.header = Frame(header.bytes());
+    dealer_->send(frames);
+  }
+
+  /// Receives the next call, reply, ERROR, NOTICE, or WELCOME over the latest connection, which lies in `frames`; returns
+  /// nothing if there is none for a heartbeat.
+  std::optional<Message> receive(Frames& frames) {
+    try {
+      if (!dealer_->receive(frames, heartbeat_)) {
+        idle();
+        return std::nullopt;
+      }
+      received_ = Clock::now();
+      const std::string_view body = frames.body.view();
+      const Message message = decode(frames.header.view(), frames.has_body ? &body : nullptr);
+      if (message.session != options_.session) {
+        if (message.kind == kError && message.session.empty()) log("the hub says: " + std::string(message.texts[1]));
+        return std::nullopt;
+      }
+      if (!message.known) {
+        send(error(message.seq, "unknown-kind", "this " + role_ + " does not know that kind"));
+        return std::nullopt;
+      }
+      return control(message);
+    } catch (const ProtocolError& error) {
+      throw ProtocolError("the hub at " + options_.hub + " broke the protocol: " + error.what());
+    }
+  }
+
+  /// Says goodbye.
+  void close(std::string_view reason) {
+    if (!welcomed()) return;
+    HeaderWriter goodbye;
+    send(goodbye.begin(1, kGoodbye, session(), 0).text(clip(reason)));
+    welcomed_ = false;
+  }
+
+  /// Returns the ERROR with which a player answers.
+  HeaderWriter error(std::uint64_t seq, std::string_view code, std::string_view text) const {
+    HeaderWriter header;
+    header.begin(2, kError, session(), seq).text(code).text(clip(text));
+    return header;
+  }
+
+ private:
+  static constexpr std::size_t kInstance = 16;
+
+  std::optional<Message> control(const Message& message) {
+    switch (message.kind) {
+      case kHeartbeat:
+        return std::nullopt;
+      case kWelcome:
+        return welcome(message);
+      case kRefuse:
+        throw Refused("the hub at " + options_.hub + " refused this " + role_ + ": " + std::string(message.texts[1]));
+      case kGoodbye:
+        welcomed_ = false;  // a goodbye has no answer
+        throw HubClosed(std::string(message.texts[0]));
+      case kError:
+        if (message.texts[0] != "unknown-peer") return message;
+        dealer_->look();
+        // While a HELLO is unanswered, this was for what was sent before it.
+        if (welcomed_ || dealer_->connections() != greeted_) greet();
+        return std::nullopt;
+      default:
+        return message;
+    }
+  }
+
+  void greet() {
+    welcomed_ = false;
+    greeted_ = dealer_->connections();
+    HeaderWriter hello;
+    hello.begin(6, kHello, session(), greeted_).array(1).integer(1).text(role_).binary(instance_);
+    hello.text(options_.name).text("C++, libzmq").array(capabilities_.size());
+    for (const auto& capability : capabilities_) hello.text(capability);
+    send(hello);
+  }
+
+  std::optional<Message> welcome(const Message& message) {
+    // The answer to an earlier HELLO says nothing of the hub at the other end of this connection.
+    if (message.seq != greeted_) return std::nullopt;
+    if (message.ints[0] != 1) throw ProtocolError("a version was chosen that was not offered");
+    const double seconds = message.floats[0];
+    heartbeat_ = Milliseconds(static_cast<int>(1000 * (seconds > 0.01 ? std::min(seconds, 60.0) : 0.01)));
+    max_body_ = std::min<std::uint64_t>(message.ints[1], kMaxBody);
+    if (waiting_) log("the hub at " + options_.hub + " is there");
+    waiting_ = false;
+    welcomed_ = true;
+    return message;
+  }
+
+  void idle() {
+    if (!dealer_->connected()) {
+      welcomed_ = false;
+    } else if (dealer_->connections() != greeted_) {
+      greet();
+      return;
+    }
+    const auto now = Clock::now();
+    if (welcomed_) {
+      if (now - received_ >= heartbeat_) {
+        HeaderWriter heartbeat;
+        send(heartbeat.begin(0, kHeartbeat, session(), 0));
+      }
+    } else if (!waiting_ && now - received_ >= heartbeat_) {
+      waiting_ = true;
+      log("no hub answers at " + options_.hub + " yet; waiting for one (glue-hub and glue-experiment start one)");
+    }
+  }
+
+  static void check_session(const std::string& session) {
+    const auto characters = std::count_if(session.begin(), session.end(), [](char c) { return (c & 0xc0) != 0x80; });
+    const bool printable =
+        std::none_of(session.begin(), session.end(), [](char c) { return static_cast<unsigned char>(c) < 0x20 || c == 0x7f; });
+    if (!is_utf8(session) || !printable || characters < 1 || characters > 255) {
+      throw ConfigError("the name of a session has 1 to 255 printable characters, not \"" + session + "\"");
+    }
+  }
+
+  std::string role_;
+  Options options_;
+  std::vector<std::string> capabilities_;
+  std::string instance_;
+  std::optional<Dealer> dealer_;
+  Milliseconds heartbeat_{1000};
+  std::size_t max_body_ = kMaxBody;
+  std::uint64_t greeted_ = 0;  // the connection that was greeted last; also the seq of that HELLO
+  bool welcomed_ = false;      // over that connection
+  bool waiting_ = false;       // for a hub, and has said so
+  Clock::time_point received_ = Clock::now();
+};
+
+}  // namespace glue_rl::detail

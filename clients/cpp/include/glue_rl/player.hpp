@@ -1,0 +1,199 @@
+#pragma once
+
+#include <exception>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "detail/link.hpp"
+#include "options.hpp"
+#include "roles.hpp"
+
+namespace glue_rl {
+
+namespace detail {
+
+/// The answer to a call, as it is being made.
+class Answer {
+ public:
+  Answer(const Message& call, std::string_view session) : call_(call), session_(session) {
+    header_.begin(0, call.kind, session, call.seq);
+  }
+
+  void text(std::string_view bytes) {
+    frames_.body = Frame(bytes);
+    frames_.has_body = true;
+  }
+
+  void abstract(const AbstractType& value) {
+    frames_.body = Frame(value.body_size());
+    frames_.has_body = true;
+    value.write(frames_.body.data());
+  }
+
+  void step(double reward, bool terminal) {
+    header_.begin(2, call_.kind, session_, call_.seq).real(reward).truth(terminal);
+  }
+
+  Frames finish() {
+    frames_.header = Frame(header_.bytes());
+    return std::move(frames_);
+  }
+
+  std::size_t body_size() const { return frames_.body.view().size(); }
+
+ private:
+  const Message& call_;
+  std::string_view session_;
+  HeaderWriter header_;
+  Frames frames_;
+};
+
+inline bool call_seedable(Seedable* player, const Message& message) {
+  if (player != nullptr) player->seed(message.ints[0]);
+  return player != nullptr;
+}
+
+inline bool call_save(Saveable* player, Answer& answer) {
+  if (player != nullptr) answer.text(player->save());
+  return player != nullptr;
+}
+
+inline bool call_load(Saveable* player, const Message& message) {
+  if (player != nullptr) player->load(message.body);
+  return player != nullptr;
+}
+
+/// Carries a call out; returns false if it is not one of an agent's.
+inline bool carry_out(Agent& agent, const Message& message, Answer& answer) {
+  switch (message.kind) {
+    case kAgentInit: agent.init(message.body); return true;
+    case kAgentStart: answer.abstract(agent.start(message.first)); return true;
+    case kAgentStep: answer.abstract(agent.step(message.floats[0], message.first)); return true;
+    case kAgentEnd: agent.end(message.floats[0]); return true;
+    case kAgentCleanup: agent.cleanup(); return true;
+    case kAgentMessage: answer.text(agent.message(message.body)); return true;
+    case kAgentSeed: return call_seedable(dynamic_cast<Seedable*>(&agent), message);
+    case kAgentSave: return call_save(dynamic_cast<Saveable*>(&agent), answer);
+    case kAgentLoad: return call_load(dynamic_cast<Saveable*>(&agent), message);
+    default: return false;
+  }
+}
+
+/// Carries a call out; returns false if it is not one of an environment's.
+inline bool carry_out(Environment& environment, const Message& message, Answer& answer) {
+  switch (message.kind) {
+    case kEnvInit: answer.text(environment.init()); return true;
+    case kEnvStart: answer.abstract(environment.start()); return true;
+    case kEnvStep: {
+      const Environment::Step step = environment.step(message.first);
+      answer.step(step.reward, step.terminal);
+      answer.abstract(step.observation);
+      return true;
+    }
+    case kEnvCleanup: environment.cleanup(); return true;
+    case kEnvMessage: answer.text(environment.message(message.body)); return true;
+    case kEnvSeed: return call_seedable(dynamic_cast<Seedable*>(&environment), message);
+    case kEnvSave: return call_save(dynamic_cast<Saveable*>(&environment), answer);
+    case kEnvLoad: return call_load(dynamic_cast<Saveable*>(&environment), message);
+    default: return false;
+  }
+}
+
+/// An agent or environment in its session: each call is carried out once, however often it comes.
+template <class Role>
+class Player {
+ public:
+  Player(const char* role, Role& player, const Options& options)
+      : role_(role), name_(options.name), player_(player), link_(role, options, capabilities_of(player)) {}
+
+  /// Answers the hub's calls until it says goodbye; returns its reason.
+  std::string serve() {
+    try {
+      while (true) {
+        if (const auto message = link_.receive(frames_)) take(*message);
+      }
+    } catch (const HubClosed& goodbye) {
+      return goodbye.what();
+    } catch (const std::exception& error) {
+      link_.close(error.what());
+      throw;
+    }
+  }
+
+ private:
+  static std::vector<std::string> capabilities_of(Role& player) {
+    std::vector<std::string> capabilities;
+    if (dynamic_cast<Saveable*>(&player) != nullptr) capabilities.emplace_back("save");
+    if (dynamic_cast<Seedable*>(&player) != nullptr) capabilities.emplace_back("seed");
+    return capabilities;
+  }
+
+  void take(const Message& message) {
+    if (message.kind == kWelcome) {
+      // The last call is kept: if this very call comes again, it is the same hub, which never had the answer.
+      if (!message.truth) last_seq_ = 0;
+    } else if (message.kind == kError) {
+      link_.log("the hub says: " + std::string(message.texts[1]));
+    } else if (message.seq >= last_seq_ && link_.welcomed()) {
+      const std::uint64_t seq = message.seq;
+      if (seq > last_seq_ && !(frames_ == last_call_)) {
+        last_answer_ = answer(message);
+        std::swap(last_call_, frames_);
+      }
+      last_seq_ = seq;
+      // Over a newer connection the hub asks again.
+      if (link_.welcomed()) link_.send(last_answer_);
+    }
+  }
+
+  Frames answer(const Message& message) {
+    try {
+      Answer answer(message, link_.session());
+      if (carry_out(player_, message, answer)) {
+        link_.check(answer.body_size());
+        return answer.finish();
+      }
+      Frames frames;
+      const std::string text = std::string("this ") + role_ + " does not know kind " + std::to_string(message.kind);
+      frames.header = Frame(link_.error(message.seq, "unknown-kind", text).bytes());
+      return frames;
+    } catch (const std::exception& error) {
+      raised(message.seq, error.what());
+    } catch (...) {
+      raised(message.seq, "something that is no std::exception was thrown");
+    }
+  }
+
+  /// Informs the hub that the player threw what is being handled.
+  [[noreturn]] void raised(std::uint64_t seq, const char* what) {
+    if (link_.welcomed()) link_.send(link_.error(seq, "exception", what));
+    std::throw_with_nested(PlayerThrew(std::string(role_) + " " + name_ + " threw: " + what));
+  }
+
+  const char* role_;
+  std::string name_;
+  Role& player_;
+  Link link_;
+  Frames frames_;
+  std::uint64_t last_seq_ = 0;
+  Frames last_call_;
+  Frames last_answer_;
+};
+
+}  // namespace detail
+
+/// Lets an agent take part in a session until the hub says goodbye, and returns its reason. A hub that is not there yet is
+/// waited for; a connection that breaks is made again, and the episode goes on.
+///
+/// Throws ConfigError, Refused, ProtocolError, or PlayerThrew if a method of the agent threw.
+inline std::string serve(Agent& agent, const Options& options) {
+  return detail::Player<Agent>("agent", agent, options).serve();
+}
+
+/// Lets an environment take part in a session, as `serve` does an agent.
+inline std::string serve(Environment& environment, const Options& options) {
+  return detail::Player<Environment>("environment", environment, options).serve();
+}
+
+}  // namespace glue_rl

@@ -1,0 +1,80 @@
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+#include "abstract_type.hpp"
+
+namespace glue_rl {
+
+/// What learns. One that is `Seedable` or `Saveable` as well offers these capabilities.
+class Agent {
+ public:
+  virtual ~Agent() = default;
+
+  /// Prepares for a task; what was learned before is forgotten.
+  virtual void init(std::string_view task_spec) { (void)task_spec; }
+  /// Takes the first observation of an episode, returns the first action.
+  virtual Action start(const ObservationView& observation) = 0;
+  /// Takes the reward of the last action and the observation after it, returns the next action.
+  virtual Action step(double reward, const ObservationView& observation) = 0;
+  /// Takes the last reward of an episode that has reached its end.
+  virtual void end(double reward) { (void)reward; }
+  /// Lets go of what `init` took; another may follow.
+  virtual void cleanup() {}
+  /// Answers a text with a text; may come at any time.
+  virtual std::string message(std::string_view text) {
+    (void)text;
+    return {};
+  }
+};
+
+/// The task. One that is `Seedable` or `Saveable` as well offers these capabilities.
+class Environment {
+ public:
+  /// What came of an action.
+  struct Step {
+    double reward = 0;
+    bool terminal = false;
+    Observation observation;
+  };
+
+  virtual ~Environment() = default;
+
+  /// Prepares; returns the task spec, which describes observations, actions and rewards.
+  virtual std::string init() = 0;
+  /// Begins an episode; returns its first observation.
+  virtual Observation start() = 0;
+  /// Executes an action.
+  virtual Step step(const ActionView& action) = 0;
+  /// Lets go of what `init` took; another may follow.
+  virtual void cleanup() {}
+  /// Answers a text with a text; may come at any time.
+  virtual std::string message(std::string_view text) {
+    (void)text;
+    return {};
+  }
+};
+
+/// An agent or environment whose random choices can be repeated: the capability `seed`.
+class Seedable {
+ public:
+  virtual ~Seedable() = default;
+
+  /// Draws all random choices from this number from now on, 0 to 2^63 - 1; comes before `init`.
+  virtual void seed(std::uint64_t number) = 0;
+};
+
+/// An agent or environment that can be saved between episodes: the capability `save`.
+class Saveable {
+ public:
+  virtual ~Saveable() = default;
+
+  /// Returns everything that later episodes depend on, as bytes.
+  virtual std::string save() = 0;
+  /// Goes on from what `save` returned, after `init`; check it, it may come from someone else.
+  virtual void load(std::string_view data) = 0;
+};
+
+}  // namespace glue_rl

@@ -1,0 +1,173 @@
+// The codec against glue/testing/vectors.json, which docs/clients.md describes. Usage: vectors_test vectors.json
+
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <fstream>
+#include <glue_rl/glue_rl.hpp>
+#include <iostream>
+#include <sstream>
+#include <string>
+
+#include "json.hpp"
+
+namespace {
+
+using glue_rl::AbstractType;
+using glue_rl::AbstractView;
+using glue_rl::detail::HeaderWriter;
+using glue_rl::detail::Message;
+
+int checked = 0;
+std::string current;
+
+void expect(bool right, const char* what) {
+  checked += 1;
+  if (right) return;
+  std::cerr << "wrong " << what << " in: " << current << std::endl;
+  std::exit(1);
+}
+
+std::string bytes(const std::string& hex) {
+  std::string result;
+  for (std::size_t i = 0; i < hex.size(); i += 2) {
+    result += static_cast<char>(std::stoi(hex.substr(i, 2), nullptr, 16));
+  }
+  return result;
+}
+
+std::uint64_t bits_of(double value) {
+  std::uint64_t bits;
+  std::memcpy(&bits, &value, sizeof bits);
+  return bits;
+}
+
+std::uint64_t bits_of(const Json& hex) { return std::stoull(hex.text, nullptr, 16); }
+
+double real(const Json& hex) {
+  const std::uint64_t bits = bits_of(hex);
+  double value;
+  std::memcpy(&value, &bits, sizeof value);
+  return value;
+}
+
+AbstractType abstract_type(const Json& one) {
+  AbstractType result;
+  for (const Json& value : one["ints"].items) result.ints.push_back(static_cast<std::int32_t>(value.number()));
+  for (const Json& value : one["doubles"].items) result.doubles.push_back(real(value));
+  result.chars = bytes(one["chars"].text);
+  return result;
+}
+
+std::string body_of(const Json& body) {
+  if (body.has("text")) return body["text"].text;
+  if (body.has("bytes")) return bytes(body["bytes"].text);
+  std::string result;
+  for (const Json& one : body["abstract"].items) {
+    const AbstractType value = abstract_type(one);
+    std::string written(value.body_size(), '\0');
+    value.write(written.data());
+    result += written;
+  }
+  return result;
+}
+
+void write(HeaderWriter& header, const Json& scalar) {
+  const auto& [type, value] = *scalar.members.begin();
+  if (type == "int") header.integer(std::stoull(value.text));
+  if (type == "float") header.real(real(value));
+  if (type == "bool") header.truth(value.type == 't');
+  if (type == "text") header.text(value.text);
+  if (type == "binary") header.binary(bytes(value.text));
+  if (type == "nil") header.nil();
+  if (type == "array") {
+    header.array(value.items.size());
+    for (const Json& item : value.items) write(header, item);
+  }
+}
+
+Message decode(const std::vector<std::string>& frames) {
+  const std::string_view body = frames.size() > 1 ? std::string_view(frames[1]) : std::string_view();
+  return glue_rl::detail::decode(frames[0], frames.size() > 1 ? &body : nullptr);
+}
+
+std::vector<std::string> frames_of(const Json& entry) {
+  std::vector<std::string> frames;
+  for (const Json& frame : entry["frames"].items) frames.push_back(bytes(frame.text));
+  return frames;
+}
+
+bool same(const AbstractView& view, const Json& one) {
+  const AbstractType read(view), expected = abstract_type(one);
+  std::string read_body(read.body_size(), '\0'), expected_body(expected.body_size(), '\0');
+  read.write(read_body.data());
+  expected.write(expected_body.data());
+  return read_body == expected_body;
+}
+
+void check_decoded(const Json& entry) {
+  const auto frames = frames_of(entry);
+  const Message message = decode(frames);
+  expect(message.known && message.kind == static_cast<std::uint64_t>(entry["code"].number()), "kind");
+  expect(message.session == entry["session"].text, "session");
+  expect(message.seq == std::stoull(entry["seq"].text), "seq");
+  std::size_t ints = 0, floats = 0, texts = 0;
+  for (const Json& scalar : entry["scalars"].items) {
+    const auto& [type, value] = *scalar.members.begin();
+    if (type == "int") expect(message.ints[ints++] == std::stoull(value.text), "int");
+    if (type == "float") expect(bits_of(message.floats[floats++]) == bits_of(value), "float");
+    if (type == "bool") expect(message.truth == (value.type == 't'), "bool");
+    if (type == "text") expect(message.texts[texts++] == value.text, "text");
+  }
+  if (entry["body"].type != '{') return;
+  if (!entry["body"].has("abstract")) {
+    expect(message.body == body_of(entry["body"]), "body");
+    return;
+  }
+  const auto& values = entry["body"]["abstract"].items;
+  expect(same(message.first, values[0]), "observation or action");
+  if (values.size() == 2) expect(same(message.second, values[1]), "action");
+}
+
+void check_encoded(const Json& entry) {
+  HeaderWriter header;
+  const auto& scalars = entry["scalars"].items;
+  header.begin(scalars.size(), static_cast<std::uint64_t>(entry["code"].number()), entry["session"].text,
+               std::stoull(entry["seq"].text));
+  for (const Json& scalar : scalars) write(header, scalar);
+  const auto frames = frames_of(entry);
+  expect(header.bytes() == frames[0], "header");
+  if (frames.size() > 1) expect(body_of(entry["body"]) == frames[1], "body");
+}
+
+void check_refused(const Json& entry) {
+  const auto frames = frames_of(entry);
+  if (frames.size() > 2) return;  // found by the dealer, not by the codec
+  try {
+    decode(frames);
+  } catch (const glue_rl::ProtocolError&) {
+    checked += 1;
+    return;
+  }
+  expect(false, "acceptance");
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  if (argc != 2) return 2;
+  std::ostringstream text;
+  text << std::ifstream(argv[1]).rdbuf();
+  const Json vectors = Json::parse(text.str());
+  for (const char* section : {"messages", "accepted"}) {
+    for (const Json& entry : vectors[section].items) {
+      current = entry["kind"].text + ", " + entry["name"].text;
+      entry["from"].text == "hub" ? check_decoded(entry) : check_encoded(entry);
+    }
+  }
+  for (const Json& entry : vectors["refused"].items) {
+    current = entry["name"].text;
+    check_refused(entry);
+  }
+  std::cout << checked << " checks passed" << std::endl;
+}
