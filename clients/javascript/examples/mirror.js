@@ -129,7 +129,7 @@ async function carryOut(glue, verb, argument, reward, { ints, doubles }, notices
       const { reward: gained, terminal, observation, action } = await glue.step();
       return both(observation, action, [Number(terminal)], [gained]);
     }
-    case "RL_EPISODE": return result([Number(await glue.episode(Number(text)))]);
+    case "RL_EPISODE": return result([Number(await glue.episode(BigInt(text)))]);
     case "RL_RETURN": return result([], [await glue.episodeReturn()]);
     case "RL_NUM_STEPS": return words(String(await glue.numSteps()));
     case "RL_NUM_EPISODES": return words(String(await glue.numEpisodes()));

@@ -63,7 +63,7 @@ export class Experiment {
     return { reward, terminal, observation, action };
   }
 
-  async episode(maxSteps = 0) {
+  async episode(/** @type {number | bigint} */ maxSteps = 0) {
     return (await this.#ask(RL.EPISODE, [maxSteps])).scalars[0];
   }
 
@@ -72,11 +72,11 @@ export class Experiment {
   }
 
   async numSteps() {
-    return Number((await this.#ask(RL.NUM_STEPS)).scalars[0]);
+    return BigInt((await this.#ask(RL.NUM_STEPS)).scalars[0]);
   }
 
   async numEpisodes() {
-    return Number((await this.#ask(RL.NUM_EPISODES)).scalars[0]);
+    return BigInt((await this.#ask(RL.NUM_EPISODES)).scalars[0]);
   }
 
   async agentMessage(/** @type {string} */ text) {

@@ -112,11 +112,11 @@ export interface Experiment {
   start(): Promise<{ observation: Observation; action: Action }>;
   step(): Promise<Step<Observation> & { action: Action }>;
   /** RL_episode; at most `maxSteps` steps, 0 for any number. Resolves to whether it reached its end. */
-  episode(maxSteps?: number): Promise<boolean>;
+  episode(maxSteps?: number | bigint): Promise<boolean>;
   /** RL_return: the sum of the episode's rewards. */
   episodeReturn(): Promise<number>;
-  numSteps(): Promise<number>;
-  numEpisodes(): Promise<number>;
+  numSteps(): Promise<bigint>;
+  numEpisodes(): Promise<bigint>;
   agentMessage(text: string): Promise<string>;
   envMessage(text: string): Promise<string>;
   cleanup(): Promise<void>;
