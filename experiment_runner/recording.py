@@ -16,6 +16,7 @@ from glue.core.experiment import Experiment
 from glue.errors import PeerLost, Unsupported
 from glue.protocol.messages import Role
 from glue.trajectory import Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
+from glue.types import CUT_OFF
 
 __all__ = ["Recorder", "recorded"]
 
@@ -118,7 +119,10 @@ class Recorder:
         num_steps = 1
         while max_steps == 0 or num_steps < max_steps:
             reward, observation, terminal, next_action = glue.rl_step()
-            writer.step(action, reward, observation, terminal)
+            cut_off = terminal == CUT_OFF
+            writer.step(action, reward, observation, bool(terminal) and not cut_off)
+            if cut_off:
+                break
             if terminal:
                 return True
             action = next_action

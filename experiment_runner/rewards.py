@@ -13,7 +13,7 @@ from typing import Any
 from glue.core.experiment import Experiment
 from glue.errors import GlueError
 from glue.protocol.messages import Kind, Value
-from glue.types import Action, Observation
+from glue.types import CUT_OFF, Action, Observation
 
 __all__ = ["FiniteRewards", "WatchedRewards"]
 
@@ -80,8 +80,9 @@ class WatchedRewards(Experiment):
         self.rl_start()
         num_steps = 1
         while max_steps == 0 or num_steps < max_steps:
-            if self.rl_step().terminal:
-                return True
+            terminal = self.rl_step().terminal
+            if terminal:
+                return terminal != CUT_OFF
             num_steps += 1
         return False
 

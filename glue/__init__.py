@@ -33,11 +33,12 @@ if TYPE_CHECKING:
     from glue.players.loading import make, make_agent
     from glue.roles import Agent, Environment
     from glue.runs import RunData, load_run
-    from glue.types import Action, Observation
+    from glue.types import CUT_OFF, Action, Observation
 
 __version__ = "0.2.0"
 
 __all__ = [
+    "CUT_OFF",
     "Action",
     "Agent",
     "ConfigError",
@@ -90,7 +91,7 @@ _HOMES: Final = {
     "glue.players.loading": ("make", "make_agent"),
     "glue.roles": ("Agent", "Environment"),
     "glue.runs": ("RunData", "load_run"),
-    "glue.types": ("Action", "Observation"),
+    "glue.types": ("CUT_OFF", "Action", "Observation"),
 }
 
 

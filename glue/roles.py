@@ -118,9 +118,22 @@ class SaveableAgent(Protocol):
         ...
 
 
-CAPABILITIES: Final[Mapping[str, tuple[type, type]]] = {
+class TruncatingEnvironment(Protocol):
+    """Capability `truncate`: the environment may cut an episode off, in a state that is not terminal."""
+
+    def env_truncated(self) -> bool:
+        """Return whether the step that was terminal only cut the episode off.
+
+        Called after each terminal step. If so, the agent gets the step's observation by agent_step, so that
+        it can learn from its value; agent_end is not called, and the episode is not counted.
+        """
+        ...
+
+
+CAPABILITIES: Final[Mapping[str, tuple[type, ...]]] = {
     "seed": (SeedableEnvironment, SeedableAgent),
     "save": (SaveableEnvironment, SaveableAgent),
+    "truncate": (TruncatingEnvironment,),
 }
 
 

@@ -26,7 +26,10 @@ import numpy.typing as npt
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
 
-__all__ = ["PREFIX_SIZE", "AbstractType", "Action", "Observation", "body_size"]
+__all__ = ["CUT_OFF", "PREFIX_SIZE", "AbstractType", "Action", "Observation", "body_size"]
+
+CUT_OFF: Final = 2
+"""The terminal of a step after which the environment has cut the episode off: true, but no terminal state."""
 
 IntArray = npt.NDArray[np.int32]
 DoubleArray = npt.NDArray[np.float64]

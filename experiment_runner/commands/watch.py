@@ -140,7 +140,7 @@ def play(
             sleep(pause)
             step = glue.rl_step()
             made += 1
-            terminal = step.terminal
+            terminal = bool(step.terminal)
             screen.show(step.observation, step.reward, made, glue.rl_return(), title)
     return glue.rl_return(), glue.rl_num_steps()
 

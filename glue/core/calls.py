@@ -26,10 +26,11 @@ from glue.roles import (
     SaveableEnvironment,
     SeedableAgent,
     SeedableEnvironment,
+    TruncatingEnvironment,
     offers,
 )
 from glue.taskspec import Space, parse_task_spec
-from glue.types import AbstractType, Action, Observation
+from glue.types import CUT_OFF, AbstractType, Action, Observation
 
 __all__ = ["Answer", "Handler", "agent_calls", "environment_calls", "name_of", "role_calls"]
 
@@ -126,6 +127,7 @@ def environment_calls(environment: Environment) -> dict[Kind, Handler]:
     """Return a function for each call that `environment` supports."""
 
     shown = received = b""
+    truncating = environment.env_truncated if offers(environment, TruncatingEnvironment) else None
 
     def init(_: tuple[Any, ...], __: Any) -> Answer:
         nonlocal shown, received
@@ -158,6 +160,8 @@ def environment_calls(environment: Environment) -> dict[Kind, Handler]:
             raise _miscounted(environment, "env_step", observation, shown)
         if not isinstance(terminal, _TRUTH):
             raise _wrong(environment, "env_step", "True or False as its third value", terminal)
+        if terminal and truncating is not None and truncating():
+            return (reward, CUT_OFF), observation
         return (reward, bool(terminal)), observation
 
     def cleanup(_: tuple[Any, ...], __: Any) -> Answer:

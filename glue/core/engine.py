@@ -27,6 +27,7 @@ import numpy as np
 
 from glue.errors import LocalProtocolError, PeerLost, RemoteProtocolError
 from glue.protocol.messages import CALLS, Kind, Role, Value
+from glue.types import CUT_OFF
 
 __all__ = ["EPISODE_VERBS", "Engine", "Instruction"]
 
@@ -233,6 +234,7 @@ class Engine:
         self.total_reward += reward
         if terminal:
             self._started = False
+        if terminal and terminal != CUT_OFF:
             yield Instruction(Kind.AGENT_END, (reward,))
             self.num_episodes += 1
         else:
@@ -249,11 +251,14 @@ class Engine:
             self.total_reward += reward
             if terminal:
                 self._started = False
-                yield Instruction(Kind.AGENT_END, (reward,))
-                self.num_episodes += 1
-                return (True,), None
+                if terminal != CUT_OFF:
+                    yield Instruction(Kind.AGENT_END, (reward,))
+                    self.num_episodes += 1
+                    return (True,), None
             self.num_steps += 1
             _, self.last_action = yield Instruction(Kind.AGENT_STEP, (reward,), observation)
+            if terminal:
+                return (CUT_OFF,), None
         # Cut off: agent_end is not called and the episode is not counted.
         self._started = False
         return (False,), None
@@ -292,8 +297,9 @@ class Engine:
         reward, terminal = scalars
         self.total_reward += reward
         if terminal:
-            self.num_episodes += 1
             self._started = False
+        if terminal and terminal != CUT_OFF:
+            self.num_episodes += 1
         else:
             self.num_steps += 1
         return scalars, observation

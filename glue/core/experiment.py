@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Self, TypeVar
 
 from glue.errors import LocalProtocolError
 from glue.protocol.messages import Kind, Value
-from glue.types import Action, Observation
+from glue.types import CUT_OFF, Action, Observation
 
 __all__ = ["Experiment", "Start", "StepResult"]
 
@@ -27,11 +27,15 @@ class Start(NamedTuple):
 
 
 class StepResult(NamedTuple):
-    """What RL_step returns. On a terminal step `action` is the one that was just executed."""
+    """What RL_step returns. On a terminal step `action` is the one that was just executed.
+
+    `terminal` is `glue.CUT_OFF`, which counts as true, if the environment cut the episode off: then the agent
+    has received the observation, and `action` is its answer, which is not executed.
+    """
 
     reward: float
     observation: Observation
-    terminal: bool
+    terminal: int
     action: Action
 
 
@@ -84,11 +88,13 @@ class Experiment:
     def rl_episode(self, max_steps: int = 0) -> bool:
         """Run an episode; return True if it reached its end, False if it was truncated (cut off).
 
+        It is cut off by `max_steps`, or by an environment with the capability `truncate`.
+
         `max_steps`, 0 to 2**32 - 1, limits RL_num_steps, which is 1 after the start: the environment
         makes at most `max_steps` - 1 steps. 0 means no limit.
         """
         (terminal,), _ = self._call(Kind.RL_EPISODE, (_whole(max_steps, 32, "a step limit"),))
-        return bool(terminal)
+        return bool(terminal) and terminal != CUT_OFF
 
     def rl_return(self) -> float:
         """Return the undiscounted sum of the rewards since the last start."""
@@ -118,8 +124,8 @@ class Experiment:
         """Half of RL_start: begin an episode in the environment alone."""
         return _observation(self._call(Kind.RL_ENV_START)[1])
 
-    def rl_env_step(self, action: Action) -> tuple[float, Observation, bool]:
-        """Half of RL_step: execute `action` in the environment alone."""
+    def rl_env_step(self, action: Action) -> tuple[float, Observation, int]:
+        """Half of RL_step: execute `action` in the environment alone; `StepResult` explains the terminal."""
         (reward, terminal), observation = self._call(Kind.RL_ENV_STEP, (), _given(action, Action))
         return reward, observation, terminal
 

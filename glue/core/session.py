@@ -20,7 +20,7 @@ from glue.errors import PeerLost, RemoteProtocolError
 from glue.protocol.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value
 from glue.protocol.steps import Step
 from glue.protocol.wire import clip
-from glue.types import Action
+from glue.types import CUT_OFF, Action
 
 __all__ = ["Board", "Peer", "Route", "Session"]
 
@@ -315,8 +315,11 @@ class Session:
             what = outstanding.kind.name.lower()
             self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.name} raised in {what}: {text}")
             return True
+        scalars = message.scalars
+        if message.kind is Kind.ENV_STEP and scalars[1] == CUT_OFF and "truncate" not in peer.capabilities:
+            scalars = (scalars[0], True)  # to an older environment every number but 0 is true
         try:
-            instruction = self._engine.resume(message.kind, message.scalars, message.body)
+            instruction = self._engine.resume(message.kind, scalars, message.body)
         except RemoteProtocolError as error:
             self._error(peer, message, ErrorCode.NOT_ASKED, str(error))
             self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.name} broke the protocol: {error}")

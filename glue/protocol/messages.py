@@ -105,12 +105,16 @@ class Body(Enum):
 
 
 class Scalar(NamedTuple):
-    """One scalar of a header: its name and its type; `items` is what an array holds."""
+    """One scalar of a header: its name and its type; `items` is what an array holds.
+
+    A bool that `cuts` may also be `glue.types.CUT_OFF`.
+    """
 
     name: str
     type: Type
     optional: bool = False
     items: Type | None = None
+    cuts: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +183,7 @@ class Event(StrEnum):
 
 
 _REWARD = Scalar("reward", float)
-_TERMINAL = Scalar("terminal", bool)
+_TERMINAL = Scalar("terminal", bool, cuts=True)
 _EMPTY = Shape()
 _OBSERVATION = Shape(body=Body.OBSERVATION)
 _ACTION = Shape(body=Body.ACTION)

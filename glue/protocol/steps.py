@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 import msgpack
 
 from glue.protocol.messages import CALLS, Body, Kind, Shape, Value
-from glue.types import PREFIX_SIZE
+from glue.types import CUT_OFF, PREFIX_SIZE
 
 __all__ = ["Step", "StepFormat", "lead_of", "step_formats"]
 
@@ -26,6 +26,7 @@ _MAX_FIXED_TEXT: Final = 31
 
 _FALSE: Final = 0xC2
 _TRUE: Final = 0xC3
+_TERMINALS: Final[dict[int, Value]] = {_FALSE: False, _TRUE: True, CUT_OFF: CUT_OFF}
 _FLOAT: Final = 0xCB
 _MORE: Final = 1
 _LONG: Final = 2
@@ -111,7 +112,8 @@ class StepFormat:
         if len(scalars) == 1:
             return pack(start, seq, _FLOAT, scalars[0], flags, size) + body
         reward, terminal = scalars
-        return pack(start, seq, _FLOAT, reward, _TRUE if terminal else _FALSE, flags, size) + body
+        flag = _FALSE if not terminal else CUT_OFF if terminal == CUT_OFF else _TRUE
+        return pack(start, seq, _FLOAT, reward, flag, flags, size) + body
 
     def decode(self, data: bytes, at: int = 0) -> tuple[Step, int] | None:
         """Return the message that begins at `at`, if it is one as `encode` writes it, and where it ends."""
@@ -132,9 +134,9 @@ class StepFormat:
                 scalars = (reward,)
             else:
                 start, seq, type_, reward, terminal, flags, size = form.unpack_from(data, at)
-                if type_ != _FLOAT or (terminal != _FALSE and terminal != _TRUE):
+                if type_ != _FLOAT or terminal not in _TERMINALS:
                     return None
-                scalars = (reward, terminal == _TRUE)
+                scalars = (reward, _TERMINALS[terminal])
             ints, doubles, chars, reserved = _COUNTS.unpack_from(data, body_at)
         except (struct.error, IndexError):
             return None

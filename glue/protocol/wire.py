@@ -17,7 +17,7 @@ import msgpack
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.protocol.limits import MAX_BODY, MAX_HEADER, MAX_NAME
 from glue.protocol.messages import CALLS, CONTROL, Body, Kind, Message, Scalar, Shape, Value
-from glue.types import body_size
+from glue.types import CUT_OFF, body_size
 
 __all__ = [
     "FROM_HUB",
@@ -174,7 +174,7 @@ def _coerce(kind: Kind, scalar: Scalar, value: object) -> Value:
         return float(value)
     if wanted is bool and type(value) is int:
         # RL-Glue's terminal is an int; anything but 0 and 1 is treated differently by its own parts.
-        return value != 0
+        return value if scalar.cuts and value == CUT_OFF else value != 0
     if wanted is tuple and type(value) is list and all(type(item) is scalar.items for item in value):
         return tuple(value)
     expected = _EXPECTED[scalar.items or wanted]

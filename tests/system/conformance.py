@@ -342,7 +342,8 @@ def skeleton(glue: Experiment) -> Seen:
     seen.append(glue.rl_start())
     terminal = False
     while not terminal:
-        reward, _, terminal, _ = result = glue.rl_step()
+        result = glue.rl_step()
+        reward, terminal = result.reward, bool(result.terminal)
         seen.append(result)
     assert (glue.rl_num_episodes(), glue.rl_return()) == (1, reward)
     glue.rl_cleanup()

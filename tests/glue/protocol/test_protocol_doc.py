@@ -30,7 +30,7 @@ from glue.protocol.messages import (
     Shape,
 )
 from glue.protocol.wire import FROM_HUB, MAX_BODY, MAX_HEADER, MAX_NAME, TO_HUB, decode, encode
-from glue.types import AbstractType, Action, Observation, body_size
+from glue.types import CUT_OFF, AbstractType, Action, Observation, body_size
 from tests.glue.protocol.examples import DOCS, EXAMPLES, TEXT, Example, blocks
 from tests.players import ScriptedAgent, ScriptedEnvironment
 
@@ -240,7 +240,7 @@ def test_table_of_capabilities_is_that_of_the_program() -> None:
 
     documented = {(row[0].strip("`"), name) for row in rows for name in row[1].split(", ")}
     with_calls = {(c.capability, k.name) for k, c in CALLS.items() if c.capability is not None}
-    assert documented == with_calls | {(ONE_RUN, NOTHING)}
+    assert documented == with_calls | {(ONE_RUN, NOTHING), ("truncate", NOTHING)}
 
 
 def test_every_event_of_a_notice_is_named() -> None:
@@ -350,10 +350,10 @@ def test_reward_may_come_in_any_format_that_holds_it(sent: bytes, taken: float) 
 def test_terminal_may_be_any_integer() -> None:
     taken = [
         decode((msgpack.packb([Kind.ENV_STEP, "walk", 7, 0.0, value]), Observation().body), TO_HUB).scalars[1]
-        for value in (0, 1, 2, -1)
+        for value in (0, 1, 2, 3, -1)
     ]
 
-    assert taken == [False, True, True, True]
+    assert taken == [False, True, CUT_OFF, True, True]
 
 
 def test_body_frame_is_there_even_when_it_is_empty() -> None:

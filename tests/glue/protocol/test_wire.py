@@ -118,7 +118,7 @@ def test_a_whole_reward_is_a_number(reward: int) -> None:
     assert type(message.scalars[0]) is float
 
 
-@pytest.mark.parametrize(("terminal", "expected"), [(0, False), (1, True), (2, True), (-1, True)])
+@pytest.mark.parametrize(("terminal", "expected"), [(0, False), (1, True), (3, True), (-1, True)])
 def test_a_terminal_of_the_original_kind_is_a_truth_value(terminal: int, expected: bool) -> None:
     assert decode(env_step(terminal=terminal), TO_HUB).scalars[1] is expected
 

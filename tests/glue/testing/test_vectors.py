@@ -43,7 +43,7 @@ def test_the_file_is_what_the_program_makes() -> None:
     assert current, "the messages have changed: run `make vectors`"
 
 
-@pytest.mark.parametrize("part", ["messages", "accepted"])
+@pytest.mark.parametrize("part", ["messages", "truncate", "accepted"])
 def test_every_entry_decodes_to_what_it_says(part: str) -> None:
     for entry in VECTORS[part]:
         shapes = shapes_of(entry)
@@ -53,7 +53,7 @@ def test_every_entry_decodes_to_what_it_says(part: str) -> None:
         assert (message.session, str(message.seq)) == (entry["session"], entry["seq"]), entry["name"]
         assert [tagged(value) for value in message.scalars] == entry["scalars"], entry["name"]
         assert body_document(shapes[message.kind].body, message.body) == entry["body"], entry["name"]
-        if part == "messages":
+        if part != "accepted":
             assert list(encode(message, shapes)) == frames_of(entry), entry["name"]
 
 

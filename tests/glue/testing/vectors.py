@@ -20,7 +20,7 @@ from glue.protocol import zmtp
 from glue.protocol.limits import MAX_BODY, MAX_HEADER
 from glue.protocol.messages import PROTOCOL_VERSION, Body, Kind, Message, Value
 from glue.protocol.wire import FROM_HUB, TO_HUB, decode, encode
-from glue.types import Action, Observation, body_size
+from glue.types import CUT_OFF, Action, Observation, body_size
 from tests.glue.protocol.examples import EXAMPLES
 
 FILE: Final = Path(glue.testing.__file__).with_name("vectors.json")
@@ -78,6 +78,11 @@ def documents() -> Iterator[Document]:
         yield made("session", "hub", "environment", Message(Kind.ENV_START, session, 7))
     goodbye = Message(Kind.GOODBYE, "walk", 0, ("y" * 300,))
     yield made("reason of 300 bytes", "hub", "peer", goodbye)
+
+
+def cuts(entry: Document) -> bool:
+    """Whether a message has the terminal 2, which means more than true to peers that know `truncate`."""
+    return tagged(CUT_OFF) in entry["scalars"] and entry["kind"] in ("ENV_STEP", "RL_STEP", "RL_EPISODE")
 
 
 def saw() -> bytes:
@@ -201,7 +206,7 @@ def accepted() -> Iterator[Document]:
     for name, terminal, meant in (
         ("terminal 0", "00", False),
         ("terminal 1", "01", True),
-        ("terminal 2", "02", True),
+        ("terminal 3", "03", True),
         ("terminal -1", "ff", True),
         ("terminal as uint 64", "cf0000000000000001", True),
         ("terminal as int 32", "d280000000", True),
@@ -321,7 +326,8 @@ def streams() -> Document:
 def content() -> str:
     """The file, as text: one entry a line."""
     parts = {
-        "messages": list(documents()),
+        "messages": [entry for entry in documents() if not cuts(entry)],
+        "truncate": [entry for entry in documents() if cuts(entry)],
         "accepted": list(accepted()),
         "refused": list(refused()),
     }
