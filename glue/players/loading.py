@@ -1,7 +1,8 @@
 """Find an agent or environment by name.
 
-A name is one of three: that of an installed entry point (group `glue.agents` or `glue.environments`),
-`module:Class`, or `path/to/file.py:Class`.
+A name is one of four: that of an installed entry point (group `glue.agents` or `glue.environments`),
+`module:Class`, `path/to/file.py:Class`, or `adapter:NAME` for what another library makes, such as
+`gymnasium:CartPole-v1`. The entry point of an adapter is a function from NAME to a class.
 
 A file called random.py or agents.py in the user's folder takes no module's place: the folder is looked
 in after everything that is installed.
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = ["construct", "example", "find", "make", "make_agent", "names", "summaries"]
 
+_ADAPTERS: Final = {Role.AGENT: "glue.agent_adapters", Role.ENVIRONMENT: "glue.environment_adapters"}
 _GROUPS: Final = {Role.AGENT: "glue.agents", Role.ENVIRONMENT: "glue.environments"}
 
 
@@ -105,6 +107,11 @@ def find(role: Role, name: str) -> type:
     entry_point = _installed(role).get(name)
     if entry_point is not None:
         return _class_of(_import(entry_point.module), entry_point.attr, entry_point.module)
+    prefix, _, rest = name.partition(":")
+    adapter = {point.name: point for point in entry_points(group=_ADAPTERS[role])}.get(prefix)
+    if adapter is not None and rest:
+        adapted: type = getattr(_import(adapter.module), adapter.attr)(rest)
+        return adapted
     source, _, attribute = name.rpartition(":")
     if not source or not attribute:
         raise ConfigError(

@@ -92,7 +92,7 @@ def test_quick_form_of_a_step_is_that_of_the_decoder() -> None:
     data = reply.encode(7, (1.0, CUT_OFF), Observation([11]).body)
     decoded = reply.decode(data)
     assert decoded is not None
-    assert (1.0, CUT_OFF) in decoded
+    assert (1.0, CUT_OFF) in decoded[0]
     assert bytes.fromhex("950d a477616c6b 07 cb3ff0000000000000 02") in data
 
 

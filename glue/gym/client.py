@@ -1,0 +1,188 @@
+"""Any RL-Glue environment as a `gymnasium.Env`, also one behind a hub, in any language.
+
+Over a hub the program is the experiment of a session. It plays the agent's part itself, by RL_env_start and
+RL_env_step; the agent that the session needs to be initialised is a stand-in, served from a thread.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from threading import Thread
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import SyncVectorEnv
+
+import glue.client.experiment as remote
+from glue.client.players import serve_agent
+from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
+from glue.core.experiment import Experiment
+from glue.core.local import local
+from glue.errors import ConfigError, SimulatorError, TaskSpecError
+from glue.gym.spaces import Codec, SpaceLike, read_spaces
+from glue.roles import Environment
+from glue.taskspec import parse_task_spec
+from glue.types import CUT_OFF, Action, Observation
+
+__all__ = ["GlueEnv", "connect", "connect_vec", "wrap"]
+
+
+def wrap(environment: Environment) -> GlueEnv:
+    """Return an RL-Glue environment of this process as a `gymnasium.Env`.
+
+    Raises:
+        ConfigError: its task spec does not say what its actions are.
+    """
+    return GlueEnv(local(_StandIn(), environment))
+
+
+def connect(hub: str = DEFAULT_HUB, session: str = DEFAULT_SESSION, *, wait: float | None = None) -> GlueEnv:
+    """Return the environment of a session at a hub as a `gymnasium.Env`.
+
+    The session must have no agent and no experiment. Waits until the environment is there.
+
+    Args:
+        hub: address of the hub.
+        session: name of the session.
+        wait: seconds after which a hub that does not answer is given up; None waits forever.
+
+    Raises:
+        HubUnreachable: no hub has answered in that time.
+        ConfigError: the task spec does not say what actions are.
+    """
+    glue = remote.connect(hub, session, name="gymnasium", wait=wait, log=_ignore)
+    stand_in = Thread(
+        target=serve_agent,
+        args=(_StandIn(), hub, session),
+        kwargs={"wait": wait, "log": _ignore},
+        name="stand-in agent",
+        daemon=True,
+    )
+    stand_in.start()
+    return GlueEnv(glue)
+
+
+def connect_vec(
+    hub: str, sessions: Sequence[str], *, wait: float | None = None, **options: Any
+) -> SyncVectorEnv:
+    """Return the environments of many sessions at a hub as one vector environment.
+
+    Args:
+        hub: address of the hub.
+        sessions: names of the sessions; their environments have the same task spec.
+        wait: as for `connect`.
+        options: of Gymnasium's SyncVectorEnv, such as `autoreset_mode`.
+    """
+    makers = [functools.partial(connect, hub, session, wait=wait) for session in sessions]
+    return SyncVectorEnv(makers, **options)
+
+
+class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
+    """The environment of an experiment, whose agent is never asked for an action.
+
+    Its spaces are read from the task spec; see `glue.gym.spaces.read_spaces`. A reset with a seed is an
+    RL_init with that seed, of which the environment gets a number of its own.
+
+    Args:
+        glue: the experiment; it is closed with the environment.
+
+    Raises:
+        ConfigError: the task spec does not say what actions are.
+    """
+
+    def __init__(self, glue: Experiment) -> None:
+        self._glue = glue
+        self._task_spec = glue.rl_init()
+        try:
+            spec = parse_task_spec(self._task_spec)
+        except TaskSpecError as error:
+            raise ConfigError(f"the environment's task spec cannot be read: {error}") from None
+        if not spec.actions.stated:
+            raise ConfigError(f"the task spec does not say what actions are: {self._task_spec:.200}")
+        self.observation_space, self.action_space = read_spaces(spec)
+        self._read = _reader(self.observation_space, spec.observations.stated)
+        self._actions = Codec(self.action_space)
+        self._playing = False
+
+    @property
+    def task_spec(self) -> str:
+        """The environment's task spec."""
+        return self._task_spec
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode.
+
+        Raises:
+            GlueError: see `Experiment`.
+        """
+        super().reset(seed=seed)
+        if seed is not None:
+            self._glue.rl_cleanup()
+            if self._glue.rl_init(seed) != self._task_spec:
+                raise SimulatorError("the environment has another task spec now: make a new GlueEnv")
+        observation = self._read(self._glue.rl_env_start())
+        self._playing = True
+        return observation, {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Carry out an action.
+
+        Raises:
+            SimulatorError: it is not in the space, or there is no episode to step in.
+            GlueError: see `Experiment`.
+        """
+        if not self._playing:
+            raise SimulatorError("a step needs an episode: call reset first, and again after each end")
+        if not self.action_space.contains(action):
+            raise SimulatorError(f"{action!r:.80} is not in {self.action_space}")
+        reward, observation, terminal = self._glue.rl_env_step(Action(*self._actions.pack(action)))
+        self._playing = not terminal
+        cut_off = terminal == CUT_OFF
+        return self._read(observation), reward, bool(terminal) and not cut_off, cut_off, {}
+
+    def close(self) -> None:
+        """Clean up and leave the session."""
+        self._glue.rl_cleanup()
+        self._glue.close()
+
+
+class _StandIn:
+    """The agent of a session whose experiment acts itself."""
+
+    def agent_init(self, task_spec: str) -> None:
+        pass
+
+    def agent_start(self, observation: Observation) -> Action:
+        raise SimulatorError("this agent stands in for an experiment that acts itself")
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return self.agent_start(observation)
+
+    def agent_end(self, reward: float) -> None:
+        pass
+
+    def agent_cleanup(self) -> None:
+        pass
+
+    def agent_message(self, message: str) -> str:
+        return "I stand in for an experiment that acts itself"
+
+
+def _reader(space: SpaceLike, stated: bool) -> Callable[[Observation], Any]:
+    """Return what turns observations into values of their space."""
+    if stated:
+        return Codec(space).unpack
+
+    def read(observation: Observation) -> Any:
+        chars = np.frombuffer(observation.chars, np.uint8)
+        return {"ints": observation.ints, "doubles": observation.doubles, "chars": chars}
+
+    return read
+
+
+def _ignore(line: str) -> None:
+    pass

@@ -1,0 +1,177 @@
+"""Any Gymnasium environment as an RL-Glue environment: `glue-env gymnasium:CartPole-v1`.
+
+Its spaces become the task spec (see `glue.gym.spaces`), and its truncation the capability `truncate`. Infos
+do not cross the wire. An action of floats is clipped to its bounds; any other that is not in the space is
+refused, and the environment is not stepped.
+"""
+
+from __future__ import annotations
+
+import inspect
+import typing
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, Final
+
+import gymnasium
+from gymnasium.envs.registration import load_env_creator
+
+from glue.errors import ConfigError, SimulatorError
+from glue.gym.spaces import Codec, task_spec
+from glue.options import Option
+from glue.types import Action, Observation
+
+__all__ = ["GymnasiumEnvironment", "environment_class"]
+
+_SIMPLE: Final = (bool, int, float, str)
+_MaxEpisodeSteps = Annotated[
+    int | None, Option("steps after which an episode is cut off, in place of the registered limit", low=1)
+]
+
+
+class GymnasiumEnvironment:
+    """A Gymnasium environment, served to RL-Glue.
+
+    Args:
+        make: makes the environment. It is called once at first, to learn the spaces, and again after a
+            cleanup.
+
+    The capability `save` is offered if the environment itself has methods `env_save` and `env_load`, as in
+    `glue.roles`: Gymnasium has no way to save one that is safe to load.
+
+    Raises:
+        ConfigError: a space cannot be described by a task spec.
+    """
+
+    def __init__(self, make: Callable[[], Any]) -> None:
+        self._make = make
+        self._env: Any = make()
+        self._observations = Codec(self._env.observation_space)
+        self._actions = Codec(self._env.action_space)
+        self._task_spec = task_spec(self._observations, self._actions)
+        self._seed: int | None = None
+        self._playing = self._truncated = False
+        own = self._env.unwrapped
+        if callable(getattr(own, "env_save", None)) and callable(getattr(own, "env_load", None)):
+            self.env_save, self.env_load = own.env_save, own.env_load
+
+    def env_seed(self, seed: int) -> None:
+        """Seed the next episode; those after it follow from it."""
+        self._seed = seed
+
+    def env_init(self) -> str:
+        """Return the task spec that describes the spaces."""
+        if self._env is None:
+            self._env = self._make()
+        self._playing = False
+        return self._task_spec
+
+    def env_start(self) -> Observation:
+        """Reset the environment; return its observation."""
+        observation, _ = self._opened().reset(seed=self._seed)
+        self._seed = None
+        self._playing, self._truncated = True, False
+        return Observation(*self._observations.pack(observation))
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        """Carry out an action.
+
+        Raises:
+            SimulatorError: it is not in the space, or no episode is being played.
+        """
+        env = self._opened()
+        if not self._playing:
+            raise SimulatorError("no episode is being played: env_start begins one")
+        observation, reward, terminated, truncated, _ = env.step(self._actions.unpack(action))
+        self._playing = not (terminated or truncated)
+        self._truncated = bool(truncated and not terminated)
+        return float(reward), Observation(*self._observations.pack(observation)), not self._playing
+
+    def env_truncated(self) -> bool:
+        """Return whether the episode was truncated, and not terminated."""
+        return self._truncated
+
+    def env_cleanup(self) -> None:
+        """Close the environment."""
+        if self._env is not None:
+            self._env.close()
+        self._env = None
+
+    def env_message(self, message: str) -> str:
+        """Answer `spaces` with the spaces of observations and actions."""
+        if message == "spaces":
+            return f"observations {self._observations.space}, actions {self._actions.space}"
+        return f"refused: {message!r:.80} is not a message of a Gymnasium environment; this is: spaces"
+
+    def _opened(self) -> Any:
+        if self._env is None:
+            raise SimulatorError("the environment was cleaned up: call env_init first")
+        return self._env
+
+
+def environment_class(name: str) -> type[GymnasiumEnvironment]:
+    """Return a class whose options are the keywords of the Gymnasium environment `name`.
+
+    Args:
+        name: as for `gymnasium.make`: `CartPole-v1`, or `module:ID` to import a module first.
+
+    Raises:
+        ConfigError: there is no such environment.
+    """
+    try:
+        spec = gymnasium.spec(_registered(name))
+        creator = (
+            load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
+        )
+    except (gymnasium.error.Error, ImportError, AttributeError) as error:
+        raise ConfigError(f"Gymnasium has no environment {name!r} here: {error}") from None
+    if creator is None:
+        raise ConfigError(f"Gymnasium's {name} has no entry point")
+
+    def __init__(self: GymnasiumEnvironment, **options: Any) -> None:
+        def make() -> Any:
+            try:
+                return gymnasium.make(name, **options)
+            except gymnasium.error.Error as error:
+                raise ConfigError(f"Gymnasium cannot make {name}: {error}") from None
+
+        GymnasiumEnvironment.__init__(self, make)
+
+    keywords = _keywords(creator, spec.kwargs)
+    __init__.__annotations__ = {parameter.name: parameter.annotation for parameter in keywords}
+    itself = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    __init__.__signature__ = inspect.Signature([itself, *keywords])  # type: ignore[attr-defined]
+    about = f"Gymnasium's {spec.id}, served to RL-Glue agents (docs/gymnasium.md)."
+    return type(spec.id.replace("/", "-"), (GymnasiumEnvironment,), {"__init__": __init__, "__doc__": about})
+
+
+def _registered(name: str) -> str:
+    """Import the module that a name begins with, as `gymnasium.make` does; return the rest."""
+    module, _, identifier = name.rpartition(":")
+    if module:
+        __import__(module)
+    return identifier
+
+
+def _keywords(creator: Any, defaults: Mapping[str, Any]) -> list[inspect.Parameter]:
+    """Return the parameters of an environment's constructor that are numbers, texts or truth values."""
+    signature = inspect.signature(creator)
+    try:
+        hints = typing.get_type_hints(creator.__init__ if inspect.isclass(creator) else creator)
+    except (NameError, TypeError, AttributeError):
+        hints = {}
+    found = []
+    for name, parameter in signature.parameters.items():
+        default = defaults.get(name, parameter.default)
+        stated = (hints.get(name), *typing.get_args(hints.get(name)))
+        kinds = [one for one in _SIMPLE if one in stated]
+        kind: Any = type(default) if isinstance(default, _SIMPLE) else kinds[0] if kinds else None
+        if name in ("self", "render_mode") or kind is None or default is parameter.empty:
+            continue
+        default = default if isinstance(default, _SIMPLE) else None
+        annotation: Any = Annotated[kind | None, Option("keyword of the Gymnasium environment")]
+        keyword = inspect.Parameter.KEYWORD_ONLY
+        found.append(inspect.Parameter(name, keyword, default=default, annotation=annotation))
+    limit = inspect.Parameter(
+        "max_episode_steps", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_MaxEpisodeSteps
+    )
+    return [*found, limit]

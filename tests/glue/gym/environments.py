@@ -1,0 +1,63 @@
+"""Gymnasium environments of a test's own."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+
+class Nested(gymnasium.Env[Any, Any]):  # type: ignore[misc]
+    """Random values of a space of all kinds; every action is echoed by the reward."""
+
+    action_space = spaces.Tuple([spaces.Box(-1, 1, (2,), np.float32), spaces.MultiDiscrete([3, 2])])
+
+    def __init__(
+        self, length: int = 5, ends: str = "truncated", shift: float = 0.0, on: bool = False
+    ) -> None:
+        self.observation_space = spaces.Dict(
+            picture=spaces.Box(0, 255, (4, 3, 2), np.uint8),
+            place=spaces.Box(np.array([-1, -np.inf], np.float32), np.array([1, np.inf], np.float32)),
+            extra=spaces.Tuple(
+                [spaces.Discrete(3, start=-1), spaces.MultiBinary((2, 2)), spaces.Box(0, 9, (), np.int16)]
+            ),
+        )
+        self._length, self._ends, self._shift, self._on = length, ends, shift, on
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        if seed is not None:
+            self.observation_space.seed(seed)
+        self._steps = 0
+        return self.observation_space.sample(), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        self._steps += 1
+        over = self._steps == self._length
+        reward = float(action[0].sum() + 10 * action[1].sum() + self._shift)
+        terminated, truncated = over and self._ends != "truncated", over and self._ends != "terminated"
+        return self.observation_space.sample(), reward, terminated, truncated, {}
+
+
+class Picture(gymnasium.Env[Any, Any]):  # type: ignore[misc]
+    """Images as an Atari game has them after preprocessing, 84 by 84 by 4; never ends by itself."""
+
+    observation_space = spaces.Box(0, 255, (84, 84, 4), np.uint8)
+    action_space = spaces.Discrete(6)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        super().reset(seed=seed)
+        return self.np_random.integers(0, 256, (84, 84, 4), np.uint8), {}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        return self.np_random.integers(0, 256, (84, 84, 4), np.uint8), float(action), False, False, {}
+
+
+gymnasium.register("tests/Nested-v0", entry_point=Nested)
+gymnasium.register("tests/Picture-v0", entry_point=Picture, max_episode_steps=7)

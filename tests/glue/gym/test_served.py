@@ -1,0 +1,249 @@
+"""A Gymnasium environment served by RL-Glue makes the same trajectories as alone, and back again."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+from glue import Action, Agent, Environment, Observation, local, make
+from glue.core.engine import role_seed
+from glue.core.experiment import Experiment
+from glue.errors import ConfigError, PeerFailed, SimulatorError
+from glue.options import parameters
+from glue.players.loading import find
+from glue.protocol.messages import Role
+from glue.roles import capabilities
+from tests.hubs import hub_with, over_the_hub
+
+gymnasium: Any = pytest.importorskip("gymnasium", reason="needs Gymnasium: the extra gym")
+import glue.gym  # noqa: E402
+import tests.glue.gym.environments  # noqa: E402, F401
+from glue.gym.spaces import Codec  # noqa: E402
+
+Glue = Callable[[Agent, Environment], AbstractContextManager[Experiment]]
+SEED = 11
+NAMES: dict[str, dict[str, Any]] = {
+    "CartPole-v1": {},
+    "Taxi-v4": {"max_episode_steps": 20},
+    "FrozenLake-v1": {"is_slippery": True},
+    "Blackjack-v1": {},
+    "Pendulum-v1": {"g": 9.81, "max_episode_steps": 30},
+    "LunarLander-v3": {},
+    "tests/Nested-v0": {"length": 4},
+    "tests/Picture-v0": {},
+}
+
+
+@pytest.fixture(autouse=True)
+def _quiet() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+class Playing:
+    """Plays random actions, and writes down every observation and reward."""
+
+    def __init__(self, space: Any) -> None:
+        self._codec = Codec(space)
+        space.seed(SEED)
+        self.seen: list[Any] = []
+
+    def act(self) -> Action:
+        return Action(*self._codec.pack(self._codec.space.sample()))
+
+    def agent_init(self, task_spec: str) -> None:
+        pass
+
+    def agent_start(self, observation: Observation) -> Action:
+        self.seen.append(observation)
+        return self.act()
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        self.seen += [reward, observation]
+        return self.act()
+
+    def agent_end(self, reward: float) -> None:
+        self.seen += [reward, "end"]
+
+    def agent_cleanup(self) -> None:
+        pass
+
+    def agent_message(self, message: str) -> str:
+        return ""
+
+
+def alone(name: str, options: dict[str, Any], episodes: int) -> list[Any]:
+    """Return what an agent would see of Gymnasium without RL-Glue."""
+    env = gymnasium.make(name, **options)
+    env.action_space.seed(SEED)
+    codec = Codec(env.observation_space)
+    seen: list[Any] = []
+    for episode in range(episodes):
+        seed = role_seed(SEED, Role.ENVIRONMENT) if episode == 0 else None
+        seen.append(Observation(*codec.pack(env.reset(seed=seed)[0])))
+        terminated = truncated = False
+        while not (terminated or truncated):
+            shown, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+            seen += [float(reward), "end" if terminated else Observation(*codec.pack(shown))]
+        if truncated and not terminated:
+            env.action_space.sample()  # the agent answers the last observation, too
+    env.close()
+    return seen
+
+
+def made(name: str) -> None:
+    try:
+        gymnasium.make(name).close()
+    except gymnasium.error.Error as error:
+        pytest.skip(f"{name} does not install here: {error}")
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("glue", [local, over_the_hub])
+def test_the_same_trajectories_as_gymnasium_alone(glue: Glue, name: str) -> None:
+    made(name)
+    options = NAMES[name]
+    environment = make(f"gymnasium:{name}", **options)
+    agent = Playing(gymnasium.make(name, **options).action_space)
+    with glue(agent, environment) as experiment:
+        experiment.rl_init(SEED)
+        for _ in range(3):
+            experiment.rl_episode()
+        experiment.rl_cleanup()
+    assert agent.seen == alone(name, options, 3)
+
+
+@contextmanager
+def wrapped(name: str) -> Iterator[Any]:
+    env = glue.gym.wrap(make(f"gymnasium:{name}"))
+    yield env
+    env.close()
+
+
+@contextmanager
+def connected(name: str) -> Iterator[Any]:
+    with hub_with(environments={"default": make(f"gymnasium:{name}")}) as hub:
+        env = glue.gym.connect(hub)
+        yield env
+        env.close()
+
+
+@pytest.mark.parametrize("name", ["CartPole-v1", "Blackjack-v1", "tests/Nested-v0", "tests/Picture-v0"])
+@pytest.mark.parametrize("way", [wrapped, connected])
+def test_there_and_back_is_where_it_began(
+    name: str, way: Callable[[str], AbstractContextManager[Any]]
+) -> None:
+    direct = gymnasium.make(name)
+    with way(name) as env:
+        assert (env.observation_space, env.action_space) == (direct.observation_space, direct.action_space)
+        direct.action_space.seed(SEED)
+        codec = Codec(direct.observation_space)
+        shown, _ = env.reset(seed=SEED)
+        expected, _ = direct.reset(seed=role_seed(SEED, Role.ENVIRONMENT))
+        over = False
+        while not over:
+            assert Observation(*codec.pack(shown)) == Observation(*codec.pack(expected))
+            action = direct.action_space.sample()
+            shown, *outcome, _ = env.step(action)
+            expected, *direct_outcome, _ = direct.step(action)
+            if outcome[1]:
+                expected = shown  # as in RL-Glue there is no observation with an end that an agent sees
+            assert outcome == [float(direct_outcome[0]), *direct_outcome[1:]]
+            over = outcome[1] or outcome[2]
+        with pytest.raises(SimulatorError, match="call reset"):
+            env.step(action)
+
+
+def test_check_env_passes_for_an_environment_behind_a_hub() -> None:
+    from gymnasium.utils.env_checker import check_env
+
+    with hub_with(environments={"default": make("gymnasium:CartPole-v1")}) as hub:
+        env = glue.gym.connect(hub)
+        check_env(env, skip_render_check=True)
+        env.close()
+
+
+def test_environments_that_never_heard_of_gymnasium() -> None:
+    for name in ("skeleton", "mines", "mario"):
+        env = glue.gym.wrap(make(name))
+        shown, _ = env.reset(seed=1)
+        assert env.observation_space.contains(shown)
+        env.action_space.seed(1)
+        for _ in range(5):
+            shown, _, terminated, truncated, _ = env.step(env.action_space.sample())
+            assert env.observation_space.contains(shown)
+            if terminated or truncated:
+                env.reset()
+        with pytest.raises(SimulatorError, match="is not in"):
+            env.step(10**6)
+        env.close()
+
+
+def test_many_sessions_are_a_vector_environment() -> None:
+    sessions = ["one", "two", "three"]
+    with hub_with(environments={name: make("gymnasium:CartPole-v1") for name in sessions}) as hub:
+        envs = glue.gym.connect_vec(hub, sessions)
+        shown, _ = envs.reset(seed=3)
+        for i in range(3):
+            expected, _ = gymnasium.make("CartPole-v1").reset(seed=role_seed(3 + i, Role.ENVIRONMENT))
+            assert shown[i].tobytes() == expected.tobytes()
+        for _ in range(30):
+            shown, *_ = envs.step(envs.action_space.sample())
+        assert shown.shape == (3, 4)
+        envs.close()
+
+
+def test_an_action_outside_the_space_is_an_error_and_the_environment_is_unharmed() -> None:
+    environment = make("gymnasium:CartPole-v1")
+    with local(Playing(gymnasium.make("CartPole-v1").action_space), environment) as experiment:
+        experiment.rl_init(SEED)
+        experiment.rl_env_start()
+        for wrong in (Action([2]), Action([-1]), Action([0, 1]), Action(), Action(doubles=[0.0])):
+            with pytest.raises(PeerFailed, match=r"not in Discrete|expected 1 ints|the task spec says"):
+                experiment.rl_env_step(wrong)
+        direct = gymnasium.make("CartPole-v1")
+        direct.reset(seed=role_seed(SEED, Role.ENVIRONMENT))
+        expected = direct.step(1)[0].astype(np.float64)
+        assert experiment.rl_env_step(Action([1]))[1] == Observation(doubles=expected)
+
+
+def test_options_are_keywords_of_the_environment() -> None:
+    known = parameters(find(Role.ENVIRONMENT, "gymnasium:tests/Nested-v0"))
+    assert {name: parameter.type for name, parameter in known.items()} == {
+        "length": int, "ends": str, "shift": float, "on": bool, "max_episode_steps": int,
+    }  # fmt: skip
+    for name, options, message in (
+        ("gymnasium:CartPol-v1", {}, "Did you mean"),
+        ("gymnasium:nowhere:X-v1", {}, "no environment"),
+        ("gymnasium:CartPole-v1", {"lenght": 3}, "no option lenght"),
+        ("gymnasium:CartPole-v1", {"max_episode_steps": 0}, "at least 1"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            make(name, **options)
+
+
+def test_it_can_be_saved_only_where_it_saves_itself() -> None:
+    assert capabilities(make("gymnasium:CartPole-v1")) == ("seed", "truncate")
+
+    class Saving(gymnasium.Env):  # type: ignore[misc]
+        observation_space = action_space = gymnasium.spaces.Discrete(2)
+        env_save = env_load = lambda *_: b"state"
+
+    assert capabilities(glue.gym.GymnasiumEnvironment(Saving)) == ("save", "seed", "truncate")
+
+
+def test_stepping_without_an_episode_is_refused() -> None:
+    environment = make("gymnasium:CartPole-v1")
+    environment.env_init()
+    with pytest.raises(SimulatorError, match="env_start"):
+        environment.env_step(Action([0]))
+    assert "Discrete(2)" in environment.env_message("spaces")
+    environment.env_cleanup()
+    with pytest.raises(SimulatorError, match="env_init"):
+        environment.env_start()
