@@ -1,0 +1,225 @@
+"""Programs with keys, as their users start them; the same episodes as without; other users of the machine."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
+
+from glue import make, make_agent
+from glue.client.experiment import connect
+from glue.client.players import serve_agent, serve_environment
+from glue.core.config import Bind, HubConfig
+from glue.errors import GlueError
+from glue.hub.server import Hub
+from glue.keys.allowed import read_keys
+from tests.keyed import KeyFolder
+from tests.system.keys.handshakes import keyed_hub, run
+from tests.system.peer import TIMEOUT
+from tests.system.proxy import Proxy
+from tests.system.runs import COMMAND, start, wait_until
+
+EPISODES = 30
+NOBODY = 65534
+
+
+def quiet(line: str) -> None:
+    """Say nothing."""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> KeyFolder:
+    return KeyFolder(tmp_path)
+
+
+def play(hub: str, between: Callable[[int], None], **keys: Any) -> tuple[list[tuple[float, int]], bytes]:
+    """All results of a run of three peers, and what the agent has learned in the end."""
+
+    def serve(serve_one: Callable[..., str], player: object) -> None:
+        with suppress(GlueError):
+            serve_one(player, hub, log=quiet, **keys)
+
+    for pair in ((serve_agent, make_agent("sarsa")), (serve_environment, make("mines"))):
+        threading.Thread(target=serve, args=pair, daemon=True).start()
+    results = []
+    with connect(hub, log=quiet, **keys) as glue:
+        glue.rl_init(seed=7)
+        for number in range(EPISODES):
+            between(number)
+            glue.rl_episode(500)
+            results.append((glue.rl_return(), glue.rl_num_steps()))
+        return results, glue.rl_agent_save()
+
+
+def test_a_run_with_keys_is_the_run_without_even_if_the_network_breaks(folder: KeyFolder) -> None:
+    key = folder.entrant("carol")
+    folder.allow('[carol]\nrole = ["agent", "environment", "experiment"]')
+    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",))).in_background() as hub:
+        plain = play(hub.endpoints[0], lambda number: None)
+    bind = Bind("tcp://127.0.0.1:*", keys=read_keys(folder.path))
+    with Hub(HubConfig(bind=(bind,), heartbeat=0.05)).in_background() as hub:
+        port = int(hub.endpoints[0].rpartition(":")[2])
+        with Proxy(port).in_background() as proxy:
+
+            def cut(number: int) -> None:
+                if number % 10 == 5:
+                    proxy.shut()
+                    proxy.open()
+
+            keyed = play(proxy.url, cut, key=key, hub_key=folder.hub_key)
+    assert keyed == plain
+    assert len(set(plain[0])) > EPISODES // 2
+
+
+def test_mutated_handshakes_open_nothing_and_disturb_nobody(tmp_path: Path) -> None:
+    # 10^5 of them are tried by the stage of .ci/run.
+    assert "nothing in" in run(200, tmp_path)
+
+
+def glue_keys(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", "from glue.keys.command import main; main()", *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=TIMEOUT)
+
+
+def test_a_key_from_its_making_to_its_end(tmp_path: Path) -> None:
+    made = glue_keys("new", "carol", cwd=tmp_path)
+    assert made.returncode == 0, made.stderr
+    assert "carol.key_secret: the secret key. Give it to nobody" in made.stderr
+    assert "carol.key: the public key. Give it to whoever runs the hub" in made.stderr
+    assert glue_keys("show", "carol.key_secret", cwd=tmp_path).stdout == made.stdout
+    keys = KeyFolder(tmp_path)
+    keys.entrant("erin")
+    # Her file is named as other programs name it, and holds the key alone.
+    (keys.path / "carol.pub").write_text(made.stdout)
+    carol = '[carol]\nrole = ["agent", "environment", "experiment"]\nsession = "a"\n'
+    keys.allow(carol)
+    with keyed_hub(keys, tmp_path / "log") as (hub, url):
+        environment = {
+            **os.environ,
+            "GLUE_HUB": url,
+            "GLUE_SESSION": "a",
+            "GLUE_KEY": "carol.key_secret",
+            "GLUE_HUB_KEY": str(keys.hub_key),
+        }
+        command = [*COMMAND, "--env", "mines", "--agent", "random", "--episodes", "2", "--out", "run"]
+        run_here = {"cwd": tmp_path, "capture_output": True, "text": True, "timeout": TIMEOUT}
+        done = subprocess.run(command, env=environment, **run_here)  # type: ignore[call-overload]
+        assert done.returncode == 0, done.stderr
+        assert "2/2" in done.stdout
+        agent = [sys.executable, "-c", "from agents.command import main; main()", "random"]
+        keys.allow('[erin]\nrole = "agent"\n')
+        hub.send_signal(signal.SIGHUP)
+        wait_until(lambda: "read again: 1 key may join" in (tmp_path / "log").read_text(), "the new list")
+        refused = subprocess.run(agent, env=environment, **run_here)  # type: ignore[call-overload]
+        assert refused.returncode == 1
+        assert f"Error: the hub at {url} does not know your key, {made.stdout.strip()} in" in refused.stderr
+        (tmp_path / "carol.key_secret").chmod(0o644)
+        refused = subprocess.run(agent, env=environment, **run_here)  # type: ignore[call-overload]
+        assert refused.returncode == 2
+        assert "chmod 600 carol.key_secret" in refused.stderr
+
+
+@contextmanager
+def open_temporary_directory() -> Iterator[Path]:
+    """A folder that every user may enter, as /tmp is."""
+    with tempfile.TemporaryDirectory(dir="/tmp") as made:
+        Path(made).chmod(0o1777)
+        yield Path(made)
+
+
+def as_nobody(path: Path) -> str:
+    """What happens when another user connects to a Unix socket."""
+    program = (
+        "import os, socket, sys\n"
+        f"os.setgroups([]); os.setgid({NOBODY}); os.setuid({NOBODY})\n"
+        "try:\n"
+        "    socket.socket(socket.AF_UNIX).connect(sys.argv[1])\n"
+        "except OSError as error:\n"
+        "    sys.exit(type(error).__name__)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(path)], capture_output=True, text=True, timeout=TIMEOUT
+    )
+    return done.stderr.strip()
+
+
+def listening(pid: int) -> set[str]:
+    """The inodes of a process's TCP sockets that listen."""
+    tables = [Path(f"/proc/{pid}/net/{name}").read_text().splitlines()[1:] for name in ("tcp", "tcp6")]
+    everyones = {line.split()[9] for table in tables for line in table if line.split()[3] == "0A"}
+    own = set()
+    for file in Path(f"/proc/{pid}/fd").iterdir():
+        with suppress(OSError):
+            own.add(os.readlink(file).removeprefix("socket:[").removesuffix("]"))
+    return own & everyones
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become another user")
+def test_another_user_of_the_machine_reaches_nothing_of_an_experiment_alone(tmp_path: Path) -> None:
+    with open_temporary_directory() as temporary:
+        os.environ["TMPDIR"] = str(temporary)
+        try:
+            process = start("--env", "mines", "--agent", "random", "--episodes", "1000000", cwd=tmp_path)
+        finally:
+            del os.environ["TMPDIR"]
+        with process:
+            wait_until(lambda: list(temporary.glob("glue-*/hub")), "the meeting place")
+            [path] = temporary.glob("glue-*/hub")
+            assert path.parent.stat().st_mode & 0o777 == 0o700
+            assert as_nobody(path) == "PermissionError"
+            assert not listening(process.pid), "a port could be reached by anybody"
+            # It is the folder that keeps others out.
+            path.parent.chmod(0o755)
+            path.chmod(0o777)
+            assert as_nobody(path) == ""
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=TIMEOUT)
+
+
+def test_who_else_can_join_is_said_where_players_from_outside_are_expected(tmp_path: Path) -> None:
+    outside = ("--env", "mines", "--episodes", "1", "--bind", "tcp://127.0.0.1:*")
+    with start(*outside, cwd=tmp_path) as process:
+        assert process.stderr is not None
+        said = ""
+        deadline = time.monotonic() + TIMEOUT
+        while "any user of this machine can join" not in said and time.monotonic() < deadline:
+            said += process.stderr.readline()
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=TIMEOUT)
+    assert "any user of this machine can join, unless --keys DIR says whose key you know" in said
+
+
+def test_an_experiment_with_keys_lets_only_them_in(tmp_path: Path) -> None:
+    keys = KeyFolder(tmp_path)
+    carol, erin = keys.entrant("carol"), keys.entrant("erin")
+    keys.allow('[carol]\nrole = ["agent", "environment"]\n[erin]\nrole = "environment"\n')
+    outside = ("--env", "mines", "--episodes", "2", "--bind", "tcp://127.0.0.1:*", "--keys", keys.path)
+    with start(*outside, "--out", "run", cwd=tmp_path) as process:
+        assert process.stderr is not None
+        while "--hub tcp" not in (line := process.stderr.readline()):
+            assert process.poll() is None
+        assert f"--key THEIRS.key_secret --hub-key {keys.hub_key}" in line
+        url = line.partition("--hub ")[2].split()[0]
+        for serve, key, player in (
+            (serve_agent, erin, make_agent("random")),
+            (serve_environment, carol, make("mines")),
+        ):
+            with pytest.raises(GlueError, match="may join at this address of the hub, or with this key"):
+                serve(player, url, key=key, hub_key=keys.hub_key, log=quiet)  # type: ignore[operator]
+        reason = serve_agent(make_agent("random"), url, key=carol, hub_key=keys.hub_key, log=quiet)
+        assert reason == "the experiment is over"
+        output, _ = process.communicate(timeout=TIMEOUT)
+    assert process.returncode == 0
+    assert "2/2" in output
