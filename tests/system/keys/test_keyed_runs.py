@@ -212,12 +212,11 @@ def test_an_experiment_with_keys_lets_only_them_in(tmp_path: Path) -> None:
             assert process.poll() is None
         assert f"--key THEIRS.key_secret --hub-key {keys.hub_key}" in line
         url = line.partition("--hub ")[2].split()[0]
-        for serve, key, player in (
-            (serve_agent, erin, make_agent("random")),
-            (serve_environment, carol, make("mines")),
-        ):
-            with pytest.raises(GlueError, match="may join at this address of the hub, or with this key"):
-                serve(player, url, key=key, hub_key=keys.hub_key, log=quiet)  # type: ignore[operator]
+        refusal = "may join at this address of the hub, or with this key"
+        with pytest.raises(GlueError, match=refusal):
+            serve_agent(make_agent("random"), url, key=erin, hub_key=keys.hub_key, log=quiet)
+        with pytest.raises(GlueError, match=refusal):
+            serve_environment(make("mines"), url, key=carol, hub_key=keys.hub_key, log=quiet)
         reason = serve_agent(make_agent("random"), url, key=carol, hub_key=keys.hub_key, log=quiet)
         assert reason == "the experiment is over"
         output, _ = process.communicate(timeout=TIMEOUT)
