@@ -1,9 +1,10 @@
 """A process that plays one role at a hub:
 
     python -m tests.system.peer agent tcp://127.0.0.1:4097 tests.players:ScriptedAgent
-    python -m tests.system.peer environment tcp://127.0.0.1:4097 tests.system.conformance:environments
+    python -m tests.system.peer environment tcp://127.0.0.1:4097 tests.system.conformance:environments libzmq
 
-The last argument names what makes the player, or a mapping of players by session. `peer` starts one.
+The third argument names what makes the player, or a mapping of players by session. The fourth connects it by
+libzmq's DEALER instead of a plain socket. `peer` starts one.
 """
 
 from __future__ import annotations
@@ -36,17 +37,24 @@ def running(*arguments: str) -> Iterator[subprocess.Popen[str]]:
         process.communicate()
 
 
-def peer(role: str, hub: str, player: str) -> list[str]:
+def peer(role: str, hub: str, player: str, libzmq: bool = False) -> list[str]:
     """The arguments of `running` for a process like this one."""
-    return ["-m", "tests.system.peer", role, hub, player]
+    return ["-m", "tests.system.peer", role, hub, player, *(["libzmq"] if libzmq else [])]
 
 
-def main(role: str, hub: str, player: str) -> int:
+def main(role: str, hub: str, player: str, end: str = "plain") -> int:
     """Serve until the hub says goodbye."""
+    serve = serve_agent if role == "agent" else serve_environment
     module, _, name = player.partition(":")
     made = getattr(importlib.import_module(module), name)()
     try:
-        reason = serve_agent(made, hub) if role == "agent" else serve_environment(made, hub)
+        if end == "libzmq":
+            import zmq
+
+            with zmq.Context() as context:
+                reason = serve(made, hub, context=context)
+        else:
+            reason = serve(made, hub)
         print("goodbye:", reason)
     except GlueError as error:
         print(f"Error: {error}", file=sys.stderr)

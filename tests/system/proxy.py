@@ -25,10 +25,12 @@ class Proxy:
         port: the other port.
         cuts: how often, after a few thousand bytes each time, all connections are reset.
         seed: of the numbers of bytes between these cuts.
+        piece: maximum number of bytes passed on at once; each piece is a segment of its own.
     """
 
-    def __init__(self, port: int, cuts: int = 0, seed: int = 0) -> None:
+    def __init__(self, port: int, cuts: int = 0, seed: int = 0, piece: int = 4096) -> None:
         self._target = port
+        self._piece = piece
         self._left = cuts
         self._lengths = random.Random(seed)
         self._until_cut = self._draw()
@@ -100,7 +102,9 @@ class Proxy:
     def _pass_on(self, source: socket.socket) -> None:
         try:
             data = source.recv(4096)
-            self._partner[source].sendall(data[: self._until_cut] if self._left else data)
+            passed = data[: self._until_cut] if self._left else data
+            for at in range(0, len(passed), self._piece):
+                self._partner[source].sendall(passed[at : at + self._piece])
         except OSError:
             data = b""
         if not data:

@@ -5,17 +5,20 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import pytest
 import zmq
 
 from env_server.toys import SkeletonEnvironment
-from glue.client.experiment import RemoteExperiment, connect
+from glue.client import experiment
+from glue.client.experiment import RemoteExperiment
 from glue.client.libzmq import Context
 from glue.client.players import serve_agent, serve_environment
 from glue.core.config import HubConfig
@@ -32,15 +35,51 @@ EPISODES = 4
 HEARTBEAT = 0.1
 
 
+class Ends(NamedTuple):
+    """Whether peers connect by libzmq's DEALER instead of a plain socket: those in threads, and processes."""
+
+    threads: bool
+    processes: bool
+
+
+_ends = Ends(threads=True, processes=False)
+
+
+@pytest.fixture(
+    autouse=True,
+    params=[
+        pytest.param(Ends(threads=True, processes=False), id="both ends"),
+        pytest.param(Ends(threads=False, processes=False), id="plain ends", marks=pytest.mark.proof),
+        pytest.param(Ends(threads=True, processes=True), id="ends of libzmq", marks=pytest.mark.proof),
+    ],
+)
+def ends(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ends:
+    """What the peers of a test connect by."""
+    chosen: Ends = request.param
+    monkeypatch.setattr(sys.modules[__name__], "_ends", chosen)
+    return chosen
+
+
 def quiet(line: str) -> None:
     """Log nothing."""
+
+
+@contextmanager
+def connect(hub: str, **named: Any) -> Iterator[RemoteExperiment]:
+    """Connect an experiment that logs nothing."""
+    with ExitStack() as ending:
+        context: Context | None = None
+        if _ends.threads and _ends.processes:
+            context = zmq.Context()
+            ending.callback(context.destroy, 0)
+        yield ending.enter_context(experiment.connect(hub, **named, context=context, log=quiet))
 
 
 @contextmanager
 def serving(hub: str, player: Any, session: str = "default") -> Iterator[None]:
     """Serve an agent or environment in a thread; the hub must end before this does."""
     serve = serve_agent if hasattr(player, "agent_init") else serve_environment
-    context: Context = zmq.Context()
+    context: Context | None = zmq.Context() if _ends.threads else None
 
     def program() -> None:
         serve(player, hub, session, context=context, log=quiet)
@@ -51,7 +90,8 @@ def serving(hub: str, player: Any, session: str = "default") -> Iterator[None]:
         yield
     finally:
         thread.join(TIMEOUT)
-        context.destroy(linger=0)
+        if context is not None:
+            context.destroy(linger=0)
         assert not thread.is_alive()
 
 
@@ -64,7 +104,7 @@ class Processes:
     """Players in processes of their own, any number after one another."""
 
     def __init__(self, hub: str, role: str, player: str) -> None:
-        self._arguments = peer(role, hub, player)
+        self._arguments = peer(role, hub, player, _ends.processes)
         self._stack = ExitStack()
         self._latest: subprocess.Popen[str] | None = None
 
@@ -138,7 +178,7 @@ class Run:
                 ending.enter_context(serving(url, partner))
                 ending.callback(self.hub.stop, "over")
                 processes = ending.enter_context(Processes(through or url, role, player))
-                yield ending.enter_context(connect(url, on_notice=self._notice, log=quiet)), processes
+                yield ending.enter_context(connect(url, on_notice=self._notice)), processes
 
     def _notice(self, event: str, role: str, name: str) -> None:
         self.notices.append((event, role))
@@ -244,19 +284,47 @@ def chain(glue: Experiment, episodes: int) -> list[float]:
 
 
 def test_a_run_over_connections_that_break_a_hundred_times_has_the_same_returns() -> None:
-    episodes = 60
+    play_over_cuts(cuts=100, seed=1)
+
+
+@pytest.mark.proof
+@pytest.mark.timeout(1200)
+def test_runs_over_connections_that_break_ten_thousand_times_have_the_same_returns() -> None:
+    # Most of the time of a cut is a wait, so that several runs take no longer than one.
+    runs = 8
+    with ThreadPoolExecutor(runs) as pool:
+        list(pool.map(lambda seed: play_over_cuts(cuts=10_000 // runs, seed=seed), range(runs)))
+
+
+def play_over_cuts(cuts: int, seed: int) -> None:
+    """Play over connections that break at random bytes; the returns are those of a run in one process."""
+    episodes = cuts * 6 // 10
     expected = chain(local(ChainAgent(), ChainEnvironment()), episodes)
     hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, timeout=60.0))
     with hub.in_background():
-        proxy = Proxy(port(hub), cuts=100, seed=1)
+        proxy = Proxy(port(hub), cuts=cuts, seed=seed)
         with (
             proxy.in_background(),
             Processes(proxy.url, "agent", "tests.players:ChainAgent"),
             Processes(proxy.url, "environment", "tests.players:ChainEnvironment"),
-            connect(proxy.url, log=quiet) as glue,
+            connect(proxy.url) as glue,
         ):
             assert chain(glue, episodes) == expected
-            assert proxy.finished.is_set(), "a hundred cuts were made"
+            assert proxy.finished.is_set(), "all cuts were made"
+
+
+def test_a_run_over_connections_that_pass_single_bytes_has_the_same_returns() -> None:
+    expected = chain(local(ChainAgent(), ChainEnvironment()), 3)
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=1.0, timeout=60.0))
+    with hub.in_background():
+        proxy = Proxy(port(hub), piece=1)
+        with (
+            proxy.in_background(),
+            Processes(proxy.url, "agent", "tests.players:ChainAgent"),
+            Processes(proxy.url, "environment", "tests.players:ChainEnvironment"),
+            connect(proxy.url) as glue,
+        ):
+            assert chain(glue, 3) == expected
 
 
 HUB = "from glue.hub.command import main; main()"
@@ -275,7 +343,7 @@ def test_players_come_back_to_a_hub_that_was_killed_and_started_again() -> None:
         with hub_process("tcp://127.0.0.1:*") as (hub, url):
             stack.enter_context(Processes(url, "agent", "tests.players:TellingAgent"))
             stack.enter_context(Processes(url, "environment", "tests.players:TellingEnvironment"))
-            before = stack.enter_context(connect(url, log=quiet))
+            before = stack.enter_context(connect(url))
             before.rl_init()
             assert before.rl_episode()
             hub.kill()
@@ -284,7 +352,7 @@ def test_players_come_back_to_a_hub_that_was_killed_and_started_again() -> None:
             with pytest.raises(HubClosed, match="knows nothing of this experiment"):
                 before.rl_episode()
             before.close()
-            with connect(url, log=quiet) as after:
+            with connect(url) as after:
                 after.rl_init()
                 assert after.rl_episode()
                 assert count(after, "agent", "agent_init") == 2, "the same process as before"
@@ -311,12 +379,12 @@ def test_a_player_plays_on_at_another_hub_although_welcomes_are_lost(
         ending.enter_context(serving(second, ScriptedEnvironment()))
         for hub in two_hubs:
             ending.callback(hub.stop, "over")
-        with connect(first, log=quiet) as before:
+        with connect(first) as before:
             before.rl_init()
             assert before.rl_episode()
         thief.lead_to(second, lose)
         del agent.calls[:]
-        with connect(second, log=quiet) as after:
+        with connect(second) as after:
             after.rl_init()
             assert after.rl_episode()
         assert thief.lost
@@ -342,7 +410,7 @@ def test_a_step_of_an_experiment_is_never_carried_out_by_another_hub(
             ending.enter_context(serving(second, player))
         for hub in two_hubs:
             ending.callback(hub.stop, "over")
-        glue = ending.enter_context(connect(thief.before(first), log=quiet))
+        glue = ending.enter_context(connect(thief.before(first)))
         glue.rl_init()
         glue.rl_start()
         thief.lead_to(second, lose)
@@ -364,7 +432,7 @@ def test_an_experiment_begins_although_its_first_welcomes_are_lost(
         for player in (ScriptedAgent(), ScriptedEnvironment()):
             ending.enter_context(serving(hub, player))
         ending.callback(two_hubs[0].stop, "over")
-        with connect(url, log=quiet) as glue:
+        with connect(url) as glue:
             assert thief.lost
             assert glue.rl_init() == "a task"
 
@@ -376,9 +444,11 @@ def test_a_hub_that_is_told_to_stop_tells_every_peer(
     reason = f"the hub was stopped by {number.name}"
     with hub_process(f"ipc://{tmp_path}/hub") as (hub, url):
         with (
-            running(*peer("agent", url, "tests.players:ScriptedAgent")) as agent,
-            running(*peer("environment", url, "tests.players:ScriptedEnvironment")) as environment,
-            connect(url, log=quiet) as glue,
+            running(*peer("agent", url, "tests.players:ScriptedAgent", _ends.processes)) as agent,
+            running(
+                *peer("environment", url, "tests.players:ScriptedEnvironment", _ends.processes)
+            ) as environment,
+            connect(url) as glue,
         ):
             glue.rl_init()
             hub.send_signal(number)
@@ -404,7 +474,7 @@ def test_a_player_that_is_told_to_stop_tells_the_hub(number: signal.Signals, cod
         ending.enter_context(serving(url, Walk()))
         ending.callback(hub.stop, "over")
         process = ending.enter_context(running("-c", agent, "skeleton", "--hub", url))
-        glue = ending.enter_context(connect(url, log=quiet))
+        glue = ending.enter_context(connect(url))
         glue.rl_init()
         with pytest.raises(PeerLost, match=r"the agent SkeletonAgent left: interrupted"):
             play_on(glue)
@@ -417,8 +487,10 @@ def test_an_exception_shows_its_traceback_where_it_happened_and_its_name_at_the_
         (url,) = hub.endpoints
         ending.enter_context(serving(url, ScriptedEnvironment()))
         ending.callback(hub.stop, "over")
-        agent = ending.enter_context(running(*peer("agent", url, "tests.players:FailingAgent")))
-        glue = ending.enter_context(connect(url, log=quiet))
+        agent = ending.enter_context(
+            running(*peer("agent", url, "tests.players:FailingAgent", _ends.processes))
+        )
+        glue = ending.enter_context(connect(url))
         glue.rl_init()
         text = "agent FailingAgent raised in agent_step: ValueError: the second step is too much"
         with pytest.raises(PeerFailed, match=text):
@@ -448,8 +520,8 @@ def test_a_slow_session_delays_no_other() -> None:
             ending.enter_context(serving(url, environment, session))
             ending.enter_context(serving(url, ScriptedAgent(), session))
         ending.callback(hub.stop, "over")
-        slow = ending.enter_context(connect(url, "slow", log=quiet))
-        fast = ending.enter_context(connect(url, "fast", log=quiet))
+        slow = ending.enter_context(connect(url, session="slow"))
+        fast = ending.enter_context(connect(url, session="fast"))
         results: list[bool] = []
         thread = threading.Thread(target=lambda: results.append(slow.rl_episode()))
         thread.start()
@@ -484,6 +556,6 @@ def test_a_player_may_compute_for_many_heartbeats() -> None:
         ending.enter_context(serving(url, ScriptedEnvironment()))
         ending.enter_context(serving(url, ScriptedAgent(before=At("agent_step", 1, compute))))
         ending.callback(hub.stop, "over")
-        glue = ending.enter_context(connect(url, log=quiet))
+        glue = ending.enter_context(connect(url))
         assert glue.rl_episode()
         assert done.is_set()

@@ -1,0 +1,122 @@
+"""Cables that are pulled: what is sent vanishes, and nobody is told; between hosts, as network namespaces."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+
+import pytest
+
+from glue.client.experiment import RemoteExperiment, connect
+from glue.client.players import serve_environment
+from glue.core.config import HubConfig
+from glue.core.experiment import Experiment
+from glue.core.local import local
+from glue.errors import PeerLost
+from glue.hub.inside import InsideTransport
+from glue.hub.server import Hub
+from glue.types import Action, Observation
+from tests.players import ChainAgent, ChainEnvironment
+from tests.system import networks
+from tests.system.networks import NEAR, Networks
+from tests.system.peer import ROOT, TIMEOUT, peer
+
+pytestmark = pytest.mark.proof
+
+HEARTBEAT = 0.2
+EPISODES = 20
+
+
+@pytest.fixture
+def hosts() -> Iterator[Networks]:
+    """Two hosts and a router."""
+    why = networks.missing()
+    if why is not None:
+        pytest.skip(why)
+    with Networks() as hosts:
+        yield hosts
+
+
+class Watched(ChainEnvironment):
+    """An environment that does something before one of its steps."""
+
+    def __init__(self, number: int, act: Callable[[], None]) -> None:
+        super().__init__()
+        self._left = number
+        self._act = act
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        self._left -= 1
+        if self._left == 0:
+            self._act()
+        return super().env_step(action)
+
+
+@contextmanager
+def run(
+    hosts: Networks, environment: ChainEnvironment, timeout: float, libzmq: bool
+) -> Iterator[RemoteExperiment]:
+    """A hub and an environment at the near host, and an agent at the far one."""
+    with hosts.near():
+        hub = Hub(HubConfig(bind=(f"tcp://{NEAR}:*",), heartbeat=HEARTBEAT, timeout=timeout, insecure=True))
+        near = hub.endpoints[0]
+    local_hub = InsideTransport(hub)
+    with hub.in_background(), ExitStack() as ending:
+        thread = threading.Thread(target=serve, args=(hosts, environment, near))
+        thread.start()
+        ending.callback(thread.join, TIMEOUT)
+        ending.callback(hub.stop, "over")
+        agent = [
+            "ip",
+            "netns",
+            "exec",
+            hosts.far,
+            sys.executable,
+            *peer("agent", near, "tests.players:ChainAgent", libzmq),
+        ]
+        process = subprocess.Popen(agent, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        ending.callback(process.wait)
+        ending.callback(process.kill)
+        yield ending.enter_context(connect("inside", transport=local_hub))
+
+
+def serve(hosts: Networks, environment: ChainEnvironment, hub: str) -> None:
+    """Serve an environment at the near host."""
+    with hosts.near():
+        serve_environment(environment, hub, log=lambda line: None)
+
+
+def play(glue: Experiment) -> list[float]:
+    """Return the returns of some episodes."""
+    glue.rl_init()
+    returns = []
+    for _ in range(EPISODES):
+        assert glue.rl_episode()
+        returns.append(glue.rl_return())
+    return returns
+
+
+@pytest.mark.parametrize("libzmq", [False, True], ids=["plain", "libzmq"])
+def test_a_blackhole_that_ends_in_time_costs_nothing(hosts: Networks, libzmq: bool) -> None:
+    def pull() -> None:
+        hosts.swallow(True)
+        threading.Timer(1.0, hosts.swallow, (False,)).start()
+
+    with run(hosts, Watched(50, pull), timeout=30.0, libzmq=libzmq) as glue:
+        assert play(glue) == play(local(ChainAgent(), ChainEnvironment()))
+
+
+@pytest.mark.parametrize("libzmq", [False, True], ids=["plain", "libzmq"])
+def test_a_player_in_a_blackhole_is_given_up_and_comes_back(hosts: Networks, libzmq: bool) -> None:
+    timeout = 1.5
+    with run(hosts, Watched(50, lambda: hosts.swallow(True)), timeout, libzmq) as glue:
+        with pytest.raises(PeerLost, match="ChainAgent was unreachable"):
+            play(glue)
+        done = glue.rl_num_episodes()
+        hosts.swallow(False)
+        for _ in range(EPISODES):
+            assert glue.rl_episode()
+        assert glue.rl_num_episodes() == done + EPISODES
