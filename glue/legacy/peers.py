@@ -192,6 +192,7 @@ class Player(Peer):
             self._connection.later()
         else:
             self._connection.send(frame)
+            self._pending.hub.loop.expect()
 
     def _work(self, now: float) -> None:
         connection, switchboard = self._connection, self._pending.hub.switchboard

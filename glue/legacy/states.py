@@ -5,12 +5,15 @@ another one replaces the call that waits behind it, since the older one is no lo
 
 An experiment cannot be sent the failure of a request. If a player was lost meanwhile, a request that can be
 carried out from its beginning is made again; otherwise the connection is reset.
+
+States and events are numbers: tables of any other enum would be looked up by a function in Python, several
+times for each message.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from enum import Enum, auto
+from enum import IntEnum, auto
 from typing import Final, TypeVar
 
 __all__ = [
@@ -24,7 +27,7 @@ __all__ = [
 ]
 
 
-class PlayerState(Enum):
+class PlayerState(IntEnum):
     """What a player is doing."""
 
     IDLE = auto()
@@ -37,7 +40,7 @@ class PlayerState(Enum):
     GONE = auto()
 
 
-class PlayerEvent(Enum):
+class PlayerEvent(IntEnum):
     """What happens to a player."""
 
     CALL = auto()
@@ -76,7 +79,7 @@ PLAYER: Final[Mapping[PlayerState, Mapping[PlayerEvent, PlayerState]]] = {
 }
 
 
-class ExperimentState(Enum):
+class ExperimentState(IntEnum):
     """What becomes of an experiment's requests."""
 
     IDLE = auto()
@@ -91,7 +94,7 @@ class ExperimentState(Enum):
     GONE = auto()
 
 
-class ExperimentEvent(Enum):
+class ExperimentEvent(IntEnum):
     """What happens to an experiment."""
 
     REQUEST = auto()

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum, IntEnum, StrEnum
+from enum import IntEnum, StrEnum
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
@@ -93,7 +93,7 @@ class Kind(IntEnum):
     RL_ENV_LOAD = 93
 
 
-class Body(Enum):
+class Body(StrEnum):
     """What the body frame of a message holds."""
 
     NONE = "nothing"

@@ -30,6 +30,7 @@ from glue.types import Action, Observation
 from tests.players import ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
 from tests.system.peer import TIMEOUT, peer, running
 from tests.system.proxy import Proxy, WelcomeThief
+from tests.system.router_hub import router_hub
 
 EPISODES = 4
 HEARTBEAT = 0.1
@@ -325,6 +326,20 @@ def test_a_run_over_connections_that_pass_single_bytes_has_the_same_returns() ->
             connect(proxy.url) as glue,
         ):
             assert chain(glue, 3) == expected
+
+
+@pytest.mark.parametrize("cuts", [0, 20])
+def test_a_run_at_a_hub_of_libzmq_has_the_same_returns(cuts: int) -> None:
+    episodes = 15
+    expected = chain(local(ChainAgent(), ChainEnvironment()), episodes)
+    with ExitStack() as stack:
+        url = stack.enter_context(router_hub())
+        proxy = stack.enter_context(Proxy(int(url.rpartition(":")[2]), cuts, seed=3).in_background())
+        stack.enter_context(Processes(proxy.url, "agent", "tests.players:ChainAgent"))
+        stack.enter_context(Processes(proxy.url, "environment", "tests.players:ChainEnvironment"))
+        with connect(proxy.url) as glue:
+            assert chain(glue, episodes) == expected
+            assert proxy.finished.is_set() == bool(cuts)
 
 
 HUB = "from glue.hub.command import main; main()"
