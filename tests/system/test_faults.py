@@ -30,7 +30,7 @@ from glue.types import Action, Observation
 from tests.players import ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
 from tests.system.peer import TIMEOUT, peer, running
 from tests.system.proxy import Proxy, WelcomeThief
-from tests.system.router_hub import router_hub
+from tests.system.wires.router_hub import router_hub
 
 EPISODES = 4
 HEARTBEAT = 0.1

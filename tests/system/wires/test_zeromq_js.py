@@ -19,7 +19,7 @@ from tests.system.peer import TIMEOUT
 
 pytestmark = pytest.mark.proof
 
-AGENT: Final = Path(__file__).parents[1] / "clients/dealer.cjs"
+AGENT: Final = Path(__file__).parents[2] / "clients/dealer.cjs"
 VERSION: Final = "6"
 EPISODES: Final = 50
 

@@ -20,9 +20,9 @@ from glue.hub.inside import InsideTransport
 from glue.hub.server import Hub
 from glue.types import Action, Observation
 from tests.players import ChainAgent, ChainEnvironment
-from tests.system import networks
-from tests.system.networks import NEAR, Networks
 from tests.system.peer import ROOT, TIMEOUT, peer
+from tests.system.wires import networks
+from tests.system.wires.networks import NEAR, Networks
 
 pytestmark = pytest.mark.proof
 
