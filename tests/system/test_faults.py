@@ -28,9 +28,12 @@ from glue.errors import HubClosed, PeerFailed, PeerLost
 from glue.hub.server import Hub
 from glue.types import Action, Observation
 from tests.players import ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
+from tests.proof import size
 from tests.system.peer import TIMEOUT, peer, running
 from tests.system.proxy import Proxy, WelcomeThief
 from tests.system.wires.router_hub import router_hub
+
+pytestmark = pytest.mark.proof
 
 EPISODES = 4
 HEARTBEAT = 0.1
@@ -48,11 +51,8 @@ _ends = Ends(threads=True, processes=False)
 
 @pytest.fixture(
     autouse=True,
-    params=[
-        pytest.param(Ends(threads=True, processes=False), id="both ends"),
-        pytest.param(Ends(threads=False, processes=False), id="plain ends", marks=pytest.mark.proof),
-        pytest.param(Ends(threads=True, processes=True), id="ends of libzmq", marks=pytest.mark.proof),
-    ],
+    params=size([Ends(True, False)], [Ends(True, False), Ends(False, False), Ends(True, True)]),
+    ids=lambda ends: f"libzmq: {[name for name, there in ends._asdict().items() if there]}",
 )
 def ends(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ends:
     """What the peers of a test connect by."""
@@ -284,17 +284,12 @@ def chain(glue: Experiment, episodes: int) -> list[float]:
     return [*returns, float(glue.rl_agent_message("?")), float(glue.rl_env_message("?"))]
 
 
-def test_a_run_over_connections_that_break_a_hundred_times_has_the_same_returns() -> None:
-    play_over_cuts(cuts=100, seed=1)
-
-
-@pytest.mark.proof
 @pytest.mark.timeout(1200)
-def test_runs_over_connections_that_break_ten_thousand_times_have_the_same_returns() -> None:
+def test_runs_over_connections_that_break_again_and_again_have_the_same_returns() -> None:
     # Most of the time of a cut is a wait, so that several runs take no longer than one.
-    runs = 8
+    runs, cuts = size((1, 100), (8, 10_000))
     with ThreadPoolExecutor(runs) as pool:
-        list(pool.map(lambda seed: play_over_cuts(cuts=10_000 // runs, seed=seed), range(runs)))
+        list(pool.map(lambda seed: play_over_cuts(cuts // runs, seed), range(1, runs + 1)))
 
 
 def play_over_cuts(cuts: int, seed: int) -> None:

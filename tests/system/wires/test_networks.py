@@ -20,11 +20,12 @@ from glue.hub.inside import InsideTransport
 from glue.hub.server import Hub
 from glue.types import Action, Observation
 from tests.players import ChainAgent, ChainEnvironment
+from tests.proof import FULL
 from tests.system.peer import ROOT, TIMEOUT, peer
 from tests.system.wires import networks
 from tests.system.wires.networks import NEAR, Networks
 
-pytestmark = pytest.mark.proof
+pytestmark = [pytest.mark.proof, pytest.mark.skipif(not FULL, reason="proved by `make proof` alone")]
 
 HEARTBEAT = 0.2
 EPISODES = 20

@@ -15,9 +15,10 @@ from glue.client.experiment import connect
 from glue.client.players import serve_environment
 from glue.core.config import HubConfig
 from glue.hub.server import Hub
+from tests.proof import FULL
 from tests.system.peer import TIMEOUT
 
-pytestmark = pytest.mark.proof
+pytestmark = [pytest.mark.proof, pytest.mark.skipif(not FULL, reason="proved by `make proof` alone")]
 
 AGENT: Final = Path(__file__).parents[2] / "clients/dealer.cjs"
 VERSION: Final = "6"
