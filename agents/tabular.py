@@ -1,8 +1,13 @@
-"""SARSA(0) on a plain table, for tasks of one int observed and one int as action. Sutton and Barto, 6.4."""
+"""SARSA(0) on a plain table, for tasks of one int observed and one int as action. Sutton and Barto, 6.4.
+
+A step reads and changes a handful of numbers, which plain Python does in a tenth of the time that NumPy takes
+to be called for each.
+"""
 
 from __future__ import annotations
 
 import struct
+from array import array
 from typing import Annotated, Final
 
 import numpy as np
@@ -13,11 +18,13 @@ from glue.options import Option
 from glue.random_state import GENERATOR_SIZE, load_generator
 from glue.saves import Arrays, Saved, generator_array, is_packed, pack, unpack
 from glue.taskspec import TaskSpec, parse_task_spec
-from glue.types import Action, Observation
+from glue.types import PREFIX_SIZE, Action, Observation
 
 __all__ = ["SarsaAgent"]
 
 _MAX_VALUES: Final = 10_000_000
+_INT: Final = struct.Struct("<i")
+
 _OLD_HEAD: Final = struct.Struct(f"<4sII{GENERATOR_SIZE}s")  # of saves before `glue.saves`
 _OLD_MAGIC: Final = b"TSA1"
 
@@ -48,7 +55,9 @@ class SarsaAgent:
         self._discount = 1.0
         self._first_state = 0
         self._first_action = 0
-        self._values = np.zeros((1, 1))  # [states, actions]
+        self._num_states = 1
+        self._num_actions = 1
+        self._values = array("d", (0.0,))  # of each state in turn, those of its actions
         self._state = 0
         self._choice = 0
 
@@ -65,7 +74,8 @@ class SarsaAgent:
             )
         assert spec.discount is not None
         self._discount = spec.discount
-        self._values = np.zeros((states, actions))
+        self._num_states, self._num_actions = states, actions
+        self._values = array("d", bytes(8 * states * actions))
 
     def agent_start(self, observation: Observation) -> Action:
         self._state = self._state_of(observation)
@@ -75,7 +85,7 @@ class SarsaAgent:
     def agent_step(self, reward: float, observation: Observation) -> Action:
         state = self._state_of(observation)
         choice = self._choose(state)
-        self._learn(reward + self._discount * float(self._values[state, choice]))
+        self._learn(reward + self._discount * self._values[state * self._num_actions + choice])
         self._state, self._choice = state, choice
         return self._action()
 
@@ -87,41 +97,45 @@ class SarsaAgent:
 
     def agent_message(self, message: str) -> str:
         if message == "values":
-            return " ".join(f"{value:.6g}" for value in self._values.ravel())
+            return " ".join(f"{value:.6g}" for value in self._values)
         return f"unknown message {message!r:.80}; 'values' shows the table"
 
     def agent_save(self) -> bytes:
-        states, actions = self._values.shape
-        arrays: Arrays = {"generator": generator_array(self._generator), "values": self._values.ravel()}
-        return pack(Saved("sarsa", {}, {"states": states, "actions": actions}, arrays))
+        values = np.frombuffer(self._values)
+        arrays: Arrays = {"generator": generator_array(self._generator), "values": values}
+        shape = {"states": self._num_states, "actions": self._num_actions}
+        return pack(Saved("sarsa", {}, shape, arrays))
 
     def agent_load(self, data: bytes) -> None:
         generator, shape, values = _unpack(data) if is_packed(data) else _unpack_old(data)
-        if shape != self._values.shape or values.size != self._values.size:
+        if shape != (self._num_states, self._num_actions) or values.size != len(self._values):
             raise SaveError(
                 f"these values are of a task of {shape[0]} states and {shape[1]} actions; "
-                f"this one has {self._values.shape[0]} and {self._values.shape[1]}"
+                f"this one has {self._num_states} and {self._num_actions}"
             )
         self._generator = generator
-        self._values = values.reshape(shape).copy()
+        self._values = array("d", values.tobytes())
 
     def _state_of(self, observation: Observation) -> int:
-        state = int(observation.ints[0]) - self._first_state if observation.counts[0] else -1
-        if not 0 <= state < len(self._values):
+        ints, doubles, _ = observation.counts
+        state = -1
+        if ints:
+            state = _INT.unpack_from(observation.body, PREFIX_SIZE + 8 * doubles)[0] - self._first_state
+        if not 0 <= state < self._num_states:
             raise LocalProtocolError(f"{observation!r} is outside what the task spec says")
         return state
 
     def _choose(self, state: int) -> int:
-        values = self._values[state]
         if self._generator.random() < self._epsilon:
-            return int(self._generator.integers(len(values)))
-        best = np.flatnonzero(values == values.max())
-        return int(best[self._generator.integers(len(best))]) if len(best) > 1 else int(best[0])
+            return int(self._generator.integers(self._num_actions))
+        values = self._values[state * self._num_actions : (state + 1) * self._num_actions]
+        highest = max(values)
+        best = [choice for choice, value in enumerate(values) if value == highest]
+        return best[self._generator.integers(len(best))] if len(best) > 1 else best[0]
 
     def _learn(self, target: float) -> None:
-        self._values[self._state, self._choice] += self._step_size * (
-            target - self._values[self._state, self._choice]
-        )
+        at = self._state * self._num_actions + self._choice
+        self._values[at] += self._step_size * (target - self._values[at])
 
     def _action(self) -> Action:
         return Action(ints=(self._first_action + self._choice,))
