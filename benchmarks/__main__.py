@@ -18,6 +18,7 @@ from benchmarks.measure import REPEATS, Table
 _MODULES = ("hub", "attacks", "legacy", "mario", "agents", "experiment")
 _BY_NAME = ("memory",)
 """Those that take so long that they are only measured when they are named."""
+_QUIET_LOAD = 0.5
 _FILE = Path(__file__).parent.parent / "docs" / "performance.md"
 
 
@@ -27,6 +28,7 @@ def main(names: list[str]) -> None:
     if unknown:
         known = ", ".join((*_MODULES, *_BY_NAME))
         sys.exit(f"no benchmark is called {', '.join(sorted(unknown))}: there are {known}")
+    load = os.getloadavg()[1]
     tables: list[Table] = []
     for name in names or _MODULES:
         print(f"measuring {name} ...", file=sys.stderr, flush=True)
@@ -34,19 +36,27 @@ def main(names: list[str]) -> None:
     if names:
         print("\n".join(map(str, tables)))
     else:
-        _FILE.write_text("\n".join([_head(), *map(str, tables)]), encoding="utf-8")
+        _FILE.write_text("\n".join([_head(load), *map(str, tables)]), encoding="utf-8")
         print(f"written to {_FILE}", file=sys.stderr)
 
 
-def _head() -> str:
+def _load(load: float) -> str:
+    """Return how quiet the machine was, from the processes that were running before the first measurement."""
+    if load < _QUIET_LOAD:
+        return f"It was quiet before (load {load:.1f})."
+    return f"It was busy with other work (load {load:.1f} before the first measurement)."
+
+
+def _head(load: float) -> str:
     return (
         "# Performance\n\n"
         "Written by `make bench`; repeat it on your own machine. Each number is the median of at least "
-        f"{REPEATS} repeats, those of one table taken in turn. The machine was not quiet, so the ratios "
-        "within a table mean more than the numbers.\n\n"
+        f"{REPEATS} repeats, those of one table taken in turn. Whatever else a machine does moves numbers "
+        "more than their ratios within a table, so ratios come first.\n\n"
         f"Machine: {_processor()}, {os.cpu_count()} cores, {platform.system()} {platform.machine()}; "
         f"Python {platform.python_version()}, pyzmq {zmq.__version__} (libzmq {zmq.zmq_version()}), "
-        f"msgpack {'.'.join(map(str, msgpack.version))}, NumPy {np.__version__}, numba {numba.__version__}.\n"
+        f"msgpack {'.'.join(map(str, msgpack.version))}, NumPy {np.__version__}, numba {numba.__version__}. "
+        f"{_load(load)}\n"
     )
 
 

@@ -12,7 +12,8 @@ import time
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from benchmarks.measure import REPEATS, Table, count
+from benchmarks.hub import three_processes
+from benchmarks.measure import REPEATS, Table, count, ratio
 from experiment_runner import player_command
 from experiment_runner.store.results import Results
 from glue.protocol.messages import Role
@@ -38,11 +39,13 @@ class _Outcome(NamedTuple):
 
     seconds           from the command to its end
     steps_per_second  while episodes ran
+    bare              the same of three processes that do nothing but play, just before
     memory            bytes of each process, resident; (samples, 3)
     """
 
     seconds: float
     steps_per_second: float
+    bare: float
     memory: list[list[int]]
 
 
@@ -57,8 +60,9 @@ def run() -> list[Table]:
             "The reference command",
             "`glue-experiment --env mario --agent AGENT --episodes EPISODES`: three processes over ipc, "
             f"every episode committed to disk. The first column is the median of {REPEATS} runs, the others "
-            "are one run each (the aim for `hierarchical` is 360 seconds). Memory is what is resident; what "
-            "is shared counts three times.",
+            "are one run each (the aim for `hierarchical` is 360 seconds). The bare hub is three processes "
+            "that do nothing but play, measured just before each run (the aim of `random` is 0.85 of it). "
+            "Memory is what is resident; what is shared counts three times.",
             ("measure", *names),
             [(measure, *(column[measure] for column in columns)) for measure in columns[0]],
         )
@@ -74,6 +78,7 @@ def _column(outcomes: list[_Outcome]) -> dict[str, str]:
     column = {
         "seconds": middle([outcome.seconds for outcome in outcomes]),
         "steps per second": middle([outcome.steps_per_second for outcome in outcomes]),
+        "of the bare hub": ratio(statistics.median(each.steps_per_second / each.bare for each in outcomes)),
     }
     for number, name in enumerate(_PROGRAMS):
         peaks = [max(sample[number] for sample in outcome.memory) / 1e6 for outcome in outcomes]
@@ -95,6 +100,8 @@ def _middle(samples: list[float]) -> list[float]:
 
 
 def _measure(agent: str, episodes: int) -> _Outcome:
+    with three_processes() as measure:
+        bare = statistics.median(measure().per_second for _ in range(REPEATS))
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "lines"
         options = ["--agent", agent, "--episodes", str(episodes), "--out", f"{folder}/run"]
@@ -114,7 +121,7 @@ def _measure(agent: str, episodes: int) -> _Outcome:
         *finished, summary = map(json.loads, output.read_text().splitlines())
         assert len(finished) == episodes
         seconds = _wall_time(Path(folder) / "run")
-        return _Outcome(took, summary["steps"] / seconds, memory)
+        return _Outcome(took, summary["steps"] / seconds, bare, memory)
 
 
 def _wall_time(directory: Path) -> float:

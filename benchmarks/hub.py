@@ -13,6 +13,7 @@ from benchmarks.measure import Rate, Table, count, rate, rates, ratio
 from benchmarks.original import SERVER, compiler, original_programs, original_server, through_the_gateway
 from benchmarks.peers import async_vector_env, dm_env_rpc_stream, installed
 from benchmarks.players import SIZES, Still, Walk, serving
+from benchmarks.previous import CHECKOUT, previous_sessions
 from benchmarks.raw import socket_round_trips, zmq_round_trips
 from glue.client.experiment import connect
 from glue.core.config import HubConfig
@@ -21,12 +22,15 @@ from glue.core.local import local
 from glue.hub.inside import InsideTransport
 from glue.hub.server import Hub
 
-__all__ = ["run"]
+__all__ = ["run", "three_processes"]
 
 _STEPS = 5000
 _ACTION_SIZE = 20
 _SESSIONS = (1, 64, 256, 1024)
+_COMPARED = 64
 _SMALL, _MARIO = SIZES
+_VECTOR_ENV = "Gymnasium's AsyncVectorEnv, one environment"
+_DM_ENV_RPC = "dm_env_rpc"
 _VERBS = {"episode": "RL_EPISODE", "step": "RL_STEP"}
 
 Measure = Callable[[], Rate]
@@ -34,10 +38,10 @@ Measure = Callable[[], Rate]
 
 def run() -> list[Table]:
     """Measure everything about the hub."""
-    return [_three_programs(), _sizes(), _sessions()]
+    return [*_three_programs(), _sizes(), _sessions()]
 
 
-def _three_programs() -> Table:
+def _three_programs() -> list[Table]:
     """Measure Mario-sized steps of three programs, beside all that they can be compared with."""
     size = len(SIZES[_MARIO].body)
     measures: dict[str, AbstractContextManager[Measure]] = {}
@@ -52,34 +56,55 @@ def _three_programs() -> Table:
     measures["raw round trips, TCP"] = socket_round_trips("tcp", size, _ACTION_SIZE)
     measures["raw round trips, pyzmq over ipc"] = zmq_round_trips("ipc", size, _ACTION_SIZE)
     if installed("gymnasium"):
-        measures["Gymnasium's AsyncVectorEnv, one environment"] = async_vector_env()
+        measures[_VECTOR_ENV] = async_vector_env()
     if installed("dm_env_rpc"):
-        measures["dm_env_rpc"] = dm_env_rpc_stream()
+        measures[_DM_ENV_RPC] = dm_env_rpc_stream()
     with ExitStack() as stack:
         ready = [stack.enter_context(measure) for measure in measures.values()]
         results = dict(zip(measures, rates(ready), strict=True))
+    return [_ratios(results), _rates(results)]
+
+
+def _ratios(results: dict[str, Rate]) -> Table:
+    """Return how programs compare within one run."""
+    ipc, tcp, step = (
+        results[f"three Python processes, {name}"]
+        for name in ("ipc, RL_EPISODE", "tcp, RL_EPISODE", "ipc, RL_STEP")
+    )
     two_round_trips = results["raw round trips, Unix socket"].per_second / 2
-    rows = []
-    for name, result in results.items():
-        verb = name.rpartition(", ")[2]
+    rows = [
+        ("ipc: of two raw round trips over a Unix socket", ratio(ipc.per_second / two_round_trips), "0.35"),
+        ("ipc: CPU time of all processes for a step", f"{ipc.cpu:.0f} us", "at most 120 us"),
+        ("tcp: of ipc", ratio(tcp.per_second / ipc.per_second), "0.75"),
+        ("RL_STEP: of RL_EPISODE", ratio(step.per_second / ipc.per_second), ""),
+    ]
+    for verb in _VERBS.values():
         original = results.get(f"original RL-Glue, C programs, {verb}")
-        rows.append(
-            (
-                name,
-                count(result.per_second),
-                f"{result.cpu:.0f}",
-                ratio(result.per_second / two_round_trips) if verb.startswith("RL_") else "",
-                ratio(result.per_second / original.per_second) if original else "",
-            )
-        )
+        for name in (f"three Python processes, ipc, {verb}", f"C programs through the gateway, {verb}"):
+            if original is not None and name in results:
+                share = ratio(results[name].per_second / original.per_second)
+                rows.append((f"{name}: of the original RL-Glue", share, "0.90"))
+    for peer in (_VECTOR_ENV, _DM_ENV_RPC):
+        if peer in results:
+            rows.append((f"ipc: of {peer}", ratio(ipc.per_second / results[peer].per_second), ""))
+    return Table(
+        "Ratios",
+        "Of steps per second, each with what it is compared with in the same run; the numbers behind them "
+        "are in the next table. `python -m benchmarks hub`; RLGLUE_C names the original RL-Glue.",
+        ("three programs, a step of Infinite Mario's size", "ratio", "aim"),
+        rows,
+    )
+
+
+def _rates(results: dict[str, Rate]) -> Table:
+    rows = [(name, count(result.per_second), f"{result.cpu:.0f}") for name, result in results.items()]
     return Table(
         "Three programs",
         "Steps with an observation of Mario's size (23 ints, 44 doubles, 352 chars), agent and environment "
         "doing nothing. CPU is that of all processes. A step needs two round trips; raw ones are those of "
         "two Python processes over a Unix socket with the same bytes. AsyncVectorEnv and dm_env_rpc have no "
-        "agent, and make one round trip a step. Aims: ipc at least 0.35 of two raw round trips and at most "
-        "120 us of CPU, tcp at least 0.75 of ipc; at least 0.9 of the original where RLGLUE_C names it.",
-        ("programs", "steps per second", "CPU, us", "of two raw round trips", "of the original"),
+        "agent, and make one round trip a step.",
+        ("programs", "per second", "CPU, us"),
         rows,
     )
 
@@ -110,15 +135,22 @@ def _sessions() -> Table:
             before = _resident()
             measures.append(stack.enter_context(_many_sessions(number)))
             memories.append((_resident() - before) / number / 1024)
+        if CHECKOUT is not None:
+            measures.append(stack.enter_context(previous_sessions(_COMPARED)))
         results = rates(measures)
+    if CHECKOUT is not None:
+        previous = results.pop().per_second
+        now = results[_SESSIONS.index(_COMPARED)].per_second
+        rows.append((f"{_COMPARED}, the previous version", count(previous), ratio(previous / now), ""))
     for number, result, memory in zip(_SESSIONS, results, memories, strict=True):
-        share = ratio(result.per_second / results[0].per_second)
+        share = ratio(result.per_second / results[_SESSIONS.index(_COMPARED)].per_second)
         rows.append((f"{number:,}", count(result.per_second), share, f"{memory:.0f} KiB"))
     return Table(
         "Many sessions on one hub",
         "All over tcp: one process serves every agent, one every environment, one is hub and experiments. "
-        "Memory is what the last one grew by, its threads included (the aim is 64 KiB).",
-        ("sessions", "steps per second in all", "times one", "memory a session"),
+        "Memory is what the last one grew by, its threads included (the aim is less than 64 KiB). The aim "
+        f"for {_COMPARED} is 1.3 times the previous version, whose checkout GLUE_PREVIOUS names.",
+        ("sessions", "steps per second in all", f"of {_COMPARED}", "memory a session"),
         rows,
     )
 
@@ -144,6 +176,13 @@ def _measure(glue: Experiment, verb: str, pids: list[int]) -> Measure:
 def _in_process(size: str) -> Iterator[Measure]:
     with local(Still(), Walk(SIZES[size])) as glue:
         yield _measure(glue, "episode", [])
+
+
+@contextmanager
+def three_processes() -> Iterator[Measure]:
+    """Give a measure of steps per second of three processes that do nothing but play, over ipc."""
+    with _three(_MARIO, "ipc", "episode") as measure:
+        yield measure
 
 
 @contextmanager

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import Final
 
@@ -36,6 +37,7 @@ def run() -> list[Table]:
                 for _ in range(_STEPS // _PARTS // _EPISODE):
                     glue.rl_episode(_EPISODE)
                 memory = [_resident(pid) for pid in (os.getpid(), environment, agent)]
+                print(*memory, file=sys.stderr, flush=True)
                 rows.append((f"{(part + 1) * _STEPS // _PARTS:,}", *(f"{kib:,}" for kib in memory)))
     return [
         Table(
