@@ -36,7 +36,7 @@ with _many_sessions(int(sys.argv[1])) as measure:
 def previous_sessions(number: int) -> Iterator[Callable[[], Rate]]:
     """Give a measure of steps per second of many sessions on one hub of the previous version."""
     assert CHECKOUT is not None
-    command = [CHECKOUT / ".venv/bin/python", "-c", _MEASURE, str(number)]
+    command = [str(CHECKOUT / ".venv/bin/python"), "-c", _MEASURE, str(number)]
     with subprocess.Popen(
         command, cwd=CHECKOUT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as process:

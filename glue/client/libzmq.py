@@ -12,6 +12,7 @@ from typing import Final
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
+from glue.client.frames import FrameTransport
 from glue.client.place import OwnKey, needs_key
 from glue.errors import ConfigError, Refused
 from glue.keys.certificates import KeyPair, decode, encode
@@ -51,7 +52,7 @@ def new_pair() -> KeyPair:
     return KeyPair(decode(public.decode()), decode(secret.decode()))
 
 
-class DealerTransport:
+class DealerTransport(FrameTransport):
     """A peer's end. It connects when the hub is there, and again whenever the connection breaks.
 
     Args:

@@ -20,7 +20,7 @@ from glue.core.sessions import INSTANCE_SIZE
 from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolError, Refused
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role, Value
 from glue.protocol.steps import Step, StepFormat
-from glue.protocol.wire import FROM_HUB, MAX_BODY, TO_HUB, UnknownKind, clip, decode, encode
+from glue.protocol.wire import MAX_BODY, UnknownKind, clip
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
@@ -96,7 +96,7 @@ class Link:
         """
         if len(message.body) > self._max_body:
             raise self._too_large(message.kind, message.body)
-        self._transport.send(encode(message, TO_HUB))
+        self._transport.send_message(message)
 
     def receive(self) -> Message | None:
         """Return the next call, reply, ERROR, NOTICE or WELCOME; None if there is none for a heartbeat.
@@ -106,21 +106,18 @@ class Link:
             HubUnreachable: no hub has answered in the time allowed.
             Refused: the hub does not let us in.
         """
-        frames = self._transport.receive()
-        if frames is None:
-            self._idle()
-            return None
-        if self._silent:
-            self._silent = False
-            self._log(f"the hub at {self._hub} is there")
-        self._received = time.monotonic()
         try:
-            message = decode(frames, FROM_HUB, self._max_body)
+            message = self._transport.receive_message(self._max_body)
         except UnknownKind as error:
             # A newer hub may know more; a call that is answered so has failed.
+            self._hear()
             code = str(ErrorCode.UNKNOWN_KIND)
             self.send(Message(Kind.ERROR, error.session, error.seq, (code, str(error))))
             return None
+        if message is None:
+            self._idle()
+            return None
+        self._hear()
         if message.kind in CALLS:
             return message
         return self._control(message)
@@ -139,13 +136,20 @@ class Link:
         if len(body) > self._max_body:
             raise self._too_large(form.kind, body)
         assert isinstance(self._transport, SocketTransport)
-        self._transport.send_data(form.encode(seq, scalars, body))
+        self._transport.send_data(form.head(seq, scalars, len(body)), body)
 
     def close(self, reason: str) -> None:
         """Say goodbye to the hub, if there is one, and close."""
         for session in self._welcomed:
-            self._transport.send(encode(Message(Kind.GOODBYE, session, 0, (clip(reason),)), TO_HUB))
+            self._transport.send_message(Message(Kind.GOODBYE, session, 0, (clip(reason),)))
         self._transport.close(None if self._welcomed else 0)
+
+    def _hear(self) -> None:
+        """Note that the hub has sent something."""
+        self._received = time.monotonic()
+        if self._silent:
+            self._silent = False
+            self._log(f"the hub at {self._hub} is there")
 
     def _too_large(self, kind: Kind, body: bytes) -> LocalProtocolError:
         return LocalProtocolError(

@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator, Sequence
 from typing import Final
 
+from glue.client.frames import FrameTransport
 from glue.client.place import needs_key
 from glue.errors import Refused, RemoteProtocolError
 from glue.protocol import zmtp
@@ -24,6 +25,9 @@ __all__ = ["SocketTransport"]
 _CHUNK: Final = 65_536
 """Bytes received at once, at most; a larger buffer would cost a system call to allocate."""
 
+_JOINED: Final = 65_536
+"""Bytes of a body up to which it is joined with what comes before it, which is cheaper than two buffers."""
+
 _RETRY_SECONDS: Final = (0.05, 1.0)
 """How long to wait before connecting again: after the first failure, and at most."""
 
@@ -31,7 +35,7 @@ _LINGER_SECONDS: Final = 1.0
 """How long `close` waits for the hub to read what was sent last."""
 
 
-class SocketTransport:
+class SocketTransport(FrameTransport):
     """A connection to a hub, made again whenever it breaks.
 
     Args:
@@ -72,11 +76,25 @@ class SocketTransport:
 
     def send(self, frames: Sequence[bytes]) -> bool:
         """Send a message; return False, having sent nothing, if there is no connection."""
-        return self.connected and self._send(zmtp.encode(frames))
+        return self.send_data(*zmtp.encode_parts(frames))
 
-    def send_data(self, data: bytes) -> bool:
-        """Send a message that is encoded; as `send`."""
-        return self.connected and self._send(data)
+    def send_data(self, head: bytes, body: bytes) -> bool:
+        """Send the bytes of a message, what comes before the last frame's content and that; as `send`."""
+        if not self.connected:
+            return False
+        if len(body) <= _JOINED:
+            return self._send(head + body)
+        connected = self._socket
+        assert connected is not None
+        try:
+            sent = connected.sendmsg((head, body), (), socket.MSG_DONTWAIT)
+        except BlockingIOError:
+            sent = 0
+        except OSError:
+            self._fail()
+            return False
+        rest = [memoryview(head)[sent:], memoryview(body)[max(0, sent - len(head)) :]]
+        return all(self._send_rest(connected, part) for part in rest)
 
     def receive(self) -> list[bytes] | None:
         """Return the next message; None if none arrived in time, or as soon as there is a connection.

@@ -8,7 +8,6 @@ stays connected. A transport reconnects automatically.
 from __future__ import annotations
 
 import socket
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, Protocol
 from urllib.parse import urlsplit
 
@@ -16,6 +15,7 @@ from glue.client.place import OwnKey
 from glue.client.sockets import SocketTransport
 from glue.core.config import check_url
 from glue.errors import ConfigError
+from glue.protocol.messages import Message
 from glue.protocol.wire import MAX_BODY, MAX_HEADER
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ class Transport(Protocol):
 
     @property
     def connected(self) -> bool:
-        """Whether there is a connection, as far as `receive` has noticed."""
+        """Whether there is a connection, as far as `receive_message` has noticed."""
         ...
 
     @property
@@ -45,15 +45,20 @@ class Transport(Protocol):
         ...
 
     def wait_at_most(self, seconds: float) -> None:
-        """Set how long `receive` waits."""
+        """Set how long `receive_message` waits."""
         ...
 
-    def send(self, frames: Sequence[bytes]) -> bool:
+    def send_message(self, message: Message) -> bool:
         """Send a message; return False, having sent nothing, if there is no connection or no room."""
         ...
 
-    def receive(self) -> Sequence[bytes] | None:
-        """Return the next message; None if none arrived in time, or as soon as there is a connection."""
+    def receive_message(self, max_body: int) -> Message | None:
+        """Return the next message; None if none arrived in time, or as soon as there is a connection.
+
+        Raises:
+            UnknownKind: it is of a kind that is not known here.
+            RemoteProtocolError: it is malformed, or its body has more than `max_body` bytes.
+        """
         ...
 
     def close(self, linger: float | None = None) -> None:

@@ -338,6 +338,8 @@ class Session:
             return False
         if not peer.confirmed or peer.role is not _STEPPED[kind] or self._time is not None:
             return False
+        if kind is Kind.ENV_STEP and scalars[1] == CUT_OFF:
+            return False  # `answer` looks whether this environment can mean that
         kind, scalars, body = instruction = self._engine.resume(kind, scalars, body)
         player = self.peers.get(_STEPPED[kind]) if kind in _STEPPED else None
         if player is None:

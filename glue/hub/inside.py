@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Sequence
 
 from glue.hub.server import Hub
 from glue.protocol.messages import Message, Role
-from glue.protocol.wire import FROM_HUB, encode
 
 __all__ = ["InsideTransport"]
 
@@ -31,27 +29,27 @@ class InsideTransport:
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
         self._wait = 1.0
-        self._received: deque[tuple[bytes, ...]] = deque()
+        self._received: deque[Message] = deque()
 
     # The peer's side.
 
     def wait_at_most(self, seconds: float) -> None:
-        """Set how long `receive` waits, in seconds."""
+        """Set how long `receive_message` waits, in seconds."""
         self._wait = seconds
 
-    def send(self, frames: Sequence[bytes]) -> bool:
+    def send_message(self, message: Message) -> bool:
         """Hand the hub a message; return False if the hub is ending."""
         loop = self._hub.loop
         loop.take()
         try:
             if loop.stopping is not None:
                 return False
-            self._hub.receive(self, frames, time.monotonic())
+            self._hub.switchboard.receive(self, message, time.monotonic())
             return True
         finally:
             loop.give()
 
-    def receive(self) -> Sequence[bytes] | None:
+    def receive_message(self, max_body: int) -> Message | None:
         """Return the next message; None if none is received in time."""
         loop, received = self._hub.loop, self._received
         loop.take()
@@ -79,7 +77,7 @@ class InsideTransport:
 
     def deliver(self, message: Message) -> bool:
         """Hand the experiment a message."""
-        self._received.append(encode(message, FROM_HUB))
+        self._received.append(message)
         return True
 
     def admits(self, role: Role, session: str) -> bool:

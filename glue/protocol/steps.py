@@ -104,16 +104,19 @@ class StepFormat:
 
     def encode(self, seq: int, scalars: tuple[Value, ...], body: bytes) -> bytes:
         """Return the message; `seq` is at most `max_seq`."""
+        return self.head(seq, scalars, len(body)) + body
+
+    def head(self, seq: int, scalars: tuple[Value, ...], size: int) -> bytes:
+        """Return what comes before a body of `size` bytes."""
         start, short, long, _ = self._by_bits[seq.bit_length()]
-        size = len(body)
         pack, flags = (short.pack, 0) if size <= _MAX_SHORT else (long.pack, _LONG)
         if not scalars:
-            return pack(start, seq, flags, size) + body
+            return pack(start, seq, flags, size)
         if len(scalars) == 1:
-            return pack(start, seq, _FLOAT, scalars[0], flags, size) + body
+            return pack(start, seq, _FLOAT, scalars[0], flags, size)
         reward, terminal = scalars
         flag = _FALSE if not terminal else CUT_OFF if terminal == CUT_OFF else _TRUE
-        return pack(start, seq, _FLOAT, reward, flag, flags, size) + body
+        return pack(start, seq, _FLOAT, reward, flag, flags, size)
 
     def decode(self, data: bytes, at: int = 0) -> tuple[Step, int] | None:
         """Return the message that begins at `at`, if it is one as `encode` writes it, and where it ends."""

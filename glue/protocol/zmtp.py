@@ -32,6 +32,7 @@ __all__ = [
     "Mechanism",
     "OtherMechanism",
     "encode",
+    "encode_parts",
 ]
 
 DEALER: Final = b"DEALER"
@@ -75,6 +76,11 @@ _SHORT_HEADS: Final = [[bytes((flags, size)) for size in range(256)] for flags i
 
 def encode(frames: Sequence[bytes]) -> bytes:
     """Return the bytes of a message of at least one frame."""
+    return b"".join(encode_parts(frames))
+
+
+def encode_parts(frames: Sequence[bytes]) -> tuple[bytes, bytes]:
+    """Return the bytes of a message in two parts, of which the second is the content of its last frame."""
     parts = []
     more = len(frames) - 1
     for frame in frames:
@@ -86,7 +92,7 @@ def encode(frames: Sequence[bytes]) -> bytes:
             parts.append(bytes((flags | _LONG,)) + _SIZE.pack(size))
         parts.append(frame)
         more -= 1
-    return b"".join(parts)
+    return b"".join(parts[:-1]), parts[-1]
 
 
 def _command(body: bytes) -> bytes:

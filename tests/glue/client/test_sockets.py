@@ -62,7 +62,7 @@ def test_a_step_is_recognised_by_its_bytes_and_everything_else_is_left_to_receiv
     router.send_multipart([identity, b"\x93\x0d\xa7default\x07", action])
     steps = transport.receive_steps(request, 5, MAX_FRAME)
     assert next(steps) == (7, (), action)
-    assert transport.send_data(reply.encode(7, (1.5, True), action))
+    assert transport.send_data(reply.head(7, (1.5, True), len(action)), action)
     header = b"\x95\x0d\xa7default\x07\xcb\x3f\xf8" + bytes(6) + b"\xc3"
     assert router.recv_multipart() == [identity, header, action]
     repeated = [b"\x93\x0d\xa7default\x07", action]

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from glue.client import link
+from glue.client import frames
 from glue.client.experiment import connect
 from glue.client.players import serve_agent, serve_environment
 from glue.core.config import HubConfig
@@ -27,7 +27,7 @@ def test_the_steps_of_an_episode_are_never_parsed(
     verb: str, transport: str, tmp_path: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     parsed = []
-    for module in (link, server):
+    for module in (frames, server):
         decode = module.decode
 
         def count(*arguments: Any, decode: Any = decode, name: str = module.__name__) -> Any:
