@@ -1,7 +1,7 @@
-"""The scenes between two observations, so that an animation flows.
+"""Scenes between two observations, for a smooth animation.
 
-An observation is made every fifth tick of the game. In between, things move on the curve that fits
-their two places and speeds; what is in only one of the two is there for half of the time.
+An observation is made every fifth tick of the game. In between, things follow the curve that fits
+their two positions and speeds; whatever is in only one of the two is shown for half of the time.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from env_server.render.scene import COLUMNS, ROWS, Scene, Sprite, buried_cells, 
 
 __all__ = ["between", "outlined"]
 
-_NEAR: Final = 3.0  # tiles: whatever is farther from where it should be is another one
+_NEAR: Final = 3.0  # tiles; a thing farther from its expected position is a different one
 
 
 def outlined(scene: Scene) -> Scene:
@@ -30,7 +30,7 @@ def outlined(scene: Scene) -> Scene:
 def between(before: Scene, after: Scene, time: float) -> Scene:
     """Return the scene at `time`, from 0 (`before`) to 1 (`after`), a step later.
 
-    Its rows are as wide as both windows together.
+    Its rows span both windows.
     """
     if before == after or abs(after.column - before.column) > COLUMNS:
         return before if time < 0.5 else after
@@ -45,7 +45,7 @@ def between(before: Scene, after: Scene, time: float) -> Scene:
 
 
 def _tile(first: Scene, second: Scene, row: int, column: int) -> str:
-    """Return a tile as the first scene shows it, or else the second; Mario's own hides what is there."""
+    """Return a tile from the first scene, or else from the second; Mario hides the tile that he is in."""
     tiles = [
         scene.rows[row][column - scene.column]
         for scene in (first, second)
@@ -71,7 +71,7 @@ def _sprites(before: Scene, after: Scene, time: float) -> list[Sprite]:
 
 
 def _distance(old: Sprite, new: Sprite) -> float:
-    """Return how far `new` is from where `old` would be by now."""
+    """Return the distance of `new` from the expected position of `old`."""
     return abs(old.x + old.speed_x - new.x) + abs(old.height + old.speed_y - new.height) / 2
 
 
@@ -80,7 +80,7 @@ def _moved(old: Sprite, new: Sprite, time: float) -> Sprite:
     height = _curve(old.height, old.speed_y, new.height, new.speed_y, time)
     return nearer._replace(
         x=_curve(old.x, old.speed_x, new.x, new.speed_x, time),
-        height=max(height, min(old.height, new.height)),  # never into the ground
+        height=max(height, min(old.height, new.height)),  # but not into the ground
     )
 
 

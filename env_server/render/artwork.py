@@ -1,7 +1,7 @@
-"""The pictures that Infinite Mario is drawn with: our own, a letter a pixel.
+"""The sprites and tiles with which Infinite Mario is drawn: our own, one letter per pixel.
 
-`PALETTE` gives each letter its color; a dot is transparent. Sprites look to the right and stand on their
-last line; a tile is 16 by 16 pixels. What is listed in halves is mirrored.
+`PALETTE` gives each letter its color; a dot is transparent. Sprites face right and stand on their
+last line; a tile is 16 by 16 pixels. Pictures listed as halves are mirrored.
 """
 
 from __future__ import annotations

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 __all__ = ["HEIGHT", "WIDTH", "Picture", "draw", "save_gif", "save_png"]
 
 Picture = npt.NDArray[np.uint8]
-"""Places in the palette, shape (height, width); 255 is transparent."""
+"""Indices into the palette, shape (height, width); 255 is transparent."""
 
 WIDTH: Final = 320
 HEIGHT: Final = 240
@@ -64,7 +64,7 @@ def save_png(path: str | os.PathLike[str], observation: Observation, scale: int 
 def save_gif(
     path: str | os.PathLike[str], observations: Sequence[Observation], steps_per_second: float = 10.0
 ) -> None:
-    """Write an animation of `observations`, a step after the other, at 25 pictures per second.
+    """Write an animation of `observations`, one per step, at 25 pictures per second.
 
     Raises:
         ConfigError: there are no observations, the file cannot be written, or Pillow is missing.
@@ -78,7 +78,7 @@ def save_gif(
 
 
 def _film(scenes: Sequence[Scene], pace: float) -> Iterator[Scene]:
-    """Yield the scenes of an animation that goes on by `pace` steps per picture."""
+    """Yield the scenes of an animation that advances by `pace` steps per picture."""
     last = len(scenes) - 1
     for number in range(math.floor(last / pace) + 1):
         step = min(int(number * pace), last)
@@ -90,7 +90,7 @@ def _draw(scene: Scene) -> Picture:
     right = scene.column + len(scene.rows[0]) - WIDTH / _TILE
     camera = round(min(max(scene.sprites[0].x - _BESIDE, scene.column), right) * _TILE)
     picture = _background(camera)
-    # Plants rise out of pipes, so these are drawn over them.
+    # Plants rise out of pipes, which are therefore drawn over them.
     for sprite in scene.sprites:
         if sprite.kind == _PLANT:
             _draw_sprite(picture, sprite, camera)
@@ -105,7 +105,7 @@ def _draw(scene: Scene) -> Picture:
 
 
 def _background(camera: int) -> Picture:
-    """Return sky, clouds and mountains; what is far away moves less than the camera."""
+    """Return sky, clouds and mountains; distant layers move less than the camera."""
     rows = np.arange(HEIGHT)[:, np.newaxis]
     columns = np.arange(WIDTH)
     sky = np.array([_LETTERS[letter] for letter in _SKY], np.uint8)
@@ -144,7 +144,7 @@ def _on_hill(rows: tuple[str, ...], row: int, column: int) -> bool:
 
 
 def _solid_tile(rows: tuple[str, ...], row: int, column: int) -> str:
-    """Return how a solid cell looks: ground and what lies on it, ceiling, or a block in the air."""
+    """Return the look of a solid cell: ground and what lies on it, ceiling, or a block in the air."""
     line = "".join(line[column] for line in rows)
     if not line[row:].strip(_SOLID):
         return "earth" if row and line[row - 1] in _SOLID else "grass"
@@ -155,7 +155,7 @@ def _pipe_tile(rows: tuple[str, ...], row: int, column: int) -> str:
     line = rows[row]
     start = len(line[:column].rstrip("|"))
     end = len(line) - len(line[column:].lstrip("|"))
-    # Pipes are two wide; the window's left border may have cut one.
+    # Pipes are two tiles wide; the window's left border may cut one.
     cut = start == 0 and (end - start) % 2
     side = ("left", "right")[(column - start + cut) % 2]
     mouth = row == 0 or rows[row - 1][column] != "|"
@@ -193,7 +193,7 @@ def _picture(lines: tuple[str, ...]) -> Picture:
 
 
 def _paste(picture: Picture, image: Picture, left: int, top: int) -> None:
-    """Draw `image` onto `picture`; what does not fit is left out."""
+    """Draw `image` onto `picture`, clipped to it."""
     height, width = image.shape
     if not (-height < top < picture.shape[0] and -width < left < picture.shape[1]):
         return

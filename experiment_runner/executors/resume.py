@@ -39,9 +39,10 @@ class Remaining(NamedTuple):
 
     @property
     def course(self) -> str:
-        """How it continues, as a text such as `goes on after episode 200; 7 recorded episodes ...`."""
-        where = f"goes on after episode {self.after}" if self.after else "starts over"
-        return f"{where}; {self.dropped} recorded episodes are run again" if self.dropped else where
+        """How it continues, as a text such as `continues after episode 200; 7 recorded episodes ...`."""
+        where = f"continues after episode {self.after}" if self.after else "starts over"
+        again = "1 recorded episode is" if self.dropped == 1 else f"{self.dropped} recorded episodes are"
+        return f"{where}; {again} run again" if self.dropped else where
 
 
 def create_run(directory: Path, plan: Plan, *, clock: Callable[[], float] = time.time) -> Store:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from dataclasses import dataclass, field
 
 from experiment_runner.executors.dispatch import Dispatcher, Executor
@@ -16,6 +18,7 @@ from experiment_runner.plan import Plan, TrialSpec, class_files
 from experiment_runner.players import HubOptions, Meeting
 from experiment_runner.report.progress import Reporter
 from experiment_runner.store.store import Store
+from glue.core.config import DEFAULT_SESSION
 from glue.errors import ConfigError
 from glue.trajectory import TrajectoryWriter
 
@@ -102,15 +105,38 @@ def run_trials(
             else:
                 dispatcher.run_on(executor, remaining(store))
     except KeyboardInterrupt:
+        if sys.stderr.isatty():
+            reporter.say("")  # after the terminal's ^C
         if again := sum(trial.dropped for trial in remaining(store)):
-            reporter.say(f"{again} episodes have no checkpoint after them, and will be run again")
-        roles = [role for trial in store.trials() for role in (trial.spec.agent, trial.spec.environment)]
-        trust = " --trust" if class_files(roles) else ""
-        reporter.say(f"go on with: glue-experiment --resume {store.directory}{trust}")
+            have = "1 episode has" if again == 1 else f"{again} episodes have"
+            reporter.say(f"{have} no checkpoint after them, and will be run again")
+        flags = shlex.join(_flags(store, config.meeting))
+        reporter.say(
+            f"go on with: glue-experiment --resume {shlex.quote(str(store.directory))} {flags}".rstrip()
+        )
         raise
     finally:
         reporter.close()
     return sum(trial.failure is not None for trial in store.trials())
+
+
+def _flags(store: Store, meeting: Meeting) -> list[str]:
+    """Return the options that the run needs again: where players from outside join, and what is accepted."""
+    hub = meeting.hub
+    flags = [f"--bind={url}" for url in hub.bind]
+    flags += [f"--legacy-port={port.host}:{port.port or '*'}={port.session}" for port in hub.legacy]
+    for option, value in (("hub", hub.hub), ("key", hub.key), ("hub-key", hub.hub_key), ("keys", hub.keys)):
+        if value is not None:
+            flags.append(f"--{option}={value}")
+    if hub.session != DEFAULT_SESSION:
+        flags.append(f"--session={hub.session}")
+    if hub.insecure:
+        flags.append("--insecure")
+    if meeting.any_reward:
+        flags.append("--any-reward")
+    if class_files([role for trial in store.trials() for role in (trial.spec.agent, trial.spec.environment)]):
+        flags.append("--trust")
+    return flags
 
 
 def _executor(config: RunConfig) -> Executor | None:

@@ -32,9 +32,11 @@ __all__ = ["Overview", "as_object", "as_text", "overview"]
 _WINDOW: Final = 100
 _SETTING_COLUMNS: Final = ("setting", "finished", "episodes", "mean", "95 % interval", "IQM", "converged")
 _LEGEND: Final = f"""\
-mean, IQM  over trials, of the mean return of the last {_WINDOW} episodes; IQM is the interquartile mean
+mean, IQM  over trials, of the mean return of the last {_WINDOW} episodes;
+           IQM is the interquartile mean
 interval   of the mean, by bootstrap
-converged  the episode from which the mean of {_WINDOW}, over all trials, stays within 2 of its final value"""
+converged  the episode from which the mean of {_WINDOW}, over all trials, stays
+           within 2 of its final value"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ _MIN_COLUMNS: Final = 10
 
 
 def sketches(curves: Mapping[str, FloatArray], window: int, width: int) -> str:
-    """Return the running means over trials, one curve below the other, the range of each beside it.
+    """Return the running means over trials, one curve below the other, all on the scale beside them.
 
     Args:
         curves: (trials, episodes) by name; a curve that is shorter than the window is left out.
@@ -30,17 +30,19 @@ def sketches(curves: Mapping[str, FloatArray], window: int, width: int) -> str:
         ExperimentError: there is nothing to show yet.
     """
     window = fitting_window(window, curves)
+    means = {name: running_mean(returns, window).mean(axis=0) for name, returns in curves.items()}
+    means = {name: curve for name, curve in means.items() if curve.size}
+    low = min(float(curve.min()) for curve in means.values())
+    high = max(float(curve.max()) for curve in means.values())
     shown = []
-    for name, returns in curves.items():
-        means = running_mean(returns, window).mean(axis=0)
-        if means.size:
-            title = f"{name}: return, running mean of {counted(window, 'episode')}"
-            shown.append(_sketch(title, means, returns.shape[1], width))
+    for name, curve in means.items():
+        title = f"{name}: return, running mean of {counted(window, 'episode')}"
+        shown.append(_sketch(title, curve, (low, high), curves[name].shape[1], width))
     return "\n\n".join(shown)
 
 
-def _sketch(title: str, means: FloatArray, episodes: int, width: int) -> str:
-    low, high = float(means.min()), float(means.max())
+def _sketch(title: str, means: FloatArray, scale: tuple[float, float], episodes: int, width: int) -> str:
+    low, high = scale
     labels = [f"{high:.1f}", *[""] * (_HEIGHT - 2), f"{low:.1f}"]
     margin = max(map(len, labels))
     number = min(max(width - margin - 2, _MIN_COLUMNS), means.size)

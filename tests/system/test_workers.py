@@ -151,7 +151,7 @@ def test_lost_worker_is_replaced_without_a_trace_in_the_results(folder: Path, ag
     trial = f"{agent}/mines/0"
     happened = events(folder / "run")
     assert ("lost", trial, "its worker was killed by signal 9") in happened
-    where = "goes on after episode 4; 2" if agent == "Faulty" else "starts over; 6"
+    where = "continues after episode 4; 2" if agent == "Faulty" else "starts over; 6"
     assert ("rewind", trial, f"{where} recorded episodes are run again") in happened
     unsaved = [text for kind, _, text in happened if kind == "unsaved"]
     assert len(unsaved) == (2 if agent == "Forgetful" else 0)

@@ -1,4 +1,4 @@
-"""What happens to a block that is hit, and to actors that stand on it."""
+"""The effects of hitting a block, also on actors that stand on it."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def fling(world: World, enemy: Actor, vx: int) -> None:
 
 @jit
 def mark_spawn_dead(world: World, enemy: Actor) -> None:
-    """Let the spawn point of `enemy` make no other."""
+    """Keep the spawn point of `enemy` from making another one."""
     world.spawns[enemy.column, enemy.row] |= SPAWN_DEAD
 
 
@@ -81,7 +81,7 @@ def _add_item(world: World, column: int, row: int) -> None:
 
 @jit
 def _jolt(world: World, column: int, row: int) -> None:
-    """Shake the cell above a block: its coin is taken, and who stands there reacts."""
+    """Shake the cell above a block: a coin there is taken, and actors standing there react."""
     take_coin(world, column, row)
     away = -world.actors[0].facing
     for i in range(world.listed):

@@ -1,4 +1,4 @@
-"""Who touches whom: the others and Mario, shells and fireballs and the others."""
+"""Collisions: of Mario with other actors, and of shells and fireballs with other actors."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def touch_all(world: World) -> None:
             _roll_over_others(world, shell, world.order[i])
     for i in range(world.listed):
         _burn_others(world, world.actors[world.order[i]])
-    for i in range(world.added):  # one thrown in this very tick is tested already
+    for i in range(world.added):  # a shell thrown in this tick has been tested already
         _burn_others(world, world.actors[world.waiting[i]])
 
 
@@ -82,7 +82,7 @@ def _touch_enemy(world: World, mario: Actor, enemy: Actor, dy: np.float32) -> No
         if not enemy.winged:
             world.kills += 1
         bounce(world, enemy.y, enemy.height)
-    # The enemy suffers even where Mario's side of it did nothing.
+    # The enemy is affected even if the contact had no effect on Mario.
     if enemy.winged:
         enemy.winged = False
         enemy.vy = np.float32(0)

@@ -1,4 +1,4 @@
-"""From a seed, a difficulty, a type and a width to a level: tiles, spawn points and the goal column.
+"""Level generation: tiles, spawn points and goal column from a seed, difficulty, type and width.
 
 A level is a chain of zones, left to right. All randomness comes from one generator, so the order of
 the draws is part of the rules, even where a number drawn has no effect.
@@ -20,7 +20,7 @@ from glue.compiled.jit import jit
 __all__ = ["EXTRA_COLUMNS", "generate"]
 
 EXTRA_COLUMNS: Final = 50
-"""A level has this many columns more than its width parameter says."""
+"""Number of columns of a level beyond its width parameter."""
 _ROOM_FOR_ZONE: Final = 64
 _OVERGROUND: Final = 0
 _DRESS_OF_TYPE: Final = np.array([0, 12, 8])
@@ -33,7 +33,7 @@ _DRESSED: Final = np.array(
 
 @jit
 def generate(world: World) -> None:
-    """Make the level that the task of `world` asks for."""
+    """Generate the level of the task of `world`."""
     world.columns = world.level_width + EXTRA_COLUMNS
     world.tiles[: world.columns] = tile.EMPTY
     world.spawns[: world.columns] = 0
@@ -64,7 +64,7 @@ def _zone(world: World, rng: random.State, start: int) -> int:
         return _pipes(world, rng, start)
     if choice < 20 + hills + pipes + gap:
         return _gap(world, rng, start)
-    return 0  # the competition switched cannons off, but left them their share
+    return 0  # cannons were switched off in the competition, but their share of the draws remained
 
 
 @jit
@@ -87,7 +87,7 @@ def _hills(world: World, rng: random.State, start: int) -> int:
     floor = _floor(rng)
     _ground(world, start, start + length, floor)
     _enemies(world, rng, start + 1, start + length - 1, floor - 1)
-    taken = np.zeros(length + 2, np.bool_)  # where hills begin, and the column after their end
+    taken = np.zeros(length + 2, np.bool_)  # where each hill begins, and the column after its end
     top = floor
     last = False
     while not last:
@@ -187,7 +187,7 @@ def _ground(world: World, begin: int, end: int, floor: int) -> None:
 
 @jit
 def _enemies(world: World, rng: random.State, begin: int, end: int, row: int) -> None:
-    """Give each column from `begin` up to `end` its chance of an enemy in `row`."""
+    """Place an enemy in `row` of each column from `begin` up to `end`, at random."""
     difficulty = world.level_difficulty
     for x in range(begin, end):
         if random.draw(rng, 35) >= difficulty + 1:
@@ -241,7 +241,7 @@ def _ceiling(world: World, rng: random.State) -> None:
 
 @jit
 def _dress(world: World) -> None:
-    """Give ground cells the looks that fit their neighbours."""
+    """Choose the tiles of ground cells by their neighbours."""
     columns = world.columns
     buried = np.empty((columns + 1, ROWS + 1), np.int64)
     for x in range(columns + 1):

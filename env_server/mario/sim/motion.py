@@ -1,4 +1,4 @@
-"""How a body moves against the tiles: sideways, then vertically, in substeps of at most 8 pixels.
+"""Motion and collision with tiles: sideways, then vertically, in substeps of at most 8 pixels.
 
 A body tests the grid with a few probe points. For Mario and for shells a probe has effects of its
 own, such as taking a coin, and the next probe sees the changed tile.
@@ -41,7 +41,7 @@ def move_sideways(world: World, actor: Actor, amount: np.float32) -> bool:
 def move_vertically(world: World, actor: Actor, amount: np.float32) -> None:
     """Move by `amount` pixels or up to an obstacle: a ceiling clears `vy`, a floor grounds the actor.
 
-    Landing leaves `vy`: the small rest of it is what keeps a standing actor grounded.
+    Landing does not clear `vy`: what remains of it keeps a standing actor grounded.
     """
     while amount > _SUBSTEP:
         if _substep_down(world, actor, _SUBSTEP):
@@ -69,7 +69,7 @@ def _substep_sideways(world: World, actor: Actor, dx: np.float32) -> bool:
     if actor.kind == MARIO:
         world.wall_slide = head and middle and feet
     blocked = head or middle or feet
-    if actor.kind == RED_KOOPA and actor.grounded:  # it turns round at a cliff
+    if actor.kind == RED_KOOPA and actor.grounded:  # it turns around at a cliff
         below = int(actor.y / _TILE + _ONE)
         blocked = blocked or not solid(world, tile_of(front), below, _ONE)
     if not blocked:

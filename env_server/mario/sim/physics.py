@@ -1,4 +1,4 @@
-"""Mario: what the buttons do to him, and what the others do to him."""
+"""Mario: the effects of the buttons and of other actors on him."""
 
 from __future__ import annotations
 
@@ -51,20 +51,20 @@ def update_mario(world: World) -> None:
 
 @jit
 def die(world: World) -> None:
-    """Begin Mario's death."""
+    """Start Mario's death sequence."""
     world.frozen = True
     world.death_timer = 1
 
 
 @jit
 def is_untouchable(world: World) -> bool:
-    """Return whether nothing can happen to Mario now."""
+    """Return whether Mario is invulnerable now."""
     return world.death_timer > 0 or world.frozen
 
 
 @jit
 def hurt(world: World) -> None:
-    """Take Mario's fire, his size or his life, whichever comes first."""
+    """Hurt Mario: he loses fire if he has it, else his size if he is large, else his life."""
     if is_untouchable(world) or world.safe_timer > 0:
         return
     if world.large:
@@ -76,7 +76,7 @@ def hurt(world: World) -> None:
 
 @jit
 def grow(world: World, fire: bool) -> None:
-    """Give Mario what a mushroom, or with `fire` a flower, gives: a coin if he is so already."""
+    """Apply a mushroom or, with `fire`, a flower; it is a coin if Mario has its effect already."""
     if is_untouchable(world):
         return
     if world.fire if fire else world.large:
@@ -119,7 +119,7 @@ def _show_size(world: World, large: bool, fire: bool) -> None:
 
 @jit
 def _change_size(world: World, mario: Actor) -> None:
-    """Flicker between the new size and the last; it is his size in every respect."""
+    """Flicker between the new size and the previous one, which also counts in collisions."""
     world.change_timer -= 1 if world.change_timer > 0 else -1
     if abs(world.change_timer) // 3 % 2 == 0:
         _show_size(world, world.new_large, world.new_fire)
@@ -222,7 +222,7 @@ def _run(world: World, mario: Actor) -> None:
 
 @jit
 def _fire(world: World, mario: Actor) -> None:
-    """Throw a fireball if the button asks for it; let the buttons count anew once they are released."""
+    """Throw a fireball if the button is pressed; rearm the buttons when they are released."""
     if world.button_run and world.may_fire and world.fire and world.fireballs_seen < _FIREBALLS:
         add_fireball(world, mario.x + np.float32(mario.facing * 6), mario.y - np.float32(20), mario.facing)
     world.may_fire = not world.button_run
@@ -246,7 +246,7 @@ def _meet_borders(world: World, mario: Actor) -> None:
 
 @jit
 def _carry(world: World, mario: Actor) -> None:
-    """Hold the shell out in front, or let it go."""
+    """Carry the shell in front of Mario, or release it."""
     if not world.carrying:
         return
     shell = world.actors[world.carrying]

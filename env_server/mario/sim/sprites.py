@@ -1,4 +1,4 @@
-"""Everyone but Mario: how they come into the world, and how they move by one tick."""
+"""Actors other than Mario: how they are created, and how they move in a tick."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def update_sprite(world: World, actor: Actor) -> None:
 
 @jit
 def add_enemy(world: World, column: int, row: int, facing: int) -> None:
-    """Let the spawn point of a cell make its enemy."""
+    """Create the enemy of a cell's spawn point."""
     spawn = int(world.spawns[column, row])
     kind = spawn & SPAWN_KIND
     if kind == PLANT:
@@ -87,14 +87,14 @@ def add_enemy(world: World, column: int, row: int, facing: int) -> None:
     actor.column = column
     actor.row = row
     if kind == PLANT:
-        for _ in range(4):  # it comes up at once
+        for _ in range(4):  # it rises at once
             _update_plant(world, actor)
     update_sprite(world, actor)
 
 
 @jit
 def add_shell(world: World, x: np.float32, y: np.float32) -> None:
-    """Leave the shell of a koopa."""
+    """Create the shell of a koopa."""
     shell = add_actor(world, SHELL, x, y, 0, 12)
     shell.vy = _DROP
     update_sprite(world, shell)
@@ -118,7 +118,7 @@ def drop(actor: Actor, vx: int) -> None:
 
 @jit
 def _turn(actor: Actor) -> None:
-    """Look where the motion of the last tick went."""
+    """Face the direction of the last tick's motion."""
     if actor.vx > _TWO:
         actor.facing = 1
     if actor.vx < -_TWO:

@@ -1,4 +1,4 @@
-"""Every field of a game, with its unit. A game is one record of `WORLD`: to copy the memory is to copy it.
+"""Every field of a game, with its unit. A game is one record of `WORLD`; copying its memory copies the game.
 
 `World` and `Actor` name the fields and their types, once, for the type checker and for the record's
 layout. The rules take a record; compiled or not, `world.coins` reads and writes its memory.
@@ -48,10 +48,10 @@ COLUMNS: Final = 2050
 ROWS: Final = 15
 """The height of every level, in tiles."""
 ACTORS: Final = 256
-"""How many actors there can be, Mario included. The original has no such bound; see `add_actor`."""
+"""Maximum number of actors, including Mario. The original has no such bound; see `add_actor`."""
 TICKS_PER_ACTION: Final = 5
 
-# What an actor is: as the observation reports it, except Mario, whose number there depends on his size.
+# Kinds of actors, as in observations, except Mario, whose number there depends on his size.
 FREE: Final = 0
 RED_KOOPA: Final = 1
 GREEN_KOOPA: Final = 2
@@ -84,7 +84,7 @@ class Actor:
     y: Single  # of its feet
     vx: Single
     vy: Single
-    old_x: Single  # where it was before its last update
+    old_x: Single  # its position before the last update
     old_y: Single
     facing: Int  # -1 left, 1 right, 0 a shell at rest
     height: Int  # pixels
@@ -94,7 +94,7 @@ class Actor:
     flung: Flag  # dead, and flying off
     dead: Flag  # of a shell or fireball
     carried: Flag  # of a shell
-    dead_timer: Int  # ticks until it goes
+    dead_timer: Int  # ticks until it is removed
     age: Int  # of an item: pixels risen; of a plant: ticks in its pipe
     column: Int  # its spawn point
     row: Int
@@ -136,16 +136,16 @@ class World:
     draws_at_checkins: Flag  # and not after every tick
     velocity_of_jar: Flag
 
-    # What outlives an episode.
+    # Kept between episodes.
     button_left: Flag
     button_right: Flag
     button_jump: Flag
     button_run: Flag
-    started: Flag  # an episode has begun before
+    started: Flag  # whether an episode has begun before
 
     # The level.
     columns: Int  # tiles
-    exit_x: Int  # the column to pass
+    exit_x: Int  # the column that Mario must pass
     exit_y: Int
     tiles: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]
     spawns: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]
@@ -156,7 +156,7 @@ class World:
     coins: Int
     kills: Int
     paid: Double  # the total of all rewards up to the last check-in
-    direction: Int  # the action in force
+    direction: Int  # the current action
     jump: Int
     run: Int
     drawn_camera: Int  # pixels; of the last draw
@@ -167,7 +167,7 @@ class World:
     scanned_to: Int  # ends included
     fireballs_seen: Int
 
-    # Mario, beyond what he shares with every actor.
+    # Mario's own fields.
     large: Flag
     fire: Flag
     new_large: Flag  # after the size change under way
@@ -187,11 +187,11 @@ class World:
     win_timer: Int
     carrying: Int  # the slot of a shell, or 0
 
-    # The actors: Mario in slot 0, the others anywhere; their order is that of the list.
+    # The actors: Mario in slot 0, the others in any slot; the list has their order.
     actors: Annotated[Actors, "Actor", (ACTORS + 1,)]
-    listed: Int  # how many are in the list, which leaves Mario out: he is always its last
+    listed: Int  # length of the list, without Mario, who always comes last
     order: Annotated[npt.NDArray[np.int32], np.int32, (ACTORS,)]  # slots
-    added: Int  # how many wait for the end of the tick to be listed
+    added: Int  # number of actors to be listed at the end of the tick
     waiting: Annotated[npt.NDArray[np.int32], np.int32, (ACTORS,)]  # slots
 
 
@@ -200,7 +200,7 @@ Worlds = npt.NDArray[np.void]
 
 
 def _record(fields: type) -> np.dtype[np.void]:
-    """Return the layout that a class of annotations describes, wide numbers first so that all are aligned."""
+    """Return the record layout of an annotated class, widest fields first, so that all are aligned."""
     layout: list[tuple[Any, ...]] = []
     for name, hint in typing.get_type_hints(fields, include_extras=True).items():
         kind, *shape = hint.__metadata__
@@ -215,9 +215,9 @@ WORLD: Final = _record(World)
 
 @jit
 def add_actor(world: World, kind: int, x: np.float32, y: np.float32, facing: int, height: int) -> Actor:
-    """Return a new actor, which waits for the end of the tick to be put in front of the list.
+    """Return a new actor, which is put in front of the list at the end of the tick.
 
-    Should all places be taken, it gets a spare one and is never listed. No level was seen to need a
+    If all slots are in use, it gets a spare one and is never listed. No level has been seen to need a
     quarter of them.
     """
     slot = 1

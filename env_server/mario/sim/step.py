@@ -1,4 +1,4 @@
-"""The clock: one tick, and from one check-in to the next. The order of things, and only that."""
+"""The order of events in a tick, and between one check-in and the next."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ _BELOW: Final = 304
 
 @jit
 def begin(world: World) -> None:
-    """Start an episode and run it up to its first check-in. The buttons stay as they were left."""
+    """Start an episode and run it up to its first check-in. The buttons keep their state."""
     reset(world)
     _run_to_check_in(world)
     if not world.started and world.start_ticks > TICKS_PER_ACTION:
-        draw(world)  # for the check-in that is not reported
+        draw(world)  # for a check-in that is not reported
         _run_to_check_in(world)
     world.started = True
 
@@ -86,7 +86,7 @@ def draw(world: World) -> None:
 
 @jit
 def is_over(world: World) -> bool:
-    """Return whether a draw would find the episode at its end."""
+    """Return whether the episode is over, as the next draw would find."""
     return world.win_timer > 0 or world.death_timer > 0
 
 
@@ -107,7 +107,7 @@ def _run_to_check_in(world: World) -> bool:
 
 @jit
 def press_buttons(world: World, all_buttons: bool) -> None:
-    """Set the buttons that the next tick sees; the first tick of a step lets go of jump and run."""
+    """Set the buttons for the next tick; in the first tick of a step jump and run are released."""
     world.button_left = world.direction == -1
     world.button_right = world.direction == 1
     world.button_jump = all_buttons and world.jump == 1
@@ -116,7 +116,7 @@ def press_buttons(world: World, all_buttons: bool) -> None:
 
 @jit
 def reset(world: World) -> None:
-    """Build the level anew and bring everything to where an episode starts, but for the buttons."""
+    """Generate the level again and reset everything but the buttons for a new episode."""
     generate(world)
     world.playing = True
     world.steps = 0
@@ -177,7 +177,7 @@ def _clamp_camera(world: World, x: np.float32) -> np.float32:
 
 @jit
 def _mark_leaving(world: World) -> None:
-    """Mark who is off the screen, and count the fireballs that are not."""
+    """Mark actors that are off the screen, and count the fireballs on it."""
     world.fireballs_seen = 0
     for i in range(world.listed):
         actor = world.actors[world.order[i]]
@@ -206,7 +206,7 @@ def _spawn(world: World) -> None:
 
 @jit
 def _has_enemy(world: World, column: int, row: int) -> bool:
-    """Return whether the last enemy of a spawn point is still about."""
+    """Return whether the last enemy of a spawn point still exists."""
     for i in range(world.listed):
         actor = world.actors[world.order[i]]
         if actor.column == column and actor.row == row:
@@ -216,14 +216,14 @@ def _has_enemy(world: World, column: int, row: int) -> bool:
 
 @jit
 def _towards(world: World, column: int) -> int:
-    """Return where an enemy of a column first looks: -1 left, if Mario is over a tile that way, else 1."""
+    """Return where an enemy of a column faces at first: -1 left, if Mario is over a tile that way, else 1."""
     middle = np.float32(16 * column + 8)
     return -1 if middle > world.actors[0].x + np.float32(16) else 1
 
 
 @jit
 def _tidy_list(world: World) -> None:
-    """Put the new actors in front of the list, as a block, oldest first; then remove those that leave."""
+    """Put new actors in front of the list, as a block, oldest first; then remove those that are marked."""
     added = world.added
     if added:
         for i in range(world.listed - 1, -1, -1):
@@ -239,7 +239,7 @@ def _tidy_list(world: World) -> None:
         if actor.leaving:
             actor.kind = FREE
             if world.carrying == slot:
-                world.carrying = 0  # what he holds is gone, which no observation shows
+                world.carrying = 0  # the shell that he carries is gone, which no observation shows
         else:
             world.order[kept] = slot
             kept += 1

@@ -1,4 +1,4 @@
-"""Tile codes, what they do, and the questions the rules ask of the grid.
+"""Tile codes, their behaviours, and queries of the grid.
 
 A code is 0 to 255. Source of the table: RL-Competition 2009, Infinite Mario's tile behaviours.
 """
@@ -91,13 +91,13 @@ BEHAVIOR: Final = np.array(
 
 @jit
 def tile_of(position: np.float32) -> int:
-    """Return the column or row of a position in pixels. Towards zero: -15.9 is still in tile 0."""
+    """Return the column or row of a position in pixels. Rounded towards zero: -15.9 is in tile 0."""
     return int(position / np.float32(16))
 
 
 @jit
 def tile_at(world: World, column: int, row: int) -> int:
-    """Return the code of a cell. The border columns and the bottom row extend forever; above is nothing."""
+    """Return the code of a cell. Border columns and the bottom row extend forever; above the level is nothing."""
     if row < 0:
         return EMPTY
     return int(world.tiles[min(max(column, 0), world.columns - 1), min(row, ROWS - 1)])
@@ -105,7 +105,7 @@ def tile_at(world: World, column: int, row: int) -> int:
 
 @jit
 def behavior_at(world: World, column: int, row: int) -> int:
-    """Return what the tile of a cell does."""
+    """Return the behaviour of a cell's tile."""
     return int(BEHAVIOR[tile_at(world, column, row)])
 
 

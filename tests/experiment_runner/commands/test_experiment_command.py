@@ -223,7 +223,7 @@ def test_resume_reports_what_is_repeated() -> None:
         store.record("random/mines/0", episodes[3], found[1])
         store.record("random/mines/0", episodes[4])
     result = invoke("--resume", "run", "--in-process")
-    assert "random/mines/0 goes on after episode 4; 1 recorded episodes are run again" in result.stderr
+    assert "random/mines/0 continues after episode 4; 1 recorded episode is run again" in result.stderr
 
 
 def test_empty_file_of_a_recording_that_failed_is_replaced_and_nothing_else_is() -> None:

@@ -103,7 +103,7 @@ def test_list_and_show_tell_a_run_under_way_and_a_failure(tmp_path: Path, run: P
     assert shown[0] == f"{run}: failed"
     assert f"failed: {TRIALS[3]}: the agent raised ValueError: no" in shown
     assert f"void: episode 4 of {TRIALS[3]}: the agent was lost" in shown
-    assert f"rewind: {TRIALS[3]}: goes on after episode 2; 1 recorded episodes are run again" in shown
+    assert f"rewind: {TRIALS[3]}: continues after episode 2; 1 recorded episode is run again" in shown
 
 
 def test_list_goes_on_past_a_run_that_cannot_be_read(tmp_path: Path, run: Path) -> None:

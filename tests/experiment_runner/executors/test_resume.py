@@ -63,7 +63,7 @@ def test_trials_go_on_after_their_checkpoint_or_start_over(interrupted: Path) ->
         assert [(e.kind, e.trial_id, e.text) for e in store.events()] == [
             ("start", None, program()),
             ("resume", None, program()),
-            ("rewind", CHECKPOINTED, "goes on after episode 3; 1 recorded episodes are run again"),
+            ("rewind", CHECKPOINTED, "continues after episode 3; 1 recorded episode is run again"),
             ("rewind", PLAIN, "starts over; 2 recorded episodes are run again"),
         ]
 

@@ -29,6 +29,16 @@ def test_no_line_is_wider_than_the_terminal_and_trials_are_averaged() -> None:
     assert not any("short" in line for line in shown)
 
 
+def test_curves_share_one_scale() -> None:
+    low, high = (np.full((1, 20), value) for value in (1.0, 9.0))
+    first, second = (
+        curve.splitlines() for curve in sketches({"low": low, "high": high}, 1, 40).split("\n\n")
+    )
+    assert [row[:5] for row in first[1:-1]] == [row[:5] for row in second[1:-1]]
+    assert "█" not in "".join(first)
+    assert second[1].endswith("█" * 20)
+
+
 def test_nothing_to_show_is_an_error() -> None:
     with pytest.raises(ExperimentError, match="nothing"):
         sketches({}, 100, 80)
