@@ -97,7 +97,7 @@ def tile_of(position: np.float32) -> int:
 
 @jit
 def tile_at(world: World, column: int, row: int) -> int:
-    """Return the code of a cell. Border columns and the bottom row extend forever; above the level is nothing."""
+    """Return the code of a cell. Border columns and the bottom row extend forever; above is nothing."""
     if row < 0:
         return EMPTY
     return int(world.tiles[min(max(column, 0), world.columns - 1), min(row, ROWS - 1)])
