@@ -156,7 +156,7 @@ def test_a_forged_save_is_refused_or_harmless(role: Role, name: str) -> None:
     assert save(role, player) == saved
 
 
-@pytest.mark.parametrize("agent", names(Role.AGENT))
+@pytest.mark.parametrize("agent", sorted(OLD))  # an agent that is new has none
 def test_saves_of_earlier_versions_are_continued_exactly(agent: str) -> None:
     old = OLD[agent]
     with local(make(Role.AGENT, agent), make(Role.ENVIRONMENT, old["environment"])) as glue:
