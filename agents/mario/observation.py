@@ -155,12 +155,14 @@ class Seen(NamedTuple):
 
     camera   leftmost column in view
     kinds    kind of each sprite, Mario first
+    winged   whether each sprite has wings
     doubles  x, y and both speeds of each sprite, one after the other
     chars    the tiles as they were sent, Mario among them
     """
 
     camera: int
     kinds: list[int]
+    winged: list[bool]
     doubles: list[float]
     chars: bytes
 
@@ -176,7 +178,7 @@ def decode(observation: Observation) -> Seen:
     doubles = observation.doubles.tolist()
     if not all(abs(number) < _FARTHEST for number in doubles):
         raise malformed(observation)
-    return Seen(camera, sprites[::2], doubles, observation.chars)
+    return Seen(camera, sprites[::2], [*map(bool, sprites[1::2])], doubles, observation.chars)
 
 
 def glimpse(observation: Observation) -> tuple[int, tuple[float, float], bytes]:

@@ -1,0 +1,1 @@
+"""Agents made of Soar productions, run by the Soar kernel."""

@@ -1,0 +1,142 @@
+"""The agents made of Soar productions, by name: those of Mohan (2010), one for mines, and anybody's own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+from agents.soar.kernel import Kernel
+from agents.soar.link import Link
+from agents.soar.mario_link import MarioLink
+from agents.soar.player import PRODUCTIONS, MaxCycles, Seed, SoarPlayer
+from agents.soar.task_link import TaskLink
+from glue.errors import ConfigError
+from glue.options import Option
+from glue.taskspec import MARIO, TaskSpec
+
+__all__ = [
+    "SoarAgent",
+    "SoarFlatAgent",
+    "SoarHierarchicalAgent",
+    "SoarHierarchicalFactsAgent",
+    "SoarHierarchicalInternalAgent",
+    "SoarHierarchicalProgrammedAgent",
+    "SoarMinesAgent",
+    "SoarObjectsCoarseAgent",
+]
+
+StepSize = Annotated[float, Option("step size of SARSA (Mohan 2010: 0.3)", low=0, high=1)]
+Discount = Annotated[float, Option("discount of SARSA (Mohan 2010: 0.9)", low=0, high=1)]
+Epsilon = Annotated[float, Option("chance to explore, at first (Mohan 2010: 0.1)", low=0, high=1)]
+Reduction = Annotated[
+    float, Option("what every decision cycle multiplies epsilon by (Mohan 2010: 0.9999)", low=0, high=1)
+]
+
+
+class SoarAgent(SoarPlayer):
+    """Your own Soar productions, in any task; docs/soar.md says what is on the input link."""
+
+    name = "soar"
+
+    def __init__(
+        self,
+        *,
+        productions: Annotated[str, Option("file of Soar productions (.soar) to load")] = "",
+        max_cycles: MaxCycles = 100,
+        seed: Seed = None,
+    ) -> None:
+        super().__init__(Path(productions), max_cycles, seed)
+        self._given = bool(productions)
+
+    def agent_init(self, task_spec: str) -> None:
+        """Load the productions; see `SoarPlayer.agent_init`."""
+        if not self._given:
+            raise ConfigError("agent soar needs the file of its productions: --productions my.soar")
+        super().agent_init(task_spec)
+
+    def _new_link(self, kernel: Kernel, task: TaskSpec) -> Link:
+        return TaskLink(kernel, task)
+
+
+class SoarMinesAgent(SoarPlayer):
+    """An example of how a Soar agent is made here: it learns the way across the mines."""
+
+    name = "soar-mines"
+
+    def __init__(self, *, max_cycles: MaxCycles = 100, seed: Seed = None) -> None:
+        super().__init__(PRODUCTIONS / "mines.soar", max_cycles, seed)
+
+    def _new_link(self, kernel: Kernel, task: TaskSpec) -> Link:
+        return TaskLink(kernel, task)
+
+
+class SoarHierarchicalAgent(SoarPlayer):
+    """Experiment 5 on the Soar kernel: two levels; the order of the operators is learned."""
+
+    name = "soar-hierarchical"
+    _file: ClassVar[str] = "hierarchical.soar"
+
+    def __init__(
+        self,
+        *,
+        step_size: StepSize = 0.3,
+        discount: Discount = 0.9,
+        epsilon: Epsilon = 0.1,
+        reduction: Reduction = 0.9999,
+        max_cycles: MaxCycles = 100,
+        seed: Seed = None,
+    ) -> None:
+        super().__init__(PRODUCTIONS / "mario" / self._file, max_cycles, seed)
+        self._settings = (
+            f"rl --set learning-rate {step_size!r}",
+            f"rl --set discount-rate {discount!r}",
+            f"decide indifferent-selection --epsilon {epsilon!r}",
+            f"decide indifferent-selection --reduction-rate epsilon exponential {reduction!r}",
+        )
+
+    def _configure(self, kernel: Kernel) -> None:
+        for line in self._settings:
+            kernel.command(line)
+
+    def _new_link(self, kernel: Kernel, task: TaskSpec) -> Link:
+        if task.version != MARIO:
+            raise ConfigError(
+                f"agent {self.name} plays Infinite Mario only, whose task spec begins VERSION {MARIO}; "
+                f"it received {str(task)!r:.80}: use it with the environment mario"
+            )
+        return MarioLink(kernel, task)
+
+
+class SoarHierarchicalProgrammedAgent(SoarHierarchicalAgent):
+    """Experiment 4 on the Soar kernel: two levels; the order of the operators is programmed."""
+
+    name = "soar-hierarchical-programmed"
+    _file = "hierarchical-programmed.soar"
+
+
+class SoarHierarchicalFactsAgent(SoarHierarchicalAgent):
+    """Experiment 6 on the Soar kernel: as 5, and what lies above a reachable platform is reachable."""
+
+    name = "soar-hierarchical-facts"
+    _file = "hierarchical-facts.soar"
+
+
+class SoarHierarchicalInternalAgent(SoarHierarchicalAgent):
+    """Experiment 7 on the Soar kernel: as 6, but keystrokes are rewarded for their operator's goal."""
+
+    name = "soar-hierarchical-internal"
+    _file = "hierarchical-internal.soar"
+
+
+class SoarObjectsCoarseAgent(SoarHierarchicalAgent):
+    """Experiment 8 on the Soar kernel: as 6, but a keystroke's value is a sum over objects of a kind."""
+
+    name = "soar-objects-coarse"
+    _file = "objects-coarse.soar"
+
+
+class SoarFlatAgent(SoarHierarchicalAgent):
+    """Experiment 3 on the Soar kernel: one level; a state is all objects that are related to Mario."""
+
+    name = "soar-flat"
+    _file = "flat.soar"

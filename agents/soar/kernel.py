@@ -1,0 +1,185 @@
+"""One agent in a Soar kernel: its productions, its input and output, and its runs.
+
+The kernel runs in the thread that made it, and listens to nobody. soar-sml is imported here alone, and
+only when a kernel is made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from glue.errors import ConfigError, SimulatorError
+
+__all__ = ["Element", "Kernel", "SoarError", "Value"]
+
+Element = Any
+"""An element of working memory, as soar-sml hands it out."""
+
+Value = int | float | str
+
+_SETTINGS: Final = (
+    "watch 0",
+    "soar timers off",
+    "output agent-writes off",
+    "chunk never",
+    "epmem --disable",
+    "smem --disable",
+)
+"""What an agent of many episodes has no use for, and would pay for in time or memory."""
+
+_SHOWN: Final = 1500
+"""An error shows no more than the last of what Soar printed: this many characters."""
+
+
+class SoarError(SimulatorError):
+    """Soar refused something, or its agent did not act; the message shows what Soar printed."""
+
+
+class Kernel:
+    """A Soar agent, in a kernel of its own.
+
+    Args:
+        name: of the agent, for Soar's own messages.
+        max_cycles: the largest number of decision cycles that a step may take.
+
+    Raises:
+        ConfigError: soar-sml is not installed.
+    """
+
+    def __init__(self, name: str, max_cycles: int) -> None:
+        try:
+            import soar_sml
+        except ImportError:
+            raise ConfigError("this agent needs soar-sml: pip install 'glue-rl[soar]'") from None
+        self._name = name
+        self._max_cycles = max_cycles
+        self._halted = soar_sml.sml_RUNSTATE_HALTED
+        self._once: set[str] = set()
+        self._failure: Exception | None = None
+        self._kernel = soar_sml.Kernel.CreateKernelInCurrentThread(True, soar_sml.Kernel.kSuppressListener)
+        self._kernel.AddRhsFunction("once", self._execute_once, None)
+        self._agent = self._kernel.CreateAgent(name)
+        self._agent.SetBlinkIfNoChange(False)
+        self.input: Element = self._agent.GetInputLink()
+        # Bound once: an observation is a hundred of these.
+        self.add_identifier = self._agent.CreateIdWME
+        self.add_link = self._agent.CreateSharedIdWME
+        self.add_int = self._agent.CreateIntWME
+        self.add_float = self._agent.CreateFloatWME
+        self.add_text = self._agent.CreateStringWME
+        self.update = self._agent.Update
+        self.remove = self._agent.DestroyWME
+        for line in (*_SETTINGS, f"soar max-nil-output-cycles {max_cycles}"):
+            self.command(line)
+
+    def close(self) -> None:
+        """End the kernel; nothing else may be called after."""
+        self._kernel.Shutdown()
+
+    # Productions and commands
+
+    def command(self, line: str) -> str:
+        """Execute a line of Soar's command language; return what it prints.
+
+        Raises:
+            SoarError: Soar does not accept it.
+        """
+        printed: str = self._agent.ExecuteCommandLine(line)
+        if not self._agent.GetLastCommandLineResult():
+            raise SoarError(f"Soar does not accept {line!r:.200}: {_end_of(printed)}")
+        return printed
+
+    def source(self, file: Path) -> None:
+        """Load a file of productions, and the files that it sources, which it names relative to itself.
+
+        Raises:
+            ConfigError: there is no such file, or Soar does not accept a line of it.
+        """
+        if not file.is_file():
+            raise ConfigError(f"there is no file of productions {str(file)!r}")
+        try:
+            self.command(f'source "{file.resolve().as_posix()}"')
+        except SoarError as error:
+            raise ConfigError(f"the productions of {str(file)!r} do not load: {error}") from None
+
+    def value_rules(self) -> str:
+        """Return the rules that give operators a numeric value, as productions, with their present values."""
+        return self.command("print --rl --full")
+
+    @property
+    def once(self) -> frozenset[str]:
+        """The first lines of the commands that the right-hand side function `once` has executed."""
+        return frozenset(self._once)
+
+    def skip_once(self, first_lines: Iterable[str]) -> None:
+        """Have `once` skip the commands with these first lines, as if it had executed them."""
+        self._once.update(first_lines)
+
+    def _execute_once(self, _event: int, _data: object, _agent: str, _function: str, command: str) -> str:
+        first_line = command.partition("\n")[0]
+        if first_line not in self._once:
+            self._once.add(first_line)
+            try:
+                self.command(command)
+            except SoarError as error:
+                self._failure = self._failure or error  # no exception can pass through the kernel
+        return ""
+
+    # Runs
+
+    def run(self) -> tuple[str, Mapping[str, str]]:
+        """Run until the agent has put a command on its output link; return its name and its parameters.
+
+        Raises:
+            SoarError: it has halted, or has sent no command in the decision cycles that a step may take.
+        """
+        self._agent.Commit()
+        self._agent.RunSelfTilOutput()
+        self._check()
+        if not self._agent.GetNumberCommands():
+            raise SoarError(
+                f"the Soar agent {self._name} has put no command on its output link in {self._max_cycles} "
+                f"decision cycles; its goal stack is\n{_end_of(self.command('print --stack'))}"
+            )
+        command = self._agent.GetCommand(self._agent.GetNumberCommands() - 1)
+        identifier = command.ConvertToIdentifier()
+        children = (identifier.GetChild(i) for i in range(identifier.GetNumberChildren()))
+        return command.GetCommandName(), {
+            child.GetAttribute(): child.GetValueAsString() for child in children if child is not None
+        }
+
+    def run_cycle(self) -> None:
+        """Run one decision cycle; the agent may send a command or not, or halt."""
+        self._agent.Commit()
+        self._agent.RunSelf(1)
+        self._raise_failure()
+
+    def reinitialize(self) -> None:
+        """Empty working memory, but for the input; learned values stay."""
+        self._agent.InitSoar()
+
+    @property
+    def cycles(self) -> int:
+        """The number of decision cycles since `reinitialize`."""
+        return int(self._agent.GetDecisionCycleCounter())
+
+    def _check(self) -> None:
+        self._raise_failure()
+        if self._agent.GetRunState() == self._halted:
+            raise SoarError(
+                f"the Soar agent {self._name} has halted in the middle of an episode: a rule executed (halt), "
+                f"or the kernel gave up; its goal stack is\n{_end_of(self.command('print --stack'))}"
+            )
+
+    def _raise_failure(self) -> None:
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+
+
+def _end_of(printed: str) -> str:
+    """Return the end of what Soar printed, without the marks that it makes for loaded productions."""
+    lines = [line for line in printed.strip().splitlines() if line.strip("*#& ")]
+    return "\n".join(lines)[-_SHOWN:]

@@ -1,0 +1,239 @@
+"""Infinite Mario on the input link: Mario, the monsters, and the tiles in their columns.
+
+    (<input-link> ^mario <m> ^monster <n> ... ^column <c> ...)
+    (<m> ^type small ^column 12 ^row 3 ^x 12.4 ^y 3.0 ^speed-x 0.6 ^speed-y 0.0)
+    (<n> ^id 7 ^place 0 ^type goomba ^winged no ^x 15.1 ^y 3.0 ^speed-x -0.35 ^speed-y 0.0)
+    (<c> ^number 15 ^left <b> ^tile <t> ...)     the column to the left, if in view
+    (<t> ^type coin ^row 5)                      blanks are left out, and so is the tile that Mario hides
+
+Positions and rows are those of `agents.mario.observation`; what Mario's column and row are, too. A
+monster is any sprite but Mario. It keeps its id for as long as the sprites up to its place in the
+observation are of the same kinds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from agents.mario.actions import ACTIONS, LEFT, RIGHT, STAY, action_number
+from agents.mario.observation import (
+    BLANK,
+    BRICK,
+    COIN,
+    COLUMNS,
+    FINISH,
+    FIRE_FLOWER,
+    FIREBALL,
+    GOOMBA,
+    GREEN_KOOPA,
+    LEDGE,
+    MARIO,
+    MUSHROOM,
+    PIPE,
+    PLANT,
+    QUESTION,
+    RED_KOOPA,
+    ROWS,
+    SHELL,
+    SOLID,
+    SPIKEY,
+    Seen,
+    decode,
+)
+from agents.soar.kernel import Element, Kernel, SoarError
+from agents.soar.link import Link
+from glue.taskspec import TaskSpec
+from glue.types import Action, Observation
+
+__all__ = ["MarioLink"]
+
+_SPRITES: Final = {
+    0: "small",
+    10: "big",
+    11: "fiery",
+    RED_KOOPA: "red-koopa",
+    GREEN_KOOPA: "green-koopa",
+    GOOMBA: "goomba",
+    SPIKEY: "spikey",
+    PLANT: "piranha-plant",
+    MUSHROOM: "mushroom",
+    FIRE_FLOWER: "fire-flower",
+    FIREBALL: "fireball",
+    SHELL: "shell",
+}
+_TILES: Final = {
+    COIN: "coin",
+    QUESTION: "question",
+    BRICK: "brick",
+    PIPE: "pipe",
+    LEDGE: "ledge",
+    SOLID: "solid",
+    FINISH: "finish",
+}
+_YES_NO: Final = ("no", "yes")
+_MOTION: Final = ("x", "y", "speed-x", "speed-y")
+
+_DIRECTIONS: Final = {"left": LEFT, "stay": STAY, "right": RIGHT}
+_EMPTY: Final = bytes([BLANK]) * ROWS
+
+
+@dataclass(slots=True)
+class _Sprite:
+    """A sprite on the input link: what it is, its numbers, and the elements that hold what may change."""
+
+    element: Element
+    kind: int
+    winged: bool
+    winged_element: Element
+    numbers: Sequence[float]
+    elements: Sequence[Element]
+
+
+@dataclass(slots=True)
+class _Column:
+    """A column on the input link: its tiles from top to bottom, and their elements by row."""
+
+    element: Element
+    tiles: bytes
+    elements: dict[int, Element]
+
+
+class MarioLink(Link):
+    """Observations of Infinite Mario for Soar, and Soar's keystrokes as actions."""
+
+    def __init__(self, kernel: Kernel, task: TaskSpec) -> None:
+        super().__init__(kernel, task)
+        self._mario: _Sprite | None = None
+        self._square = (0, 0)
+        self._square_elements: tuple[Element, Element] | None = None
+        self._mario_type: Element = None
+        self._monsters: list[_Sprite] = []
+        self._columns: dict[int, _Column] = {}
+        self._ids = 0
+
+    def action(self, name: str, parameters: Mapping[str, str]) -> Action:
+        """Return the action of a command ^keystroke with ^direction, ^jump and ^speed."""
+        direction = _DIRECTIONS.get(parameters.get("direction", ""))
+        jump, speed = parameters.get("jump"), parameters.get("speed")
+        if name != "keystroke" or direction is None or jump not in ("yes", "no") or speed not in ("high", "low"):
+            shown = " ".join(f"^{key} {value}" for key, value in parameters.items())
+            raise SoarError(
+                "the output link takes ^keystroke with ^direction left, stay or right, ^jump yes or no and "
+                f"^speed high or low; the agent sent ^{name} with {shown or 'nothing'}"
+            )
+        return ACTIONS[action_number(direction, jump == "yes", speed == "high")]
+
+    def _forget(self) -> None:
+        self._drop_monsters(0)
+
+    def _put(self, observation: Observation) -> None:
+        seen = decode(observation)
+        self._put_mario(seen)
+        self._put_monsters(seen)
+        self._put_columns(seen)
+
+    # Sprites
+
+    def _put_mario(self, seen: Seen) -> None:
+        kernel = self._kernel
+        numbers = seen.doubles[:4]
+        square = int(numbers[0]), int(numbers[1])
+        kind = seen.kinds[0]
+        if self._mario is None or self._square_elements is None:
+            element = kernel.add_identifier(kernel.input, "mario")
+            self._mario_type = kernel.add_text(element, "type", _SPRITES.get(kind, str(kind)))
+            self._square_elements = (
+                kernel.add_int(element, "column", square[0]),
+                kernel.add_int(element, "row", square[1]),
+            )
+            self._mario = _Sprite(element, kind, False, None, numbers, self._add_numbers(element, numbers))
+        else:
+            if kind != self._mario.kind:
+                kernel.update(self._mario_type, _SPRITES.get(kind, str(kind)))
+                self._mario.kind = kind
+            for element, now, before in zip(self._square_elements, square, self._square, strict=True):
+                if now != before:
+                    kernel.update(element, now)
+            self._move(self._mario, numbers)
+        self._square = square
+
+    def _put_monsters(self, seen: Seen) -> None:
+        kinds = seen.kinds[1:]
+        known = 0
+        while known < min(len(kinds), len(self._monsters)) and kinds[known] == self._monsters[known].kind:
+            known += 1
+        self._drop_monsters(known)
+        for place, kind in enumerate(kinds):
+            winged, numbers = seen.winged[place + 1], seen.doubles[4 * place + 4 : 4 * place + 8]
+            if place == len(self._monsters):
+                self._monsters.append(self._add_monster(place, kind, winged, numbers))
+            monster = self._monsters[place]
+            self._move(monster, numbers)
+            if winged != monster.winged:
+                self._kernel.update(monster.winged_element, _YES_NO[winged])
+                monster.winged = winged
+
+    def _add_monster(self, place: int, kind: int, winged: bool, numbers: Sequence[float]) -> _Sprite:
+        kernel = self._kernel
+        self._ids += 1
+        element = kernel.add_identifier(kernel.input, "monster")
+        kernel.add_int(element, "id", self._ids)
+        kernel.add_int(element, "place", place)
+        kernel.add_text(element, "type", _SPRITES.get(kind, str(kind)))
+        wings = kernel.add_text(element, "winged", _YES_NO[winged])
+        return _Sprite(element, kind, winged, wings, numbers, self._add_numbers(element, numbers))
+
+    def _drop_monsters(self, first: int) -> None:
+        for monster in self._monsters[first:]:
+            self._kernel.remove(monster.element)
+        del self._monsters[first:]
+
+    def _add_numbers(self, element: Element, numbers: Sequence[float]) -> list[Element]:
+        add = self._kernel.add_float
+        return [add(element, name, number) for name, number in zip(_MOTION, numbers, strict=True)]
+
+    def _move(self, sprite: _Sprite, numbers: Sequence[float]) -> None:
+        for element, now, before in zip(sprite.elements, numbers, sprite.numbers, strict=True):
+            if now != before:
+                self._kernel.update(element, now)
+        sprite.numbers = numbers
+
+    # Tiles
+
+    def _put_columns(self, seen: Seen) -> None:
+        first = seen.camera
+        for number in [n for n in self._columns if not first <= n < first + COLUMNS]:
+            self._kernel.remove(self._columns.pop(number).element)
+        for k in range(COLUMNS):
+            column = self._columns.get(first + k) or self._add_column(first + k)
+            tiles = seen.chars[k :: COLUMNS + 1].replace(bytes([MARIO]), bytes([BLANK]))
+            if tiles != column.tiles:
+                self._put_tiles(column, tiles)
+
+    def _add_column(self, number: int) -> _Column:
+        kernel = self._kernel
+        column = _Column(kernel.add_identifier(kernel.input, "column"), _EMPTY, {})
+        kernel.add_int(column.element, "number", number)
+        if number - 1 in self._columns:
+            kernel.add_link(column.element, "left", self._columns[number - 1].element)
+        if number + 1 in self._columns:
+            kernel.add_link(self._columns[number + 1].element, "left", column.element)
+        self._columns[number] = column
+        return column
+
+    def _put_tiles(self, column: _Column, tiles: bytes) -> None:
+        kernel = self._kernel
+        for i in range(ROWS):
+            if tiles[i] == column.tiles[i]:
+                continue
+            row = ROWS - 1 - i
+            if row in column.elements:
+                kernel.remove(column.elements.pop(row))
+            if tiles[i] != BLANK:
+                element = kernel.add_identifier(column.element, "tile")
+                kernel.add_text(element, "type", _TILES.get(tiles[i], str(tiles[i])))
+                kernel.add_int(element, "row", row)
+                column.elements[row] = element
+        column.tiles = tiles

@@ -1,0 +1,204 @@
+"""RL-Glue's agent, played by Soar: one run of the kernel for each step of the episode.
+
+Soar's random numbers are seeded anew for each episode, from the agent's seed and the episode's number:
+so a saved agent goes on with the same episodes. Soar has one generator for all kernels of a process:
+agents that take turns in one process disturb each other's.
+"""
+
+from __future__ import annotations
+
+import abc
+from pathlib import Path
+from typing import Annotated, ClassVar, Final
+
+import numpy as np
+
+from agents.soar.kernel import Kernel
+from agents.soar.link import Link
+from agents.soar.rules import parse_rules
+from glue.errors import ConfigError, SaveError
+from glue.options import Option
+from glue.saves import Saved, pack, unpack
+from glue.taskspec import TaskSpec, parse_task_spec
+from glue.types import Action, Observation
+
+__all__ = ["PRODUCTIONS", "MaxCycles", "Seed", "SoarPlayer"]
+
+PRODUCTIONS: Final = Path(__file__).parent / "productions"
+"""The folder of the productions that come with this package."""
+
+Seed = Annotated[int | None, Option("random seed; the experiment's if not given", low=0)]
+MaxCycles = Annotated[
+    int, Option("decision cycles that a step may take before the agent counts as stuck", low=1, high=100_000)
+]
+
+_EXPLORATION: Final = ("epsilon", "temperature")
+
+
+class SoarPlayer(abc.ABC):
+    """An agent made of Soar productions.
+
+    Args:
+        productions: the file to load.
+        max_cycles: the largest number of decision cycles that a step may take.
+        seed: takes the place of the seed that the experiment sends; None to use the experiment's.
+    """
+
+    name: ClassVar[str]
+
+    def __init__(self, productions: Path, max_cycles: int, seed: int | None) -> None:
+        self._productions = productions
+        self._max_cycles = max_cycles
+        self._own_seed = seed
+        self._seed = seed or 0
+        self._kernel: Kernel | None = None
+        self._link: Link | None = None
+        self._episodes = 0
+        self._cycles = 0
+
+    @abc.abstractmethod
+    def _new_link(self, kernel: Kernel, task: TaskSpec) -> Link:
+        """Return the input and output links for a task.
+
+        Raises:
+            ConfigError: this agent does not play the task.
+        """
+
+    def _configure(self, kernel: Kernel) -> None:
+        """Give the kernel what the agent's options say, after the productions have been loaded."""
+
+    def agent_seed(self, seed: int) -> None:
+        """Seed every random choice after the next init, unless the option `seed` was given."""
+        if self._own_seed is None:
+            self._seed = seed
+
+    def agent_init(self, task_spec: str) -> None:
+        """Forget everything, and load the productions into a new kernel.
+
+        Raises:
+            ConfigError: soar-sml is not installed, the productions do not load, or the task does not fit.
+            TaskSpecError: the task spec does not parse.
+        """
+        self.agent_cleanup()
+        kernel = self._kernel = Kernel(self.name, self._max_cycles)
+        kernel.source(self._productions)
+        kernel.command("rl --set learning on")
+        self._configure(kernel)
+        self._link = self._new_link(kernel, parse_task_spec(task_spec))
+        self._episodes = self._cycles = 0
+
+    def agent_start(self, observation: Observation) -> Action:
+        """Begin an episode; nothing more is learned from a truncated one (cut off).
+
+        Raises:
+            SoarError: the agent does not act; so do all other calls.
+        """
+        kernel, link = self._connected()
+        self._reinitialize(kernel)
+        self._episodes += 1
+        words = np.random.SeedSequence((self._seed, self._episodes)).generate_state(1)
+        kernel.command(f"decide srand {int(words[0])}")
+        link.begin(observation)
+        return link.action(*kernel.run())
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        """Learn from the reward and choose the next action."""
+        kernel, link = self._connected()
+        link.see(reward, observation)
+        return link.action(*kernel.run())
+
+    def agent_end(self, reward: float) -> None:
+        """Learn from the last reward."""
+        kernel, link = self._connected()
+        link.end(reward)
+        kernel.run_cycle()
+        self._reinitialize(kernel)
+
+    def agent_cleanup(self) -> None:
+        """End the kernel, and with it all that was learned."""
+        if self._kernel is not None:
+            self._kernel.close()
+        self._kernel = self._link = None
+
+    def agent_message(self, message: str) -> str:
+        """Answer `values`, the number of values learned, `cycles`, that of decision cycles, and `epsilon`."""
+        if self._kernel is not None:
+            if message == "values":
+                return str(len(parse_rules(self._kernel.value_rules())))
+            if message == "cycles":
+                return str(self._cycles + self._kernel.cycles)
+            if message == "epsilon":
+                return repr(self._exploration(self._kernel)[0])
+        return f"agent {self.name} answers, after its init, only the messages values, cycles and epsilon"
+
+    def agent_save(self) -> bytes:
+        """Return what was learned as productions, with the counters.
+
+        Soar prints values to six decimals. The agent itself goes on from what was saved, so that one which
+        is loaded goes on in the same way.
+        """
+        kernel, _ = self._connected()
+        self._reinitialize(kernel)
+        exploration = self._exploration(kernel)
+        rules = kernel.value_rules()
+        once = kernel.once
+        saved = Saved(
+            self.name,
+            {},
+            {"episodes": self._episodes, "cycles": self._cycles},
+            {
+                "exploration": np.array(exploration),
+                "rules": _text_array(rules),
+                "once": _text_array("\n".join(sorted(once))),
+            },
+        )
+        self._restore(kernel, parse_rules(rules), exploration)
+        return pack(saved)
+
+    def agent_load(self, data: bytes) -> None:
+        """Continue from what `agent_save` returned.
+
+        Raises:
+            SaveError: it is damaged, or of another agent, or holds anything but rules for values.
+        """
+        kernel, _ = self._connected()
+        saved = unpack(data, self.name, {})
+        exploration = saved.array("exploration", np.float64, low=0.0).tolist()
+        if len(exploration) != len(_EXPLORATION):
+            raise SaveError(f"saved {self.name}: exploration must have {len(_EXPLORATION)} numbers")
+        rules = parse_rules(_text(saved, "rules"))
+        once = _text(saved, "once")
+        self._episodes = saved.number("episodes")
+        self._cycles = saved.number("cycles")
+        kernel.skip_once(once.split("\n") if once else ())
+        self._restore(kernel, rules, exploration)
+
+    def _connected(self) -> tuple[Kernel, Link]:
+        if self._kernel is None or self._link is None:
+            raise ConfigError(f"agent {self.name} needs agent_init first")
+        return self._kernel, self._link
+
+    def _reinitialize(self, kernel: Kernel) -> None:
+        self._cycles += kernel.cycles
+        kernel.reinitialize()
+
+    def _exploration(self, kernel: Kernel) -> list[float]:
+        return [float(kernel.command(f"decide indifferent-selection --{name}")) for name in _EXPLORATION]
+
+    def _restore(self, kernel: Kernel, rules: list[str], exploration: list[float]) -> None:
+        kernel.command("production excise --rl")
+        for rule in rules:
+            kernel.command(rule)
+        for name, number in zip(_EXPLORATION, exploration, strict=True):
+            kernel.command(f"decide indifferent-selection --{name} {number!r}")
+
+
+def _text_array(text: str) -> np.ndarray[tuple[int], np.dtype[np.int8]]:
+    return np.frombuffer(text.encode(), np.int8)
+
+
+def _text(saved: Saved, name: str) -> str:
+    try:
+        return saved.array(name, np.int8).tobytes().decode()
+    except UnicodeDecodeError:
+        raise SaveError(f"saved {saved.player}: {name} is not a text") from None
