@@ -15,7 +15,7 @@ import zmq
 
 from benchmarks.measure import REPEATS, Table
 
-_MODULES = ("hub", "attacks", "legacy", "mario", "agents", "experiment")
+_MODULES = ("hub", "attacks", "legacy", "mario", "agents", "soar", "experiment")
 _BY_NAME = ("memory",)
 """Those that take so long that they are only measured when they are named."""
 _QUIET_LOAD = 0.5

@@ -113,7 +113,13 @@ class _Neighbourhood:
     """What the sample agent pays attention to."""
 
     def __init__(self, observation: Observation) -> None:
-        self._camera, self._kinds, self._doubles, self._chars = decode(observation)
+        seen = decode(observation)
+        self._camera, self._kinds, self._doubles, self._chars = (
+            seen.camera,
+            seen.kinds,
+            seen.doubles,
+            seen.chars,
+        )
         self._x, self._y, _, self.speed_y = self._doubles[:4]
 
     def obstacles(self, stay_down: float) -> float:

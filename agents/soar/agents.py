@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -94,9 +95,8 @@ class SoarHierarchicalAgent(SoarPlayer):
             f"decide indifferent-selection --reduction-rate epsilon exponential {reduction!r}",
         )
 
-    def _configure(self, kernel: Kernel) -> None:
-        for line in self._settings:
-            kernel.command(line)
+    def _commands(self) -> Iterable[str]:
+        return self._settings
 
     def _new_link(self, kernel: Kernel, task: TaskSpec) -> Link:
         if task.version != MARIO:

@@ -169,8 +169,8 @@ class Kernel:
         self._raise_failure()
         if self._agent.GetRunState() == self._halted:
             raise SoarError(
-                f"the Soar agent {self._name} has halted in the middle of an episode: a rule executed (halt), "
-                f"or the kernel gave up; its goal stack is\n{_end_of(self.command('print --stack'))}"
+                f"the Soar agent {self._name} has halted in the middle of an episode: a rule executed "
+                f"(halt), or the kernel gave up; its goal stack is\n{_end_of(self.command('print --stack'))}"
             )
 
     def _raise_failure(self) -> None:

@@ -76,6 +76,8 @@ _YES_NO: Final = ("no", "yes")
 _MOTION: Final = ("x", "y", "speed-x", "speed-y")
 
 _DIRECTIONS: Final = {"left": LEFT, "stay": STAY, "right": RIGHT}
+_JUMPS: Final = {"no": False, "yes": True}
+_SPEEDS: Final = {"low": False, "high": True}
 _EMPTY: Final = bytes([BLANK]) * ROWS
 
 
@@ -116,14 +118,15 @@ class MarioLink(Link):
     def action(self, name: str, parameters: Mapping[str, str]) -> Action:
         """Return the action of a command ^keystroke with ^direction, ^jump and ^speed."""
         direction = _DIRECTIONS.get(parameters.get("direction", ""))
-        jump, speed = parameters.get("jump"), parameters.get("speed")
-        if name != "keystroke" or direction is None or jump not in ("yes", "no") or speed not in ("high", "low"):
+        jump = _JUMPS.get(parameters.get("jump", ""))
+        fast = _SPEEDS.get(parameters.get("speed", ""))
+        if name != "keystroke" or direction is None or jump is None or fast is None:
             shown = " ".join(f"^{key} {value}" for key, value in parameters.items())
             raise SoarError(
                 "the output link takes ^keystroke with ^direction left, stay or right, ^jump yes or no and "
                 f"^speed high or low; the agent sent ^{name} with {shown or 'nothing'}"
             )
-        return ACTIONS[action_number(direction, jump == "yes", speed == "high")]
+        return ACTIONS[action_number(direction, jump, fast)]
 
     def _forget(self) -> None:
         self._drop_monsters(0)

@@ -8,6 +8,7 @@ agents that take turns in one process disturb each other's.
 from __future__ import annotations
 
 import abc
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, ClassVar, Final
 
@@ -64,8 +65,9 @@ class SoarPlayer(abc.ABC):
             ConfigError: this agent does not play the task.
         """
 
-    def _configure(self, kernel: Kernel) -> None:
-        """Give the kernel what the agent's options say, after the productions have been loaded."""
+    def _commands(self) -> Iterable[str]:
+        """Return the commands that carry out the agent's options, once the productions have been loaded."""
+        return ()
 
     def agent_seed(self, seed: int) -> None:
         """Seed every random choice after the next init, unless the option `seed` was given."""
@@ -82,8 +84,8 @@ class SoarPlayer(abc.ABC):
         self.agent_cleanup()
         kernel = self._kernel = Kernel(self.name, self._max_cycles)
         kernel.source(self._productions)
-        kernel.command("rl --set learning on")
-        self._configure(kernel)
+        for line in ("rl --set learning on", *self._commands()):
+            kernel.command(line)
         self._link = self._new_link(kernel, parse_task_spec(task_spec))
         self._episodes = self._cycles = 0
 
@@ -187,7 +189,7 @@ class SoarPlayer(abc.ABC):
 
     def _restore(self, kernel: Kernel, rules: list[str], exploration: list[float]) -> None:
         kernel.command("production excise --rl")
-        for rule in rules:
+        for rule in reversed(rules):  # Soar prints the newest first
             kernel.command(rule)
         for name, number in zip(_EXPLORATION, exploration, strict=True):
             kernel.command(f"decide indifferent-selection --{name} {number!r}")

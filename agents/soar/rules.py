@@ -37,7 +37,9 @@ def parse_rules(text: str) -> list[str]:
     while end < len(text):
         match = _RULE.match(text, end)
         if match is None or len(rules) == _MAX_RULES or not _is_balanced(match["conditions"]):
-            raise SaveError(f"saved rules: rule {len(rules) + 1} is not one that holds a value: {text[end : end + 200]!r}")
+            raise SaveError(
+                f"saved rules: rule {len(rules) + 1} is not one that holds a value: {text[end : end + 200]!r}"
+            )
         rules.append(match.group().strip())
         end = match.end()
     return rules

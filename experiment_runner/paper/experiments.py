@@ -14,9 +14,11 @@ from experiment_runner.plan import Plan, RoleSpec, RoleSweep
 from glue.errors import ExperimentError
 
 __all__ = [
+    "ALL",
     "EPISODES",
     "EXPERIMENTS",
     "PAPER_LEVEL",
+    "SOAR",
     "TRIALS",
     "Level",
     "PaperExperiment",
@@ -27,6 +29,8 @@ __all__ = [
 
 TRIALS: Final = 10
 EPISODES: Final = 5000
+ALL: Final = "all"
+SOAR: Final = "soar"
 SEED: Final = 0  # the random seed; the paper's agents were seeded by the clock
 
 
@@ -60,6 +64,9 @@ class PaperExperiment:
         level_seeds: of the levels.
         figure: the number of its figure in the paper, None if it has none.
         published: the paper's numbers for the first agent, by difficulty.
+        group: the word that chooses it on the command line, beside its name.
+        episodes: of a trial, unless the command line says otherwise.
+        trials: of each agent on each level, unless the command line says otherwise.
     """
 
     name: str
@@ -69,10 +76,15 @@ class PaperExperiment:
     level_seeds: tuple[int, ...] = (PAPER_LEVEL.seed,)
     figure: int | None = None
     published: Mapping[int, Published] = field(default_factory=dict)
+    group: str = ALL
+    episodes: int = EPISODES
+    trials: int = TRIALS
 
 
-def plan_of(experiment: PaperExperiment, episodes: int = EPISODES, trials: int = TRIALS) -> Plan:
-    """Return the plan of an experiment."""
+def plan_of(experiment: PaperExperiment, episodes: int | None = None, trials: int | None = None) -> Plan:
+    """Return the plan of an experiment, with its own numbers of episodes and trials unless given."""
+    episodes = episodes or experiment.episodes
+    trials = trials or experiment.trials
     mario = RoleSweep(
         "mario",
         {
@@ -104,29 +116,56 @@ def _flat(name: str) -> tuple[RoleSweep, ...]:
 
 _FAILS: Final = Published(None, "none")
 
+_PAPER: Final = (
+    PaperExperiment("sample", "the sample agent", (RoleSweep("sample"),), (0, 1),
+        published={0: Published(128.48, "first success")}),
+    PaperExperiment("1", "flat, propositional", _flat("tiles"),
+        figure=2, published={0: Published(None, "none in 10000")}),
+    PaperExperiment("2", "flat, propositional, linear", _flat("tiles-coarse"),
+        figure=3, published={0: _FAILS}),
+    PaperExperiment("3", "flat, object-oriented", _flat("objects-flat"),
+        figure=5, published={0: Published(None, "none in 5000")}),
+    PaperExperiment("4", "programmed selection", (RoleSweep("hierarchical-programmed"),), (0, 1),
+        figure=8, published={0: Published(146.91, "about 1500"), 1: _FAILS}),
+    PaperExperiment("5", "learned selection", (RoleSweep("hierarchical"),), (0, 1),
+        figure=9, published={0: Published(145.95, "about 600, or 400"), 1: _FAILS}),
+    PaperExperiment("6", "background facts", (RoleSweep("hierarchical-facts"),), (0, 1),
+        figure=10, published={0: Published(148.56, "like 5"), 1: _FAILS}),
+    PaperExperiment("7", "internal rewards", (RoleSweep("hierarchical-internal"),), (0, 1),
+        figure=11, published={0: Published(145.98, "about 200"), 1: _FAILS}),
+    PaperExperiment("8", "object-based coarse coding", (RoleSweep("objects-coarse"),), (1,),
+        (PAPER_LEVEL.seed, *_OTHER_SEEDS), figure=13, published={1: Published(61.93, "")}),
+    PaperExperiment("best", "beyond the paper", (RoleSweep("best"),), (0, 1, 2, 3),
+        (PAPER_LEVEL.seed, *_OTHER_SEEDS)),
+)  # fmt: skip
+
+
+def _on_soar(number: str, agent: str, trials: int = 5) -> PaperExperiment:
+    """Return an experiment of the paper for an agent on the Soar kernel; it is a thousand times slower."""
+    (paper,) = (experiment for experiment in _PAPER if experiment.name == number)
+    difficulty = paper.difficulties[0]
+    return PaperExperiment(
+        f"{SOAR}-{number}",
+        f"{paper.title}, on the Soar kernel",
+        (RoleSweep(agent),),
+        (difficulty,),
+        published={difficulty: paper.published[difficulty]},
+        group=SOAR,
+        episodes=1000,
+        trials=trials,
+    )
+
+
 EXPERIMENTS: Final[Mapping[str, PaperExperiment]] = {
     experiment.name: experiment
     for experiment in (
-        PaperExperiment("sample", "the sample agent", (RoleSweep("sample"),), (0, 1),
-            published={0: Published(128.48, "first success")}),
-        PaperExperiment("1", "flat, propositional", _flat("tiles"),
-            figure=2, published={0: Published(None, "none in 10000")}),
-        PaperExperiment("2", "flat, propositional, linear", _flat("tiles-coarse"),
-            figure=3, published={0: _FAILS}),
-        PaperExperiment("3", "flat, object-oriented", _flat("objects-flat"),
-            figure=5, published={0: Published(None, "none in 5000")}),
-        PaperExperiment("4", "programmed selection", (RoleSweep("hierarchical-programmed"),), (0, 1),
-            figure=8, published={0: Published(146.91, "about 1500"), 1: _FAILS}),
-        PaperExperiment("5", "learned selection", (RoleSweep("hierarchical"),), (0, 1),
-            figure=9, published={0: Published(145.95, "about 600, or 400"), 1: _FAILS}),
-        PaperExperiment("6", "background facts", (RoleSweep("hierarchical-facts"),), (0, 1),
-            figure=10, published={0: Published(148.56, "like 5"), 1: _FAILS}),
-        PaperExperiment("7", "internal rewards", (RoleSweep("hierarchical-internal"),), (0, 1),
-            figure=11, published={0: Published(145.98, "about 200"), 1: _FAILS}),
-        PaperExperiment("8", "object-based coarse coding", (RoleSweep("objects-coarse"),), (1,),
-            (PAPER_LEVEL.seed, *_OTHER_SEEDS), figure=13, published={1: Published(61.93, "")}),
-        PaperExperiment("best", "beyond the paper", (RoleSweep("best"),), (0, 1, 2, 3),
-            (PAPER_LEVEL.seed, *_OTHER_SEEDS)),
+        *_PAPER,
+        _on_soar("3", "soar-flat", trials=3),
+        _on_soar("4", "soar-hierarchical-programmed"),
+        _on_soar("5", "soar-hierarchical"),
+        _on_soar("6", "soar-hierarchical-facts"),
+        _on_soar("7", "soar-hierarchical-internal"),
+        _on_soar("8", "soar-objects-coarse", trials=3),
     )
-}  # fmt: skip
+}
 """All experiments by name, in the order in which they run. The sample agent is in every figure."""

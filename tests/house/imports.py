@@ -49,6 +49,7 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "agents": _GLUE,
     "agents/mario": ("agents",),
     "agents/mohan2010": ("agents/mario",),
+    "agents/soar": ("agents/mario",),
     "agents/commands": ("agents",),
     # Players are found by their entry points: the framework knows no environment and no agent.
     "experiment_runner": _GLUE,

@@ -34,6 +34,7 @@ HOMES: Mapping[str, Sequence[str]] = {
     "sqlite3": ["experiment_runner/store/*"],
     "pyarrow": ["experiment_runner/store/*"],
     "scipy": ["experiment_runner/analysis/*"],
+    "soar_sml": ["agents/soar/kernel.py"],
     "ray": ["experiment_runner/executors/*"],
     "gymnasium": ["glue/gym/*", "env_server/gym/*", "agents/ppo.py"],
     "torch": ["agents/ppo.py"],

@@ -1,4 +1,4 @@
-"""What Soar's rules make of an observation equals what agents.mario.objects and agents.mohan2010.flo make of it."""
+"""Soar's rules make the same of an observation as our own agents do: relations and proposals, one by one."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tests.agents.soar.memory import working_memory
 if TYPE_CHECKING:
     from tests.agents.conftest import Watcher
 
-pytest.importorskip("soar_sml", reason="the agents on the Soar kernel need soar-sml: pip install 'glue-rl[soar]'")
+pytest.importorskip("soar_sml", reason="agents on the Soar kernel need it: pip install 'glue-rl[soar]'")
 
 OBSERVATIONS = 2000
 MOTIONS = ("stationary", "vertical", "towards", "away", "none")
@@ -57,7 +57,7 @@ def observations(task: dict[str, int], seed: int, count: int) -> Iterator[Observ
 
 LEVELS = [
     {"level_seed": seed, "level_type": kind, "level_difficulty": difficulty}
-    for seed, kind, difficulty in ((121, 0, 0), (121, 0, 1), (7, 0, 3), (3, 1, 2), (5, 2, 4))
+    for seed, kind, difficulty in ((121, 0, 0), (121, 0, 1), (7, 0, 3), (3, 1, 2), (9, 0, 2))
 ]
 
 
@@ -76,7 +76,9 @@ def ours(things: Sequence[Object], absolute: bool) -> tuple[Counter[Any], Counte
         name = NAMES[thing.kind]
         if thing.kind == A_MONSTER:
             kind = _SPRITES.get(thing.type, str(thing.type))
-            relations["monster", kind, thing.dx, thing.dy, motion(thing.motion, absolute), bool(thing.related)] += 1
+            relations[
+                "monster", kind, thing.dx, thing.dy, motion(thing.motion, absolute), bool(thing.related)
+            ] += 1
             if thing.related:
                 proposed[name, kind, thing.dx, thing.dy] += 1
         elif thing.kind == A_PIT:
@@ -96,8 +98,8 @@ def soars(agent: Any) -> tuple[Counter[Any], Counter[Any]]:
     link = memory["I2"]
     for monster in link["monster"]:
         its = memory[monster]
-        threat = its.get("threat") == ["yes"]
-        relations["monster", its["type"][0], int(its["dx"][0]), int(its["dy"][0]), its["motion"][0], threat] += 1
+        (kind,), (moves,), dx, dy = its["type"], its["motion"], int(its["dx"][0]), int(its["dy"][0])
+        relations["monster", kind, dx, dy, moves, its.get("threat") == ["yes"]] += 1
     for column in link["column"]:
         for tile in memory[column].get("tile", []):
             its = memory[tile]

@@ -1,0 +1,246 @@
+"""Soar agents as players: learning, seeds, saves, and everything that may go wrong with productions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from agents.soar.agents import SoarAgent, SoarHierarchicalAgent, SoarMinesAgent
+from agents.soar.kernel import SoarError
+from agents.soar.player import SoarPlayer
+from agents.soar.rules import parse_rules
+from env_server.mario.environment import InfiniteMario
+from env_server.toys import MinesEnvironment, SkeletonEnvironment
+from glue.core.local import local
+from glue.errors import ConfigError, GlueError, SaveError
+from glue.roles import Environment
+from glue.saves import Saved, pack, unpack
+from glue.types import Action, Observation
+
+pytest.importorskip("soar_sml", reason="agents on the Soar kernel need it: pip install 'glue-rl[soar]'")
+
+SKELETON = SkeletonEnvironment().env_init()
+
+UP = """
+sp {up*propose
+   (state <s> ^superstate nil ^io.input-link.step <n>)
+-->
+   (<s> ^operator <o> +)
+   (<o> ^name up ^step <n>)
+}
+sp {up*apply
+   (state <s> ^operator <o> ^io.output-link <out>)
+   (<o> ^name up ^step <n>)
+-->
+   (<out> ^action <a>)
+   (<a> ^int-1 1 ^step <n>)
+}
+"""
+
+Write = Callable[[str], SoarAgent]
+
+
+@pytest.fixture
+def productions(tmp_path: Path) -> Write:
+    """Return an agent of these productions."""
+
+    def written(text: str, max_cycles: int = 30) -> SoarAgent:
+        file = tmp_path / "my.soar"
+        file.write_text(text)
+        return SoarAgent(productions=str(file), max_cycles=max_cycles)
+
+    return written
+
+
+def returns(agent: SoarPlayer, environment: Environment, episodes: int, limit: int = 0) -> list[float]:
+    """Play episodes in a session that has begun; return what they bring."""
+    found = []
+    for _ in range(episodes):
+        observation, total = environment.env_start(), 0.0
+        action, terminal, steps = agent.agent_start(observation), False, 0
+        while not terminal and not (limit and steps == limit):
+            reward, observation, terminal = environment.env_step(action)
+            total += reward
+            steps += 1
+            if terminal:
+                agent.agent_end(reward)
+            else:
+                action = agent.agent_step(reward, observation)
+        found.append(total)
+    return found
+
+
+def begun(agent: SoarPlayer, environment: Environment, seed: int = 1) -> SoarPlayer:
+    agent.agent_seed(seed)
+    agent.agent_init(environment.env_init())
+    return agent
+
+
+def test_ones_own_productions_play_any_task(productions: Write) -> None:
+    with local(productions(UP), SkeletonEnvironment()) as experiment:
+        experiment.rl_init()
+        assert experiment.rl_episode(0)
+        assert (experiment.rl_return(), experiment.rl_num_steps()) == (1.0, 10)
+
+
+def test_the_example_learns_the_way_across_the_mines() -> None:
+    mines = MinesEnvironment()
+    agent = begun(SoarMinesAgent(), mines)
+    learned = returns(agent, mines, 400, limit=500)
+    assert sum(learned[-50:]) / 50 > sum(learned[:50]) / 50 + 20
+
+
+@pytest.mark.parametrize("kind", [SoarMinesAgent, SoarHierarchicalAgent])
+def test_the_same_seed_gives_the_same_episodes(kind: type[SoarPlayer]) -> None:
+    game = InfiniteMario(max_trial_steps=60) if kind is SoarHierarchicalAgent else MinesEnvironment()
+
+    def played(seed: int) -> list[float]:
+        return returns(begun(kind(), game, seed), game, 12, limit=200)  # type: ignore[call-arg]
+
+    assert played(3) == played(3)
+    assert played(3) != played(4)
+
+
+@pytest.mark.parametrize("kind", [SoarMinesAgent, SoarHierarchicalAgent])
+def test_an_agent_that_was_loaded_goes_on_as_the_one_that_was_saved(kind: type[SoarPlayer]) -> None:
+    def game() -> Environment:
+        return InfiniteMario(max_trial_steps=80) if kind is SoarHierarchicalAgent else MinesEnvironment()
+
+    first = game()
+    agent = begun(kind(), first)  # type: ignore[call-arg]
+    returns(agent, first, 10, limit=200)
+    saved = agent.agent_save()
+    second = game()
+    heir = begun(kind(), second)  # type: ignore[call-arg]
+    heir.agent_load(saved)
+    assert heir.agent_message("values") == agent.agent_message("values")
+    assert heir.agent_message("epsilon") == agent.agent_message("epsilon")
+    assert returns(heir, fresh(game), 10, limit=200) == returns(agent, fresh(game), 10, limit=200)
+    assert heir.agent_save() == agent.agent_save()
+
+
+def fresh(game: Callable[[], Environment]) -> Environment:
+    made = game()
+    made.env_init()
+    return made
+
+
+def test_a_cut_off_episode_teaches_nothing_more() -> None:
+    mines = MinesEnvironment()
+    agent = begun(SoarMinesAgent(), mines)
+    agent.agent_start(mines.env_start())
+    before = agent.agent_save()
+    agent.agent_start(mines.env_start())
+    agent.agent_start(mines.env_start())
+    assert unpack(agent.agent_save(), "soar-mines", {}).arrays["rules"].tobytes() == (
+        unpack(before, "soar-mines", {}).arrays["rules"].tobytes()
+    )
+
+
+# Faults
+
+
+def test_a_production_that_does_not_parse_is_named(productions: Write) -> None:
+    with pytest.raises(ConfigError, match=r"my\.soar.*do not load(.|\n)*broken"):
+        begun(
+            productions("sp {broken\n (state <s> ^superstate nil\n-->\n (<s> ^a b)\n}\n"),
+            SkeletonEnvironment(),
+        )
+
+
+def test_a_file_that_is_not_there_and_none_at_all_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"no file of productions .*none\.soar"):
+        begun(SoarAgent(productions=str(tmp_path / "none.soar")), SkeletonEnvironment())
+    with pytest.raises(ConfigError, match="--productions"):
+        begun(SoarAgent(), SkeletonEnvironment())
+
+
+def test_an_agent_that_never_acts_is_stopped_with_its_goal_stack(productions: Write) -> None:
+    agent = begun(
+        productions("sp {idle\n (state <s> ^superstate nil)\n-->\n (<s> ^a b)\n}\n"), SkeletonEnvironment()
+    )
+    with pytest.raises(SoarError, match=r"no command .* in 30 decision cycles(.|\n)*state no-change"):
+        agent.agent_start(Observation([10]))
+
+
+def test_an_agent_that_halts_is_stopped(productions: Write) -> None:
+    halts = "sp {stop\n (state <s> ^superstate nil ^io.input-link.observation.int-1 10)\n-->\n (halt)\n}\n"
+    agent = begun(productions(halts), SkeletonEnvironment())
+    with pytest.raises(SoarError, match="halted in the middle of an episode"):
+        agent.agent_start(Observation([10]))
+
+
+@pytest.mark.parametrize(
+    ("sends", "complaint"),
+    [("^int-1 7", "int 0 is 7"), ("^int-2 1", r"has \^int-1; .*\^int-2 1"), ("^int-1 up", "up")],
+)
+def test_an_action_that_the_task_does_not_have_is_named(
+    productions: Write, sends: str, complaint: str
+) -> None:
+    agent = begun(productions(UP.replace("^int-1 1", sends)), SkeletonEnvironment())
+    with pytest.raises(SoarError, match=complaint):
+        agent.agent_start(Observation([10]))
+
+
+def test_a_command_in_once_that_soar_refuses_is_reported(productions: Write) -> None:
+    wrong = (
+        UP + "sp {learn\n (state <s> ^superstate nil ^io.input-link.step)\n-->\n (exec once |sp {wrong|)\n}\n"
+    )
+    agent = begun(productions(wrong), SkeletonEnvironment())
+    with pytest.raises(SoarError, match="wrong"):
+        agent.agent_start(Observation([10]))
+
+
+def test_marios_agents_refuse_other_tasks() -> None:
+    with pytest.raises(ConfigError, match="Infinite Mario only"):
+        SoarHierarchicalAgent().agent_init(SKELETON)
+
+
+# Saves come from anybody.
+
+RULE = """\
+sp {rl*1
+    (state <s> ^operator <o> +)
+    (<o> ^name up)
+    -->
+    (<s> ^operator <o> = 0.500000)
+}
+"""
+
+
+def test_rules_are_read_one_by_one() -> None:
+    assert parse_rules(RULE + "\n" + RULE) == [RULE.strip()] * 2
+    assert parse_rules(RULE.replace("^name up", "^x { >= 1 < 2 } ^y |a b|")) != []
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "cd /",
+        RULE + "cd /",
+        RULE.replace("(<s> ^operator <o> = 0.500000)", "(cmd cd /)"),
+        RULE.replace("= 0.500000)", "= 0.500000)\n    (cmd cd /)"),
+        RULE.replace("^name up)", "^name up)}\n    cd /\n    sp {x (state <s>)"),
+        RULE.replace("^name up)", "^name |}|)"),
+        RULE.replace("^name up)", "^name up) --> (cmd cd /)} sp {x (state <s>)"),
+        RULE.replace("rl*1", "rl*1} cd / {"),
+    ],
+)
+def test_whatever_is_not_a_rule_with_a_value_is_refused(text: str) -> None:
+    with pytest.raises(SaveError, match="rule"):
+        parse_rules(text)
+
+
+def test_a_save_of_another_agent_or_with_other_commands_is_refused() -> None:
+    mines = MinesEnvironment()
+    agent = begun(SoarMinesAgent(), mines)
+    good = unpack(agent.agent_save(), "soar-mines", {})
+    hostile = Saved(
+        good.player, good.settings, good.numbers, {**good.arrays, "rules": good.arrays["rules"][5:]}
+    )
+    for data in (b"", pack(hostile), pack(Saved("random", {}, {}, {}))):
+        with pytest.raises(GlueError):
+            agent.agent_load(data)
+    assert isinstance(agent.agent_start(mines.env_start()), Action)
