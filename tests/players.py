@@ -6,9 +6,19 @@ import struct
 import zlib
 from collections.abc import Callable
 
+from glue.players.loading import names
+from glue.protocol.messages import Role
 from glue.types import Action, Observation
 
+WITH_EXTRAS = ("soar",)
+"""How the names of players begin that need more than is installed for the tests; they have their own."""
+
 Hook = Callable[[str], None]
+
+
+def installed(role: Role) -> list[str]:
+    """Return the names of all agents or environments, but for those that need an extra."""
+    return [name for name in names(role) if not name.startswith(WITH_EXTRAS)]
 
 
 def nothing(call: str) -> None:

@@ -1,11 +1,14 @@
-"""One agent in a Soar kernel: its productions, its input and output, and its runs.
+"""One agent in the Soar kernel: its productions, its input and output, and its runs.
 
-The kernel runs in the thread that made it, and listens to nobody. soar-sml is imported here alone, and
-only when a kernel is made.
+A kernel belongs to the thread that made it, so each thread has one for all its agents. It listens to nobody,
+and lives as long as the thread: soar-sml 9.6.5 crashes when one of several kernels is shut down. soar-sml is
+imported here alone, and only when an agent is made.
 """
 
 from __future__ import annotations
 
+import itertools
+import threading
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -37,8 +40,24 @@ class SoarError(SimulatorError):
     """Soar refused something, or its agent did not act; the message shows what Soar printed."""
 
 
+class _Kernels(threading.local):
+    """The kernel of each thread, and the agents in it by their names."""
+
+    def __init__(self) -> None:
+        import soar_sml
+
+        self.agents: dict[str, Kernel] = {}
+        self.halted = soar_sml.sml_RUNSTATE_HALTED
+        self.kernel = soar_sml.Kernel.CreateKernelInCurrentThread(True, soar_sml.Kernel.kSuppressListener)
+        self.kernel.AddRhsFunction("once", self._once, None)
+
+    def _once(self, _event: int, _data: object, agent: Any, _function: str, command: str) -> str:
+        self.agents[agent.GetAgentName()].execute_once(command)
+        return ""
+
+
 class Kernel:
-    """A Soar agent, in a kernel of its own.
+    """A Soar agent in the kernel of this thread.
 
     Args:
         name: of the agent, for Soar's own messages.
@@ -49,18 +68,14 @@ class Kernel:
     """
 
     def __init__(self, name: str, max_cycles: int) -> None:
-        try:
-            import soar_sml
-        except ImportError:
-            raise ConfigError("this agent needs soar-sml: pip install 'glue-rl[soar]'") from None
+        self._kernels = _kernels()
         self._name = name
+        self._unique_name = f"{name}-{next(_numbers)}"
         self._max_cycles = max_cycles
-        self._halted = soar_sml.sml_RUNSTATE_HALTED
         self._once: set[str] = set()
         self._failure: Exception | None = None
-        self._kernel = soar_sml.Kernel.CreateKernelInCurrentThread(True, soar_sml.Kernel.kSuppressListener)
-        self._kernel.AddRhsFunction("once", self._execute_once, None)
-        self._agent = self._kernel.CreateAgent(name)
+        self._agent = self._kernels.kernel.CreateAgent(self._unique_name)
+        self._kernels.agents[self._unique_name] = self
         self._agent.SetBlinkIfNoChange(False)
         self.input: Element = self._agent.GetInputLink()
         # Bound once: an observation is a hundred of these.
@@ -75,8 +90,9 @@ class Kernel:
             self.command(line)
 
     def close(self) -> None:
-        """End the kernel; nothing else may be called after."""
-        self._kernel.Shutdown()
+        """Remove the agent from the kernel; nothing else may be called after."""
+        if self._kernels.agents.pop(self._unique_name, None):
+            self._kernels.kernel.DestroyAgent(self._agent)
 
     # Productions and commands
 
@@ -117,7 +133,8 @@ class Kernel:
         """Have `once` skip the commands with these first lines, as if it had executed them."""
         self._once.update(first_lines)
 
-    def _execute_once(self, _event: int, _data: object, _agent: str, _function: str, command: str) -> str:
+    def execute_once(self, command: str) -> None:
+        """Execute a command unless one with the same first line was; an error ends the run."""
         first_line = command.partition("\n")[0]
         if first_line not in self._once:
             self._once.add(first_line)
@@ -125,7 +142,6 @@ class Kernel:
                 self.command(command)
             except SoarError as error:
                 self._failure = self._failure or error  # no exception can pass through the kernel
-        return ""
 
     # Runs
 
@@ -167,7 +183,7 @@ class Kernel:
 
     def _check(self) -> None:
         self._raise_failure()
-        if self._agent.GetRunState() == self._halted:
+        if self._agent.GetRunState() == self._kernels.halted:
             raise SoarError(
                 f"the Soar agent {self._name} has halted in the middle of an episode: a rule executed "
                 f"(halt), or the kernel gave up; its goal stack is\n{_end_of(self.command('print --stack'))}"
@@ -177,6 +193,19 @@ class Kernel:
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure
+
+
+_numbers = itertools.count(1)
+_all_kernels: _Kernels | None = None
+
+
+def _kernels() -> _Kernels:
+    global _all_kernels
+    try:
+        _all_kernels = _all_kernels or _Kernels()
+    except ImportError:
+        raise ConfigError("this agent needs soar-sml: pip install 'glue-rl[soar]'") from None
+    return _all_kernels
 
 
 def _end_of(printed: str) -> str:

@@ -52,6 +52,7 @@ class SoarPlayer(abc.ABC):
         self._max_cycles = max_cycles
         self._own_seed = seed
         self._seed = seed or 0
+        self._task: TaskSpec | None = None
         self._kernel: Kernel | None = None
         self._link: Link | None = None
         self._episodes = 0
@@ -81,12 +82,8 @@ class SoarPlayer(abc.ABC):
             ConfigError: soar-sml is not installed, the productions do not load, or the task does not fit.
             TaskSpecError: the task spec does not parse.
         """
-        self.agent_cleanup()
-        kernel = self._kernel = Kernel(self.name, self._max_cycles)
-        kernel.source(self._productions)
-        for line in ("rl --set learning on", *self._commands()):
-            kernel.command(line)
-        self._link = self._new_link(kernel, parse_task_spec(task_spec))
+        self._task = parse_task_spec(task_spec)
+        self._new_kernel()
         self._episodes = self._cycles = 0
 
     def agent_start(self, observation: Observation) -> Action:
@@ -141,20 +138,17 @@ class SoarPlayer(abc.ABC):
         """
         kernel, _ = self._connected()
         self._reinitialize(kernel)
-        exploration = self._exploration(kernel)
-        rules = kernel.value_rules()
-        once = kernel.once
         saved = Saved(
             self.name,
             {},
-            {"episodes": self._episodes, "cycles": self._cycles},
+            {"seed": self._seed, "episodes": self._episodes, "cycles": self._cycles},
             {
-                "exploration": np.array(exploration),
-                "rules": _text_array(rules),
-                "once": _text_array("\n".join(sorted(once))),
+                "exploration": np.array(self._exploration(kernel)),
+                "rules": _text_array(kernel.value_rules()),
+                "once": _text_array("\n".join(sorted(kernel.once))),
             },
         )
-        self._restore(kernel, parse_rules(rules), exploration)
+        self._restore(saved)
         return pack(saved)
 
     def agent_load(self, data: bytes) -> None:
@@ -163,17 +157,8 @@ class SoarPlayer(abc.ABC):
         Raises:
             SaveError: it is damaged, or of another agent, or holds anything but rules for values.
         """
-        kernel, _ = self._connected()
-        saved = unpack(data, self.name, {})
-        exploration = saved.array("exploration", np.float64, low=0.0).tolist()
-        if len(exploration) != len(_EXPLORATION):
-            raise SaveError(f"saved {self.name}: exploration must have {len(_EXPLORATION)} numbers")
-        rules = parse_rules(_text(saved, "rules"))
-        once = _text(saved, "once")
-        self._episodes = saved.number("episodes")
-        self._cycles = saved.number("cycles")
-        kernel.skip_once(once.split("\n") if once else ())
-        self._restore(kernel, rules, exploration)
+        self._connected()
+        self._restore(unpack(data, self.name, {}))
 
     def _connected(self) -> tuple[Kernel, Link]:
         if self._kernel is None or self._link is None:
@@ -187,12 +172,36 @@ class SoarPlayer(abc.ABC):
     def _exploration(self, kernel: Kernel) -> list[float]:
         return [float(kernel.command(f"decide indifferent-selection --{name}")) for name in _EXPLORATION]
 
-    def _restore(self, kernel: Kernel, rules: list[str], exploration: list[float]) -> None:
+    def _restore(self, saved: Saved) -> None:
+        """Go on from what was saved, in a new kernel.
+
+        Soar's order of equal choices depends on all that its kernel has seen.
+        """
+        exploration = saved.array("exploration", np.float64, low=0.0).tolist()
+        if len(exploration) != len(_EXPLORATION):
+            raise SaveError(f"saved {self.name}: exploration must have {len(_EXPLORATION)} numbers")
+        rules = parse_rules(_text(saved, "rules"))
+        once = _text(saved, "once").split("\n")
+        seed, episodes, cycles = (saved.number(name) for name in ("seed", "episodes", "cycles"))
+        kernel = self._new_kernel()
+        kernel.skip_once(once)
         kernel.command("production excise --rl")
         for rule in reversed(rules):  # Soar prints the newest first
             kernel.command(rule)
         for name, number in zip(_EXPLORATION, exploration, strict=True):
             kernel.command(f"decide indifferent-selection --{name} {number!r}")
+        self._seed, self._episodes, self._cycles = seed, episodes, cycles
+
+    def _new_kernel(self) -> Kernel:
+        """Begin with nothing but the productions."""
+        assert self._task is not None
+        self.agent_cleanup()
+        kernel = self._kernel = Kernel(self.name, self._max_cycles)
+        kernel.source(self._productions)
+        for line in ("rl --set learning on", *self._commands()):
+            kernel.command(line)
+        self._link = self._new_link(kernel, self._task)
+        return kernel
 
 
 def _text_array(text: str) -> np.ndarray[tuple[int], np.dtype[np.int8]]:

@@ -10,14 +10,15 @@ import pytest
 
 from glue.core.local import local
 from glue.errors import GlueError
-from glue.players.loading import find, names
+from glue.players.loading import find
 from glue.protocol.messages import Role
 from glue.taskspec import parse_task_spec
 from glue.testing import check_agent, check_environment
 from glue.types import Action, Observation
+from tests.players import installed
 
-AGENTS = names(Role.AGENT)
-ENVIRONMENTS = names(Role.ENVIRONMENT)
+AGENTS = installed(Role.AGENT)
+ENVIRONMENTS = installed(Role.ENVIRONMENT)
 
 
 @cache

@@ -20,10 +20,11 @@ from glue import saves
 from glue.core.experiment import Experiment
 from glue.core.local import local
 from glue.errors import SaveError
-from glue.players.loading import find, names
+from glue.players.loading import find
 from glue.protocol.messages import Role
 from glue.roles import SaveableAgent, SaveableEnvironment, offers
 from glue.saves import pack, unpack
+from tests.players import installed
 
 OLD: dict[str, dict[str, Any]] = json.loads(
     gzip.decompress(Path(__file__).parents[1].joinpath("golden", "old_saves.json.gz").read_bytes())
@@ -33,7 +34,7 @@ TASKS = {name: old["environment"] for name, old in OLD.items()}
 OPTIONS: dict[str, dict[str, Any]] = {"mines": {"random_start": True}}
 SAVEABLE = {Role.AGENT: SaveableAgent, Role.ENVIRONMENT: SaveableEnvironment}
 PLAYERS = [
-    (role, name) for role in SAVEABLE for name in names(role) if offers(find(role, name), SAVEABLE[role])
+    (role, name) for role in SAVEABLE for name in installed(role) if offers(find(role, name), SAVEABLE[role])
 ]
 MUTATIONS = 1000
 
