@@ -16,11 +16,15 @@ from benchmarks.players import SIZES, Still, Walk, serving
 from benchmarks.previous import CHECKOUT, previous_sessions
 from benchmarks.raw import socket_round_trips, zmq_round_trips
 from glue.client.experiment import connect
-from glue.core.config import HubConfig
+from glue.client.libzmq import new_pair
+from glue.core.config import Bind, HubConfig
 from glue.core.experiment import Experiment
+from glue.core.keys import Keys, Permit
 from glue.core.local import local
 from glue.hub.inside import InsideTransport
 from glue.hub.server import Hub
+from glue.keys.certificates import write_pair
+from glue.protocol.messages import Role
 
 __all__ = ["run", "three_processes"]
 
@@ -50,6 +54,7 @@ def _three_programs() -> list[Table]:
             measures[f"original RL-Glue, C programs, {name}"] = _original(original_server, verb)
         for transport in ("ipc", "tcp"):
             measures[f"three Python processes, {transport}, {name}"] = _three(_MARIO, transport, verb)
+        measures[f"three Python processes, tcp with keys (CURVE), {name}"] = _with_keys(_MARIO, verb)
         if compiler:
             measures[f"C programs through the gateway, {name}"] = _original(through_the_gateway, verb)
     measures["raw round trips, Unix socket"] = socket_round_trips("ipc", size, _ACTION_SIZE)
@@ -191,6 +196,26 @@ def _three(size: str, transport: str, verb: str) -> Iterator[Measure]:
         hub = stack.enter_context(_hub(transport))
         url = hub.endpoints[0]
         pids = [stack.enter_context(serving(role, size, url)) for role in ("environment", "agent")]
+        yield _measure(stack.enter_context(connect(url, "0", transport=InsideTransport(hub))), verb, pids)
+
+
+@contextmanager
+def _with_keys(size: str, verb: str) -> Iterator[Measure]:
+    """Give a measure like that of `_three`, over tcp, agent and environment with keys, by libzmq."""
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        own, theirs = new_pair(), new_pair()
+        public, _ = write_pair(folder, "hub", own)
+        _, secret = write_pair(folder, "players", theirs)
+        keys = Keys(own.secret, {theirs.public: Permit("players", frozenset(Role))})
+        config = HubConfig(bind=(Bind("tcp://127.0.0.1:*", keys=keys),))
+        hub = stack.enter_context(Hub(config).in_background())
+        url = hub.endpoints[0]
+        variables = {**os.environ, "GLUE_KEY": str(secret), "GLUE_HUB_KEY": str(public)}
+        pids = [
+            stack.enter_context(serving(role, size, url, variables=variables))
+            for role in ("environment", "agent")
+        ]
         yield _measure(stack.enter_context(connect(url, "0", transport=InsideTransport(hub))), verb, pids)
 
 

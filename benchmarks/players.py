@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 import numpy as np
@@ -68,10 +69,12 @@ class Still:
 
 
 @contextmanager
-def serving(role: str, size: str, url: str, sessions: int = 1) -> Iterator[int]:
+def serving(
+    role: str, size: str, url: str, sessions: int = 1, variables: Mapping[str, str] = os.environ
+) -> Iterator[int]:
     """Serve `sessions` agents or environments from a process of their own, whose number is given."""
     command = [sys.executable, "-m", "benchmarks.players", role, size, url, str(sessions)]
-    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL, env=dict(variables))
     try:
         yield process.pid
     finally:
@@ -81,10 +84,11 @@ def serving(role: str, size: str, url: str, sessions: int = 1) -> Iterator[int]:
 
 def _main(role: str, size: str, url: str, sessions: str) -> None:
     names = [str(number) for number in range(int(sessions))]
+    keys = {"key": os.environ.get("GLUE_KEY"), "hub_key": os.environ.get("GLUE_HUB_KEY")}
     if role == "agent":
-        serve_agent({name: Still() for name in names}, url)
+        serve_agent({name: Still() for name in names}, url, **keys)
     else:
-        serve_environment({name: Walk(SIZES[size]) for name in names}, url)
+        serve_environment({name: Walk(SIZES[size]) for name in names}, url, **keys)
 
 
 if __name__ == "__main__":

@@ -56,6 +56,9 @@ _INITIATE: Final = struct.Struct("9s96s8s")
 _LEAST_BOX: Final = 16 + _KEY + 96
 """Bytes of INITIATE's box without metadata: its authenticator, C and the vouch."""
 
+_IGNORED_BIT: Final = 0x80
+"""Of the last byte of a public key: Curve25519 ignores it, so no box protects it; no key is made with it."""
+
 _MESSAGE: Final = b"\x07MESSAGE"
 _LEAST_MESSAGE: Final = len(_MESSAGE) + 8 + 16 + 1
 
@@ -154,6 +157,8 @@ class CurveServer:
         name, version, padding, short_term, nonce, box = _HELLO.unpack(command)
         if (name, version, padding) != (b"\x05HELLO", _VERSION, _PADDING):
             raise RemoteProtocolError("it did not begin the CURVE handshake with a HELLO of version 1.0")
+        if short_term[-1] & _IGNORED_BIT:
+            raise RemoteProtocolError("its short-term key was changed on its way")
         self._count(nonce)
         shared = crypto_box_beforenm(short_term, self._secret)
         try:

@@ -145,6 +145,10 @@ def test_an_initiate_is_checked_whoever_made_it(bent: Bent) -> None:
     assert not decoder.ready
 
 
+def _with_bit(data: bytes, at: int, bit: int) -> bytes:
+    return data[:at] + bytes((data[at] | bit,)) + data[at + 1 :]
+
+
 @pytest.mark.parametrize(
     "body",
     [
@@ -153,10 +157,11 @@ def test_an_initiate_is_checked_whoever_made_it(bent: Bent) -> None:
         CurveClient(CAROL, SERVER.public, number=-1).hello(),
         CurveClient(CAROL, SERVER.public).hello() + b"\0",
         CurveClient(CAROL, SERVER.public, Pair(bytes(32), CAROL.secret)).hello(),
+        _with_bit(CurveClient(CAROL, SERVER.public).hello(), 80 + 31, 0x80),
         b"\x05READY" + METADATA,
         b"",
     ],
-    ids=["version", "box", "nonce 0", "too long", "a point of low order", "NULL's READY", "empty"],
+    ids=["version", "box", "nonce 0", "too long", "low order", "ignored bit", "NULL's READY", "empty"],
 )
 def test_a_hello_is_checked(body: bytes) -> None:
     with pytest.raises(RemoteProtocolError) as raised:
