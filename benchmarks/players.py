@@ -84,11 +84,11 @@ def serving(
 
 def _main(role: str, size: str, url: str, sessions: str) -> None:
     names = [str(number) for number in range(int(sessions))]
-    keys = {"key": os.environ.get("GLUE_KEY"), "hub_key": os.environ.get("GLUE_HUB_KEY")}
+    key, hub_key = os.environ.get("GLUE_KEY"), os.environ.get("GLUE_HUB_KEY")
     if role == "agent":
-        serve_agent({name: Still() for name in names}, url, **keys)
+        serve_agent({name: Still() for name in names}, url, key=key, hub_key=hub_key)
     else:
-        serve_environment({name: Walk(SIZES[size]) for name in names}, url, **keys)
+        serve_environment({name: Walk(SIZES[size]) for name in names}, url, key=key, hub_key=hub_key)
 
 
 if __name__ == "__main__":
