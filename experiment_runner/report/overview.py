@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -31,12 +32,14 @@ __all__ = ["Overview", "as_object", "as_text", "overview"]
 
 _WINDOW: Final = 100
 _SETTING_COLUMNS: Final = ("setting", "finished", "episodes", "mean", "95 % interval", "IQM", "converged")
-_LEGEND: Final = f"""\
-mean, IQM  over trials, of the mean return of the last {_WINDOW} episodes;
-           IQM is the interquartile mean
-interval   of the mean, by bootstrap
-converged  the episode from which the mean of {_WINDOW}, over all trials, stays
-           within 2 of its final value"""
+_LEGEND: Final = {
+    "mean, IQM": f"over trials, of the mean return of the last {_WINDOW} episodes; "
+    "IQM is the interquartile mean",
+    "interval": "of the mean, by bootstrap",
+    "converged": f"the episode from which the mean of {_WINDOW}, over all trials, "
+    "stays within 2 of its final value",
+}
+_LEGEND_WIDTH: Final = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +99,15 @@ def overview(results: Results) -> Overview:
     )
 
 
+def _legend(width: int) -> list[str]:
+    """Return the lines that explain the columns."""
+    margin = max(map(len, _LEGEND)) + 2
+    return [
+        textwrap.fill(f"{term:<{margin}}{text}", max(width, 2 * margin), subsequent_indent=" " * margin)
+        for term, text in _LEGEND.items()
+    ]
+
+
 def as_text(results: Results, width: int | None = None) -> str:
     """Return the results of a run: a line for each setting, then failures, voids and events.
 
@@ -114,7 +126,7 @@ def as_text(results: Results, width: int | None = None) -> str:
     if programs:
         lines.append(f"program  {one_line(programs)}")
     rows = [_cells(numbers) for numbers in _settings(results)]
-    lines += ["", format_table(_SETTING_COLUMNS, rows, width=width), "", _LEGEND]
+    lines += ["", format_table(_SETTING_COLUMNS, rows, width=width), "", *_legend(width or _LEGEND_WIDTH)]
     if not has_scipy():
         lines.append("(intervals and IQM need SciPy: pip install 'glue-rl[plot]')")
     names = trial_names(results)
