@@ -19,6 +19,7 @@ _MODULES = ("hub", "attacks", "legacy", "mario", "agents", "soar", "experiment")
 _BY_NAME = ("memory",)
 """Those that take so long that they are only measured when they are named."""
 _QUIET_LOAD = 0.5
+_NOTES = Path(__file__).parent / "notes.md"
 _FILE = Path(__file__).parent.parent / "docs" / "performance.md"
 
 
@@ -36,7 +37,9 @@ def main(names: list[str]) -> None:
     if names:
         print("\n".join(map(str, tables)))
     else:
-        _FILE.write_text("\n".join([_head(load), *map(str, tables)]), encoding="utf-8")
+        _FILE.write_text(
+            "\n".join([_head(load), *map(str, tables), _NOTES.read_text("utf-8")]), encoding="utf-8"
+        )
         print(f"written to {_FILE}", file=sys.stderr)
 
 
