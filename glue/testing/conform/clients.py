@@ -13,7 +13,7 @@ from typing import Final, Protocol
 
 from glue.errors import ConfigError
 
-__all__ = ["Client", "ClientProcess", "Start", "starter"]
+__all__ = ["Client", "ClientProcess", "Start", "starter", "used"]
 
 
 class Client(Protocol):
@@ -94,8 +94,13 @@ class ClientProcess:
         return text
 
     def cpu(self) -> float | None:
-        try:
-            fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
-        except OSError:
-            return None
-        return (int(fields[11]) + int(fields[12])) / _TICKS
+        return used(self._process.pid)
+
+
+def used(pid: int | None) -> float | None:
+    """Return the seconds of CPU that a process has used, where the system tells."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return None
+    return (int(fields[11]) + int(fields[12])) / _TICKS

@@ -95,7 +95,12 @@ class Desk(ABC):
             NotJudged: it does not come so far.
         """
         if self._client is not None and self._client.wait(0) is None and self.connected:
-            return
+            try:
+                self.settle()
+            except Broken:
+                self.abandon()
+            else:
+                return
         self.drop()
         try:
             self.start()
@@ -292,6 +297,10 @@ class Desk(ABC):
     @abstractmethod
     def begin(self) -> None:
         """Go on from the first WELCOME to where an exchange can take place."""
+
+    @abstractmethod
+    def settle(self) -> None:
+        """Go through the exchanges without which no scene can begin."""
 
     @abstractmethod
     def exchanges(self) -> int:

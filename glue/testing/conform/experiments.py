@@ -30,7 +30,7 @@ RULES: Final = Rules()
 _WHO: Final = (Role.EXPERIMENT,)
 
 SPEC: Final = "a task for a mirror, größer als nötig".encode()
-SEEN: Final = Observation([3, -5], [0.5], b"ab")
+SEEN: Final = Observation([3, 5], [0.5], b"ab")
 DONE: Final = Action([7], [-0.25], b"c")
 
 
@@ -77,7 +77,7 @@ class ExperimentDesk(Desk):
     def begin(self) -> None:
         self._plot: Iterator[Order] = cycle(self._episode())
         self._prepared: deque[Order] = deque()
-        self.request = Message(Kind.RL_ENV_STEP, self.session, 0)
+        self.request = Message(Kind.RL_ENV_STEP, self.session, -1)
         self.take(self.request._replace(body=Action(chars=b"ready").body))
 
     @staticmethod
@@ -104,6 +104,10 @@ class ExperimentDesk(Desk):
         self._prepared.append(order)
         return self.order(order)
 
+    def settle(self) -> None:
+        while self._prepared:
+            self.exchange()
+
     def order(self, order: Order) -> Exchange:
         """Return the exchange of an order for the request that it asks for."""
         asked = _asked(order)[0]
@@ -121,8 +125,7 @@ class ExperimentDesk(Desk):
 
     def do(self, *orders: Order) -> None:
         """Go through both exchanges of each order."""
-        while self._prepared:
-            self.exchange()
+        self.settle()
         for each in orders:
             exchange = self.order(each)
             self.send_frames(exchange.frames)
@@ -132,8 +135,8 @@ class ExperimentDesk(Desk):
             self.take(exchange.expected)
 
     def asks(self, order: Order) -> None:
-        """Go through the first exchange of an order, after whatever was under way."""
-        self.do()
+        """Go through the first exchange of an order."""
+        self.settle()
         exchange = self.order(order)
         self.send_frames(exchange.frames)
         self.take(exchange.expected)
@@ -306,6 +309,22 @@ _ONCE: Final = "calls-and-how-each-happens-exactly-once"
 
 
 @RULES.add(
+    "silent-until-welcomed",
+    Tier.SURVIVES,
+    "greeting",
+    "no request goes over a new connection before WELCOME, and then one",
+    _WHO,
+)
+def silent_until_welcomed(desk: ExperimentDesk) -> None:
+    desk.cut()
+    desk.connect()
+    desk.nothing("between HELLO and WELCOME")
+    desk.welcome()
+    desk.resume()
+    desk.nothing("more: a request is sent once over each connection")
+
+
+@RULES.add(
     "numbers",
     Tier.SURVIVES,
     _ONCE,
@@ -342,27 +361,12 @@ def other_replies(desk: ExperimentDesk) -> None:
 
 
 @RULES.add(
-    "silent-until-welcomed",
-    Tier.SURVIVES,
-    "greeting",
-    "no request goes over a new connection before WELCOME, and then one",
-    _WHO,
-)
-def silent_until_welcomed(desk: ExperimentDesk) -> None:
-    desk.cut()
-    desk.connect()
-    desk.nothing("between HELLO and WELCOME")
-    desk.welcome()
-    desk.resume()
-    desk.nothing("more: a request is sent once over each connection")
-
-
-@RULES.add(
     "welcome-lost",
     Tier.SURVIVES,
     "greeting",
     "with nothing answered yet, the request is sent again after `resumed` false",
     _WHO,
+    needs=("silent-until-welcomed",),
 )
 def welcome_lost(desk: ExperimentDesk) -> None:
     desk.drop()
@@ -470,17 +474,23 @@ def broken_text(desk: ExperimentDesk) -> None:
     "greeting",
     "after `resumed` false the pending request is not sent again: it starts over or ends",
     _WHO,
+    needs=("silent-until-welcomed",),
 )
 def forgotten(desk: ExperimentDesk) -> None:
     desk.exchange()
     desk.cut()
     desk.connect()
-    desk.welcome(resumed=False)
+    Desk.welcome(desk, resumed=False)  # It may be gone before any NOTICE.
     _gives_up(desk, "the request of before", lambda message: message == desk.request)
 
 
 @RULES.add(
-    "max-body", Tier.COMPLETE, "greeting", "a request larger than WELCOME's max_body is not sent", _WHO
+    "max-body",
+    Tier.COMPLETE,
+    "greeting",
+    "a request larger than WELCOME's max_body is not sent",
+    _WHO,
+    needs=("silent-until-welcomed",),
 )
 def max_body(desk: ExperimentDesk) -> None:
     limit = 20_000

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
@@ -71,6 +71,7 @@ def judge(
     transport: str = "tcp",
     tier: Tier = Tier.COMPLETE,
     wait: float = 5.0,
+    only: Container[str] | None = None,
     report: Callable[[Verdict], None] = lambda verdict: None,
 ) -> list[Verdict]:
     """Judge the clients that `start` starts by the rules of their role.
@@ -81,6 +82,7 @@ def judge(
         transport: `tcp` or `ipc`.
         tier: the highest tier to judge.
         wait: seconds in which whatever is to come must come.
+        only: names of the rules to judge; None judges all.
         report: takes each verdict as soon as there is one.
 
     Raises:
@@ -88,10 +90,13 @@ def judge(
     """
     listener = Listener(transport)
     desk: Desk = (ExperimentDesk if role is Role.EXPERIMENT else PlayerDesk)(role, start, listener, wait)
-    verdicts = []
+    verdicts: list[Verdict] = []
     try:
         for rule in rules_of(role, tier):
-            verdict = _judged(rule, desk, transport)
+            if only is not None and rule.name not in only:
+                continue
+            broken = {v.rule.name for v in verdicts if v.outcome is Outcome.FAILED}
+            verdict = _judged(rule, desk, transport, broken)
             report(verdict)
             verdicts.append(verdict)
     finally:
@@ -100,16 +105,19 @@ def judge(
     return verdicts
 
 
-def _judged(rule: Rule, desk: Desk, transport: str) -> Verdict:
+def _judged(rule: Rule, desk: Desk, transport: str, others: set[str]) -> Verdict:
     verdict = Verdict(rule, transport, Outcome.PASSED)
     try:
         if rule not in everyone.FIRST:
             desk.ready()
         rule.scene(desk)
-    except NotJudged as reason:
-        return replace(verdict, outcome=Outcome.NOT_JUDGED, expected=str(reason))
+    except NotJudged as why:
+        return replace(verdict, outcome=Outcome.NOT_JUDGED, expected=str(why))
     except Broken as broken:
         desk.abandon()
+        if lacking := sorted(others.intersection(rule.needs)):
+            reason = f"it rests on {', '.join(lacking)}, which the client breaks"
+            return replace(verdict, outcome=Outcome.NOT_JUDGED, expected=reason)
         return replace(
             verdict,
             outcome=Outcome.FAILED,

@@ -54,6 +54,8 @@ class Rule:
         section: the heading of docs/protocol.md under which it stands, as a link's anchor.
         text: what the client does if it keeps the rule.
         roles: whom it is about.
+        needs: rules without which its scene cannot be understood: if one of them is broken, a scene that goes
+            wrong says nothing about this rule.
         scene: shows it, or raises Broken or NotJudged.
     """
 
@@ -63,18 +65,25 @@ class Rule:
     text: str
     roles: tuple[Role, ...]
     scene: Callable[[Any], None]
+    needs: tuple[str, ...] = ()
 
 
 class Rules(list[Rule]):
     """Rules in the order in which they are judged."""
 
     def add(
-        self, name: str, tier: Tier, section: str, text: str, roles: tuple[Role, ...]
+        self,
+        name: str,
+        tier: Tier,
+        section: str,
+        text: str,
+        roles: tuple[Role, ...],
+        needs: tuple[str, ...] = (),
     ) -> Callable[[Callable[[Any], None]], Callable[[Any], None]]:
         """Return a decorator that adds the rule that a scene shows."""
 
         def keep(scene: Callable[[Any], None]) -> Callable[[Any], None]:
-            self.append(Rule(name, tier, section, text, roles, scene))
+            self.append(Rule(name, tier, section, text, roles, scene, needs))
             return scene
 
         return keep

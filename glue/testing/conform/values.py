@@ -9,7 +9,9 @@ from glue.types import Observation
 
 __all__ = ["CHARS", "DOUBLES", "EMPTY", "INTS", "NOT_UTF_8", "REWARDS", "TEXTS"]
 
-INTS: Final = [0, 1, -1, 127, 128, -128, 255, 256, 65536, 2**31 - 1, -(2**31)]
+_MANY: Final = [0, 1, -1, 127, 128, -128, 255, 256, 65536, 2**31 - 1, -(2**31)]
+INTS: Final = [*_MANY, -sum(_MANY)]
+"""Their sum is 0, so that whoever writes doubles wrongly can still show it."""
 
 DOUBLES: Final = [
     *(0.0, -0.0, 1.0, -0.1, 1 / 3),

@@ -11,11 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from glue.protocol.messages import Role
-from glue.testing.conform.clients import Start
+from glue.testing.conform.clients import Start, used
 from glue.testing.mirror import run_mirror
+from tests.glue.testing.conform.wrong import run
 
 _SERVER = multiprocessing.get_context("forkserver")
-_SERVER.set_forkserver_preload(["tests.glue.testing.conform.forked"])
+_SERVER.set_forkserver_preload(
+    ["tests.glue.testing.conform.forked", "tests.glue.testing.conform.wrong_experiment"]
+)
 
 
 class Forked:
@@ -42,7 +45,7 @@ class Forked:
         return self._printed.read_text(errors="replace") if self._printed.exists() else ""
 
     def cpu(self) -> float | None:
-        return None
+        return used(self._process.pid)
 
 
 def _main(printed: str, run: Callable[..., int], arguments: tuple[Any, ...]) -> None:
@@ -50,6 +53,11 @@ def _main(printed: str, run: Callable[..., int], arguments: tuple[Any, ...]) -> 
     os.dup2(output, 1)
     os.dup2(output, 2)
     raise SystemExit(run(*arguments))
+
+
+def wrong(role: Role, fault: str) -> Start:
+    """Return what starts a client with a fault, or with none."""
+    return lambda hub, session: Forked(run, str(role), hub, session, fault)
 
 
 def mirror(role: Role, libzmq: bool) -> Start:

@@ -1,0 +1,57 @@
+"""The kit finds faults: clients with one fault each break exactly one rule, and keep all others."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+
+import pytest
+
+from glue.protocol.messages import Role
+from glue.testing.conform.judge import Outcome, Verdict, judge, rules_of
+from glue.testing.conform.report import line
+from tests.glue.testing.conform.forked import wrong
+from tests.glue.testing.conform.wrong import FAULTS
+
+EVERY_RULE = bool(os.environ.get("GLUE_EVERY_RULE"))
+"""Whether to judge each client by all rules, as `.ci/run` does; else by its own and a few others."""
+
+COMMON = {"hello", "calls", "repeated", "numbers"}
+
+CASES = [(role, fault) for role, faults in FAULTS.items() for fault in ("", *faults)]
+
+Judged = dict[tuple[str, str], "Future[list[Verdict]]"]
+
+
+@pytest.fixture(scope="module")
+def judged() -> Iterator[Judged]:
+    """The verdicts on every client; they mostly wait, so several are judged at a time."""
+    with ThreadPoolExecutor(10) as pool:
+        yield {(role, fault): pool.submit(verdicts_on, role, fault) for role, fault in CASES}
+
+
+def verdicts_on(role: str, fault: str) -> list[Verdict]:
+    rule = FAULTS[role].get(fault)
+    everything = EVERY_RULE or rule is None
+    only = {each.name for each in rules_of(Role(role))} if everything else {str(rule), *COMMON}
+    # A client that does nothing is waited for in vain: long enough for a busy machine, not longer.
+    return judge(Role(role), wrong(Role(role), fault), wait=4, only=only)
+
+
+@pytest.mark.parametrize(("role", "fault"), CASES)
+def test_a_fault_breaks_its_own_rule_and_no_other(judged: Judged, role: str, fault: str) -> None:
+    verdicts = judged[role, fault].result()
+    failed = [verdict for verdict in verdicts if verdict.outcome is Outcome.FAILED]
+    unjudged = [verdict for verdict in verdicts if verdict.outcome is Outcome.NOT_JUDGED]
+    rule = FAULTS[role].get(fault)
+
+    assert [verdict.rule.name for verdict in failed] == ([rule] if rule else []), list(map(line, failed))
+    # What rests on the broken rule need not be judged, everything else is.
+    assert {verdict.rule.name for verdict in unjudged if rule not in verdict.rule.needs} == set()
+
+
+def test_there_are_many_faults_and_each_rule_is_broken_by_one() -> None:
+    assert sum(map(len, FAULTS.values())) > 60
+    broken = {rule for faults in FAULTS.values() for rule in faults.values()}
+    assert broken == {rule.name for role in Role for rule in rules_of(role)}
