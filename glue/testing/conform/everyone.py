@@ -285,13 +285,12 @@ def silence(desk: Desk) -> None:
     desk.welcome(heartbeat=0.1)
     desk.resume()
     frames = desk.kept(lambda: desk.wire.receive(desk.wait))
-    expected = Message(Kind.HEARTBEAT, desk.session, 0)
-    if frames is None or encode(expected, FROM_HUB)[0][:2] != bytes(frames[0])[:2]:
-        raise Broken(
-            f"HEARTBEAT, the last WELCOME having said 0.1 s of heartbeat, in {desk.wait:g} s",
-            "none",
-            frames or (),
-        )
+    expected = f"HEARTBEAT, since 0.1 s of heartbeat were agreed, in {desk.wait:g} s"
+    if frames is None:
+        raise Broken(expected, "nothing")
+    got = desk.decoded(frames, expected)
+    if (got.kind, got.session) != (Kind.HEARTBEAT, desk.session):
+        raise Broken(expected, told(got), frames)
     desk.cut()
     desk.reconnect()
     desk.exchange()

@@ -133,7 +133,7 @@ def test_code_in_the_text_is_that_of_the_examples() -> None:
     (c,) = blocks("c")
     (javascript,) = blocks("js")
 
-    assert c in (DOCS / "examples/c/agent.c").read_text()
+    assert c in (DOCS / "examples/c/peer.h").read_text()
     assert javascript in (DOCS.parent / "clients/javascript/src/body.js").read_text()
 
 
