@@ -179,7 +179,7 @@ def carry_out(
             return _both(*glue.rl_start())
         case "RL_STEP":
             gained, seen, terminal, action = glue.rl_step()
-            return _both(seen, action, [int(terminal)], [gained])
+            return _both(seen, action, [int(bool(terminal))], [gained])
         case "RL_EPISODE":
             return result([int(glue.rl_episode(int(text)))])
         case "RL_RETURN":
@@ -198,7 +198,7 @@ def carry_out(
             return _both(glue.rl_env_start(), Action())
         case "RL_ENV_STEP":
             gained, seen, terminal = glue.rl_env_step(Action(ints, doubles, argument))
-            return _both(seen, Action(), [int(terminal)], [gained])
+            return _both(seen, Action(), [int(bool(terminal))], [gained])
         case "RL_AGENT_START":
             return _both(Observation(), glue.rl_agent_start(Observation(ints, doubles, argument)))
         case "RL_AGENT_STEP":

@@ -91,10 +91,10 @@ def rewards() -> Iterator[tuple[float, bytes]]:
 
 
 def truths() -> Iterator[tuple[bool, bytes]]:
-    """Yield truth values, each as an integer."""
+    """Yield truth values, each as an integer; 2 is left out, for it may mean that an episode was cut off."""
     yield False, b"\x00"
     yield True, b"\x01"
-    yield True, b"\x02"
+    yield True, b"\x03"
     yield True, b"\xff"
     for whole in (0, 1, 100, -100):
         for data in fitting(whole):
