@@ -9,11 +9,11 @@ import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Protocol
 
 from glue.errors import ConfigError
 
-__all__ = ["Client", "ClientProcess", "Start", "starter", "used"]
+__all__ = ["Client", "ClientProcess", "Start", "is_awake", "starter"]
 
 
 class Client(Protocol):
@@ -31,8 +31,8 @@ class Client(Protocol):
         """Return what it has printed."""
         ...
 
-    def cpu(self) -> float | None:
-        """Return the seconds of CPU that it has used; None if that cannot be known."""
+    def awake(self) -> bool | None:
+        """Return whether it runs or wants to; None if that cannot be known."""
         ...
 
 
@@ -47,9 +47,6 @@ def starter(command: Sequence[str]) -> Start:
         return ClientProcess(command, {"GLUE_HUB": hub, "GLUE_SESSION": session})
 
     return start
-
-
-_TICKS: Final = os.sysconf("SC_CLK_TCK")
 
 
 class ClientProcess:
@@ -93,14 +90,14 @@ class ClientProcess:
         self._printed.seek(0, os.SEEK_END)
         return text
 
-    def cpu(self) -> float | None:
-        return used(self._process.pid)
+    def awake(self) -> bool | None:
+        return is_awake(self._process.pid)
 
 
-def used(pid: int | None) -> float | None:
-    """Return the seconds of CPU that a process has used, where the system tells."""
+def is_awake(pid: int | None) -> bool | None:
+    """Return whether a thread of a process runs or wants to, where the system tells."""
     try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        stats = [(task / "stat").read_text() for task in Path(f"/proc/{pid}/task").iterdir()]
     except OSError:
         return None
-    return (int(fields[11]) + int(fields[12])) / _TICKS
+    return any(stat.rpartition(")")[2].split()[0] == "R" for stat in stats)

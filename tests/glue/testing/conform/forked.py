@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from glue.protocol.messages import Role
-from glue.testing.conform.clients import Start, used
+from glue.testing.conform.clients import Start, is_awake
 from glue.testing.mirror import run_mirror
 from tests.glue.testing.conform.wrong import run
 
@@ -44,8 +44,8 @@ class Forked:
     def output(self) -> str:
         return self._printed.read_text(errors="replace") if self._printed.exists() else ""
 
-    def cpu(self) -> float | None:
-        return used(self._process.pid)
+    def awake(self) -> bool | None:
+        return is_awake(self._process.pid)
 
 
 def _main(printed: str, run: Callable[..., int], arguments: tuple[Any, ...]) -> None:
