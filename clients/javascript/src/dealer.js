@@ -79,6 +79,7 @@ export class Dealer {
   }
 
   #connect() {
+    const begun = performance.now();
     const socket = net.connect(this.#options);
     this.#socket = socket;
     this.silence = 0;
@@ -100,7 +101,7 @@ export class Dealer {
       this.#ready = false;
       if (this.#closed) return;
       if (broken) this.#events.disconnected();
-      this.#retry = setTimeout(() => this.#connect(), RECONNECT_MS);
+      this.#retry = setTimeout(() => this.#connect(), RECONNECT_MS - (performance.now() - begun));
     });
   }
 

@@ -132,6 +132,12 @@ class Dealer {
     if (frames.has_body) send(frames.body, 0);
   }
 
+  /// Makes no further connection; what was sent still leaves.
+  void leave() noexcept {
+    zmq_disconnect(socket_.get(), hub_.c_str());
+    connected_ = false;
+  }
+
  private:
   struct CloseSocket {
     void operator()(void* socket) const { zmq_close(socket); }

@@ -90,12 +90,14 @@ class Link {
     }
   }
 
-  /// Says goodbye.
+  /// Says goodbye, and leaves.
   void close(std::string_view reason) {
-    if (!welcomed()) return;
-    HeaderWriter goodbye;
-    send(goodbye.begin(1, kGoodbye, session(), 0).text(clip(reason)));
+    if (welcomed()) {
+      HeaderWriter goodbye;
+      send(goodbye.begin(1, kGoodbye, session(), 0).text(clip(reason)));
+    }
     welcomed_ = false;
+    dealer_->leave();
   }
 
   /// Returns the ERROR with which a player answers.

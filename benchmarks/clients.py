@@ -1,0 +1,121 @@
+"""The client libraries: steps per second and memory of an agent and of an environment in each language."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+
+from benchmarks.measure import Rate, Table, count, rate, rates
+from glue import connect
+from glue.core.config import HubConfig
+from glue.core.experiment import Experiment
+from glue.hub.server import Hub
+
+_ROOT = Path(__file__).parent.parent
+_CLIENTS = _ROOT / "clients"
+_STEPS = 2000
+_PROGRAMS = str(_ROOT / "tests" / "clients" / "python_programs.py")
+_JAVA = f"{_CLIENTS / 'java/build/glue-rl.jar'}:{_CLIENTS / 'java/build/examples'}"
+
+_LANGUAGES: dict[str, dict[str, Sequence[str]]] = {
+    "Python": {each: (sys.executable, _PROGRAMS, each) for each in ("random", "skeleton")},
+    "C++": {each: (str(_CLIENTS / "cpp/build" / each),) for each in ("random", "skeleton")},
+    "Java": {
+        "random": ("java", "-XX:+UseSerialGC", "-cp", _JAVA, "RandomAgent"),
+        "skeleton": ("java", "-XX:+UseSerialGC", "-cp", _JAVA, "Skeleton"),
+    },
+    "JavaScript": {
+        each: ("node", str(_CLIENTS / "javascript/examples" / f"{each}.js"))
+        for each in ("random", "skeleton")
+    },
+    "Rust": {
+        each: (str(_CLIENTS / "rust/target/release/examples" / each),) for each in ("random", "skeleton")
+    },
+}
+
+
+def run() -> list[Table]:
+    """Return the table, of the languages whose examples have been built."""
+    built = {name: programs for name, programs in _LANGUAGES.items() if _is_built(programs["random"])}
+    missing = [name for name in _LANGUAGES if name not in built]
+    if missing:
+        print(f"not built, and so left out: {', '.join(missing)} (see clients/)", file=sys.stderr)
+    measured = {
+        transport: rates([partial(_rate, programs, transport) for programs in built.values()])
+        for transport in ("ipc", "tcp")
+    }
+    memory = [_memory(programs) for programs in built.values()]
+    rows = [
+        (
+            name,
+            *(count(measured[transport][i].per_second) for transport in measured),
+            *(f"{measured[transport][i].cpu:.0f}" for transport in measured),
+            *(f"{megabytes:.1f}" for megabytes in memory[i]),
+        )
+        for i, name in enumerate(built)
+    ]
+    about = (
+        "Agent and environment are the examples of one client library (a random agent in RL-Glue's walk), "
+        "in a process each; hub and experiment are ours, in a third. CPU time is that of all three. Memory "
+        "is what the agent's process has resident after 2,000 steps, and after 50,000."
+    )
+    columns = ("language", "ipc", "tcp", "us a step, ipc", "us a step, tcp", "MB", "MB later")
+    return [Table("Client libraries", about, columns, rows)]
+
+
+def _is_built(command: Sequence[str]) -> bool:
+    paths = [part for word in command for part in word.split(":") if str(_CLIENTS) in part]
+    return all(Path(path).exists() for path in paths)
+
+
+@contextmanager
+def _playing(programs: dict[str, Sequence[str]], transport: str) -> Iterator[tuple[Experiment, list[int]]]:
+    """Yield an experiment that has begun, and the processes of its agent and its environment."""
+    with tempfile.TemporaryDirectory() as folder:
+        hub = Hub(HubConfig(bind=(f"ipc://{folder}/hub" if transport == "ipc" else "tcp://127.0.0.1:*",)))
+        url = hub.endpoints[0]
+        place = {**os.environ, "GLUE_HUB": url}
+        players = [
+            subprocess.Popen(command, env=place, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            for command in programs.values()
+        ]
+        try:
+            with hub.in_background(), connect(url, log=lambda line: None) as glue:
+                glue.rl_init(1)
+                _play(glue, _STEPS)  # while the libraries warm up
+                yield glue, [player.pid for player in players]
+        finally:
+            for player in players:
+                player.kill()
+                player.wait()
+
+
+def _rate(programs: dict[str, Sequence[str]], transport: str) -> Rate:
+    with _playing(programs, transport) as (glue, pids):
+        return rate(lambda: _play(glue, _STEPS), _STEPS, pids)
+
+
+def _memory(programs: dict[str, Sequence[str]]) -> tuple[float, float]:
+    with _playing(programs, "ipc") as (glue, (agent, _)):
+        early = _resident(agent)
+        _play(glue, 25 * _STEPS)
+        return early, _resident(agent)
+
+
+def _play(glue: Experiment, steps: int) -> None:
+    """Play episodes until there were at least so many steps."""
+    while steps > 0:
+        glue.rl_episode(steps)
+        steps -= glue.rl_num_steps()
+
+
+def _resident(pid: int) -> float:
+    """Return the megabytes that a process has in memory."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -1,0 +1,122 @@
+"""The client libraries: what each needs, how it is built, and the programs that come of it."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+__all__ = ["CLIENTS", "CPP", "JAVASCRIPT", "LANGUAGES", "PYTHON", "ROOT", "RUST", "SWITCH", "Language", "run"]
+
+ROOT: Final = Path(__file__).parents[2]
+CLIENTS: Final = ROOT / "clients"
+
+SWITCH: Final = "GLUE_CLIENTS"
+"""The environment variable with which the libraries are compiled, and all that takes long is tested."""
+
+_BUILD_SECONDS: Final = 600.0
+
+
+@dataclass(frozen=True)
+class Language:
+    """A client library.
+
+    Args:
+        name: of its folder.
+        tools: the programs that it is built and run with, and Debian's packages of them.
+        build: commands that build its examples, in its folder.
+        tests: the commands that run its own tests, in its folder.
+        programs: the commands of its examples: random, skeleton, experiment and mirror.
+    """
+
+    name: str
+    tools: Mapping[str, str]
+    build: Sequence[Sequence[str]]
+    tests: Sequence[Sequence[str]]
+    programs: Mapping[str, Sequence[str]]
+
+    @property
+    def folder(self) -> Path:
+        return CLIENTS / self.name
+
+    def ready(self) -> None:
+        """Build it, if that is to be done here; else skip the test, with one line that says why."""
+        for tool, package in self.tools.items():
+            if shutil.which(tool) is None:
+                pytest.skip(f"there is no {tool} here for clients/{self.name} (Debian: {package})")
+        if self.build and not os.environ.get(SWITCH):
+            pytest.skip(f"the compiled clients are tested with {SWITCH}=1, as .ci/run does")
+        (self.folder / "build").mkdir(exist_ok=True)
+        with (self.folder / "build" / "lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)  # the tests may run in several processes
+            for command in self.build:
+                run(command, self.folder)
+
+
+def run(
+    command: Sequence[str], cwd: Path, seconds: float = _BUILD_SECONDS, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end, which has to be a good one."""
+    done = subprocess.run(
+        command, cwd=cwd, env={**os.environ, **environment}, capture_output=True, text=True, timeout=seconds
+    )
+    assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout}\n{done.stderr}"
+    return done
+
+
+def _in_folder(name: str, *parts: str) -> str:
+    return str(CLIENTS.joinpath(name, *parts))
+
+
+_EXAMPLES: Final = ("random", "skeleton", "experiment", "mirror")
+
+_CLASSES: Final = dict(zip(_EXAMPLES, ("RandomAgent", "Skeleton", "FewEpisodes", "Mirror"), strict=True))
+
+_JAVA_PATH: Final = f"{_in_folder('java', 'build', 'glue-rl.jar')}:{_in_folder('java', 'build', 'examples')}"
+
+JAVASCRIPT: Final = Language(
+    "javascript",
+    {"node": "nodejs"},
+    (),
+    (("node", "--test", "test/"),),
+    {each: ("node", _in_folder("javascript", "examples", f"{each}.js")) for each in _EXAMPLES},
+)
+
+JAVA: Final = Language(
+    "java",
+    {"javac": "openjdk-17-jdk-headless", "make": "make"},
+    (("make", "all"),),
+    (("make", "test"), ("make", "javadoc")),
+    {each: ("java", "-XX:+UseSerialGC", "-cp", _JAVA_PATH, _CLASSES[each]) for each in _EXAMPLES},
+)
+
+RUST: Final = Language(
+    "rust",
+    {"cargo": "cargo", "rustc": "rustc"},
+    (("cargo", "build", "--quiet", "--release", "--examples"),),
+    (("cargo", "test", "--quiet"), ("cargo", "doc", "--quiet")),
+    {each: (_in_folder("rust", "target", "release", "examples", each),) for each in _EXAMPLES},
+)
+
+CPP: Final = Language(
+    "cpp",
+    {"g++": "g++", "cmake": "cmake", "pkg-config": "pkg-config"},
+    (("cmake", "-B", "build"), ("cmake", "--build", "build")),
+    (("ctest", "--test-dir", "build", "--output-on-failure"),),
+    {each: (_in_folder("cpp", "build", each),) for each in _EXAMPLES},
+)
+
+_PEER: Final = (sys.executable, str(Path(__file__).with_name("python_programs.py")))
+
+PYTHON: Final = Language("python", {}, (), (), {each: (*_PEER, each) for each in _EXAMPLES[:3]})
+"""Ours, for comparison."""
+
+LANGUAGES: Final = (JAVASCRIPT, CPP, JAVA, RUST)

@@ -1,0 +1,80 @@
+"""A hub for programs of other languages, and whoever of ours plays with them."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import IO, Final
+
+from glue import serve_agent, serve_environment
+from glue.core.config import HubConfig
+from glue.core.experiment import Experiment
+from glue.hub.server import Hub
+from glue.roles import Agent, Environment
+
+__all__ = ["SECONDS", "Episode", "hub", "play", "program", "read_episodes", "serving"]
+
+SECONDS: Final = 120.0
+"""More than anything here takes, unless it hangs."""
+
+MAX_STEPS: Final = 300
+
+_EPISODE: Final = re.compile(r"episode (\d+): return (\S+), (\d+) steps")
+
+Episode = tuple[float, int]
+"""Return and steps."""
+
+
+@contextmanager
+def hub(bind: str = "tcp://127.0.0.1:*") -> Iterator[str]:
+    """Run a hub; yields its URL."""
+    made = Hub(HubConfig(bind=(bind,)))
+    with made.in_background():
+        yield made.endpoints[0]
+        made.stop("the test is over")
+
+
+@contextmanager
+def program(command: Sequence[str], url: str, session: str = "default") -> Iterator[subprocess.Popen[str]]:
+    """Run a program at a hub; it is killed at the end if need be."""
+    place = {"GLUE_HUB": url, "GLUE_SESSION": session}
+    with subprocess.Popen(
+        command,
+        env={**os.environ, **place},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+@contextmanager
+def serving(player: Agent | Environment, url: str, session: str = "default") -> Iterator[None]:
+    """Serve a player of ours in a thread, which ends with the hub."""
+    serve = serve_agent if hasattr(player, "agent_init") else serve_environment
+    thread = threading.Thread(
+        target=serve, args=(player, url, session), kwargs={"log": lambda line: None}, daemon=True
+    )
+    thread.start()
+    yield
+
+
+def play(glue: Experiment, seed: int) -> Episode:
+    """Play one episode, which depends on nothing but the seed."""
+    glue.rl_init(seed)
+    glue.rl_episode(MAX_STEPS)
+    return glue.rl_return(), glue.rl_num_steps()
+
+
+def read_episodes(output: IO[str]) -> list[Episode]:
+    """Return the episodes that an experiment has printed."""
+    return [
+        (float(match[2]), int(match[3])) for line in output if (match := _EPISODE.match(line)) is not None
+    ]

@@ -1,0 +1,187 @@
+"""Each library as its users get it: its own tests, its documentation, its package, and what the kit says."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+from env_server.toys import SkeletonEnvironment
+from glue import connect
+from glue.protocol.messages import Role
+from tests.clients.languages import CLIENTS, CPP, JAVASCRIPT, LANGUAGES, ROOT, RUST, SWITCH, Language, run
+from tests.clients.table import hub, program, serving
+
+FULL: Final = pytest.mark.skipif(not os.environ.get(SWITCH), reason=f"packages are made with {SWITCH}=1")
+
+CONFORM: Final = (sys.executable, "-c", "from glue.testing.conform.entry import conform; conform()")
+
+KIT_SECONDS: Final = 280.0
+
+
+@pytest.fixture(params=LANGUAGES, ids=lambda language: language.name)
+def language(request: pytest.FixtureRequest) -> Language:
+    asked: Language = request.param
+    asked.ready()
+    return asked
+
+
+def test_own_tests_pass_and_documentation_is_whole(language: Language) -> None:
+    for command in language.tests:
+        run(command, language.folder, RUSTDOCFLAGS="-D warnings")
+
+
+@FULL
+@pytest.mark.parametrize("role", list(Role))
+def test_kit_finds_no_fault(language: Language, role: Role) -> None:
+    mirror = language.programs["mirror"]
+    done = subprocess.run(
+        [*CONFORM, role, "--wait", "20", "--", *mirror, role],
+        capture_output=True,
+        text=True,
+        timeout=KIT_SECONDS,
+    )
+
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+FIRST: Final = {
+    "cpp": (
+        "agent.cpp",
+        ("g++", "-std=c++17", f"-I{CLIENTS / 'cpp/include'}", "agent.cpp", "-lzmq"),
+        ("./a.out",),
+    ),
+    "java": ("Walker.java", (), ("java", "-cp", str(CLIENTS / "java/build/glue-rl.jar"), "Walker.java")),
+    "javascript": ("agent.mjs", (), ("node", "agent.mjs")),
+    "rust": ("main.rs", ("cargo", "build", "--quiet", "--offline"), ("target/debug/walker",)),
+}
+"""For each language the file of a first agent, the command that builds it, and the one that starts it."""
+
+MANIFEST: Final = f"""\
+[package]
+name = "walker"
+version = "0.1.0"
+edition = "2021"
+
+[[bin]]
+name = "walker"
+path = "main.rs"
+
+[dependencies]
+glue-rl = {{ path = "{CLIENTS / "rust"}" }}
+"""
+
+
+def test_first_agent_of_the_page_walks(
+    language: Language, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (ROOT / "docs" / "clients.md").read_text()
+    (code,) = re.findall(rf"```{language.name}\n(.*?)```", page, re.DOTALL)
+    file, build, start = FIRST[language.name]
+    (tmp_path / file).write_text(code)
+    (tmp_path / "Cargo.toml").write_text(MANIFEST)
+    (tmp_path / "node_modules").mkdir()
+    (tmp_path / "node_modules" / "glue-rl").symlink_to(CLIENTS / "javascript")
+    monkeypatch.chdir(tmp_path)
+    if build:
+        run(build, tmp_path)
+    with (
+        hub() as url,
+        serving(SkeletonEnvironment(), url),
+        program(start, url),
+        connect(url, log=lambda line: None) as glue,
+    ):
+        glue.rl_init()
+        assert glue.rl_episode()
+        assert (glue.rl_return(), glue.rl_num_steps()) == (1.0, 10)
+
+
+@FULL
+def test_fresh_project_installs_the_tarball_and_checks_its_types(tmp_path: Path) -> None:
+    JAVASCRIPT.ready()
+    if shutil.which("npm") is None:
+        pytest.skip("there is no npm here to pack clients/javascript (Debian: npm)")
+    run(["npm", "pack", "--silent", str(JAVASCRIPT.folder)], tmp_path)
+    (tarball,) = tmp_path.glob("*.tgz")
+    (tmp_path / "package.json").write_text('{"name": "fresh", "type": "module", "private": true}')
+    run(
+        ["npm", "install", "--silent", "--no-package-lock", str(tarball), "typescript", "@types/node@18"],
+        tmp_path,
+    )
+    (tmp_path / "agent.ts").write_text(FIRST_AGENT)
+    strict = ["--strict", "--target", "es2022", "--module", "nodenext", "--types", "node"]
+    run(["npx", "tsc", *strict, "agent.ts"], tmp_path)
+    run(["npx", "tsc", "--project", str(copy_of_sources(tmp_path))], tmp_path)
+    with hub() as url, program(["node", str(tmp_path / "agent.js")], url) as process:
+        run([*JAVASCRIPT.programs["mirror"][:1], "-e", JOIN], tmp_path, GLUE_HUB=url)
+        assert process.poll() is None
+
+
+FIRST_AGENT: Final = """\
+import { type Agent, type Observation, serveAgent } from "glue-rl";
+
+class Walker implements Agent {
+  init(taskSpec: string): void {}
+  start(observation: Observation) { return { ints: [1] }; }
+  step(reward: number, observation: Observation) { return { ints: [observation.ints[0] < 20 ? 1 : 0] }; }
+}
+
+const reason: string = await serveAgent(new Walker());
+console.log(reason);
+"""
+
+JOIN: Final = """\
+import("glue-rl").then(async ({ connect }) => {
+  const glue = await connect();
+  const answer = await glue.agentMessage("anybody there?");
+  await glue.close();
+  process.exit(answer === "" ? 0 : 1);
+});
+"""
+
+
+def copy_of_sources(folder: Path) -> Path:
+    """Return a copy of the library beside installed types, since its own folder has none."""
+    copy = folder / "sources"
+    shutil.copytree(JAVASCRIPT.folder, copy, ignore=shutil.ignore_patterns("node_modules", "build"))
+    return copy
+
+
+@FULL
+def test_another_cmake_project_finds_the_installed_package(tmp_path: Path) -> None:
+    CPP.ready()
+    run(["cmake", "--install", "build", "--prefix", str(tmp_path / "installed")], CPP.folder)
+    shutil.copy(CPP.folder / "examples" / "skeleton.cpp", tmp_path / "own.cpp")
+    (tmp_path / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.16)\nproject(own CXX)\nfind_package(glue_rl 0.2 REQUIRED)\n"
+        "add_executable(own own.cpp)\ntarget_link_libraries(own PRIVATE glue_rl::glue_rl)\n"
+    )
+    run(["cmake", "-B", "build", f"-DCMAKE_PREFIX_PATH={tmp_path / 'installed'}"], tmp_path)
+    run(["cmake", "--build", "build"], tmp_path)
+
+    assert (tmp_path / "build" / "own").exists()
+
+
+@FULL
+@pytest.mark.parametrize("tool", ["fmt", "clippy"])
+def test_rust_is_formatted_and_has_no_lint(tool: str) -> None:
+    RUST.ready()
+    if subprocess.run(["cargo", tool, "--version"], capture_output=True).returncode != 0:
+        pytest.skip(f"there is no cargo {tool} here")
+    arguments = {"fmt": ["--check"], "clippy": ["--quiet", "--all-targets", "--", "-D", "warnings"]}
+    run(["cargo", tool, *arguments[tool]], RUST.folder)
+
+
+def test_nothing_in_the_libraries_names_a_registry_or_is_built() -> None:
+    kept = run(["git", "ls-files", "clients"], ROOT).stdout.splitlines()
+
+    assert kept
+    assert not [path for path in kept if path.endswith((".jar", ".class", ".tgz", ".o"))]
+    for path in kept:
+        assert "registry" not in (ROOT / path).read_text(encoding="utf-8"), path
