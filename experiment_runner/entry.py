@@ -7,6 +7,11 @@ from typing import NoReturn
 from glue.entry import start
 
 
+def compete() -> NoReturn:
+    """Run `glue-compete`."""
+    start("experiment_runner.competition.command")
+
+
 def experiment() -> NoReturn:
     """Run `glue-experiment`."""
     start("experiment_runner.commands.experiment")

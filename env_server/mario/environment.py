@@ -188,10 +188,19 @@ class InfiniteMario:
         Raises:
             SimulatorError: the action is out of bounds or misshapen, or no episode is being played.
         """
+        return self.game.step(*self.buttons_of(action))
+
+    @staticmethod
+    def buttons_of(action: Action) -> tuple[int, int, int]:
+        """Return direction, jump and run of an action.
+
+        Raises:
+            SimulatorError: it is out of bounds or misshapen.
+        """
         buttons = _ACTIONS.get(action.body)
         if buttons is None:
             raise SimulatorError(_what_is_wrong_with(action))
-        return self.game.step(*buttons)
+        return buttons
 
     def env_cleanup(self) -> None:
         """Release the game, and any level that a message asked for."""

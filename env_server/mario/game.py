@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,9 @@ __all__ = ["Body", "Game", "start_first", "step_world"]
 
 Body = npt.NDArray[np.uint8]
 """Room for an observation as the body of an abstract type, shape (BODY_SIZE,)."""
+
+
+_NO_EPISODE: Final = "a step needs an episode: call start first, and again after each end"
 
 
 class Game:
@@ -83,8 +87,29 @@ class Game:
             self._observation = Observation._wrap(bytes(self._bytes[:size]))
             return reward, self._observation, False
         if size < 0:
-            raise SimulatorError("a step needs an episode: call start first, and again after each end")
+            raise SimulatorError(_NO_EPISODE)
         return reward, self._observation, True
+
+    def play(
+        self, buttons: npt.NDArray[np.int64], choices: npt.NDArray[np.int64]
+    ) -> tuple[npt.NDArray[np.float64], bool]:
+        """Carry out many actions in a row, until the episode ends, without their observations.
+
+        Args:
+            buttons: different actions, shape (K, 3): direction -1 to 1, jump and run 0 or 1.
+            choices: which of them to carry out, shape (N,), each from 0 to K - 1.
+
+        Returns:
+            The reward of each action carried out, shape (N,) or shorter, and whether the episode ended.
+
+        Raises:
+            SimulatorError: no episode is being played.
+        """
+        if not self.world.playing:
+            raise SimulatorError(_NO_EPISODE)
+        rewards = np.empty(len(choices))
+        count = _play_first(self._memory, buttons, choices, rewards)
+        return rewards[:count], not self.world.playing
 
     def clone(self) -> Game:
         """Return another game at the same point."""
@@ -133,6 +158,24 @@ def _step_first(worlds: Worlds, direction: int, jump: int, run: int, body: Body)
     if not world.playing:
         return 0.0, -1
     return step_world(world, direction, jump, run, body)
+
+
+@entry
+def _play_first(
+    worlds: Worlds,
+    buttons: npt.NDArray[np.int64],
+    choices: npt.NDArray[np.int64],
+    rewards: npt.NDArray[np.float64],
+) -> int:
+    """Carry out actions in the first of `worlds`, as `Game.play`; return how many."""
+    world: World = worlds[0]
+    for i in range(len(choices)):
+        action = buttons[choices[i]]
+        if not act(world, action[0], action[1], action[2]):
+            rewards[i] = terminal_reward(world)
+            return i + 1
+        rewards[i] = ordinary_reward(world)
+    return len(choices)
 
 
 @cache

@@ -137,11 +137,16 @@ class _Parser:
                 )
         return Task(
             name,
-            self._text_of(table, "env", *where) or "",
+            self._located(self._text_of(table, "env", *where) or ""),
             options,
             self._whole(table, _COUNT, "episodes", *where),
             self._whole(table, _COUNT, "steps", *where),
         )
+
+    def _located(self, env: str) -> str:
+        """Return the name of an environment; a file in it is relative to the competition's."""
+        file, _, attribute = env.rpartition(":")
+        return f"{self._path.parent.absolute() / file}:{attribute}" if file.endswith(".py") else env
 
     def _entrant(self, name: str, table: Mapping[str, Any]) -> Entrant:
         where = ("entrants", name)

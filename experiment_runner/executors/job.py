@@ -39,6 +39,7 @@ __all__ = [
     "decode_report",
     "encode_job",
     "encode_report",
+    "pack",
     "run_job",
     "unpack",
     "unpacker",
@@ -198,6 +199,11 @@ def unpack(data: bytes) -> Iterator[Any]:
     yield from stream
 
 
+def pack(value: object) -> bytes:
+    """Return a value of msgpack's as bytes, for a stream that `unpacker` reads."""
+    return bytes(msgpack.packb(value))
+
+
 def encode_job(job: Job) -> bytes:
     """Return a job as bytes. Its players are in one process, or use a hub that the executor starts."""
     header = [
@@ -207,7 +213,7 @@ def encode_job(job: Job) -> bytes:
         job.checkpoint_every,
         job.start.after,
     ]
-    return bytes(msgpack.packb([*header, _saved(job.start.checkpoint)]))
+    return pack([*header, _saved(job.start.checkpoint)])
 
 
 def decode_job(value: Any) -> Job:
@@ -231,7 +237,7 @@ def encode_report(report: Report) -> bytes:
     fields = [*report]
     if isinstance(report, Recorded):
         fields[1] = _saved(report.checkpoint)
-    return bytes(msgpack.packb([type(report).__name__, *fields]))
+    return pack([type(report).__name__, *fields])
 
 
 def decode_report(value: Any) -> Report:

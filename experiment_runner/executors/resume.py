@@ -17,7 +17,7 @@ from experiment_runner.plan import Plan, absolute, differences
 from experiment_runner.plan_file import dump_plan, load_plan
 from experiment_runner.provenance import about, program
 from experiment_runner.store.database import holds_run, reported
-from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
+from experiment_runner.store.layout import ABOUT_FILE, COMPETITION_FILE, PLAN_FILE
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
@@ -126,6 +126,10 @@ def recorded_plan(directory: Path) -> Plan:
         if not holds_run(directory):
             raise ExperimentError(f"{directory} holds no run")
     path = directory / PLAN_FILE
+    if (directory / COMPETITION_FILE).exists():
+        raise ExperimentError(
+            f"{directory} is a competition: go on with glue-compete run FILE --out {directory}"
+        )
     if not path.exists():
         raise ExperimentError(f"{directory} was merged from other runs: go on with those")
     return load_plan(path)

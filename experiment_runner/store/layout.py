@@ -18,10 +18,25 @@ from experiment_runner.lock import LOCK_FILE, RunLock, is_lock
 from experiment_runner.store.database import DATABASE_FILES, holds_run
 from glue.errors import ExperimentError
 
-__all__ = ["ABOUT_FILE", "PLAN_FILE", "UNFINISHED", "NewRun", "new_run", "remove_run", "write_flushed"]
+__all__ = [
+    "ABOUT_FILE",
+    "COMPETITION_FILE",
+    "LOGS",
+    "PLAN_FILE",
+    "RECORDS",
+    "UNFINISHED",
+    "NewRun",
+    "new_run",
+    "remove_run",
+    "write_flushed",
+]
 
 PLAN_FILE: Final = "plan.toml"
 ABOUT_FILE: Final = "run.json"
+COMPETITION_FILE: Final = "competition.toml"
+RECORDS: Final = "records"  # a folder of a competition's run: what was played
+LOGS: Final = "logs"  # another: what the entrants printed
+
 UNFINISHED: Final = ".unfinished"  # the subfolder in which a new run is written
 
 
@@ -88,9 +103,11 @@ def remove_run(directory: Path) -> list[str]:
     lock = RunLock(directory)
     try:
         # The database first: without it, what is left if this process is killed does not count as a run.
-        for name in (*DATABASE_FILES, PLAN_FILE, ABOUT_FILE, LOCK_FILE):
+        competes = (directory / COMPETITION_FILE).is_file()
+        for name in (*DATABASE_FILES, PLAN_FILE, COMPETITION_FILE, ABOUT_FILE, LOCK_FILE):
             (directory / name).unlink(missing_ok=True)
-        shutil.rmtree(directory / UNFINISHED, ignore_errors=True)
+        for name in (UNFINISHED, *((RECORDS, LOGS) if competes else ())):
+            shutil.rmtree(directory / name, ignore_errors=True)
     finally:
         lock.release()
     left = sorted(path.name for path in directory.iterdir())

@@ -7,7 +7,16 @@ from typing import NamedTuple
 
 from experiment_runner.plan import TrialSpec
 
-__all__ = ["Checkpoint", "EpisodeResult", "Event", "Totals", "TrialRecord", "Void"]
+__all__ = [
+    "Checkpoint",
+    "EpisodeResult",
+    "Event",
+    "Outcome",
+    "Totals",
+    "TrialRecord",
+    "Verdict",
+    "Void",
+]
 
 
 class EpisodeResult(NamedTuple):
@@ -85,3 +94,28 @@ class Event(NamedTuple):
     trial_id: str | None
     kind: str
     text: str
+
+
+class Outcome(NamedTuple):
+    """How a trial of a competition ended.
+
+    reason  why its entrant forfeited it; None if it played to the end
+    digest  SHA-256 of the trial's record
+    """
+
+    reason: str | None
+    digest: bytes
+
+
+class Verdict(NamedTuple):
+    """What came of replaying the record of a trial.
+
+    digest   SHA-256 of the record that was replayed
+    problem  what did not match; None if everything did
+    score    the sum of all rewards, or what a passive agent earns if the trial was forfeited; NaN if there
+             is a problem
+    """
+
+    digest: bytes
+    problem: str | None
+    score: float

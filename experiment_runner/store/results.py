@@ -14,7 +14,16 @@ import numpy.typing as npt
 
 from experiment_runner.plan import COUNTS, RoleSpec, TrialSpec
 from experiment_runner.store.database import Database, open_to_read, reported
-from experiment_runner.store.records import Checkpoint, EpisodeResult, Event, Totals, TrialRecord, Void
+from experiment_runner.store.records import (
+    Checkpoint,
+    EpisodeResult,
+    Event,
+    Outcome,
+    Totals,
+    TrialRecord,
+    Verdict,
+    Void,
+)
 from glue.errors import ExperimentError
 
 __all__ = ["Results"]
@@ -152,6 +161,21 @@ class Results:
         )
         self._check(rows, (_NUMBER, _TEXT_OR_NULL, _TEXT, _TEXT), timed=True)
         return [Event(*row) for row in rows]
+
+    def outcomes(self) -> dict[str, Outcome]:
+        """Return how the trials of a competition ended, by id, for those that have."""
+        rows = self._query("SELECT id, reason, digest FROM outcomes JOIN trials ON key = trial")
+        self._check(rows, (_TEXT, _TEXT_OR_NULL, _BYTES))
+        return {trial_id: Outcome(reason, digest) for trial_id, reason, digest in rows}
+
+    def verdicts(self) -> dict[str, Verdict]:
+        """Return what came of replaying the trials of a competition, by id, for those that were."""
+        rows = self._query("SELECT id, digest, problem, score FROM verdicts JOIN trials ON key = trial")
+        self._check(rows, (_TEXT, _BYTES, _TEXT_OR_NULL, _NUMBER_OR_NULL))
+        return {
+            trial_id: Verdict(digest, problem, math.nan if score is None else score)
+            for trial_id, digest, problem, score in rows
+        }
 
     def _query(self, statement: str, *values: object) -> list[Any]:
         with reported(f"cannot read {self.directory}"):

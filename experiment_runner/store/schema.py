@@ -58,6 +58,21 @@ MIGRATIONS: tuple[Migration, ...] = (
             kind TEXT NOT NULL,
             text TEXT NOT NULL)""",
     ),
+    (
+        # How a trial of a competition ended. reason: why its entrant forfeited it, NULL if it played to the
+        # end; digest: SHA-256 of the trial's record.
+        """CREATE TABLE outcomes (
+            trial INTEGER PRIMARY KEY REFERENCES trials,
+            reason TEXT,
+            digest BLOB NOT NULL)""",
+        # What came of replaying a record. digest: as above, of the record that was replayed;
+        # problem: what did not match, NULL if everything did; SQLite has no NaN, so such a score is NULL.
+        """CREATE TABLE verdicts (
+            trial INTEGER PRIMARY KEY REFERENCES trials,
+            digest BLOB NOT NULL,
+            problem TEXT,
+            score REAL)""",
+    ),
 )
 
 

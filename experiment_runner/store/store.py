@@ -24,7 +24,7 @@ from experiment_runner.lock import RunLock
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.store.database import Database, holds_run, open_to_write, reported, transaction
 from experiment_runner.store.layout import new_run, write_flushed
-from experiment_runner.store.records import Checkpoint, EpisodeResult
+from experiment_runner.store.records import Checkpoint, EpisodeResult, Outcome, Verdict
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 
@@ -35,6 +35,8 @@ _PUT_TRIAL: Final = """INSERT INTO trials (id, agent, environment, episodes, max
 _PUT_EPISODE: Final = "INSERT INTO episodes VALUES (?, ?, ?, ?, ?, ?)"
 _PUT_CHECKPOINT: Final = "REPLACE INTO checkpoints VALUES (?, ?, ?, ?)"
 _PUT_VOID: Final = "INSERT INTO voids VALUES (?, ?, ?, ?)"
+_PUT_OUTCOME: Final = "REPLACE INTO outcomes VALUES (?, ?, ?)"
+_PUT_VERDICT: Final = "REPLACE INTO verdicts VALUES (?, ?, ?, ?)"
 _PUT_EVENT: Final = "INSERT INTO events VALUES (?, ?, ?, ?)"
 
 
@@ -155,8 +157,17 @@ class Store(Results):
         """Commit that a trial has failed; its episodes are kept."""
         self._execute("UPDATE trials SET failure = ? WHERE key = ?", why, self._key(trial_id))
 
+    def record_outcome(self, trial_id: str, outcome: Outcome) -> None:
+        """Commit how a trial of a competition ended, and flush everything about it to the disk."""
+        self._execute("PRAGMA synchronous = FULL")
+        self._execute(_PUT_OUTCOME, self._key(trial_id), *outcome)
+
+    def record_verdict(self, trial_id: str, verdict: Verdict) -> None:
+        """Commit what came of replaying a trial, in place of an earlier verdict."""
+        self._execute(_PUT_VERDICT, self._key(trial_id), *verdict)
+
     def rewind(self, trial_id: str, episode: int) -> None:
-        """Delete the episodes of a trial after `episode` (0: all of them) and its failure, to repeat them.
+        """Delete the episodes of a trial after `episode` (0: all of them) and how it ended, to repeat them.
 
         Raises:
             ExperimentError: the database cannot be written to.
@@ -168,6 +179,8 @@ class Store(Results):
                 "DELETE FROM checkpoints WHERE trial = ? AND episode > ?", (key, episode)
             )
             self._connection.execute("UPDATE trials SET failure = NULL WHERE key = ?", (key,))
+            for table in ("outcomes", "verdicts"):
+                self._connection.execute(f"DELETE FROM {table} WHERE trial = ?", (key,))
         self._done[trial_id] = min(self._done[trial_id], episode)
 
     def adopt(self, results: Results, trial_id: str, as_id: str) -> None:
@@ -183,6 +196,7 @@ class Store(Results):
         episodes = results.episodes(trial_id)
         voids = [void for void in results.voids() if void.trial_id == trial_id]
         events = [event for event in results.events() if event.trial_id == trial_id]
+        outcome, verdict = results.outcomes().get(trial_id), results.verdicts().get(trial_id)
         write = self._connection.executemany
         with reported(f"cannot write to {self.directory}"), transaction(self._connection):
             write("UPDATE trials SET failure = ? WHERE key = ?", ((why, key) for why in failures))
@@ -192,6 +206,8 @@ class Store(Results):
                 write(_PUT_CHECKPOINT, [(key, episode, saved.agent, saved.environment)])
             write(_PUT_VOID, ((v.time, key, v.episode, v.why) for v in voids))
             write(_PUT_EVENT, ((e.time, key, e.kind, e.text) for e in events))
+            write(_PUT_OUTCOME, [(key, *outcome)] if outcome else [])
+            write(_PUT_VERDICT, [(key, *verdict)] if verdict else [])
         self._done[as_id] = len(episodes)
 
     def done(self, trial_id: str) -> int:

@@ -57,8 +57,10 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "experiment_runner/analysis": ("experiment_runner/store",),
     "experiment_runner/report": ("experiment_runner/analysis",),
     "experiment_runner/executors": ("experiment_runner/report",),
-    "experiment_runner/commands": ("experiment_runner/executors",),
-    "experiment_runner/competition": ("experiment_runner/executors",),
+    "experiment_runner/competition/records": ("experiment_runner/store",),
+    "experiment_runner/competition": ("experiment_runner/executors", "experiment_runner/competition/records"),
+    "experiment_runner/competition/board": ("experiment_runner/competition",),
+    "experiment_runner/commands": ("experiment_runner/competition/board",),
     "experiment_runner/paper": ("experiment_runner/commands", "env_server/replay", "agents/mohan2010"),
 }
 """From the bottom up: a folder may import itself, the folders named here, and all that those may import."""

@@ -40,6 +40,7 @@ def hub(tmp_path: Path) -> str:
 
 ENDLESS_COMMANDS = {
     "glue-hub": ["--bind", "tcp://127.0.0.1:*"],
+    "glue-compete": ["board", "runs"],
     "glue-env": ["mario", "--hub", "ipc:///nowhere/hub"],
     "glue-agent": ["hierarchical", "--hub", "ipc:///nowhere/hub"],
     "glue-experiment": ["--env", "mario", "--agent", "hierarchical", "--episodes", "100000", "--in-process"],

@@ -1,0 +1,114 @@
+"""The standings for the terminal, as CSV and as JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import asdict
+from typing import Final
+
+from experiment_runner.competition.board.standings import Standing, Standings
+from experiment_runner.report.tables import format_table, one_line
+from experiment_runner.store.output import finite
+
+__all__ = ["LEGEND", "as_csv", "as_json", "as_text", "number"]
+
+LEGEND: Final = (
+    "place     by the mean of the ranks in the tasks; those who are equal share it",
+    "total     sum of the tasks' scores, with its 95 % bootstrap interval over trials, and the place by it",
+    "score     of a task: the sum of all rewards, learning included, mean over trials; a forfeited trial "
+    "scores what an agent that stands still earns",
+)
+
+_FORMULA: Final = ("=", "+", "-", "@")
+"""How a cell begins that a spreadsheet would compute."""
+
+
+def number(value: float) -> str:
+    """Return a score for people."""
+    return f"{value:,.2f}"
+
+
+def as_text(board: Standings, width: int | None = None) -> str:
+    """Return the standings for the terminal.
+
+    Args:
+        board: the standings.
+        width: of the terminal in characters, None for no limit.
+    """
+    header = ("place", "entrant", "mean rank", "total", "95 % interval", "by total", *board.tasks)
+    placed = [standing for standing in board.entrants if standing.place is not None]
+    lines = [board.competition, ""]
+    if placed:
+        rows = [_row(standing, board) for standing in placed]
+        lines += [format_table(header, rows, width=width), ""]
+    lines += [
+        f"no place: {other.name}: {one_line(other.missing)}" for other in board.entrants if other.missing
+    ]
+    lines += [
+        f"forfeited: {standing.name}, {forfeit.task}, trial {forfeit.trial}: {one_line(forfeit.reason)}"
+        for standing in board.entrants
+        for forfeit in standing.forfeits
+    ]
+    lines += ["", *LEGEND, "", board.program]
+    if board.seeds:
+        seeds = [(seed.task, str(seed.trial), str(seed.seed), _options(seed.options)) for seed in board.seeds]
+        lines += ["", format_table(("task", "trial", "seed", "options"), seeds, prose=True)]
+    return "\n".join(lines)
+
+
+def as_csv(board: Standings) -> str:
+    """Return the standings as CSV: one line for each entrant."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    header = ["place", "entrant", "mean_rank", "place_by_total", "total", "low", "high"]
+    for task in board.tasks:
+        header += [f"score {task}", f"rank {task}"]
+    writer.writerow([*header, "forfeits", "no_place", "program", *(["seeds"] if board.seeds else [])])
+    seeds = [json.dumps([asdict(seed) for seed in board.seeds])] if board.seeds else []
+    for standing in board.entrants:
+        row: list[object] = [standing.place, standing.name]
+        if standing.place is None:
+            row += [""] * (5 + 2 * len(board.tasks))
+        else:
+            row += [standing.mean_rank, standing.place_by_total, standing.total, standing.low, standing.high]
+            for task in board.tasks:
+                row += [standing.tasks[task].score, standing.tasks[task].rank]
+        forfeits = "; ".join(f"{lost.task}/{lost.trial}: {lost.reason}" for lost in standing.forfeits)
+        writer.writerow([*row, _cell(forfeits), _cell(standing.missing), board.program, *seeds])
+    return text.getvalue()
+
+
+def as_json(board: Standings) -> str:
+    """Return the standings as a JSON object; a number that there is not is null."""
+    return json.dumps(_finite(asdict(board)), indent=2) + "\n"
+
+
+def _row(standing: Standing, board: Standings) -> tuple[str, ...]:
+    return (
+        str(standing.place),
+        standing.name,
+        f"{standing.mean_rank:g}",
+        number(standing.total),
+        f"{number(standing.low)} .. {number(standing.high)}",
+        str(standing.place_by_total),
+        *(number(standing.tasks[task].score) for task in board.tasks),
+    )
+
+
+def _options(options: object) -> str:
+    return json.dumps(options)
+
+
+def _cell(text: str) -> str:
+    """Return a text as a cell that no spreadsheet takes for a formula."""
+    return f"'{text}" if text.startswith(_FORMULA) else text
+
+
+def _finite(value: object) -> object:
+    if isinstance(value, dict):
+        return {key: _finite(part) for key, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(part) for part in value]
+    return finite(value)

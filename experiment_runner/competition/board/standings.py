@@ -1,0 +1,288 @@
+"""Who is where in a competition, by what was verified.
+
+The score of a trial is the sum of the rewards over all its steps, with learning included, as in the
+RL Competition; that of a task is the mean over its trials. Entrants are placed by the mean of their ranks in
+the tasks, and by the total of their scores. A trial that was forfeited scores what a passive agent earns.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
+from experiment_runner.competition.records.record import digest, record_path
+from experiment_runner.competition.settings import Competition
+from experiment_runner.plan import TrialSpec
+from experiment_runner.store.layout import ABOUT_FILE
+from experiment_runner.store.records import EpisodeResult
+from experiment_runner.store.results import Results
+from glue.errors import ExperimentError
+
+__all__ = ["Forfeit", "Seed", "Standing", "Standings", "TaskScore", "ranks", "standings"]
+
+_RESAMPLES: Final = 10_000
+_INTERVAL: Final = (2.5, 97.5)
+_CURVE_POINTS: Final = 200
+"""Points of a learning curve, at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class TaskScore:
+    """What an entrant earned in a task.
+
+    Args:
+        score: mean over the trials.
+        trials: the score of each trial.
+        rank: among those who are ranked; those who share a rank have the mean of their places.
+        curve: mean over the trials of what was earned up to each of some fractions of the task's steps or
+            episodes, shape (points,); empty if the task was forfeited in every trial.
+    """
+
+    score: float
+    trials: tuple[float, ...]
+    rank: float
+    curve: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Forfeit:
+    """A trial that an entrant did not play to its end."""
+
+    task: str
+    trial: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """An entrant's place.
+
+    Args:
+        name: of the entrant.
+        place: by the mean of the ranks, from 1; shared by those who are equal; None without a verified score
+            in every trial.
+        mean_rank: mean of the ranks in the tasks.
+        place_by_total: by the total.
+        total: sum of the tasks' scores, and its 95 % bootstrap interval over trials.
+        low, high: the interval.
+        tasks: by name.
+        forfeits: what it did not play to the end.
+        missing: why it has no place, in short.
+    """
+
+    name: str
+    place: int | None = None
+    mean_rank: float = math.nan
+    place_by_total: int | None = None
+    total: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    tasks: Mapping[str, TaskScore] = field(default_factory=dict)
+    forfeits: tuple[Forfeit, ...] = ()
+    missing: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Seed:
+    """What was drawn from the secret seed for a trial of a task."""
+
+    task: str
+    trial: int
+    seed: int
+    options: Mapping[str, object]
+
+
+@dataclass(frozen=True, slots=True)
+class Standings:
+    """The board of a competition.
+
+    Args:
+        competition: its name.
+        tasks: their names, in order.
+        entrants: those with a place first, by place.
+        program: which version held it.
+        seeds: what was drawn, if it is revealed.
+    """
+
+    competition: str
+    tasks: tuple[str, ...]
+    entrants: tuple[Standing, ...]
+    program: str
+    seeds: tuple[Seed, ...] = ()
+
+
+def standings(results: Results, competition: Competition, reveal: bool = False) -> Standings:
+    """Return the standings of a competition's run, which may be under way.
+
+    Args:
+        results: of the run.
+        competition: what is played.
+        reveal: whether to include what was drawn from the secret seed.
+
+    Raises:
+        ExperimentError: the run cannot be read.
+    """
+    tasks = tuple(task.name for task in competition.tasks)
+    specs = [record.spec for record in results.trials()]
+    found = {
+        entrant.name: _Entrant(results, entrant.name, tasks, competition.trials)
+        for entrant in competition.entrants
+    }
+    for spec in specs:
+        name = spec.id.split("/")[0]
+        if name in found:
+            found[name].add(spec)
+    return Standings(
+        competition.name,
+        tasks,
+        _placed(list(found.values()), tasks),
+        _program(results.directory),
+        tuple(_seeds(specs, competition)) if reveal else (),
+    )
+
+
+def ranks(scores: Sequence[float]) -> list[float]:
+    """Return the rank of each score, 1 for the highest; equal scores share the mean of their places."""
+    above = [sum(other > score for other in scores) for score in scores]
+    equal = [sum(other == score for other in scores) for score in scores]
+    return [first + (count + 1) / 2 for first, count in zip(above, equal, strict=True)]
+
+
+class _Entrant:
+    """What is known of an entrant: the verified score of each trial, by task."""
+
+    def __init__(self, results: Results, name: str, tasks: Sequence[str], trials: int) -> None:
+        self.name = name
+        self.scores: dict[str, list[float]] = {task: [] for task in tasks}
+        self.curves: dict[str, list[FloatArray]] = {task: [] for task in tasks}
+        self.forfeits: list[Forfeit] = []
+        self._results = results
+        self._expected = trials * len(tasks)
+        self._outcomes = results.outcomes()
+        self._verdicts = results.verdicts()
+        self._missing: list[str] = []
+
+    def add(self, spec: TrialSpec) -> None:
+        _, task, number = spec.id.split("/")
+        outcome, verdict = self._outcomes.get(spec.id), self._verdicts.get(spec.id)
+        if outcome is None:
+            self._missing.append("not played to the end yet")
+            return
+        if outcome.reason is not None:
+            self.forfeits.append(Forfeit(task, int(number), outcome.reason))
+        if verdict is None:
+            self._missing.append("not verified yet")
+        elif verdict.problem is not None:
+            self._missing.append(f"not verified: {verdict.problem}")
+        elif _digest(record_path(self._results.directory, spec.id)) != verdict.digest:
+            self._missing.append("changed since it was verified")
+        else:
+            self.scores[task].append(verdict.score)
+            if outcome.reason is None:
+                self.curves[task].append(_curve(self._results.episodes(spec.id)))
+
+    @property
+    def missing(self) -> str:
+        """Why it has no place; empty if it has one."""
+        if self._missing:
+            return (
+                self._missing[0]
+                if len(self._missing) == 1
+                else f"{len(self._missing)} trials: {self._missing[0]}"
+            )
+        return "" if sum(map(len, self.scores.values())) == self._expected else "trials are missing"
+
+
+def _placed(entrants: list[_Entrant], tasks: Sequence[str]) -> tuple[Standing, ...]:
+    complete = [entrant for entrant in entrants if not entrant.missing]
+    means = {task: [float(np.mean(entrant.scores[task])) for entrant in complete] for task in tasks}
+    by_task = {task: ranks(means[task]) for task in tasks}
+    totals = [sum(means[task][i] for task in tasks) for i in range(len(complete))]
+    mean_ranks = [float(np.mean([by_task[task][i] for task in tasks])) for i in range(len(complete))]
+    placed = []
+    for i, entrant in enumerate(complete):
+        low, high = _interval([entrant.scores[task] for task in tasks])
+        scores = {
+            task: TaskScore(
+                means[task][i],
+                tuple(entrant.scores[task]),
+                by_task[task][i],
+                _mean_curve(entrant.curves[task]),
+            )
+            for task in tasks
+        }
+        placed.append(
+            Standing(
+                entrant.name,
+                1 + sum(other < mean_ranks[i] for other in mean_ranks),
+                mean_ranks[i],
+                1 + sum(other > totals[i] for other in totals),
+                totals[i],
+                low,
+                high,
+                scores,
+                tuple(entrant.forfeits),
+            )
+        )
+    placed.sort(key=lambda standing: (standing.mean_rank, -standing.total, standing.name))
+    others = [
+        Standing(entrant.name, forfeits=tuple(entrant.forfeits), missing=entrant.missing)
+        for entrant in entrants
+        if entrant.missing
+    ]
+    return (*placed, *others)
+
+
+def _interval(scores: Sequence[Sequence[float]]) -> tuple[float, float]:
+    """Return the 95 % percentile bootstrap interval of the total: trials are resampled within each task."""
+    rng = bootstrap_rng()
+    totals = np.zeros(_RESAMPLES)
+    for trials in scores:
+        chosen = rng.integers(0, len(trials), (_RESAMPLES, len(trials)))
+        totals += np.array(trials)[chosen].mean(axis=1)
+    low, high = np.percentile(totals, _INTERVAL)
+    return float(low), float(high)
+
+
+def _curve(episodes: Sequence[EpisodeResult]) -> FloatArray:
+    """Return what was earned up to each of `_CURVE_POINTS` fractions of a trial's steps."""
+    if not episodes:
+        return np.zeros(0)
+    steps = np.cumsum([episode.steps for episode in episodes])
+    earned = np.cumsum([episode.episode_return for episode in episodes])
+    at = np.linspace(0, steps[-1], _CURVE_POINTS + 1)
+    return np.interp(at, np.concatenate(([0], steps)), np.concatenate(([0.0], earned)))
+
+
+def _mean_curve(curves: Sequence[FloatArray]) -> tuple[float, ...]:
+    whole = [curve for curve in curves if len(curve)]
+    return tuple(np.mean(whole, axis=0).tolist()) if whole else ()
+
+
+def _digest(path: Path) -> bytes:
+    return digest(path) if path.is_file() else b""
+
+
+def _seeds(specs: Sequence[TrialSpec], competition: Competition) -> list[Seed]:
+    first = competition.entrants[0].name
+    seeds = []
+    for spec in specs:
+        name, task, number = spec.id.split("/")
+        if name == first and spec.environment is not None:
+            seeds.append(Seed(task, int(number), spec.seed, spec.environment.options))
+    return seeds
+
+
+def _program(directory: Path) -> str:
+    try:
+        about = json.loads((directory / ABOUT_FILE).read_text(encoding="utf-8"))
+        return str(about["program"])
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        raise ExperimentError(f"cannot read {directory / ABOUT_FILE}: {error!r:.80}") from None

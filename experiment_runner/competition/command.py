@@ -1,0 +1,149 @@
+"""`glue-compete`: hold a competition."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from glue import __version__
+from glue.commands import run
+from glue.console import say
+
+if TYPE_CHECKING:
+    from experiment_runner.competition.settings import Competition
+
+__all__ = ["compete", "main"]
+
+_FILE = click.argument("file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE")
+_DIRECTORY = click.argument("directory", type=click.Path(path_type=Path, file_okay=False), metavar="DIR")
+
+
+@click.group("glue-compete", no_args_is_help=True)
+@click.version_option(__version__, prog_name="glue-compete")
+def compete() -> None:
+    """Hold a competition: FILE says in TOML who plays what, and docs/competition.md how.
+
+    \b
+    Examples:
+      glue-compete check docker/example/competition.toml
+      glue-compete run docker/example/competition.toml --out runs/spring
+      glue-compete verify runs/spring
+      glue-compete board runs/spring --format html > spring.html
+    """
+
+
+@compete.command()
+@_FILE
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("check"),
+    show_default=True,
+    metavar="DIR",
+    help="Directory of the reports, a folder for each entrant.",
+)
+def check(file: Path, out: Path) -> int:
+    """Let every entrant start and play 3 episodes with a public level, and report to its owner."""
+    from experiment_runner.competition.smoke import check_entrants
+
+    failed = check_entrants(_load(file), out, say)
+    return 1 if failed else 0
+
+
+@compete.command("run")
+@_FILE
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    required=True,
+    metavar="DIR",
+    help="Directory of the run; if it holds this competition already, that goes on.",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1),
+    metavar="N",
+    help="How many trials are played at once. [default: one for every two processors]",
+)
+def run_command(file: Path, out: Path, workers: int | None) -> int:
+    """Let every entrant play every task; again after an interruption, what is left."""
+    from experiment_runner.competition.organiser import hold, open_competition
+    from experiment_runner.competition.secret import read_secret, trials
+
+    competition = _load(file)
+    specs = trials(competition, read_secret(competition, say))
+    with open_competition(out, file.read_text(encoding="utf-8"), specs) as store:
+        failed = hold(store, competition, workers or max(1, (os.cpu_count() or 1) // 2), say)
+    if failed:
+        say(f"{failed} of {len(specs)} trials have failed: start the same command again when that is solved")
+        return 1
+    say(f"all {len(specs)} trials are over; now: glue-compete verify {out}")
+    return 0
+
+
+@compete.command()
+@_DIRECTORY
+def verify(directory: Path) -> int:
+    """Play every recorded action again, and compare every reward and score, bit for bit."""
+    from experiment_runner.competition.organiser import competition_of
+    from experiment_runner.competition.records.verify import verify as verify_run
+    from experiment_runner.store.store import Store
+
+    steps = {task.name: task.steps for task in competition_of(directory).tasks}
+    with Store.open(directory) as store:
+        outcomes = len(store.outcomes())
+        problems = verify_run(store, steps, say)
+        total = len(store.trials())
+    say(f"{outcomes - problems} of {total} trials are verified")
+    if outcomes < total:
+        say(f"{total - outcomes} trials are not over: go on with glue-compete run FILE --out {directory}")
+    return 1 if problems or outcomes < total else 0
+
+
+@compete.command()
+@_DIRECTORY
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice(["text", "csv", "html", "json"]),
+    default="text",
+    show_default=True,
+    help="For the terminal, as CSV, as one HTML page that stands alone, or as JSON.",
+)
+@click.option(
+    "--reveal", is_flag=True, help="Show what was drawn from the secret seed: after the competition."
+)
+def board(directory: Path, form: str, reveal: bool) -> None:
+    """Print the standings: what was verified."""
+    from experiment_runner.competition.board.forms import as_csv, as_json, as_text
+    from experiment_runner.competition.board.page import as_page
+    from experiment_runner.competition.board.standings import standings
+    from experiment_runner.competition.organiser import competition_of
+    from experiment_runner.report.tables import terminal_width
+    from experiment_runner.store.results import Results
+
+    with Results.open(directory) as results:
+        found = standings(results, competition_of(directory), reveal)
+    if form == "text":
+        click.echo(as_text(found, terminal_width()))
+    else:
+        sys.stdout.write({"csv": as_csv, "html": as_page, "json": as_json}[form](found))
+
+
+def _load(file: Path) -> Competition:
+    from experiment_runner.competition.file import load_competition
+
+    return load_competition(file)
+
+
+def main() -> None:
+    """Run the command."""
+    run(compete)
+
+
+if __name__ == "__main__":
+    main()

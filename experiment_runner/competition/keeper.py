@@ -1,0 +1,106 @@
+"""Run a trusted entrant's program: keep a bounded log of what it prints, and end it with its organiser.
+
+    python -P -m experiment_runner.competition.keeper LOG SIZE PROGRAM ARGUMENTS...
+
+Its standard input is a pipe to which nothing is written: when it closes, the organiser is gone or has had
+enough, and the program is ended with its whole process group. It exits with the program's status.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import BinaryIO, Final
+
+__all__ = ["CANNOT_START", "MODULE", "main"]
+
+MODULE: Final = "experiment_runner.competition.keeper"
+
+CANNOT_START: Final = 127
+"""Exit status if there is no such program, as that of a shell."""
+
+_CHUNK: Final = 65_536
+_GRACE_SECONDS: Final = 0.5
+"""How long the program may take to end after SIGTERM."""
+
+_CUT = b"\n[the rest was not kept]\n"
+
+
+def main() -> None:
+    """Run the program that the arguments name."""
+    log, size, *command = sys.argv[1:]
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its standard input
+    sys.exit(_keep(Path(log), int(size), command))
+
+
+def _keep(log: Path, size: int, command: Sequence[str]) -> int:
+    with log.open("wb", buffering=0) as kept:
+        try:
+            program = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                process_group=0,
+                restore_signals=True,
+                preexec_fn=_default_signals,
+            )
+        except OSError as error:
+            kept.write(f"cannot start {command[0]}: {error.strerror}\n".encode())
+            return CANNOT_START
+        try:
+            _copy(program, kept, size)
+        finally:
+            _end(program)
+    status = program.wait()
+    return status if status >= 0 else 128 - status
+
+
+def _default_signals() -> None:
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
+
+
+def _copy(program: subprocess.Popen[bytes], kept: BinaryIO, size: int) -> None:
+    """Copy what the program prints, until it ends or the organiser is gone."""
+    assert program.stdout is not None
+    printed = program.stdout.fileno()
+    ended = os.pidfd_open(program.pid)
+    poller = select.poll()
+    for descriptor in (0, printed, ended):
+        poller.register(descriptor, select.POLLIN)
+    while True:
+        ready = {descriptor for descriptor, _ in poller.poll()}
+        if 0 in ready or (ended in ready and (printed not in ready or size <= 0)):
+            os.close(ended)
+            return
+        if printed in ready:
+            data = os.read(printed, _CHUNK)
+            if not data:
+                poller.unregister(printed)
+            elif size > 0:
+                with suppress(OSError):  # the disk is full: the log is not worth the trial
+                    kept.write(data[:size])
+                    size -= len(data)
+                    if size <= 0:
+                        kept.write(_CUT)
+
+
+def _end(program: subprocess.Popen[bytes]) -> None:
+    """End the program and all that it has left in its process group."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        with suppress(ProcessLookupError):
+            os.killpg(program.pid, number)
+        with suppress(subprocess.TimeoutExpired):
+            program.wait(_GRACE_SECONDS)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,292 @@
+"""One entrant plays one trial of a task: in a process of its own, with a hub of its own.
+
+    python -P -m experiment_runner.children experiment_runner.competition.match DESCRIPTOR
+
+is a worker, see `experiment_runner.executors.local`. Environment and hub are in this process; the entrant's
+program, which the starter starts, reaches nothing but the one socket of its place.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+import traceback
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from experiment_runner.competition.inside import InsideEnvironment
+from experiment_runner.competition.records.record import End, PartWriter
+from experiment_runner.competition.records.replay import made_for
+from experiment_runner.competition.secret import agent_seed
+from experiment_runner.competition.settings import Entrant, Limits
+from experiment_runner.competition.starting import Place, Running, Starter
+from experiment_runner.executors.job import Ended, Lost, Recorded, pack
+from experiment_runner.executors.local import serve
+from experiment_runner.interrupts import Interrupts
+from experiment_runner.plan import RoleSpec, TrialSpec
+from experiment_runner.scratch import SOCKET as SHARED
+from experiment_runner.scratch import scratch_folder
+from experiment_runner.store.records import EpisodeResult
+from glue.client.experiment import RemoteExperiment, connect
+from glue.core.config import Bind, HubConfig, TimeLimits
+from glue.errors import ExperimentError, GlueError, HubClosed, PeerFailed, PeerLost
+from glue.hub.inside import InsideTransport
+from glue.hub.server import Hub
+from glue.protocol.messages import Event, Role
+
+__all__ = ["MODULE", "Forfeited", "Match", "Played", "decode_report", "encode_match", "play", "starter_for"]
+
+MODULE: Final = "experiment_runner.competition.match"
+
+_LOOK_SECONDS: Final = 0.2
+"""How long the end of an entrant's program may go unnoticed."""
+
+_LAST_WORDS_SECONDS: Final = 1.0
+"""How long to wait, when an entrant is lost, for its program to end and say why."""
+
+_MAX_REASON: Final = 300
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """What a worker does.
+
+    Args:
+        spec: the trial.
+        entrant: who plays.
+        limits: what the entrant may use.
+        steps: how many steps are played; 0 if it is the number of episodes that counts.
+        log: the file for what the entrant prints.
+        run: identifies the run, see `Place`.
+    """
+
+    spec: TrialSpec
+    entrant: Entrant
+    limits: Limits
+    steps: int
+    log: Path
+    run: str
+
+
+class Played(NamedTuple):
+    """A frame of the record."""
+
+    frame: bytes
+
+
+class Forfeited(NamedTuple):
+    """The entrant did not play to the end; `reason` is one line for people."""
+
+    reason: str
+
+
+Report = Recorded | Played | Forfeited | Ended | Lost
+
+
+def starter_for(entrant: Entrant) -> Starter:
+    """Return what starts an entrant of this kind."""
+    if entrant.image is not None:
+        from experiment_runner.competition.containers import Containers
+
+        return Containers()
+    if entrant.key is not None:
+        from experiment_runner.competition.outside import Outside
+
+        return Outside()
+    from experiment_runner.competition.programs import Programs
+
+    return Programs()
+
+
+def play(
+    match: Match,
+    send: Callable[[Report], None],
+    starter: Starter,
+    *,
+    clock: Callable[[], float] = time.monotonic,
+) -> None:
+    """Play a trial. The last report is `Ended`; before it comes `Forfeited` if that is how it ended.
+
+    Args:
+        match: what is played.
+        send: takes the reports.
+        starter: starts the entrant.
+        clock: returns seconds; measures the entrant's time.
+    """
+    failure = None
+    try:
+        _Playing(match, send, clock).play(starter)
+    except GlueError as error:
+        failure = str(error)
+    except Exception as error:
+        traceback.print_exception(error)
+        failure = f"{type(error).__name__}: {error}"
+    send(Ended(failure))
+
+
+class _Playing:
+    def __init__(self, match: Match, send: Callable[[Report], None], clock: Callable[[], float]) -> None:
+        self._match = match
+        self._send = send
+        self._clock = clock
+        self._record = PartWriter(lambda frame: send(Played(frame)))
+        self._joined = threading.Event()
+        self._over = threading.Event()
+        self._ended: str | None = None  # why the entrant cannot play on, as its watcher noticed
+
+    def play(self, starter: Starter) -> None:
+        match = self._match
+        environment = made_for(match.spec)
+        session = match.entrant.name
+        with ExitStack() as stack:
+            place = self._place(stack.enter_context(scratch_folder()), session)
+            bind = Bind(place.hub, frozenset({Role.AGENT}), frozenset({session}))
+            config = HubConfig(bind=(bind,), max_sessions=1, time=match.limits.time)
+            hub = stack.enter_context(Hub(config, clock=self._clock))
+            inside = InsideEnvironment(hub, session, environment, self._record)
+            stack.enter_context(hub.in_background())
+            glue = connect(
+                place.hub, session, log=_ignore, on_notice=self._notice, transport=InsideTransport(hub)
+            )
+            stack.enter_context(glue)
+            running = starter.start(match.entrant, match.limits, place)
+            stack.callback(running.stop)
+            stack.callback(self._over.set)
+            threading.Thread(target=self._watch, args=(running, glue), name="entrant", daemon=True).start()
+            self._play_or_forfeit(glue, inside, running)
+
+    def _place(self, scratch: Path, session: str) -> Place:
+        folder = scratch / SHARED
+        folder.mkdir(mode=0o700)
+        self._match.log.parent.mkdir(parents=True, exist_ok=True)
+        return Place(folder, session, self._match.log, self._match.run)
+
+    def _play_or_forfeit(self, glue: RemoteExperiment, inside: InsideEnvironment, running: Running) -> None:
+        try:
+            glue.wait_for_players(lambda missing: None)
+            glue.rl_init(agent_seed(self._match.spec))
+            self._episodes(glue, inside)
+            self._record.flush()
+        except (PeerLost, PeerFailed, HubClosed) as error:
+            if inside.failure is not None:
+                raise ExperimentError(f"the environment failed: {inside.failure}") from error
+            if inside.in_episode:
+                self._record.end(End.FORFEIT)
+            self._record.flush()
+            self._send(Forfeited(_one_line(self._reason(error, inside, running))))
+            return
+        with suppress(GlueError):  # all is played; how an agent cleans up changes nothing
+            glue.rl_cleanup()
+
+    def _episodes(self, glue: RemoteExperiment, inside: InsideEnvironment) -> None:
+        steps, episodes, done = self._match.steps, self._match.spec.episodes, 0
+        while inside.steps < steps if steps else done < episodes:
+            began = time.perf_counter()
+            # RL_num_steps is 1 after the start: this allows for all the steps that are left.
+            terminal = glue.rl_episode(steps - inside.steps + 1 if steps else self._match.spec.max_steps)
+            if not terminal:
+                self._record.end(End.CUT_OFF)
+                inside.in_episode = False
+            done += 1
+            seconds = time.perf_counter() - began
+            result = EpisodeResult(done, glue.rl_return(), glue.rl_num_steps(), terminal, seconds)
+            self._send(Recorded(result, None))
+
+    def _notice(self, event: str, role: str, name: str) -> None:
+        if role == Role.AGENT and event == Event.JOINED:
+            self._joined.set()
+
+    def _watch(self, running: Running, glue: RemoteExperiment) -> None:
+        """Notice, in a thread of its own, that the entrant's program has ended or never joins."""
+        limit = self._match.limits.time.start_seconds
+        began = self._clock()
+        while not self._over.is_set():
+            if running.wait(_LOOK_SECONDS):
+                self._ended = f"its program {running.reason}"
+            elif not self._joined.is_set() and self._clock() - began > limit:
+                self._ended = f"it did not connect within {limit:g} s"
+            if self._ended is not None:
+                glue.give_up(self._ended)
+                return
+
+    def _reason(self, error: GlueError, inside: InsideEnvironment, running: Running) -> str:
+        if inside.refusal is not None:
+            return f"its action was refused: {inside.refusal}"
+        if isinstance(error, PeerLost) and running.wait(_LAST_WORDS_SECONDS):
+            return f"its program {running.reason}"
+        return str(error)
+
+
+def encode_match(match: Match) -> bytes:
+    """Return a match as bytes, for a worker."""
+    return pack(json.dumps(asdict(match), default=str))
+
+
+def _decode_match(text: str) -> Match:
+    fields = json.loads(text)
+    spec, entrant, limits = fields["spec"], fields["entrant"], fields["limits"]
+    for role in ("agent", "environment"):
+        spec[role] = RoleSpec(**spec[role])
+    entrant["command"] = tuple(entrant["command"])
+    entrant["key"] = None if entrant["key"] is None else Path(entrant["key"])
+    limits["time"] = TimeLimits(**limits["time"])
+    return Match(
+        TrialSpec(**spec),
+        Entrant(**entrant),
+        Limits(**limits),
+        fields["steps"],
+        Path(fields["log"]),
+        fields["run"],
+    )
+
+
+_REPORTS: Final = {kind.__name__: kind for kind in (Recorded, Played, Forfeited, Ended)}
+
+
+def _encode_report(report: Report) -> bytes:
+    return pack([type(report).__name__, *report])
+
+
+def decode_report(value: Any) -> Report:
+    """Return the report from an unpacked value.
+
+    Raises:
+        ExperimentError: the value is not a report.
+    """
+    try:
+        kind, *fields = value
+        report: Report = _REPORTS[kind](*fields)
+        if isinstance(report, Recorded):
+            return Recorded(EpisodeResult(*fields[0]), None)
+    except (TypeError, ValueError, KeyError) as error:
+        raise ExperimentError(f"this is not a report: {value!r:.80}") from error
+    return report
+
+
+def _one_line(text: str) -> str:
+    """Return a text, which the entrant may have had a hand in, as one printable line."""
+    line = " ".join(text.split())
+    printable = "".join(char if char.isprintable() else "?" for char in line)
+    return printable if len(printable) <= _MAX_REASON else printable[: _MAX_REASON - 3] + "..."
+
+
+def _ignore(line: str) -> None:
+    pass
+
+
+def main() -> None:
+    """Play the match received over the socket whose descriptor is the first argument."""
+
+    def run(job: Any, send: Callable[[bytes], None], _: Interrupts) -> None:
+        match = _decode_match(job)
+        play(match, lambda report: send(_encode_report(report)), starter_for(match.entrant))
+
+    serve(run)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,82 @@
+"""Entrants that are trusted commands of this machine."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from experiment_runner.children import how_it_ended
+from experiment_runner.competition.keeper import CANNOT_START, MODULE
+from experiment_runner.competition.settings import Entrant, Limits
+from experiment_runner.competition.starting import Place, variables
+from glue.errors import ConfigError, ExperimentError
+
+__all__ = ["Programs"]
+
+_STOP_SECONDS: Final = 5.0
+"""How long the keeper of a program may take to end it."""
+
+
+class Programs:
+    """Starts trusted commands; see `experiment_runner.competition.starting.Starter`."""
+
+    def check(self, entrant: Entrant) -> None:
+        """Check that there is such a program."""
+        if shutil.which(entrant.command[0]) is None:
+            raise ConfigError(
+                f"entrant {entrant.name}: there is no program {entrant.command[0]!r} here: install it, or "
+                "name it with its path"
+            )
+
+    def start(self, entrant: Entrant, limits: Limits, place: Place) -> _Program:
+        """Start the command."""
+        return _Program(entrant, limits, place)
+
+    def sweep(self, run: str) -> None:
+        """Do nothing: a program ends with whoever started it."""
+
+
+class _Program:
+    """A command and its keeper, see `experiment_runner.competition.keeper`."""
+
+    def __init__(self, entrant: Entrant, limits: Limits, place: Place) -> None:
+        self.log: Path = place.log
+        keeper = [sys.executable, "-P", "-m", MODULE, str(place.log), str(limits.log), *entrant.command]
+        try:
+            self._keeper = subprocess.Popen(
+                keeper,
+                stdin=subprocess.PIPE,
+                env={**os.environ, **variables(place.hub, place.session)},
+                process_group=0,
+            )
+        except OSError as error:
+            raise ExperimentError(f"cannot start {entrant.name}: {error}") from error
+
+    @property
+    def reason(self) -> str | None:
+        """How it ended; None while it is alive."""
+        status = self._keeper.poll()
+        if status is None:
+            return None
+        if status == CANNOT_START:
+            return "could not be started, or has ended with status 127: its log says more"
+        return how_it_ended(status if status <= 128 else 128 - status)
+
+    def wait(self, seconds: float) -> bool:
+        """Wait until it ends, at most so long; return whether it has ended."""
+        with suppress(subprocess.TimeoutExpired):
+            self._keeper.wait(seconds)
+        return self._keeper.returncode is not None
+
+    def stop(self) -> None:
+        """End it, with its process group."""
+        assert self._keeper.stdin is not None
+        self._keeper.stdin.close()
+        if not self.wait(_STOP_SECONDS):
+            self._keeper.kill()
+            self._keeper.wait()

@@ -1,0 +1,1 @@
+"""What was played in a competition: written down, and played again to verify it."""

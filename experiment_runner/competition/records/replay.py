@@ -1,0 +1,138 @@
+"""Play recorded actions again.
+
+An environment whose name stands in the entry-point group `glue.replays` too is played by what that names,
+which may be much faster; any other through its `env_step`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib.metadata import entry_points
+from typing import Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from experiment_runner.plan import TrialSpec
+from glue.core.engine import role_seed
+from glue.options import build
+from glue.players.loading import find
+from glue.protocol.messages import Role
+from glue.roles import Environment, SeedableEnvironment, offers
+from glue.taskspec import Ranges, parse_task_spec
+from glue.types import Action
+
+__all__ = ["Replay", "made_for", "passive_action", "passive_score", "replay_of"]
+
+_PASSIVE_STEPS: Final = 10_000
+"""Steps after which a passive agent's episode is cut off, if only the number of episodes limits the task."""
+
+_AT_ONCE: Final = 1_000
+"""Passive steps per call."""
+
+
+def made_for(spec: TrialSpec) -> Environment:
+    """Return the environment of a trial, seeded if it can be.
+
+    Raises:
+        ConfigError: there is none of this name, or it has not this option.
+    """
+    assert spec.environment is not None
+    environment: Environment = build(find(Role.ENVIRONMENT, spec.environment.name), spec.environment.options)
+    if offers(environment, SeedableEnvironment):
+        environment.env_seed(role_seed(spec.seed, Role.ENVIRONMENT))
+    return environment
+
+
+class Replay(Protocol):
+    """Plays episodes of one environment without an agent."""
+
+    def start(self) -> None:
+        """Begin an episode."""
+        ...
+
+    def play(
+        self, actions: Sequence[Action], choices: npt.NDArray[np.int64]
+    ) -> tuple[npt.NDArray[np.float64], bool]:
+        """Carry out actions until the episode ends; return their rewards, and whether it ended.
+
+        Args:
+            actions: the different actions.
+            choices: which of them to carry out, shape (N,).
+        """
+        ...
+
+
+def replay_of(spec: TrialSpec) -> tuple[Replay, str]:
+    """Return a replay of a trial's environment, from its beginning, and the environment's task spec.
+
+    Raises:
+        ConfigError: there is no such environment any more, or it has not this option.
+    """
+    environment = made_for(spec)
+    task_spec = environment.env_init()
+    assert spec.environment is not None
+    for point in entry_points(group="glue.replays", name=spec.environment.name):
+        compiled: Replay = point.load()(environment)
+        return compiled, task_spec
+    return _StepByStep(environment), task_spec
+
+
+class _StepByStep:
+    def __init__(self, environment: Environment) -> None:
+        self._environment = environment
+
+    def start(self) -> None:
+        self._environment.env_start()
+
+    def play(
+        self, actions: Sequence[Action], choices: npt.NDArray[np.int64]
+    ) -> tuple[npt.NDArray[np.float64], bool]:
+        rewards = np.empty(len(choices))
+        for i, choice in enumerate(choices.tolist()):
+            rewards[i], _, terminal = self._environment.env_step(actions[choice])
+            if terminal:
+                return rewards[: i + 1], True
+        return rewards, False
+
+
+def passive_action(task_spec: str) -> Action:
+    """Return what a passive agent always does: zero in every dimension or, where zero is not legal, the legal
+    number nearest to it.
+
+    Raises:
+        TaskSpecError: the task spec does not parse.
+    """
+    space = parse_task_spec(task_spec).actions
+    return Action(
+        ints=[int(number) for number in _nearest(space.ints)],
+        doubles=_nearest(space.doubles),
+        chars=b" " * space.chars,
+    )
+
+
+def _nearest(ranges: Ranges) -> list[float]:
+    return [min(max(0, low), high) for low, high in (range_.ends for range_ in ranges)]
+
+
+def passive_score(spec: TrialSpec, steps: int) -> float:
+    """Return the sum of rewards that a passive agent earns in a trial.
+
+    Args:
+        spec: the trial.
+        steps: how many steps it has; 0 if it is the number of episodes that counts.
+    """
+    replay, task_spec = replay_of(spec)
+    action = [passive_action(task_spec)]
+    total, left, episodes = 0.0, steps, 0
+    while left > 0 if steps else episodes < spec.episodes:
+        replay.start()
+        room, ended = left if steps else _PASSIVE_STEPS, False
+        while room > 0 and not ended:
+            rewards, ended = replay.play(action, np.zeros(min(room, _AT_ONCE), np.int64))
+            room -= len(rewards)
+            left -= len(rewards)
+            for reward in rewards.tolist():
+                total += reward
+        episodes += 1
+    return total

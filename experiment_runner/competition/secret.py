@@ -1,0 +1,130 @@
+"""The secret seed of a competition, and what is drawn from it.
+
+Whatever depends on it is derived by HMAC-SHA-256, from which the secret cannot be computed back: the level
+of one trial says nothing about that of another.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import os
+import stat
+from collections.abc import Callable
+from typing import Final
+
+from experiment_runner.competition.settings import Competition, Task
+from experiment_runner.plan import RoleSpec, TrialSpec
+from glue.errors import ConfigError
+from glue.options import Value, build, parameters
+from glue.players.loading import find
+from glue.protocol.messages import Role
+
+__all__ = ["agent_seed", "draw", "public_trial", "read_secret", "trials"]
+
+_LEVEL_SEED: Final = "level_seed"
+_NAMES_A_LEVEL: Final = (_LEVEL_SEED, "mdp")
+"""Options by which a task says itself which level is played."""
+
+_SEED_BITS: Final = 63
+_MAX_SECRET: Final = 65_536
+_HINT: Final = "make one with: head -c 32 /dev/urandom | base64 >"
+
+
+def read_secret(competition: Competition, warn: Callable[[str], None] = lambda line: None) -> bytes:
+    """Return the secret seed of a competition, without the white space around it.
+
+    If it is in an environment variable, that is removed: a program that is started does not inherit it.
+
+    Args:
+        competition: says where it is.
+        warn: takes a line about a file that other users can read.
+
+    Raises:
+        ConfigError: there is none, or it is empty.
+    """
+    path = competition.seed_file
+    if path is None:
+        name = competition.seed_env or ""
+        secret, where = os.environ.pop(name, "").encode(), f"the environment variable {name}"
+        if not secret:
+            raise ConfigError(f"{where} must hold the secret seed: {name}=... glue-compete ...")
+    else:
+        where = str(path)
+        try:
+            with path.open("rb") as file:
+                secret = file.read(_MAX_SECRET)
+                mode = os.fstat(file.fileno()).st_mode
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise ConfigError(f"cannot read the secret seed {path}: {reason}; {_HINT} {path}") from None
+        if mode & (stat.S_IRWXG | stat.S_IRWXO):
+            warn(f"other users can read the secret seed: chmod 600 {path}")
+    if not secret.strip():
+        raise ConfigError(f"{where} is empty, but it must hold the secret seed; {_HINT} {path or 'FILE'}")
+    return secret.strip()
+
+
+def draw(secret: bytes, *names: str) -> int:
+    """Return the number that belongs to these names, 0 <= number < 2**63."""
+    message = b"".join(len(name).to_bytes(4, "little") + name.encode() for name in names)
+    return int.from_bytes(hmac.digest(secret, message, hashlib.sha256)[:8], "little") >> (64 - _SEED_BITS)
+
+
+def trials(competition: Competition, secret: bytes) -> list[TrialSpec]:
+    """Return every trial of a competition, with the levels drawn from its secret.
+
+    In a trial of a task every entrant meets the same level; in the next trial it is another one.
+
+    Raises:
+        ConfigError: there is no such environment, or an option is wrong.
+    """
+    specs = []
+    for task in competition.tasks:
+        for number in range(competition.trials):
+            name = str(number)
+            seed = draw(secret, "trial", task.name, name)
+            environment = _environment(task, draw(secret, _LEVEL_SEED, task.name, name))
+            specs += [
+                TrialSpec(
+                    id=f"{entrant.name}/{task.name}/{number}",
+                    agent=RoleSpec(entrant.player, {}, entrant.name),
+                    environment=environment,
+                    episodes=task.episodes or task.steps,  # an episode has at least one step
+                    max_steps=0,
+                    seed=seed,
+                )
+                for entrant in competition.entrants
+            ]
+    return specs
+
+
+def public_trial(competition: Competition, entrant: str, episodes: int, max_steps: int) -> TrialSpec:
+    """Return a trial of the first task in which nothing is secret, to try an entrant with.
+
+    Raises:
+        ConfigError: as `trials`.
+    """
+    task = competition.tasks[0]
+    environment = _environment(task, None)
+    return TrialSpec(f"{entrant}/check/0", RoleSpec(entrant), environment, episodes, max_steps, 0)
+
+
+def agent_seed(spec: TrialSpec) -> int:
+    """Return the seed of a trial from which its agent's is derived: it says nothing of the environment's."""
+    return draw(spec.seed.to_bytes(8, "little"), "agent")
+
+
+def _environment(task: Task, level_seed: int | None) -> RoleSpec:
+    factory = find(Role.ENVIRONMENT, task.env)
+    options: dict[str, Value] = dict(task.options)
+    drawn = parameters(factory).get(_LEVEL_SEED)
+    if drawn is not None and level_seed is not None and not options.keys() & _NAMES_A_LEVEL:
+        low = 0 if drawn.option.low is None else max(0, int(drawn.option.low))
+        high = 2**31 - 1 if drawn.option.high is None else int(drawn.option.high)
+        options[_LEVEL_SEED] = low + level_seed % (high - low + 1)
+    try:
+        build(factory, options)
+    except ConfigError as error:
+        raise ConfigError(f"task {task.name}: {error}") from None
+    return RoleSpec(task.env, options, task.name)

@@ -1,0 +1,123 @@
+"""The smoke phase: before a competition every entrant plays a little, and its owner gets a report.
+
+What is played is the first task with the level that the environment has by default: nothing secret is used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final
+
+from experiment_runner.competition.match import (
+    MODULE,
+    Forfeited,
+    Match,
+    decode_report,
+    encode_match,
+    starter_for,
+)
+from experiment_runner.competition.secret import public_trial
+from experiment_runner.competition.settings import Competition, Entrant
+from experiment_runner.executors.job import Ended, Lost, Recorded
+from experiment_runner.executors.local import LocalExecutor
+from experiment_runner.store.database import reported
+from experiment_runner.store.records import EpisodeResult
+from glue.errors import ConfigError
+
+__all__ = ["EPISODES", "check_entrants"]
+
+EPISODES: Final = 3
+_MAX_STEPS: Final = 1_000
+_WAIT_SECONDS: Final = 0.2
+_RUN: Final = "check"
+_LAST_LINES: Final = 20
+_MAX_TAIL: Final = 8192
+
+
+def check_entrants(competition: Competition, directory: Path, say: Callable[[str], None]) -> int:
+    """Let every entrant play, one after the other; return how many could not.
+
+    Args:
+        competition: whose entrants they are.
+        directory: for each entrant it gets a folder, to be sent to its owner: report.txt and log.txt.
+        say: shows a line for each entrant.
+
+    Raises:
+        ConfigError: the task has no such environment, or a wrong option.
+        StorageError: a report cannot be written.
+    """
+    failed = 0
+    for entrant in competition.entrants:
+        folder = directory / entrant.name
+        log = folder / "log.txt"
+        with reported(f"cannot write to {folder}"):
+            folder.mkdir(parents=True, exist_ok=True)
+            log.write_bytes(b"")
+        episodes, problem = _try(competition, entrant, log)
+        with reported(f"cannot write to {folder}"):
+            (folder / "report.txt").write_text(_report(competition, entrant, episodes, problem, log), "utf-8")
+        failed += problem is not None
+        say(f"{entrant.name}: {problem or f'played {EPISODES} episodes'}; see {folder / 'report.txt'}")
+    return failed
+
+
+def _try(competition: Competition, entrant: Entrant, log: Path) -> tuple[list[EpisodeResult], str | None]:
+    """Return the episodes that an entrant has played, and why it could not play all of them."""
+    spec = public_trial(competition, entrant.name, EPISODES, _MAX_STEPS)
+    starter = starter_for(entrant)
+    try:
+        starter.check(entrant)
+        starter.sweep(_RUN)
+    except ConfigError as error:
+        return [], str(error)
+    episodes: list[EpisodeResult] = []
+    problem = None
+    with LocalExecutor(1, MODULE, encode_match, decode_report) as executor:
+        executor.start(Match(spec, entrant, competition.limits, 0, log, _RUN))
+        while True:
+            for _, report in executor.receive(_WAIT_SECONDS):
+                match report:
+                    case Recorded(result):
+                        episodes.append(result)
+                    case Forfeited(reason):
+                        problem = f"would have forfeited: {reason}"
+                    case Ended(failure):
+                        return episodes, problem or failure
+                    case Lost(why):
+                        return episodes, why
+
+
+def _report(
+    competition: Competition, entrant: Entrant, episodes: list[EpisodeResult], problem: str | None, log: Path
+) -> str:
+    task = competition.tasks[0]
+    time = competition.limits.time
+    lines = [
+        f"{competition.name}: {entrant.name} ({entrant.player})",
+        "",
+        f"{EPISODES} episodes of the environment {task.env} with a public level: "
+        + ("well" if problem is None else problem),
+        "",
+        *(
+            f"episode {result.episode}: return {result.episode_return:.6g} in {result.steps} steps, "
+            f"{1000 * result.wall_time / max(result.steps, 1):.2f} ms per step"
+            for result in episodes
+        ),
+        "",
+        f"Limits of each trial: {time.start_seconds:g} s to connect, and as much to initialise; "
+        f"{time.step_seconds:g} s per answer, and a bank of {time.bank_seconds:g} s for longer ones; "
+        f"{time.total_seconds:g} s in all.",
+        "",
+        f"The end of its log, which is in {log.name}:",
+        *_tail(log),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _tail(log: Path) -> list[str]:
+    with reported(f"cannot read {log}"), log.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(0, size - _MAX_TAIL))
+        text = file.read().decode("utf-8", "replace")
+    return [f"    {line}" for line in text.splitlines()[-_LAST_LINES:]]

@@ -1,0 +1,123 @@
+"""Entrants that are threads of the test, and a competition small enough for one."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from experiment_runner.competition.match import Match, play
+from experiment_runner.competition.secret import trials
+from experiment_runner.competition.settings import Competition, Entrant, Limits, Task
+from experiment_runner.competition.starting import Place
+from glue.client.players import serve_agent
+from glue.core.config import TimeLimits
+from glue.errors import GlueError
+from glue.types import Action, Observation
+
+SECRET = b"nobody knows"
+
+
+class Walker:
+    """Plays mines by walking along a fixed path."""
+
+    def __init__(self, path: tuple[int, ...] = (3, 3, 0, 3, 1, 2)) -> None:
+        self.path = path
+        self.steps = 0
+        self.seeds: list[int] = []
+
+    def agent_init(self, task_spec: str) -> None:
+        pass
+
+    def agent_seed(self, seed: int) -> None:
+        self.seeds.append(seed)
+
+    def act(self) -> Action:
+        self.steps += 1
+        return Action(ints=[self.path[self.steps % len(self.path)]])
+
+    def agent_start(self, observation: Observation) -> Action:
+        return self.act()
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return self.act()
+
+    def agent_end(self, reward: float) -> None:
+        pass
+
+    def agent_cleanup(self) -> None:
+        pass
+
+    def agent_message(self, message: str) -> str:
+        return ""
+
+
+class InThread:
+    """Starts an agent in a thread, which joins over the socket of its place; None never joins."""
+
+    def __init__(self, agent: Any) -> None:
+        self.agent = agent
+        self.places: list[Place] = []
+
+    def check(self, entrant: Entrant) -> None:
+        pass
+
+    def start(self, entrant: Entrant, limits: Limits, place: Place) -> _Thread:
+        self.places.append(place)
+        return _Thread(self.agent, place)
+
+    def sweep(self, run: str) -> None:
+        pass
+
+
+class _Thread:
+    reason: str | None = None
+
+    def __init__(self, agent: Any, place: Place) -> None:
+        self.log = place.log
+        self._agent = agent
+        self._place = place
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        if self._agent is None:
+            return
+        with suppress(GlueError):
+            serve_agent(self._agent, self._place.hub, self._place.session, log=lambda line: None)
+
+    def wait(self, seconds: float) -> bool:
+        self._thread.join(min(seconds, 0.05))
+        return False
+
+    def stop(self) -> None:
+        pass
+
+
+def competition(
+    *entrants: str, steps: int = 40, limits: TimeLimits | None = None, trials: int = 1, env: str = "mines"
+) -> Competition:
+    """A competition of one task."""
+    return Competition(
+        "test",
+        trials,
+        (Task("walk", env, {"random_start": True} if env == "mines" else {}, steps=steps),),
+        tuple(Entrant(name, command=("nothing",)) for name in entrants),
+        Limits(time=limits or TimeLimits()),
+    )
+
+
+def reports_of(
+    agent: Any, folder: Path, clock: Callable[[], float] | None = None, **settings: Any
+) -> list[Any]:
+    """Let an agent, or what a starter starts, play one trial; return all reports."""
+    held = competition("alice", **settings)
+    (spec,) = trials(held, SECRET)
+    match = Match(spec, held.entrants[0], held.limits, held.tasks[0].steps, folder / "log", "test")
+    reports: list[Any] = []
+    starter = agent if isinstance(agent, InThread) else InThread(agent)
+    play(match, reports.append, starter, clock=clock or time.monotonic)
+    return reports

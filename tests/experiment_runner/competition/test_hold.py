@@ -1,0 +1,300 @@
+"""A competition from its file to its board, with real processes: entrants that end in every way."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import random
+import shutil
+import sqlite3
+import struct
+import subprocess
+import sys
+import zlib
+from contextlib import closing
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from experiment_runner.competition.organiser import competition_of
+from experiment_runner.competition.records.record import digest, record_path
+from experiment_runner.competition.records.verify import verify
+from experiment_runner.store.store import Store
+from tests.terminal import BIN
+
+pytestmark = pytest.mark.slow
+
+AGENT = """\
+import os, sys, time
+from glue import Action, serve_agent
+
+class Walker:
+    steps = 0
+    def agent_init(self, task_spec): pass
+    def agent_start(self, observation): return self.act()
+    def agent_step(self, reward, observation): return self.act()
+    def agent_end(self, reward): pass
+    def agent_cleanup(self): pass
+    def agent_message(self, message): return ""
+    def act(self):
+        self.steps += 1
+        if self.steps == 25:
+            if kind == "crash": os._exit(7)
+            if kind == "raise": raise ValueError("<script>alert(1)</script>")
+            if kind == "sleep": time.sleep(1000)
+        return Action(ints=[(1, 1, 0, 1)[self.steps % 4]])
+
+kind = sys.argv[1]
+print("I am", kind, sorted(name for name in os.environ if name.startswith(("GLUE", "SECRET"))), flush=True)
+print("x" * 100_000, flush=True)
+serve_agent(Walker(), os.environ["GLUE_HUB"], os.environ["GLUE_SESSION"])
+"""
+
+FILE = """\
+name = "<b>spring</b>"
+trials = 2
+seed_env = "SECRET"
+[limits]
+step_seconds = 0.5
+bank_seconds = 1.0
+log = "2k"
+[tasks.mines]
+env = "mines"
+options = { random_start = true }
+steps = 200
+[tasks.walk]
+env = "skeleton"
+episodes = 4
+""" + "".join(
+    f'[entrants.{name}]\ncommand = ["{sys.executable}", "agent.py", "{name}"]\n'
+    for name in ("walk", "crash", "raise", "sleep")
+)
+
+
+def compete(folder: Path, *arguments: str, secret: str = "xyzzy") -> subprocess.CompletedProcess[str]:
+    """Run `glue-compete` in a folder."""
+    return subprocess.run(
+        [str(BIN / "glue-compete"), *arguments],
+        cwd=folder,
+        env={**os.environ, "SECRET": secret},
+        capture_output=True,
+        text=True,
+        timeout=200,
+    )
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A competition that was held and verified; not to be changed."""
+    folder = tmp_path_factory.mktemp("competition")
+    (folder / "agent.py").write_text(AGENT)
+    (folder / "spring.toml").write_text(FILE)
+    done = compete(folder, "run", "spring.toml", "--out", "run", "--workers", "3")
+    assert done.returncode == 0, done.stderr
+    verified = compete(folder, "verify", "run")
+    assert verified.returncode == 0, verified.stderr
+    assert "16 of 16 trials are verified" in verified.stderr
+    return folder
+
+
+@pytest.fixture
+def run(held: Path, tmp_path: Path) -> Path:
+    """A copy of the run, to be changed."""
+    return Path(shutil.copytree(held / "run", tmp_path / "run"))
+
+
+def board(folder: Path) -> dict[str, dict[str, Any]]:
+    shown = compete(folder, "board", "run", "--format", "json")
+    assert shown.returncode == 0, shown.stderr
+    return {standing["name"]: standing for standing in json.loads(shown.stdout)["entrants"]}
+
+
+def problems(run: Path) -> list[str]:
+    found: list[str] = []
+    with Store.open(run) as store:
+        verify(store, {task.name: task.steps for task in competition_of(run).tasks}, found.append)
+    return found
+
+
+def test_every_entrant_has_its_place_and_every_forfeit_its_reason(held: Path) -> None:
+    entrants = board(held)
+    reasons = {name: [lost["reason"] for lost in one["forfeits"]] for name, one in entrants.items()}
+    assert reasons["walk"] == []
+    for name, why in (("crash", "status 7"), ("raise", "<script>"), ("sleep", "bank of 1 s is empty")):
+        assert len(reasons[name]) == 4
+        assert all(why in reason for reason in reasons[name])
+    places = {name: one["place"] for name, one in entrants.items()}
+    assert places["crash"] == places["raise"] == places["sleep"]
+    assert set(places.values()) <= {1, 2, 4}
+
+
+def test_csv_has_a_line_for_each_entrant(held: Path) -> None:
+    shown = compete(held, "board", "run", "--format", "csv")
+    rows = list(csv.DictReader(io.StringIO(shown.stdout)))
+    assert {row["entrant"] for row in rows} == {"walk", "crash", "raise", "sleep"}
+    assert all(float(row["low"]) <= float(row["total"]) <= float(row["high"]) for row in rows)
+    assert "seeds" not in rows[0]
+
+
+class Page(HTMLParser):
+    """The tags of a page, with what they would fetch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags: set[str] = set()
+        self.fetched: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.add(tag)
+        self.fetched += [str(value) for name, value in attrs if name in ("src", "href", "action", "data")]
+
+
+def test_the_page_stands_alone_and_escapes_what_entrants_say(held: Path) -> None:
+    text = compete(held, "board", "run", "--format", "html").stdout
+    page = Page()
+    page.feed(text)
+    assert {"table", "svg", "polyline", "h1"} <= page.tags
+    assert "script" not in page.tags
+    assert "<b>spring" not in text
+    assert "&lt;script&gt;" in text
+    assert page.fetched == []
+    assert "http:" not in text
+    assert "https:" not in text
+
+
+def test_seeds_are_revealed_at_the_end_alone(held: Path) -> None:
+    with Store.open(held / "run") as store:
+        seeds = [str(record.spec.seed) for record in store.trials()]
+    for form in ("text", "csv", "html", "json"):
+        hidden = compete(held, "board", "run", "--format", form).stdout
+        shown = compete(held, "board", "run", "--format", form, "--reveal").stdout
+        assert not any(seed in hidden for seed in seeds)
+        assert all(seed in shown for seed in seeds)
+
+
+def test_a_log_is_bounded_and_shows_no_secret(held: Path) -> None:
+    logs = list((held / "run" / "logs").rglob("*.log"))
+    assert len(logs) == 16
+    for log in logs:
+        assert log.stat().st_size < 2200
+        assert b"SECRET" not in log.read_bytes()
+        assert b"['GLUE_HUB', 'GLUE_SESSION']" in log.read_bytes()
+    assert (held / "run").stat().st_mode & 0o077 == 0
+
+
+def test_a_competition_that_is_over_goes_no_further(held: Path) -> None:
+    before = digest(record_path(held / "run", "walk/mines/0"))
+    again = compete(held, "run", "spring.toml", "--out", "run")
+    assert again.returncode == 0
+    assert digest(record_path(held / "run", "walk/mines/0")) == before
+
+
+def test_another_secret_is_another_competition(held: Path) -> None:
+    refused = compete(held, "run", "spring.toml", "--out", "run", secret="plugh")
+    assert refused.returncode == 1
+    assert "another secret seed" in refused.stderr
+    assert len(refused.stderr.splitlines()) == 1
+
+
+def test_100_random_changes_of_a_record_are_found(run: Path) -> None:
+    chance = random.Random(1)
+    paths = [record_path(run, trial) for trial in ("walk/mines/0", "crash/mines/1", "walk/walk/1")]
+    for change in range(100):
+        path = paths[change % len(paths)]
+        whole = path.read_bytes()
+        place = chance.randrange(len(whole))
+        kind = chance.randrange(4)
+        if kind == 0:
+            damaged = whole[:place] + bytes([whole[place] ^ chance.randrange(1, 256)]) + whole[place + 1 :]
+        elif kind == 1:
+            damaged = whole[:place]
+        elif kind == 2:
+            damaged = whole[:place] + chance.randbytes(chance.randrange(1, 9)) + whole[place:]
+        else:
+            damaged = whole[:place] + whole[place + 1 :]
+        path.write_bytes(damaged)
+        found = problems(run)
+        assert len(found) == 1, (change, kind, place, found)
+        assert str(path) in found[0]
+        path.write_bytes(whole)
+    assert problems(run) == []
+
+
+def forge(run: Path, trial: str, change: bytes, to: bytes) -> None:
+    """Change what a record says, with checksum, digest and all."""
+    path = record_path(run, trial)
+    whole = path.read_bytes()
+    (length,) = struct.unpack_from("<I", whole, 8)
+    begin = 8 + 8 + length
+    content = zlib.decompress(whole[begin + 8 :])
+    assert change in content
+    packed = zlib.compress(content.replace(change, to, 1))
+    path.write_bytes(whole[:begin] + struct.pack("<II", len(packed), zlib.crc32(packed)) + packed)
+    with closing(sqlite3.connect(run / "results.sqlite")) as database, database:
+        database.execute(
+            "UPDATE outcomes SET digest = ? WHERE trial = (SELECT key FROM trials WHERE id = ?)",
+            (digest(path), trial),
+        )
+
+
+def test_a_forged_reward_is_found_by_replay(run: Path) -> None:
+    forge(run, "walk/walk/0", struct.pack("<d", 1.0), struct.pack("<d", 100.0))
+    (problem,) = problems(run)
+    assert "walk/walk/0" in problem
+    assert "the record says" in problem
+
+
+def test_a_forged_episode_in_the_database_is_found(run: Path) -> None:
+    with closing(sqlite3.connect(run / "results.sqlite")) as database, database:
+        database.execute(
+            "UPDATE episodes SET episode_return = episode_return + 1 WHERE trial = 1 AND episode = 1"
+        )
+    (problem,) = problems(run)
+    assert "in the database" in problem
+
+
+def test_only_what_was_verified_is_on_the_board(run: Path) -> None:
+    path = record_path(run, "walk/mines/0")
+    path.write_bytes(path.read_bytes()[:-1])
+    changed = board(run.parent)["walk"]
+    assert changed["place"] is None
+    assert "changed since it was verified" in str(changed["missing"])
+    refused = compete(run.parent, "verify", "run")
+    assert refused.returncode == 1
+    assert "walk/mines/0 does not match" in refused.stderr
+    assert "not verified" in str(board(run.parent)["walk"]["missing"])
+    assert board(run.parent)["crash"]["place"] is not None
+
+
+def test_check_reports_to_every_owner(held: Path, tmp_path: Path) -> None:
+    done = compete(held, "check", "spring.toml", "--out", str(tmp_path / "check"))
+    assert done.returncode == 1, done.stderr
+    reports = {path.parent.name: path.read_text() for path in tmp_path.glob("check/*/report.txt")}
+    assert set(reports) == {"walk", "crash", "raise", "sleep"}
+    assert "episode 3: return" in reports["walk"]
+    assert "status 7" in reports["crash"]
+    assert all(f"I am {name}" in report for name, report in reports.items())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ('env = "mines"', 'env = "mins"', "did you mean mines"),
+        ("random_start", "random_stat", "random_start"),
+        (sys.executable, "/no/such/program", "there is no program"),
+        ('seed_env = "SECRET"', 'seed_file = "none.txt"', "cannot read the secret seed"),
+        ('seed_env = "SECRET"', 'seed_env = "NO_SECRET"', "NO_SECRET"),
+    ],
+)
+def test_a_mistake_is_one_line_that_says_what_to_do(old: str, new: str, why: str, tmp_path: Path) -> None:
+    (tmp_path / "agent.py").write_text(AGENT)
+    (tmp_path / "spring.toml").write_text(FILE.replace(old, new))
+    refused = compete(tmp_path, "run", "spring.toml", "--out", "run")
+    assert refused.returncode == 2, refused.stderr
+    assert refused.stderr.startswith("Error: ")
+    assert why in refused.stderr
+    assert len(refused.stderr.splitlines()) == 1

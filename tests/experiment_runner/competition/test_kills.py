@@ -1,0 +1,85 @@
+"""SIGKILL of the organiser at any moment: the competition goes on to the same standings."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+
+from tests.system.runs import alive, children, wait_until
+
+KILLS = int(os.environ.get("GLUE_KILLS", "3"))
+"""How often the organiser is killed; `.ci/run` says 20."""
+
+LONGEST_LIFE = 3.0
+
+COMPETE = [sys.executable, "-m", "experiment_runner.competition.command"]
+
+FILE = """\
+name = "spring"
+trials = 2
+seed_file = "secret.txt"
+[tasks.mines]
+env = "mines"
+options = { random_start = true }
+steps = 3000
+[tasks.walk]
+env = "skeleton"
+episodes = 50
+[entrants.sarsa]
+command = ["AGENT", "sarsa"]
+[entrants.random]
+command = ["AGENT", "random"]
+"""
+
+
+def standings(folder: Path, out: str) -> object:
+    verified = subprocess.run([*COMPETE, "verify", out], cwd=folder, capture_output=True, text=True)
+    assert verified.returncode == 0, verified.stderr
+    shown = subprocess.run(
+        [*COMPETE, "board", out, "--format", "json"], cwd=folder, capture_output=True, text=True
+    )
+    assert shown.returncode == 0, shown.stderr
+    return json.loads(shown.stdout)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_an_organiser_that_is_killed_comes_to_the_same_standings(tmp_path: Path) -> None:
+    agent = Path(sys.executable).with_name("glue-agent")
+    (tmp_path / "spring.toml").write_text(FILE.replace("AGENT", str(agent)))
+    (tmp_path / "secret.txt").write_text("xyzzy")
+    command = [*COMPETE, "run", "spring.toml", "--workers", "2", "--out"]
+    undisturbed = subprocess.run([*command, "undisturbed"], cwd=tmp_path, capture_output=True, text=True)
+    assert undisturbed.returncode == 0, undisturbed.stderr
+    chance = random.Random(4)
+    for kill in range(KILLS):
+        organiser = subprocess.Popen(
+            [*command, run_of(kill)], cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        time.sleep(chance.uniform(0, LONGEST_LIFE))
+        everybody = children(organiser.pid)
+        organiser.kill()
+        organiser.wait()
+        wait_until(partial(none_alive, everybody), "the end of its processes")
+    expected = standings(tmp_path, "undisturbed")
+    for out in sorted({run_of(kill) for kill in range(KILLS)}):
+        done = subprocess.run([*command, out], cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        assert standings(tmp_path, out) == expected
+
+
+def run_of(kill: int) -> str:
+    """Return which of the runs is killed: a few kills each, at its beginning, its middle and its end."""
+    return f"killed-{kill // 5}"
+
+
+def none_alive(processes: list[int]) -> bool:
+    return not any(map(alive, processes))

@@ -1,0 +1,171 @@
+"""One trial of an entrant: what is played and recorded, and why it may end early."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from experiment_runner.competition.match import Forfeited, Played
+from experiment_runner.competition.records.record import End, header, read_parts
+from experiment_runner.competition.secret import agent_seed, draw, trials
+from experiment_runner.executors.job import Ended, Recorded
+from glue.core.config import TimeLimits
+from glue.core.engine import role_seed
+from glue.protocol.messages import Role
+from glue.types import Action, Observation
+from tests.experiment_runner.competition.players import SECRET, InThread, Walker, competition, reports_of
+
+
+def forfeit(reports: list[Any]) -> str:
+    """Return the reason of the one forfeit, which is the last report but one."""
+    assert isinstance(reports[-2], Forfeited), reports
+    assert reports[-1] == Ended(None)
+    return str(reports[-2].reason)
+
+
+def parts(reports: list[Any], folder: Path) -> list[Any]:
+    path = folder / "record"
+    frames = [report.frame for report in reports if isinstance(report, Played)]
+    path.write_bytes(header("alice/walk/0") + b"".join(frames))
+    return list(read_parts(path, "alice/walk/0"))
+
+
+def test_a_task_of_steps_is_played_to_its_last_step(tmp_path: Path) -> None:
+    reports = reports_of(Walker(), tmp_path, steps=40)
+    assert reports[-1] == Ended(None)
+    assert not any(isinstance(report, Forfeited) for report in reports)
+    recorded = parts(reports, tmp_path)
+    assert sum(len(part.choices) for part in recorded) == 40
+    returns = [report.result.episode_return for report in reports if isinstance(report, Recorded)]
+    assert [float(part.rewards.sum()) for part in recorded] == returns
+    assert {part.end for part in recorded[:-1]} <= {End.TERMINAL}
+
+
+def test_the_agents_seed_says_nothing_of_the_environments(tmp_path: Path) -> None:
+    walker = Walker()
+    reports_of(walker, tmp_path)
+    (spec,) = trials(competition("alice"), SECRET)
+    assert walker.seeds == [role_seed(agent_seed(spec), Role.AGENT)]
+    assert agent_seed(spec) != spec.seed
+    assert draw(SECRET, "trial", "walk", "0") == spec.seed
+
+
+def test_every_entrant_meets_the_same_level_and_another_in_each_trial() -> None:
+    specs = trials(competition("alice", "bob", trials=2, env="mario"), SECRET)
+    levels = {spec.id: spec.environment.options["level_seed"] for spec in specs if spec.environment}
+    assert levels["alice/walk/0"] == levels["bob/walk/0"]
+    assert levels["alice/walk/0"] != levels["alice/walk/1"]
+    assert trials(competition("alice", "bob", trials=2, env="mario"), SECRET + b"!") != specs
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Thinker(Walker):
+    """Thinks for so long about every answer, by the clock of the test."""
+
+    def __init__(self, clock: Clock, seconds: float) -> None:
+        super().__init__()
+        self.clock = clock
+        self.seconds = seconds
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        self.clock.now += self.seconds
+        return self.act()
+
+
+LIMITS = TimeLimits(step_seconds=1.0, bank_seconds=5.0, start_seconds=30.0, total_seconds=1000.0)
+
+
+def test_a_bank_that_is_drained_slowly_ends_the_task(tmp_path: Path) -> None:
+    clock = Clock()
+    thinker = Thinker(clock, 1.5)
+    reports = reports_of(thinker, tmp_path, clock, limits=LIMITS)
+    assert "bank of 5 s is empty" in forfeit(reports)
+    assert clock.now == 11 * 1.5  # ten half seconds are the bank, and the eleventh is one too many
+    assert parts(reports, tmp_path)[-1].end is End.FORFEIT
+
+
+def test_a_fast_answer_drains_nothing(tmp_path: Path) -> None:
+    clock = Clock()
+    reports = reports_of(Thinker(clock, 1.0), tmp_path, clock, limits=LIMITS)
+    assert reports[-1] == Ended(None)
+    assert not any(isinstance(report, Forfeited) for report in reports)
+
+
+def test_the_total_is_limited(tmp_path: Path) -> None:
+    clock = Clock()
+    limits = TimeLimits(step_seconds=1.0, total_seconds=10.0)
+    assert "10 s in all" in forfeit(reports_of(Thinker(clock, 1.0), tmp_path, clock, limits=limits))
+
+
+class Illegal(Walker):
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return Action(ints=[99])
+
+
+class Misshapen(Walker):
+    def agent_start(self, observation: Observation) -> Action:
+        return Action(ints=[1], doubles=[0.5])
+
+
+class Raising(Walker):
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        raise ValueError("no\x1b[31m idea\n" + "x" * 400)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.parametrize(
+    ("agent", "why"),
+    [
+        (Illegal(), "its action was refused"),
+        (Misshapen(), "must return"),
+        (Raising(), "raised in agent_step"),
+    ],
+)
+def test_what_an_agent_does_wrong_is_the_reason_in_one_line(agent: Walker, why: str, tmp_path: Path) -> None:
+    reason = forfeit(reports_of(agent, tmp_path))
+    assert why in reason
+    assert reason.isprintable()
+    assert len(reason) <= 300
+
+
+def test_one_who_never_connects_forfeits(tmp_path: Path) -> None:
+    reports = reports_of(None, tmp_path, limits=TimeLimits(start_seconds=0.2))
+    assert "did not connect within 0.2 s" in forfeit(reports)
+    assert not any(isinstance(report, Played) for report in reports)
+
+
+def test_an_environment_that_fails_is_not_the_entrants_fault(tmp_path: Path) -> None:
+    (tmp_path / "broken.py").write_text(
+        "from env_server.toys import MinesEnvironment\n"
+        "class Broken(MinesEnvironment):\n"
+        "    def __init__(self) -> None:\n"
+        "        super().__init__()\n"
+        "    def env_step(self, action):\n"
+        "        raise RuntimeError('broken')\n"
+    )
+    reports = reports_of(Walker(), tmp_path, env=f"{tmp_path / 'broken.py'}:Broken")
+    assert "RuntimeError: broken" in str(reports[-1].failure)
+    assert not any(isinstance(report, Forfeited) for report in reports)
+
+
+def test_nobody_else_finds_the_place(tmp_path: Path) -> None:
+    """Its folder is within one that other users cannot enter, and it is gone afterwards."""
+    modes = []
+
+    class Curious(Walker):
+        def agent_init(self, task_spec: str) -> None:
+            modes.append(starter.places[0].folder.parent.stat().st_mode & 0o077)
+
+    starter = InThread(Curious())
+    reports_of(starter, tmp_path)
+    assert modes == [0]
+    assert not starter.places[0].folder.exists()
