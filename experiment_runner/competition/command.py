@@ -12,6 +12,7 @@ import click
 from glue import __version__
 from glue.commands import run
 from glue.console import say
+from glue.core.config import DEFAULT_HUB
 
 if TYPE_CHECKING:
     from experiment_runner.competition.settings import Competition
@@ -69,15 +70,24 @@ def check(file: Path, out: Path) -> int:
     metavar="N",
     help="How many trials are played at once. [default: one for every two processors]",
 )
-def run_command(file: Path, out: Path, workers: int | None) -> int:
+@click.option(
+    "--keys",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Directory with the hub's own pair of keys, for entrants who join with theirs; see glue-keys.",
+)
+@click.option("--bind", default=DEFAULT_HUB, show_default=True, metavar="URL", help="Where they connect.")
+def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, bind: str) -> int:
     """Let every entrant play every task; again after an interruption, what is left."""
     from experiment_runner.competition.organiser import hold, open_competition
     from experiment_runner.competition.secret import read_secret, trials
+    from experiment_runner.competition.settings import Gate
 
     competition = _load(file)
     specs = trials(competition, read_secret(competition, say))
     with open_competition(out, file.read_text(encoding="utf-8"), specs) as store:
-        failed = hold(store, competition, workers or max(1, (os.cpu_count() or 1) // 2), say)
+        gate = None if keys is None else Gate(bind, keys)
+        failed = hold(store, competition, workers or max(1, (os.cpu_count() or 1) // 2), say, gate)
     if failed:
         say(f"{failed} of {len(specs)} trials have failed: start the same command again when that is solved")
         return 1

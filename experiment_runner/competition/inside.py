@@ -21,10 +21,14 @@ from glue.errors import GlueError, PeerFailed, TaskSpecError
 from glue.hub.server import Hub
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 from glue.protocol.wire import clip
+from glue.roles import capabilities
 from glue.taskspec import Space, parse_task_spec
-from glue.types import Action
+from glue.types import CUT_OFF, Action
 
 __all__ = ["InsideEnvironment"]
+
+_TRUNCATE: Final = "truncate"
+"""The one capability that its environment may have: agents are seeded, and saves are not taken."""
 
 _ASKED: Final = frozenset({Kind.ENV_INIT, Kind.ENV_START, Kind.ENV_STEP, Kind.ENV_CLEANUP})
 
@@ -43,6 +47,7 @@ class InsideEnvironment:
         failure: what the environment itself did wrong; None if nothing.
         steps: how many were carried out.
         in_episode: whether an episode has begun that the environment has not ended.
+        cut_off: whether it has cut off the episode that it ended last.
 
     Raises:
         PeerFailed: a method of the role is missing.
@@ -53,13 +58,22 @@ class InsideEnvironment:
         self.failure: str | None = None
         self.steps = 0
         self.in_episode = False
+        self.cut_off = False
         self._hub = hub
         self._record = record
         self._actions: Space | None = None
         calls = role_calls(Role.ENVIRONMENT, environment)
         self._handlers = {kind: handler for kind, handler in calls.items() if kind in _ASKED}
+        offered = tuple(name for name in capabilities(environment) if name == _TRUNCATE)
         instance = secrets.token_bytes(INSTANCE_SIZE)
-        scalars = ((PROTOCOL_VERSION,), str(Role.ENVIRONMENT), instance, name_of(environment), "inside", ())
+        scalars = (
+            (PROTOCOL_VERSION,),
+            str(Role.ENVIRONMENT),
+            instance,
+            name_of(environment),
+            "inside",
+            offered,
+        )
         self._answer(Message(Kind.HELLO, session, 0, scalars))
 
     def admits(self, role: Role, session: str) -> bool:
@@ -93,7 +107,8 @@ class InsideEnvironment:
             self.steps += 1
             self._record.step(body, reward)
             if terminal:
-                self._record.end(End.TERMINAL)
+                self.cut_off = terminal == CUT_OFF
+                self._record.end(End.CUT_OFF if self.cut_off else End.TERMINAL)
                 self.in_episode = False
         elif kind is Kind.ENV_START:
             self.in_episode = True

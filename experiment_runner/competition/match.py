@@ -19,10 +19,11 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from experiment_runner.competition.inside import InsideEnvironment
+from experiment_runner.competition.outside import Outside, gate_for
 from experiment_runner.competition.records.record import End, PartWriter
 from experiment_runner.competition.records.replay import made_for
 from experiment_runner.competition.secret import agent_seed
-from experiment_runner.competition.settings import Entrant, Limits
+from experiment_runner.competition.settings import Entrant, Gate, Limits
 from experiment_runner.competition.starting import Place, Running, Starter
 from experiment_runner.executors.job import Ended, Lost, Recorded, pack
 from experiment_runner.executors.local import serve
@@ -62,6 +63,7 @@ class Match:
         steps: how many steps are played; 0 if it is the number of episodes that counts.
         log: the file for what the entrant prints.
         run: identifies the run, see `Place`.
+        gate: where entrants from elsewhere connect; None if there is none.
     """
 
     spec: TrialSpec
@@ -70,6 +72,7 @@ class Match:
     steps: int
     log: Path
     run: str
+    gate: Gate | None = None
 
 
 class Played(NamedTuple):
@@ -94,8 +97,6 @@ def starter_for(entrant: Entrant) -> Starter:
 
         return Containers()
     if entrant.key is not None:
-        from experiment_runner.competition.outside import Outside
-
         return Outside()
     from experiment_runner.competition.programs import Programs
 
@@ -144,7 +145,10 @@ class _Playing:
         session = match.entrant.name
         with ExitStack() as stack:
             place = self._place(stack.enter_context(scratch_folder()), session)
-            bind = Bind(place.hub, frozenset({Role.AGENT}), frozenset({session}))
+            if match.entrant.key is None:
+                bind = Bind(place.hub, frozenset({Role.AGENT}), frozenset({session}))
+            else:
+                bind = gate_for(match.entrant, match.gate)
             config = HubConfig(bind=(bind,), max_sessions=1, time=match.limits.time)
             hub = stack.enter_context(Hub(config, clock=self._clock))
             inside = InsideEnvironment(hub, session, environment, self._record)
@@ -187,8 +191,9 @@ class _Playing:
         while inside.steps < steps if steps else done < episodes:
             began = time.perf_counter()
             # RL_num_steps is 1 after the start: this allows for all the steps that are left.
-            terminal = glue.rl_episode(steps - inside.steps + 1 if steps else self._match.spec.max_steps)
-            if not terminal:
+            glue.rl_episode(steps - inside.steps + 1 if steps else self._match.spec.max_steps)
+            terminal = not (inside.in_episode or inside.cut_off)
+            if inside.in_episode:
                 self._record.end(End.CUT_OFF)
                 inside.in_episode = False
             done += 1
@@ -228,7 +233,7 @@ def encode_match(match: Match) -> bytes:
 
 def _decode_match(text: str) -> Match:
     fields = json.loads(text)
-    spec, entrant, limits = fields["spec"], fields["entrant"], fields["limits"]
+    spec, entrant, limits, gate = fields["spec"], fields["entrant"], fields["limits"], fields["gate"]
     for role in ("agent", "environment"):
         spec[role] = RoleSpec(**spec[role])
     entrant["command"] = tuple(entrant["command"])
@@ -241,6 +246,7 @@ def _decode_match(text: str) -> Match:
         fields["steps"],
         Path(fields["log"]),
         fields["run"],
+        None if gate is None else Gate(gate["bind"], Path(gate["keys"])),
     )
 
 

@@ -30,8 +30,9 @@ from experiment_runner.competition.match import (
     encode_match,
     starter_for,
 )
+from experiment_runner.competition.outside import gate_for
 from experiment_runner.competition.records.record import RecordFile, record_path
-from experiment_runner.competition.settings import Competition
+from experiment_runner.competition.settings import Competition, Gate
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from experiment_runner.executors.local import LocalExecutor
 from experiment_runner.plan import TrialSpec
@@ -101,7 +102,9 @@ def competition_of(directory: Path) -> Competition:
     return load_competition(path)
 
 
-def matches(competition: Competition, specs: Iterable[TrialSpec], directory: Path) -> list[Match]:
+def matches(
+    competition: Competition, specs: Iterable[TrialSpec], directory: Path, gate: Gate | None = None
+) -> list[Match]:
     """Return what the workers do for these trials."""
     entrants = {entrant.name: entrant for entrant in competition.entrants}
     steps = {task.name: task.steps for task in competition.tasks}
@@ -112,11 +115,11 @@ def matches(competition: Competition, specs: Iterable[TrialSpec], directory: Pat
         assert spec.environment is not None
         entrant = entrants[spec.agent.label]
         log = log_path(directory, spec.id)
-        made.append(Match(spec, entrant, competition.limits, steps[spec.environment.label], log, run))
+        made.append(Match(spec, entrant, competition.limits, steps[spec.environment.label], log, run, gate))
     return made
 
 
-def hold(store: Store, competition: Competition, workers: int, say: Say) -> int:
+def hold(store: Store, competition: Competition, workers: int, say: Say, gate: Gate | None = None) -> int:
     """Let every entrant play what it has not played yet; return how many trials have failed.
 
     A trial fails if the environment or this machine does, which is not its entrant's fault; it is played
@@ -127,6 +130,7 @@ def hold(store: Store, competition: Competition, workers: int, say: Say) -> int:
         competition: what is played.
         workers: how many trials are played at once.
         say: shows a line.
+        gate: where entrants from elsewhere connect; None if there are none.
 
     Raises:
         ConfigError: an entrant cannot be started.
@@ -135,7 +139,7 @@ def hold(store: Store, competition: Competition, workers: int, say: Say) -> int:
     """
     over = store.outcomes()
     left = [record.spec for record in store.trials() if record.spec.id not in over]
-    waiting = matches(competition, left, store.directory)
+    waiting = matches(competition, left, store.directory, gate)
     if waiting:
         _check_entrants(waiting)
         with LocalExecutor(workers, MODULE, encode_match, decode_report) as executor:
@@ -147,6 +151,8 @@ def _check_entrants(waiting: Iterable[Match]) -> None:
     for match in {match.entrant.name: match for match in waiting}.values():
         starter = starter_for(match.entrant)
         starter.check(match.entrant)
+        if match.entrant.key is not None:
+            gate_for(match.entrant, match.gate)
         starter.sweep(match.run)
 
 

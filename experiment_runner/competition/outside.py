@@ -1,15 +1,41 @@
-"""Entrants who connect from elsewhere, with a key: nothing is started, and they are waited for."""
+"""Entrants who connect from elsewhere, with a key: nothing is started, and they are waited for.
+
+All of them connect to one address, and play one at a time: to the others the hub is not there yet, or refuses
+them their session, so an entrant's program is started again until the competition is over.
+"""
 
 from __future__ import annotations
 
 import threading
 from pathlib import Path
 
-from experiment_runner.competition.settings import Entrant, Limits
+from experiment_runner.competition.settings import Entrant, Gate, Limits
 from experiment_runner.competition.starting import Place
+from glue.core.config import Bind
+from glue.core.keys import Keys, Permit
 from glue.errors import ConfigError
+from glue.keys.allowed import HUB
+from glue.keys.certificates import SECRET, read_pair, read_public
+from glue.protocol.messages import Role
 
-__all__ = ["Outside"]
+__all__ = ["Outside", "gate_for"]
+
+
+def gate_for(entrant: Entrant, gate: Gate | None) -> Bind:
+    """Return the address at which the owner of an entrant's key can join, as its agent, and nobody else.
+
+    Raises:
+        ConfigError: there is no gate, or a key cannot be read.
+    """
+    if gate is None or entrant.key is None:
+        raise ConfigError(
+            f"entrant {entrant.name} joins with a key: add --keys DIR, with the hub's own pair "
+            f"(glue-keys new {HUB} --dir DIR), and --bind URL"
+        )
+    agent, session = frozenset({Role.AGENT}), frozenset({entrant.name})
+    pair = read_pair(gate.keys / f"{HUB}{SECRET}", "--keys")
+    permit = Permit(entrant.name, agent, session)
+    return Bind(gate.bind, agent, session, Keys(pair.secret, {read_public(entrant.key, "key"): permit}))
 
 
 class Outside:

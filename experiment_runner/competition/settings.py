@@ -9,7 +9,7 @@ from pathlib import Path
 from glue.core.config import TimeLimits
 from glue.options import Value
 
-__all__ = ["Competition", "Entrant", "Limits", "Task"]
+__all__ = ["Competition", "Entrant", "Gate", "Limits", "Task"]
 
 _MEBIBYTE = 2**20
 
@@ -79,6 +79,19 @@ class Entrant:
         if self.image is not None:
             return self.image
         return " ".join(self.command) if self.key is None else self.key.name
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """Where entrants from elsewhere connect.
+
+    Args:
+        bind: URL that the hub listens on for them.
+        keys: the directory with the hub's own pair of keys, see `glue.keys.allowed`.
+    """
+
+    bind: str
+    keys: Path
 
 
 @dataclass(frozen=True, slots=True)

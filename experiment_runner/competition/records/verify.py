@@ -101,7 +101,8 @@ def _verified_score(
     ends = [end for end, _, _ in episodes]
     if outcome.reason is None:
         total = sum(count for _, count, _ in episodes)
-        complete = total == steps if steps else ends == [End.TERMINAL] * spec.episodes
+        whole = len(ends) == spec.episodes and End.FORFEIT not in ends
+        complete = total == steps if steps else whole
         if not complete:
             raise Mismatch(
                 f"it was not played to the end: the record has {len(ends)} episodes, {total} steps"
@@ -159,7 +160,9 @@ def _compare_part(
             f"step {before + step + 1} of episode {episode} pays {rewards[step]!r}, and the record says "
             f"{recorded[step]!r}"
         )
-    if len(rewards) < len(part.rewards) or ended is not (part.end is End.TERMINAL):
+    # An environment may cut an episode off itself, or be cut off.
+    ends_alike = part.end is End.CUT_OFF or ended is (part.end is End.TERMINAL)
+    if len(rewards) < len(part.rewards) or not ends_alike:
         what = "ends" if ended else "does not end"
         raise Mismatch(f"episode {episode} {what} with step {before + len(rewards)}, and the record differs")
 
