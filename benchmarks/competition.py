@@ -39,8 +39,8 @@ def run() -> list[Table]:
     return [
         Table(
             "Verifying a competition",
-            "Recorded steps of Infinite Mario that one core plays again and compares per second of its time, as "
-            "`glue-compete verify` does (the aim is 200,000), and bytes of the record per step (the aim is 4).",
+            "Recorded steps of Infinite Mario that `glue-compete verify` plays again, per second of one "
+            "core's time (the aim is 200,000), and bytes of the record per step (the aim is 4).",
             ("the agent", "steps per second", "bytes per step"),
             [
                 (name, count(rate), f"{size:.2f}")
