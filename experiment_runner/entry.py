@@ -17,6 +17,11 @@ def experiment() -> NoReturn:
     start("experiment_runner.commands.experiment")
 
 
+def generalise() -> NoReturn:
+    """Run `glue-generalise`."""
+    start("experiment_runner.generalisation.command")
+
+
 def paper() -> NoReturn:
     """Run `glue-paper`."""
     start("experiment_runner.paper.command")

@@ -118,6 +118,25 @@ class SaveableAgent(Protocol):
         ...
 
 
+class BatchEnvironment(Protocol):
+    """Capability `batch`: the environment is many games; each observation carries a batch of them.
+
+    See `glue.batches`. env_step returns the sum of the rewards, and is never terminal.
+    """
+
+    def env_batch(self) -> int:
+        """Return how many games there are."""
+        ...
+
+
+class BatchAgent(Protocol):
+    """Capability `batch`: the agent acts in many games at once; its actions carry one for each game."""
+
+    def agent_batch(self) -> int:
+        """Return how many games it can act in at once; 0 for any number."""
+        ...
+
+
 class TruncatingEnvironment(Protocol):
     """Capability `truncate`: the environment may cut an episode off, in a state that is not terminal."""
 
@@ -131,6 +150,7 @@ class TruncatingEnvironment(Protocol):
 
 
 CAPABILITIES: Final[Mapping[str, tuple[type, ...]]] = {
+    "batch": (BatchEnvironment, BatchAgent),
     "seed": (SeedableEnvironment, SeedableAgent),
     "save": (SaveableEnvironment, SaveableAgent),
     "truncate": (TruncatingEnvironment,),

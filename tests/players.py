@@ -10,7 +10,7 @@ from glue.players.loading import names
 from glue.protocol.messages import Role
 from glue.types import Action, Observation
 
-WITH_EXTRAS = ("soar",)
+WITH_EXTRAS = ("sb3", "soar")
 """How the names of players begin that need more than is installed for the tests; they have their own."""
 
 Hook = Callable[[str], None]

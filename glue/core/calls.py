@@ -12,7 +12,7 @@ that below one percent of the fastest step. That each number is in its range is 
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from typing import Any, Final
 
 import numpy as np
@@ -189,6 +189,16 @@ def environment_calls(environment: Environment) -> dict[Kind, Handler]:
 def unsupported(kind: Kind, role: Role, name: str) -> str:
     """Return the error message for a call of a capability that a player does not offer."""
     return f"{role} {name} does not support this: it has no {kind.name.lower()}"
+
+
+def unfit_for_batch(environment: Container[str], agent: Container[str], name: str) -> str:
+    """Return why an agent cannot act in an environment, by the capabilities of both, or ""."""
+    if "batch" in environment and "batch" not in agent:
+        return (
+            f"agent {name} does not support this: it has no agent_batch, and the environment is many games "
+            "at once (capability `batch`)"
+        )
+    return ""
 
 
 def skippable(kind: Kind) -> bool:

@@ -14,12 +14,12 @@ from __future__ import annotations
 
 from typing import Any
 
-from glue.core.calls import name_of, role_calls, skippable, unsupported
+from glue.core.calls import name_of, role_calls, skippable, unfit_for_batch, unsupported
 from glue.core.engine import Engine, Instruction
 from glue.core.experiment import Experiment
 from glue.errors import GlueError, PeerFailed, Unsupported
 from glue.protocol.messages import CALLS, Kind, Role, Value
-from glue.roles import Agent, Environment
+from glue.roles import Agent, Environment, capabilities
 from glue.types import Action
 
 __all__ = ["LocalExperiment", "local"]
@@ -40,9 +40,12 @@ class LocalExperiment(Experiment):
     def __init__(self, agent: Agent, environment: Environment) -> None:
         self._engine = Engine(Action())
         self._handlers = role_calls(Role.AGENT, agent) | role_calls(Role.ENVIRONMENT, environment)
+        self._unfit = unfit_for_batch(capabilities(environment), capabilities(agent), name_of(agent))
         self._names = {Role.AGENT: name_of(agent), Role.ENVIRONMENT: name_of(environment)}
 
     def _call(self, kind: Kind, scalars: tuple[Value, ...] = (), body: Any = None) -> tuple[Any, Any]:
+        if kind is Kind.RL_INIT and self._unfit:
+            raise Unsupported(self._unfit)
         engine = self._engine
         handlers = self._handlers
         call, scalars, body = engine.begin(kind, scalars, body)

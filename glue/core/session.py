@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final, Protocol
 
-from glue.core.calls import skippable, unsupported
+from glue.core.calls import skippable, unfit_for_batch, unsupported
 from glue.core.engine import Engine, Instruction
 from glue.core.memory import Memory
 from glue.core.time_bank import TimeBank
@@ -369,6 +369,13 @@ class Session:
         if player is not None and not offered:
             self._without_capability(kind, role, player)
             return
+        if kind is Kind.AGENT_INIT and player is not None:
+            environment = self.peers.get(Role.ENVIRONMENT)
+            games = environment.capabilities if environment is not None else ()
+            unfit = unfit_for_batch(games, player.capabilities, player.name)
+            if unfit:
+                self._fail(ErrorCode.UNSUPPORTED, unfit)
+                return
         self._ask(player, kind, scalars, body or b"")
 
     def _ask(self, player: Peer | None, kind: Kind, scalars: tuple[Value, ...], body: bytes) -> None:

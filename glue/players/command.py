@@ -112,13 +112,21 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
         _hub_key: str | None,
         _wait: float | None,
         _quiet: bool,
+        _batch: int | None = None,
         **options: Value | None,
     ) -> None:
         from glue.client.players import serve_agent, serve_environment
+        from glue.players.batched import BatchedEnvironments
 
         added = options.pop(extra_name)
         given = {key: value for key, value in options.items() if value is not None}
         players = {one: construct(factory, given) for one in _session}
+        if _batch is not None:
+            others = range(_batch - 1)
+            players = {
+                one: BatchedEnvironments([first, *(construct(factory, given) for _ in others)])
+                for one, first in players.items()
+            }
         if added:
             players = {one: extra.apply(player, added) for one, player in players.items()}
         log = _ignore if _quiet else say
@@ -158,6 +166,9 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
         click.Option(["--quiet", "_quiet"], is_flag=True, help="Print nothing but errors."),
         extra.option,
     ]
+    if role is Role.ENVIRONMENT:
+        text = "Serve so many games as one environment, to an agent that acts in all of them at once."
+        common.append(click.Option(["--batch", "_batch"], type=click.IntRange(1), metavar="N", help=text))
     options = [*(_option(parameter) for parameter in known.values()), *common]
     for option in options:
         # An environment variable would reach the players of an experiment, which would not record it.

@@ -61,6 +61,7 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "experiment_runner/competition": ("experiment_runner/executors", "experiment_runner/competition/records"),
     "experiment_runner/competition/board": ("experiment_runner/competition",),
     "experiment_runner/commands": ("experiment_runner/competition/board",),
+    "experiment_runner/generalisation": ("experiment_runner/analysis", "env_server/mario"),
     "experiment_runner/paper": ("experiment_runner/commands", "env_server/replay", "agents/mohan2010"),
 }
 """From the bottom up: a folder may import itself, the folders named here, and all that those may import."""
@@ -76,7 +77,7 @@ def unit(file: Path) -> str:
     package = file.parts[0]
     if file == Path("glue/__init__.py"):
         return "glue/__init__"
-    if file.parts[1] == "paper":
+    if file.parts[1] in ("paper", "generalisation"):
         return str(file.parent)
     if file.parent.name == "commands" or file.stem in ("command", "commands", "entry"):
         return f"{package}/commands"

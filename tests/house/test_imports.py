@@ -37,6 +37,7 @@ HOMES: Mapping[str, Sequence[str]] = {
     "soar_sml": ["agents/soar/kernel.py"],
     "ray": ["experiment_runner/executors/*"],
     "gymnasium": ["glue/gym/*", "env_server/gym/*", "agents/ppo.py"],
+    "stable_baselines3": ["glue/gym/sb3.py"],
     "torch": ["agents/ppo.py"],
 }
 """Where a dependency may be imported. Everything else goes through these."""

@@ -1,0 +1,300 @@
+"""Gymnasium: Infinite Mario alone and many at once, served environments, and batches over the wire."""
+
+from __future__ import annotations
+
+import importlib
+import multiprocessing
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from benchmarks.measure import Table, count, rate, rates, ratio
+from benchmarks.peers import installed
+from env_server.mario.batch import Batch as Games
+from env_server.mario.environment import InfiniteMario
+from glue import Action, Experiment, Observation, connect, make, make_agent, serve_agent, serve_environment
+from glue.batches import (
+    Batch,
+    Ragged,
+    batch_task_spec,
+    pack_actions,
+    pack_batch,
+    read_batch_task_spec,
+    unpack_actions,
+    unpack_batch,
+)
+from glue.core.config import HubConfig
+from glue.hub.server import Hub
+
+__all__ = ["run"]
+
+_ID = "env_server.gym:glue/InfiniteMario-v0"
+_STEPS = 64_000
+_SEED = 3
+_INTS, _DOUBLES, _CHARS = 23, 44, 352  # an observation of Mario with ten sprites
+
+
+def run() -> list[Table]:
+    """Measure everything of this module."""
+    import gymnasium
+
+    return [_vector(gymnasium), _served(gymnasium), _batches()]
+
+
+def _actions(games: int) -> list[Any]:
+    """Return actions that run to the right and jump now and then, as MultiDiscrete has them."""
+    generator = np.random.default_rng(_SEED)
+    shape = (50, games)
+    parts = (
+        generator.integers(1, 3, shape),
+        generator.integers(0, 2, shape),
+        generator.integers(0, 2, shape),
+    )
+    return [*np.stack(parts, 2)]
+
+
+def _play(step: Callable[[Any], Any], actions: list[Any], calls: int) -> None:
+    for number in range(calls):
+        step(actions[number % len(actions)])
+
+
+def _bare(games: int) -> Callable[[], object]:
+    batch = Games([InfiniteMario(level_seed=seed).parameters for seed in range(games)], threads=1)
+    batch.start()
+    actions = [one - [1, 0, 0] for one in _actions(games)]
+
+    def step(action: Any) -> None:
+        _, ended = batch.step(action)
+        if ended.any():
+            batch.start(ended)
+
+    return partial(_play, step, actions, _STEPS // games)
+
+
+def _many(gymnasium: Any, games: int, **options: Any) -> Callable[[], object]:
+    envs = gymnasium.make_vec(
+        _ID, num_envs=games, num_levels=games, level_type=0, level_difficulty=0, **options
+    )
+    envs.reset(seed=_SEED)
+    return partial(_play, envs.step, _actions(games), _STEPS // games)
+
+
+def _one(gymnasium: Any) -> Callable[[], object]:
+    env = gymnasium.make(_ID)
+    env.reset(seed=_SEED)
+
+    def step(action: Any) -> None:
+        _, _, terminated, truncated, _ = env.step(action[0])
+        if terminated or truncated:
+            env.reset()
+
+    return partial(_play, step, _actions(1), _STEPS // 8)
+
+
+def _vector(gymnasium: Any) -> Table:
+    works: dict[str, tuple[Callable[[], object], int]] = {}
+    for games in (64, 1024):
+        whole = _STEPS // games * games
+        works[f"bare batch, {games} games, one thread"] = _bare(games), whole
+        for name, options in _OPTIONS.items():
+            works[f"make_vec, {games} games, {name}"] = _many(gymnasium, games, **options), whole
+    works["gymnasium.make, one game"] = _one(gymnasium), _STEPS // 8
+    envs = gymnasium.make_vec(_ID, num_envs=8, vectorization_mode="async")
+    envs.reset(seed=_SEED)
+    works["AsyncVectorEnv over 8 single games"] = partial(_play, envs.step, _actions(8), 250), 2000
+    works |= _others(gymnasium)
+    found = rates([partial(rate, work, number) for work, number in works.values()])
+    envs.close()
+    bare = found[0].per_second
+    rows = [
+        (name, count(one.per_second), ratio(one.per_second / bare), f"{one.cpu:.1f}")
+        for name, one in zip(works, found, strict=True)
+    ]
+    about = (
+        "Resets included; the bare batch writes observations for RL-Glue agents. EnvPool's CartPole and "
+        "Pong and gym-super-mario-bros are measured where they are installed."
+    )
+    columns = ("case", "steps/s", "of the bare batch of 64", "CPU, us a step")
+    return Table("Infinite Mario for Gymnasium", about, columns, rows)
+
+
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "tiles and sprites": {},
+    "tiles and sprites, copy=False": {"copy": False},
+    "tiles and sprites, two threads": {"num_threads": 2},
+    "pixels": {"observation": "pixels"},
+}
+
+
+def _others(gymnasium: Any) -> dict[str, tuple[Callable[[], object], int]]:
+    """Return what others offer, where it is installed."""
+    works: dict[str, tuple[Callable[[], object], int]] = {}
+    if installed("envpool"):
+        envpool: Any = importlib.import_module("envpool")
+        for name in ("CartPole-v1", "Pong-v5"):
+            pool = envpool.make(name, env_type="gymnasium", num_envs=64)
+            pool.reset()
+            works[f"EnvPool's {name}, 64 games"] = partial(_play, pool.step, [np.ones(64, int)], 200), 12_800
+    if installed("gym_super_mario_bros"):
+        importlib.import_module("gym_super_mario_bros")
+        env = gymnasium.make("SuperMarioBros-v0")
+        env.reset()
+        works["gym-super-mario-bros"] = partial(_play, env.step, [1], 500), 500
+    return works
+
+
+def _served(gymnasium: Any) -> Table:
+    """Measure CartPole alone, and served to an agent in another process."""
+    env = gymnasium.make("CartPole-v1")
+
+    def alone(steps: int) -> None:
+        env.reset(seed=_SEED)
+        for _ in range(steps):
+            _, _, terminated, truncated, _ = env.step(env.action_space.sample())
+            if terminated or truncated:
+                env.reset()
+
+    with _players(_serve_cartpole, _serve_random) as (glue, pids):
+        glue.rl_init(_SEED)
+
+        def served() -> None:
+            for _ in range(100):
+                glue.rl_episode()
+
+        alone_rate, served_rate = rates(
+            [partial(rate, partial(alone, 2000), 2000), partial(rate, served, 2200, pids)]
+        )
+    rows = [
+        ("gymnasium alone", count(alone_rate.per_second), f"{alone_rate.cpu:.0f}"),
+        (
+            "glue-env gymnasium:CartPole-v1, agent in another process",
+            count(served_rate.per_second),
+            f"{served_rate.cpu:.0f}",
+        ),
+    ]
+    about = "CartPole with random actions, about 22 steps an episode."
+    return Table(
+        "Gymnasium's environments for RL-Glue agents", about, ("case", "steps/s", "CPU, us a step"), rows
+    )
+
+
+def _batches() -> Table:
+    """Measure many games in one session, environment and agent in two processes beside the hub's."""
+    rows = []
+    for games in (64, 256):
+        with _players(partial(_serve_games, games), _serve_vector) as (glue, pids):
+            glue.rl_init(_SEED)
+            messages = 128_000 // games
+            work = partial(glue.rl_episode, messages + 1)
+            (found,) = rates([partial(rate, work, messages * games, pids)])
+        rows.append(
+            (str(games), count(found.per_second), count(found.per_second / games), f"{found.cpu:.1f}")
+        )
+    about = "Observations of Mario's size, rewards and terminals in one message, and the actions back."
+    columns = ("games", "steps/s", "messages/s", "CPU of all processes, us a step")
+    return Table("Batches over the wire", about, columns, rows)
+
+
+@contextmanager
+def _players(
+    environment: Callable[[str], None], agent: Callable[[str], None]
+) -> Iterator[tuple[Experiment, list[int]]]:
+    """Yield an experiment in the hub's process, and the processes of its players."""
+    with tempfile.TemporaryDirectory() as folder:
+        hub = f"ipc://{folder}/hub"
+        with Hub(HubConfig(bind=(hub,))).in_background():
+            context = multiprocessing.get_context("fork")
+            players = [context.Process(target=serve, args=(hub,)) for serve in (environment, agent)]
+            for player in players:
+                player.start()
+            with connect(hub, log=_ignore) as glue:
+                yield glue, [player.pid for player in players if player.pid is not None]
+        for player in players:
+            player.join()
+
+
+def _serve_cartpole(hub: str) -> None:
+    serve_environment(make("gymnasium:CartPole-v1"), hub, log=_ignore)
+
+
+def _serve_random(hub: str) -> None:
+    serve_agent(make_agent("random"), hub, log=_ignore)
+
+
+def _serve_games(games: int, hub: str) -> None:
+    serve_environment(_Still(games), hub, log=_ignore)
+
+
+def _serve_vector(hub: str) -> None:
+    serve_agent(_Vector(), hub, log=_ignore)
+
+
+class _Still:
+    """Many games whose observations are of Mario's size, and whose rules take no time."""
+
+    def __init__(self, games: int) -> None:
+        self._games = games
+        counts = np.tile(np.array([_INTS, _DOUBLES, _CHARS], np.int32), (games, 1))
+        self._shown = Ragged(
+            counts,
+            np.ones(games * _INTS, np.int32),
+            np.ones(games * _DOUBLES),
+            np.ones(games * _CHARS, np.uint8),
+        )
+
+    def env_batch(self) -> int:
+        return self._games
+
+    def env_init(self) -> str:
+        return batch_task_spec(self._games, "")
+
+    def env_start(self) -> Observation:
+        return pack_batch(Batch(np.zeros(self._games), np.zeros(self._games, np.int32), self._shown))
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        actions = unpack_actions(action, self._games)
+        return float(actions.ints.sum()), self.env_start(), False
+
+    def env_cleanup(self) -> None:
+        pass
+
+    def env_message(self, message: str) -> str:
+        return ""
+
+
+class _Vector:
+    """Runs to the right in all games, whatever it sees."""
+
+    def agent_batch(self) -> int:
+        return 0
+
+    def agent_init(self, task_spec: str) -> None:
+        games, _ = read_batch_task_spec(task_spec)
+        counts = np.tile(np.array([3, 0, 0], np.int32), (games, 1))
+        self._actions = Ragged(
+            counts, np.tile(np.array([1, 0, 1], np.int32), games), np.empty(0), np.empty(0, np.uint8)
+        )
+
+    def agent_start(self, observation: Observation) -> Action:
+        unpack_batch(observation)
+        return pack_actions(self._actions)
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return self.agent_start(observation)
+
+    def agent_end(self, reward: float) -> None:
+        pass
+
+    def agent_cleanup(self) -> None:
+        pass
+
+    def agent_message(self, message: str) -> str:
+        return ""
+
+
+def _ignore(line: str) -> None:
+    pass

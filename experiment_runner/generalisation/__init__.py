@@ -1,0 +1,1 @@
+"""How well agents play levels of Infinite Mario that they have not seen: docs/generalisation.md."""

@@ -1,0 +1,194 @@
+"""Stable-Baselines3: any Gymnasium vector environment for its algorithms, and its policies for RL-Glue.
+
+Stable-Baselines3 takes vector environments of its own kind alone. `SB3VecEnv` makes one of a Gymnasium vector
+environment that begins episodes in the same step. Policies come from local files, which may execute code when
+they are loaded: load only what you trained yourself. Nothing here reads one from the wire.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from glue.errors import ConfigError
+from glue.gym.modes import AutoresetMode
+from glue.gym.spaces import Codec, read_spaces
+from glue.options import Option
+from glue.taskspec import parse_task_spec
+from glue.types import Action, Observation
+
+try:
+    import stable_baselines3
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError:
+    raise ConfigError("this needs Stable-Baselines3: pip install 'glue-rl[sb3]'") from None
+
+__all__ = ["SB3Agent", "SB3VecEnv"]
+
+_ALGORITHMS: Final = ("PPO", "A2C", "DQN", "SAC", "TD3", "DDPG")
+
+
+class SB3VecEnv(VecEnv):  # type: ignore[misc]
+    """A Gymnasium vector environment as Stable-Baselines3 wants it.
+
+    When an episode is over, `infos[i]` has its last observation as `terminal_observation`, and
+    `TimeLimit.truncated`: whether it was only truncated, so that values are bootstrapped.
+
+    Args:
+        envs: the vector environment; it is closed with this one.
+
+    Raises:
+        ConfigError: its episodes do not begin in the same step (autoreset_mode="SameStep").
+    """
+
+    def __init__(self, envs: Any) -> None:
+        if envs.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
+            raise ConfigError("Stable-Baselines3 needs autoreset_mode='SameStep' of a vector environment")
+        self._envs = envs
+        self.render_mode = envs.render_mode
+        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+        self._actions: Any = None
+
+    def reset(self) -> Any:
+        """Begin an episode in every game, with the seeds and options that were set."""
+        seeds = None if all(seed is None for seed in self._seeds) else [*self._seeds]
+        options = next((one for one in self._options if one), None)
+        observations, infos = self._envs.reset(seed=seeds, options=options)
+        self.reset_infos = _split(infos, self.num_envs)
+        self._reset_seeds()
+        self._reset_options()
+        return observations
+
+    def step_async(self, actions: Any) -> None:
+        """Take the actions for `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[Any, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
+        """Carry out the actions; return observations, rewards, which episodes are over, and infos."""
+        observations, rewards, terminated, truncated, infos = self._envs.step(self._actions)
+        done = terminated | truncated
+        final = infos.pop("final_info", {})
+        last = infos.pop("final_obs", None)
+        parts = _split({name: infos[name] for name in infos if "final_" not in name}, self.num_envs)
+        for i in np.flatnonzero(done).tolist():
+            parts[i] = {
+                **_one(final, i),
+                "terminal_observation": last[i],
+                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
+            }
+        return observations, rewards.astype(np.float32), done, parts
+
+    def close(self) -> None:
+        """Close the vector environment."""
+        self._envs.close()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Return an attribute of the vector environment, once for each game."""
+        return [getattr(self._envs.unwrapped, attr_name)] * len(self._chosen(indices))
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refuse: the games share their attributes.
+
+        Raises:
+            ConfigError: always.
+        """
+        raise ConfigError(f"{attr_name} cannot be set: the games of a vector environment share it")
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Refuse: the games are no objects of their own.
+
+        Raises:
+            ConfigError: always.
+        """
+        raise ConfigError(f"{method_name} cannot be called: the games are no environments of their own")
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
+        """Return false for each game: it has no wrappers of its own."""
+        return [False] * len(self._chosen(indices))
+
+    def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:
+        """Return a picture of each game, if it was made with a render mode."""
+        return self._envs.render() or [None] * self.num_envs
+
+    def _chosen(self, indices: int | Iterable[int] | None) -> list[int]:
+        chosen: list[int] = list(self._get_indices(indices))
+        return chosen
+
+
+class SB3Agent:
+    """Plays a policy that Stable-Baselines3 has trained: `glue-agent sb3 --policy model.zip`.
+
+    The task must have the spaces that the policy was trained with, as the layout in its task spec says
+    (`glue-env gymnasium:NAME`).
+    """
+
+    def __init__(
+        self,
+        *,
+        policy: Annotated[str, Option("file that model.save wrote; only one that you trust")] = "model.zip",
+        algorithm: Annotated[str, Option("what trained it", choices=_ALGORITHMS)] = "PPO",
+        deterministic: Annotated[bool, Option("take the likeliest action, and do not draw one")] = True,
+    ) -> None:
+        self._path = Path(policy)
+        self._algorithm = algorithm
+        self._deterministic = deterministic
+        self._model: Any = None
+        self._seed: int | None = None
+
+    def agent_seed(self, seed: int) -> None:
+        self._seed = seed
+
+    def agent_init(self, task_spec: str) -> None:
+        if self._model is None:
+            self._model = self._load()
+        observations, actions = read_spaces(parse_task_spec(task_spec))
+        expected = (self._model.observation_space, self._model.action_space)
+        if (observations, actions) != expected:
+            raise ConfigError(
+                f"{self._path} was trained on {expected[0]} with {expected[1]}; "
+                f"this task has {observations} with {actions}"
+            )
+        self._observations, self._actions = Codec(observations), Codec(actions)
+        if self._seed is not None:
+            self._model.set_random_seed(self._seed % 2**32)
+
+    def agent_start(self, observation: Observation) -> Action:
+        action, _ = self._model.predict(
+            self._observations.unpack(observation), deterministic=self._deterministic
+        )
+        return Action(*self._actions.pack(action))
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return self.agent_start(observation)
+
+    def agent_end(self, reward: float) -> None:
+        pass
+
+    def agent_cleanup(self) -> None:
+        pass
+
+    def agent_message(self, message: str) -> str:
+        return f"I play {self._path.name}"
+
+    def _load(self) -> Any:
+        if not self._path.is_file():
+            raise ConfigError(f"there is no policy {self._path}: --policy names a file that model.save wrote")
+        try:
+            return getattr(stable_baselines3, self._algorithm).load(self._path, device="cpu")
+        except Exception as error:
+            raise ConfigError(f"{self._path} is not a policy of {self._algorithm}: {error}") from error
+
+
+def _split(infos: dict[str, Any], count: int) -> list[dict[str, Any]]:
+    return [_one(infos, i) for i in range(count)]
+
+
+def _one(infos: dict[str, Any], i: int) -> dict[str, Any]:
+    """Return what vector infos say of game `i`."""
+    return {
+        name: values[i] for name, values in infos.items() if not name.startswith("_") and infos[f"_{name}"][i]
+    }

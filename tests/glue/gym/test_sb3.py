@@ -1,0 +1,141 @@
+"""Stable-Baselines3, unmodified, learns through the adapter and through the hub. A stage of .ci/run."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from glue import local, make, make_agent
+from glue.errors import ConfigError, PeerFailed
+from tests.hubs import hub_with
+
+sb3: Any = pytest.importorskip("stable_baselines3", reason="needs Stable-Baselines3: the extra sb3")
+gymnasium: Any = pytest.importorskip("gymnasium")
+import glue.gym  # noqa: E402
+from glue.gym.sb3 import SB3VecEnv  # noqa: E402
+
+MARIO = "env_server.gym:glue/InfiniteMario-v0"
+pytestmark = pytest.mark.filterwarnings("ignore")
+
+
+def mario(count: int, **options: Any) -> Any:
+    return SB3VecEnv(gymnasium.make_vec(MARIO, num_envs=count, autoreset_mode="SameStep", **options))
+
+
+def test_adapter_says_what_was_truncated_and_shows_the_last_observation() -> None:
+    envs = mario(3, max_episode_steps=4, max_trial_steps=6)
+    single = gymnasium.make(MARIO, max_episode_steps=4, max_trial_steps=6)
+    envs.seed(5)
+    shown = envs.reset()
+    expected, _ = single.reset(seed=5)
+    assert shown["tiles"][0].tobytes() == expected["tiles"].tobytes()
+    assert envs.reset_infos[0]["level_seed"] == 121
+    for step in range(4):
+        shown, rewards, done, infos = envs.step(np.array([[2, 0, 1]] * 3))
+        expected, reward, *_ = single.step(np.array([2, 0, 1]))
+        assert rewards[0] == np.float32(reward)
+        assert done.tolist() == [step == 3] * 3
+    assert infos[0]["TimeLimit.truncated"] is True
+    assert infos[0]["terminal_observation"]["sprites"].tobytes() == expected["sprites"].tobytes()
+    assert shown["sprites"][0].tobytes() != expected["sprites"].tobytes()
+    envs.close()
+
+
+def test_adapter_needs_episodes_that_begin_in_the_same_step() -> None:
+    with pytest.raises(ConfigError, match="SameStep"):
+        SB3VecEnv(gymnasium.make_vec(MARIO, num_envs=1))
+
+
+def test_a_mario_that_dies_is_not_truncated() -> None:
+    envs = mario(1, max_trial_steps=2)
+    envs.reset()
+    envs.step(np.array([[1, 0, 0]]))
+    _, _, done, infos = envs.step(np.array([[1, 0, 0]]))
+    assert done.tolist() == [True]
+    assert (infos[0]["TimeLimit.truncated"], infos[0]["timeout"]) == (False, True)
+    envs.close()
+
+
+def test_ppo_learns_cartpole_through_the_hub(tmp_path: Path) -> None:
+    with hub_with(environments={"default": make("gymnasium:CartPole-v1")}) as hub:
+        env = glue.gym.connect(hub)
+        model = sb3.PPO(
+            "MlpPolicy", env, n_steps=256, batch_size=64, learning_rate=1e-3, seed=1, device="cpu"
+        )
+        before = mean_return(env, model)
+        model.learn(8_000)
+        after = mean_return(env, model)
+        model.save(tmp_path / "model")
+        env.close()
+    assert before < 60
+    assert after > 150
+    agent = make_agent("sb3", policy=str(tmp_path / "model.zip"))
+    with local(agent, make("gymnasium:CartPole-v1")) as experiment:
+        experiment.rl_init(1)
+        returns = []
+        for _ in range(5):
+            experiment.rl_episode()
+            returns.append(experiment.rl_return())
+    assert np.mean(returns) > 150
+    with (
+        local(agent, make("gymnasium:Pendulum-v1")) as experiment,
+        pytest.raises(PeerFailed, match="was trained on"),
+    ):
+        experiment.rl_init()
+
+
+def mean_return(env: Any, model: Any) -> float:
+    total = 0.0
+    for seed in range(5):
+        shown, _ = env.reset(seed=seed)
+        over = False
+        while not over:
+            action, _ = model.predict(shown, deterministic=True)
+            shown, reward, terminated, truncated, _ = env.step(action)
+            total += reward
+            over = terminated or truncated
+    return total / 5
+
+
+def test_a_policy_that_is_none_is_refused(tmp_path: Path) -> None:
+    wrong = tmp_path / "model.zip"
+    wrong.write_bytes(b"nothing")
+    for path, message in ((tmp_path / "none.zip", "there is no policy"), (wrong, "is not a policy of PPO")):
+        with pytest.raises(ConfigError, match=message):
+            make_agent("sb3", policy=str(path)).agent_init("")
+
+
+@pytest.mark.skipif(
+    "GYM_LEARN" not in os.environ, reason="learns for minutes: set GYM_LEARN, as .ci/run does"
+)
+def test_ppo_learns_to_finish_level_121() -> None:
+    warnings.simplefilter("ignore")
+    envs = mario(32, level_seed=121, level_difficulty=0)
+    model = sb3.PPO(
+        "MultiInputPolicy", envs, n_steps=128, batch_size=512, n_epochs=4, ent_coef=0.01, seed=1, device="cpu"
+    )
+    for _ in range(20):
+        model.learn(100_000, reset_num_timesteps=False)
+        goals = finished(model)
+        print(f"{model.num_timesteps} steps: {goals} of 20 episodes reached the goal")
+        if goals >= 10:
+            break
+    assert goals >= 10
+    envs.close()
+
+
+def finished(model: Any) -> int:
+    envs = mario(20, level_seed=121, level_difficulty=0)
+    shown, over, goals = envs.reset(), np.zeros(20, np.bool_), 0
+    while not over.all():
+        action, _ = model.predict(shown)
+        shown, _, done, infos = envs.step(action)
+        goals += sum(bool(infos[i]["goal"]) for i in np.flatnonzero(done & ~over))
+        over |= done
+    envs.close()
+    return goals

@@ -1,0 +1,186 @@
+"""Many games in one session: the bytes, what becomes of ends and cut-offs, and the capability."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from glue import Action, Agent, Environment, Observation, local, make
+from glue.batches import (
+    Batch,
+    Ragged,
+    batch_task_spec,
+    pack_actions,
+    pack_batch,
+    read_batch_task_spec,
+    unpack_actions,
+    unpack_batch,
+)
+from glue.core.experiment import Experiment
+from glue.errors import ConfigError, GlueError, RemoteProtocolError, Unsupported
+from glue.players.batched import BatchedEnvironments
+from glue.roles import capabilities
+from tests.hubs import over_the_hub
+from tests.players import ScriptedAgent, ScriptedEnvironment
+
+Glue = Callable[[Agent, Environment], AbstractContextManager[Experiment]]
+PROTOCOL = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
+
+VALUES = st.builds(
+    Observation,
+    st.lists(st.integers(-(2**31), 2**31 - 1), max_size=3),
+    st.lists(st.floats(), max_size=3),
+    st.binary(max_size=5),
+)
+
+
+def documented() -> list[bytes]:
+    """Return the bodies that the section on batches shows."""
+    section = PROTOCOL[PROTOCOL.index("## Batches\n") : PROTOCOL.index("## Errors\n")]
+    blocks = re.findall(r"```body\n(.*?)```", section, re.DOTALL)
+    return [bytes.fromhex("".join(line.split(";")[0] for line in block.splitlines())) for block in blocks]
+
+
+def test_examples_of_the_document_are_what_the_program_packs() -> None:
+    observation, action = documented()
+    shown = Ragged.of([Observation([number]) for number in (7, 10, 10, 9)])
+    batch = Batch(np.array([0.5, 1.0, 0.25]), np.array([0, 1, 2], np.int32), shown)
+    assert pack_batch(batch).body == observation
+    assert pack_actions(Ragged.of([Action([number]) for number in (1, 0, 1)])).body == action
+
+
+@given(st.lists(st.tuples(st.sampled_from([0, 1, 2]), st.floats(), VALUES, VALUES), min_size=1, max_size=5))
+def test_a_batch_survives_the_way(games: list[tuple[int, float, Observation, Observation]]) -> None:
+    terminals = np.array([terminal for terminal, *_ in games], np.int32)
+    rewards = np.array([reward for _, reward, *_ in games])
+    values = [first for *_, first, _ in games] + [last for terminal, *_, last in games if terminal == 2]
+    batch = unpack_batch(pack_batch(Batch(rewards, terminals, Ragged.of(values))))
+    assert batch.rewards.tobytes() == rewards.tobytes()
+    assert batch.terminals.tolist() == terminals.tolist()
+    assert batch.observations.values(Observation) == values
+    actions = [Action.from_body(value.body) for value in values]
+    assert unpack_actions(pack_actions(Ragged.of(actions)), len(actions)).values(Action) == actions
+
+
+@given(st.lists(st.integers(-3, 12), max_size=14), st.integers(0, 4), st.integers(0, 4))
+def test_what_is_no_batch_is_refused_or_whole(ints: list[int], doubles: int, chars: int) -> None:
+    value = Observation(ints, [0.0] * doubles, bytes(chars))
+    try:
+        batch = unpack_batch(value)
+    except RemoteProtocolError:
+        return
+    assert pack_batch(batch) == value
+    batch.observations.values(Observation)
+
+
+def test_actions_for_another_number_of_games_are_refused() -> None:
+    action = pack_actions(Ragged.of([Action([1])] * 3))
+    for games in (1, 2, 4):
+        with pytest.raises(RemoteProtocolError, match=f"actions of {games} games"):
+            unpack_actions(action, games)
+
+
+def test_task_spec_of_a_batch_holds_that_of_each_game() -> None:
+    assert read_batch_task_spec(batch_task_spec(64, "VERSION x 1")) == (64, "VERSION x 1")
+    for wrong in ("", "VERSION RL-Glue-Batch-1 x y", "VERSION RL-Glue-Batch-1 0 y", "VERSION RL-Glue-3.0"):
+        with pytest.raises(RemoteProtocolError):
+            read_batch_task_spec(wrong)
+
+
+class CuttingEnvironment(ScriptedEnvironment):
+    def env_truncated(self) -> bool:
+        return True
+
+
+class Vector:
+    """Writes down each batch, and answers observation n with the action n + 100 in every game."""
+
+    def __init__(self) -> None:
+        self.seen: list[tuple[list[float], list[int], list[int]]] = []
+
+    def agent_batch(self) -> int:
+        return 0
+
+    def agent_init(self, task_spec: str) -> None:
+        self.games, _ = read_batch_task_spec(task_spec)
+
+    def agent_start(self, observation: Observation) -> Action:
+        batch = unpack_batch(observation)
+        shown = [int(one.ints[0]) for one in batch.observations.values(Observation)]
+        self.seen.append((batch.rewards.tolist(), batch.terminals.tolist(), shown))
+        return pack_actions(Ragged.of([Action([number + 100]) for number in shown[: self.games]]))
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return self.agent_start(observation)
+
+    def agent_end(self, reward: float) -> None:
+        raise AssertionError("a batch has no end")
+
+    def agent_cleanup(self) -> None:
+        pass
+
+    def agent_message(self, message: str) -> str:
+        return ""
+
+
+@pytest.mark.parametrize("glue", [local, over_the_hub])
+def test_games_begin_anew_inside_the_batch(glue: Glue) -> None:
+    games = [ScriptedEnvironment(length=2, reward=1.0), CuttingEnvironment(length=3, reward=0.5)]
+    agent = Vector()
+    with glue(agent, BatchedEnvironments(games)) as experiment:
+        experiment.rl_init(1)
+        assert experiment.rl_episode(max_steps=5) is False
+        assert experiment.rl_return() == 4 * 1.5
+        experiment.rl_cleanup()
+    assert agent.seen == [
+        ([0.0, 0.0], [0, 0], [0, 0]),
+        ([1.0, 0.5], [0, 0], [1, 1]),
+        ([1.0, 0.5], [1, 0], [0, 2]),
+        ([1.0, 0.5], [0, 2], [1, 0, 3]),
+        ([1.0, 0.5], [1, 0], [0, 1]),
+    ]
+    steps = [call for call in games[1].calls if call.startswith("env_step")]
+    assert steps == ["env_step [100]", "env_step [101]", "env_step [102]", "env_step [100]"]
+
+
+@pytest.mark.parametrize("glue", [local, over_the_hub])
+def test_an_agent_for_single_games_is_refused_by_name(glue: Glue) -> None:
+    environment = BatchedEnvironments([ScriptedEnvironment()])
+    with glue(ScriptedAgent(), environment) as experiment, pytest.raises(Unsupported, match="agent_batch"):
+        experiment.rl_init()
+
+
+def test_a_batch_needs_environments_with_one_task_spec() -> None:
+    with pytest.raises(ConfigError, match="at least one"):
+        BatchedEnvironments([])
+    other = ScriptedEnvironment()
+    other.task_spec = "another"
+    with pytest.raises(ConfigError, match="one task spec"):
+        BatchedEnvironments([ScriptedEnvironment(), other]).env_init()
+    assert capabilities(BatchedEnvironments([other])) == ("batch", "seed")
+
+
+def test_games_of_a_batch_are_seeded_apart_and_play_as_alone() -> None:
+    batch = BatchedEnvironments([make("mario") for _ in range(2)])
+    batch.env_seed(3)
+    games, spec = read_batch_task_spec(batch.env_init())
+    assert (games, spec.split()[1]) == (2, "Mario-v1")
+    shown = unpack_batch(batch.env_start()).observations.values(Observation)
+    alone = make("mario")
+    alone.env_init()
+    assert shown == [alone.env_start()] * 2
+    action = pack_actions(Ragged.of([Action([1, 0, 1]), Action([0, 1, 0])]))
+    _, observation, terminal = batch.env_step(action)
+    assert terminal is False
+    assert (
+        unpack_batch(observation).observations.values(Observation)[0] == alone.env_step(Action([1, 0, 1]))[1]
+    )
+    with pytest.raises(GlueError):
+        batch.env_step(Action([1, 0, 1]))
