@@ -22,7 +22,7 @@ __all__ = ["load_competition", "parse_competition"]
 
 _TOP: Final = ("name", "trials", "seed_file", "seed_env", "limits", "tasks", "entrants")
 _TASK: Final = ("env", "options", "episodes", "steps")
-_ENTRANT: Final = ("image", "command", "key")
+_ENTRANT: Final = ("image", "command", "key", "folder")
 _TIMES: Final = tuple(field.name for field in fields(TimeLimits))
 _SIZES: Final = ("memory", "tmp", "shm", "log")
 _LIMITS: Final = (*_TIMES, *_SIZES, "cpus", "pids")
@@ -153,8 +153,8 @@ class _Parser:
         self._keys(table, _ENTRANT, f"entrant {name}", *where)
         if len(table) != 1:
             self._fail(
-                f'entrant {name} needs one of image = "alice/agent:1", command = ["glue-agent", "sample"] '
-                'and key = "carol.pub"',
+                f'entrant {name} needs one of image = "alice/agent:1", command = ["glue-agent", "sample"], '
+                'key = "carol.pub" and folder = "/run/entrants/dave"',
                 *where,
             )
         command = table.get("command", [])
@@ -166,12 +166,13 @@ class _Parser:
             )
         if "command" in table and not command:
             self._fail(f"the command of {name} is empty", *where, "command")
-        key = self._text_of(table, "key", *where)
+        key, folder = (self._text_of(table, field, *where) for field in ("key", "folder"))
         return Entrant(
             name,
             self._text_of(table, "image", *where),
             tuple(command),
             None if key is None else self._path.parent / key,
+            None if folder is None else self._path.parent / folder,
         )
 
     def _limits(self, table: Any) -> Limits:

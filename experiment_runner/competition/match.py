@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from experiment_runner.competition.inside import InsideEnvironment
-from experiment_runner.competition.outside import Outside, gate_for
+from experiment_runner.competition.outside import InFolder, Outside, gate_for
 from experiment_runner.competition.records.record import End, PartWriter
 from experiment_runner.competition.records.replay import made_for
 from experiment_runner.competition.secret import agent_seed
@@ -33,10 +33,11 @@ from experiment_runner.scratch import SOCKET as SHARED
 from experiment_runner.scratch import scratch_folder
 from experiment_runner.store.records import EpisodeResult
 from glue.client.experiment import RemoteExperiment, connect
-from glue.core.config import Bind, HubConfig, TimeLimits
-from glue.errors import ExperimentError, GlueError, HubClosed, PeerFailed, PeerLost
+from glue.core.config import DEFAULT_SESSION, Bind, HubConfig, TimeLimits
+from glue.errors import ConfigError, ExperimentError, GlueError, HubClosed, PeerFailed, PeerLost
 from glue.hub.inside import InsideTransport
 from glue.hub.server import Hub
+from glue.protocol.limits import MAX_BODY
 from glue.protocol.messages import Event, Role
 
 __all__ = ["MODULE", "Forfeited", "Match", "Played", "decode_report", "encode_match", "play", "starter_for"]
@@ -48,6 +49,9 @@ _LOOK_SECONDS: Final = 0.2
 
 _LAST_WORDS_SECONDS: Final = 1.0
 """How long to wait, when an entrant is lost, for its program to end and say why."""
+
+_MAX_MEMORY: Final = 4 * MAX_BODY
+"""Bytes of messages that a hub keeps: a flood ends connections, not this machine's memory."""
 
 _MAX_REASON: Final = 300
 
@@ -91,13 +95,24 @@ Report = Recorded | Played | Forfeited | Ended | Lost
 
 
 def starter_for(entrant: Entrant) -> Starter:
-    """Return what starts an entrant of this kind."""
-    if entrant.image is not None:
-        from experiment_runner.competition.containers import Containers
+    """Return what starts an entrant of this kind.
 
+    Raises:
+        ConfigError: it needs a package that is not installed.
+    """
+    if entrant.image is not None:
+        try:
+            from experiment_runner.competition.containers import Containers
+        except ImportError:
+            raise ConfigError(
+                f"entrant {entrant.name} has an image, and containers need Docker's SDK: "
+                "pip install 'glue-rl[compete]'"
+            ) from None
         return Containers()
     if entrant.key is not None:
         return Outside()
+    if entrant.folder is not None:
+        return InFolder()
     from experiment_runner.competition.programs import Programs
 
     return Programs()
@@ -142,14 +157,15 @@ class _Playing:
     def play(self, starter: Starter) -> None:
         match = self._match
         environment = made_for(match.spec)
-        session = match.entrant.name
+        # Nobody tells a program in a folder which session is its own; there is no other in this hub.
+        session = match.entrant.name if match.entrant.folder is None else DEFAULT_SESSION
         with ExitStack() as stack:
             place = self._place(stack.enter_context(scratch_folder()), session)
             if match.entrant.key is None:
                 bind = Bind(place.hub, frozenset({Role.AGENT}), frozenset({session}))
             else:
                 bind = gate_for(match.entrant, match.gate)
-            config = HubConfig(bind=(bind,), max_sessions=1, time=match.limits.time)
+            config = HubConfig(bind=(bind,), max_sessions=1, max_memory=_MAX_MEMORY, time=match.limits.time)
             hub = stack.enter_context(Hub(config, clock=self._clock))
             inside = InsideEnvironment(hub, session, environment, self._record)
             stack.enter_context(hub.in_background())
@@ -164,8 +180,13 @@ class _Playing:
             self._play_or_forfeit(glue, inside, running)
 
     def _place(self, scratch: Path, session: str) -> Place:
-        folder = scratch / SHARED
-        folder.mkdir(mode=0o700)
+        shared = self._match.entrant.folder
+        if shared is None:
+            folder = scratch / SHARED
+        else:
+            _, task, trial = self._match.spec.id.split("/")
+            folder = shared / f"{task}-{trial}"
+        folder.mkdir(mode=0o711, exist_ok=True)
         self._match.log.parent.mkdir(parents=True, exist_ok=True)
         return Place(folder, session, self._match.log, self._match.run)
 
@@ -237,7 +258,8 @@ def _decode_match(text: str) -> Match:
     for role in ("agent", "environment"):
         spec[role] = RoleSpec(**spec[role])
     entrant["command"] = tuple(entrant["command"])
-    entrant["key"] = None if entrant["key"] is None else Path(entrant["key"])
+    for path in ("key", "folder"):
+        entrant[path] = None if entrant[path] is None else Path(entrant[path])
     limits["time"] = TimeLimits(**limits["time"])
     return Match(
         TrialSpec(**spec),

@@ -1,7 +1,7 @@
-"""Entrants who connect from elsewhere, with a key: nothing is started, and they are waited for.
+"""Entrants whose programs somebody else starts, elsewhere or in reach of a folder: they are waited for.
 
-All of them connect to one address, and play one at a time: to the others the hub is not there yet, or refuses
-them their session, so an entrant's program is started again until the competition is over.
+All who have a key connect to one address, and play one at a time: to the others the hub is not there yet, or
+refuses them their session, so an entrant's program is started again until the competition is over.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import threading
 from pathlib import Path
 
 from experiment_runner.competition.settings import Entrant, Gate, Limits
-from experiment_runner.competition.starting import Place
+from experiment_runner.competition.starting import SOCKET, Place
 from glue.core.config import Bind
 from glue.core.keys import Keys, Permit
 from glue.errors import ConfigError
@@ -18,7 +18,7 @@ from glue.keys.allowed import HUB
 from glue.keys.certificates import SECRET, read_pair, read_public
 from glue.protocol.messages import Role
 
-__all__ = ["Outside", "gate_for"]
+__all__ = ["InFolder", "Outside", "gate_for"]
 
 
 def gate_for(entrant: Entrant, gate: Gate | None) -> Bind:
@@ -51,11 +51,30 @@ class Outside:
 
     def start(self, entrant: Entrant, limits: Limits, place: Place) -> _Elsewhere:
         """Note in the log who is waited for."""
-        place.log.write_text(f"{entrant.name} plays elsewhere, and keeps its own log\n", encoding="utf-8")
+        place.log.write_text(
+            f"{entrant.name} is not started here: its log is where its program is\n", encoding="utf-8"
+        )
         return _Elsewhere(place.log)
 
     def sweep(self, run: str) -> None:
         """Do nothing: nothing was started here."""
+
+
+class InFolder(Outside):
+    """Waits for entrants who find the hub's socket in a folder: whoever can reach that may connect."""
+
+    def check(self, entrant: Entrant) -> None:
+        """Check that the folder is there."""
+        if entrant.folder is None or not entrant.folder.is_dir():
+            raise ConfigError(
+                f"entrant {entrant.name}: there is no folder {entrant.folder}: make it, and let the "
+                "entrant's program, but nobody else, reach it"
+            )
+
+    def start(self, entrant: Entrant, limits: Limits, place: Place) -> _Elsewhere:
+        """Let any user connect; note in the log who is waited for."""
+        (place.folder / SOCKET).chmod(0o666)
+        return super().start(entrant, limits, place)
 
 
 class _Elsewhere:

@@ -59,25 +59,30 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Entrant:
-    """Who takes part, and how it is started: one of the three is given.
+    """Who takes part, and how it is started: one of the four is given.
 
     Args:
         name: unique among the entrants.
         image: a container image.
         command: a program of this machine and its arguments, which is trusted.
         key: the file of the public key of somebody who connects from elsewhere.
+        folder: a folder in reach of programs that something else starts, as compose does: one for each trial,
+            which finds the socket `hub` in a folder of its own in it, `TASK-TRIAL`.
     """
 
     name: str
     image: str | None = None
     command: tuple[str, ...] = ()
     key: Path | None = None
+    folder: Path | None = None
 
     @property
     def player(self) -> str:
-        """What plays, for people: the image, the command, or the file of the key."""
+        """What plays, for people: the image, the command, the folder, or the file of the key."""
         if self.image is not None:
             return self.image
+        if self.folder is not None:
+            return str(self.folder)
         return " ".join(self.command) if self.key is None else self.key.name
 
 

@@ -3,7 +3,8 @@
 Both return the function compiled to machine code that runs without the interpreter's lock, so that
 several threads can use several cores. No fast-math: every float operation is rounded as written. An
 entry's machine code is cached on disk, beside the source or, where that is not writable, in the user's
-cache folder. With NUMBA_DISABLE_JIT=1 both return the function unchanged.
+cache folder; what was cached beside the source is read even where nothing can be written, as in a container
+whose file system is read-only. With NUMBA_DISABLE_JIT=1 both return the function unchanged.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 from numba.core import config, event
-from numba.core.caching import FunctionCache
+from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
 __all__ = ["announce_compilation", "entry", "jit"]
 
@@ -70,6 +71,35 @@ class _Announcement(event.Listener):
             print(f"done in {time.perf_counter() - self._began:.0f} s", file=sys.stderr, flush=True)
 
 
+class _FilledLocator:
+    """The cache beside the source, as numba lays it out, if it has been filled; nothing need be writable."""
+
+    def __init__(self, source: Path) -> None:
+        self._source = source
+
+    @classmethod
+    def from_function(cls, function: object, source: str) -> _FilledLocator | None:
+        found = cls(Path(source))
+        return found if any(Path(found.get_cache_path()).glob("*.nbi")) else None
+
+    def ensure_cache_path(self) -> None:
+        """Nothing: it is there."""
+
+    def get_cache_path(self) -> str:
+        return str(self._source.parent / "__pycache__")
+
+    def get_source_stamp(self) -> tuple[float, int]:
+        status = self._source.stat()
+        return status.st_mtime, status.st_size
+
+    def get_disambiguator(self) -> None:
+        return None
+
+
+class _CacheImpl(CompileResultCacheImpl):
+    _locator_classes = [*CompileResultCacheImpl._locator_classes, cast(Any, _FilledLocator)]  # noqa: RUF012
+
+
 class _Cache(FunctionCache):
     """numba's cache on disk, invalidated by a change of any module of the entry's package.
 
@@ -77,9 +107,16 @@ class _Cache(FunctionCache):
     older version of a function that the entry calls.
     """
 
+    _impl_class = _CacheImpl
+
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
         self._sources = Path(function.__code__.co_filename)
+
+    def save_overload(self, sig: object, data: object) -> None:
+        """Save machine code, unless the cache is read-only."""
+        with suppress(OSError):
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
 
     def _index_key(self, sig: object, codegen: object) -> tuple[object, ...]:
         key = super()._index_key(sig, codegen)  # type: ignore[no-untyped-call]

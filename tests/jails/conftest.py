@@ -48,8 +48,8 @@ def engine() -> Iterator[Any]:
 @pytest.fixture(scope="session")
 def build(engine: Any) -> Callable[[str], str]:
     """Return a function that builds the image of an entrant of this folder, and returns its tag."""
-    command = ["docker", "build", "--quiet", "--file", "docker/Dockerfile", "--target", "agent", "--tag"]
-    subprocess.run([*command, "glue-agent", "."], cwd=ROOT, check=True, timeout=_BUILD_SECONDS)
+    command = ["docker", "build", "--quiet", "--file", "docker/Dockerfile", "--target", "hub", "--tag"]
+    subprocess.run([*command, "glue-hub", "."], cwd=ROOT, check=True, timeout=_BUILD_SECONDS)
 
     def build(entrant: str) -> str:
         tag = f"glue-test/{entrant}"

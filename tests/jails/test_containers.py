@@ -232,3 +232,15 @@ def test_an_image_that_is_not_here(engine: Any) -> None:
 def test_several_at_once(run: Run) -> None:
     containers = [run("print('here')") for _ in range(4)]
     assert [printed(container) for container in containers] == ["here\n"] * 4
+
+
+def test_an_engine_elsewhere_cannot_reach_the_hub(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DOCKER_HOST", "tcp://192.0.2.1:2375")
+    with pytest.raises(ConfigError, match=r"DOCKER_HOST is tcp://192.0.2.1:2375.*engine must be here"):
+        Containers().check(Entrant("alice", image="alice/agent:1"))
+
+
+def test_an_engine_that_is_not_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("DOCKER_HOST", f"unix://{tmp_path}/docker.sock")
+    with pytest.raises(ConfigError, match=r"no container engine answers at unix://.*start Docker"):
+        Containers().check(Entrant("alice", image="alice/agent:1"))

@@ -10,7 +10,7 @@ from tests.jails.hostile.honest import Honest, play
 
 class Drains(Honest):
     def act(self) -> Action:
-        time.sleep(0.3)
+        time.sleep(0.75)
         return super().act()
 
 

@@ -7,11 +7,9 @@ import os
 from glue import serve_agent
 from glue.types import Action, Observation
 
-_RIGHT, _JUMP = Action(ints=[1, 0, 1]), Action(ints=[1, 1, 1])
-
 
 class Honest:
-    """Runs to the right in Infinite Mario, and lets go of jump every tenth step."""
+    """Walks among the mines: in a direction that it keeps for three steps."""
 
     def __init__(self) -> None:
         self.steps = 0
@@ -36,7 +34,7 @@ class Honest:
 
     def act(self) -> Action:
         self.steps += 1
-        return _JUMP if self.steps % 10 else _RIGHT
+        return Action(ints=[self.steps // 3 % 4])
 
 
 def play(agent: Honest) -> None:

@@ -1,0 +1,43 @@
+"""Entrants who are waited for."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from experiment_runner.competition.match import Match, play, starter_for
+from experiment_runner.competition.outside import InFolder
+from experiment_runner.competition.secret import trials
+from experiment_runner.competition.settings import Entrant
+from experiment_runner.executors.job import Ended
+from glue import serve_agent
+from glue.errors import ConfigError
+from tests.experiment_runner.competition.players import SECRET, Walker, competition
+
+
+def test_an_entrant_in_a_folder_finds_the_socket_of_each_trial_and_needs_no_session(tmp_path: Path) -> None:
+    held = competition("alice", trials=2)
+    entrant = Entrant("alice", folder=tmp_path)
+    starter = starter_for(entrant)
+    assert isinstance(starter, InFolder)
+    starter.check(entrant)
+    for number, spec in enumerate(trials(replace(held, entrants=(entrant,)), SECRET)):
+        said: list[str] = []
+        hub = f"ipc://{tmp_path}/walk-{number}/hub"
+        agent = threading.Thread(target=lambda: said.append(serve_agent(Walker(), hub, wait=60.0)))  # noqa: B023
+        agent.start()
+        reports: list[Any] = []
+        play(Match(spec, entrant, held.limits, 40, tmp_path / "log", "test"), reports.append, starter)
+        assert reports[-1] == Ended(None)
+        agent.join()
+        assert said
+        assert not Path(hub.removeprefix("ipc://")).exists()
+
+
+def test_a_folder_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"entrant alice: there is no folder .*missing: make it"):
+        InFolder().check(Entrant("alice", folder=tmp_path / "missing"))

@@ -1,0 +1,210 @@
+"""A competition in which all but one entrant are up to something; hostile/ has what each of them does."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.house.imports import ROOT
+
+pytestmark = pytest.mark.timeout(1200)
+"""The first test builds images and waits for two competitions."""
+
+_REASONS = {
+    "sleeps": "its bank of 3 s is empty",
+    "drains": "its bank of 3 s is empty",
+    "absent": "did not connect within 30 s",
+    "crashes": "its program ended with status 3",
+    "bombs": "its program used more than 256 MiB of memory",
+    "fills": "its program ended with status 4",
+    "floods": "did not connect within 30 s",
+    "shouts": "did not connect within 30 s",
+    "poses": "its program ended with status 5",
+    "looks": "its program ended with status 6",
+}
+_FAIR = ("honest", "leaves")
+_TRIALS = 2
+
+_SECRET = "the-organisers-canary"
+_MATCH = "experiment_runner.competition.match"
+_SECONDS = 800
+
+_FILE = """
+name = "hostile"
+trials = {trials}
+seed_file = "secret.txt"
+[limits]
+step_seconds = 0.5
+bank_seconds = 3
+start_seconds = 30
+memory = "256m"
+tmp = "16m"
+shm = "16m"
+pids = 64
+log = "256k"
+[tasks.easy]
+env = "mines"
+options = {{ random_start = true }}
+steps = 300
+"""
+
+
+@dataclass(frozen=True)
+class Held:
+    """A competition that was held.
+
+    Attributes:
+        directory: of the run.
+        printed: what the commands printed.
+        verified: the exit status of `glue-compete verify`.
+        board: the standings.
+        peak: the most memory that the process of a hub used, in KiB.
+    """
+
+    directory: Path
+    printed: str
+    verified: int
+    board: dict[str, Any]
+    peak: int
+
+    def standing(self, entrant: str) -> dict[str, Any]:
+        (found,) = (each for each in self.board["entrants"] if each["name"] == entrant)
+        return dict(found)
+
+    def log(self, entrant: str, trial: int = 0) -> str:
+        return (self.directory / f"logs/{entrant}/easy/{trial}.log").read_text(errors="replace")
+
+
+def hold(folder: Path, images: dict[str, str]) -> Held:
+    """Hold a competition of these entrants, and verify it."""
+    lines = [f'[entrants.{name}]\nimage = "{image}"\n' for name, image in images.items()]
+    (folder / "competition.toml").write_text(_FILE.format(trials=_TRIALS) + "".join(lines))
+    (folder / "secret.txt").write_text(_SECRET)
+    (folder / "secret.txt").chmod(0o600)
+    peaks: list[int] = [0]
+    over = threading.Event()
+    watch = threading.Thread(target=_watch_memory, args=(peaks, over))
+    watch.start()
+    try:
+        run = _compete("run", folder / "competition.toml", "--out", folder / "run", "--workers", "2")
+    finally:
+        over.set()
+        watch.join()
+    assert run.returncode == 0, run.stderr
+    verified = _compete("verify", folder / "run")
+    board = json.loads(_compete("board", folder / "run", "--format", "json").stdout)
+    printed = run.stdout + run.stderr + verified.stdout + verified.stderr
+    return Held(folder / "run", printed, verified.returncode, board, max(peaks))
+
+
+def _compete(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-P", "-m", "experiment_runner.competition.command", *map(str, arguments)]
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=_SECONDS)
+
+
+def _watch_memory(peaks: list[int], over: threading.Event) -> None:
+    while not over.wait(0.1):
+        for process in Path("/proc").glob("[0-9]*"):
+            with suppress(OSError):
+                if _MATCH in (process / "cmdline").read_text():
+                    status = (process / "status").read_text()
+                    peaks += [
+                        int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")
+                    ]
+
+
+@pytest.fixture(scope="module")
+def held(build: Callable[[str], str], tmp_path_factory: pytest.TempPathFactory) -> Held:
+    images = {name: build(name) for name in (*_FAIR, *_REASONS)}
+    return hold(tmp_path_factory.mktemp("hostile"), images)
+
+
+@pytest.fixture(scope="module")
+def alone(build: Callable[[str], str], tmp_path_factory: pytest.TempPathFactory) -> Held:
+    return hold(tmp_path_factory.mktemp("alone"), {"honest": build("honest")})
+
+
+def test_every_score_is_verified(held: Held) -> None:
+    assert held.verified == 0, held.printed
+    assert f"{len(_FAIR + tuple(_REASONS)) * _TRIALS} of" in held.printed
+
+
+def test_the_honest_entrant_earns_what_it_earns_alone(held: Held, alone: Held) -> None:
+    tasks = held.standing("honest")["tasks"]["easy"], alone.standing("honest")["tasks"]["easy"]
+    assert tasks[0]["trials"] == tasks[1]["trials"]
+    assert not held.standing("honest")["forfeits"]
+
+
+@pytest.mark.parametrize("entrant", _REASONS)
+def test_each_is_on_the_board_with_its_reason(held: Held, entrant: str) -> None:
+    reasons = [forfeit["reason"] for forfeit in held.standing(entrant)["forfeits"]]
+    assert len(reasons) == _TRIALS
+    for reason in reasons:
+        assert _REASONS[entrant] in reason
+        assert reason.isprintable()
+
+
+def test_nothing_is_left_for_the_next_process(held: Held) -> None:
+    for trial in range(_TRIALS):
+        assert "left in /tmp" in held.log("leaves", trial)
+        assert "found" not in held.log("leaves", trial)
+    fair = [held.standing(name)["tasks"]["easy"]["trials"] for name in _FAIR]
+    assert fair[0] == fair[1]
+
+
+def test_nobody_believes_a_pose(held: Held) -> None:
+    lines = held.log("poses").splitlines()
+    poses = [line for line in lines if line.startswith(("environment:", "experiment:", "agent of"))]
+    assert len(poses) >= 5
+    assert all(": Refused: " in line for line in poses), poses
+
+
+def test_nothing_was_found_or_reached(held: Held) -> None:
+    for trial in range(_TRIALS):
+        log = held.log("looks", trial)
+        assert "looked everywhere" in log
+        assert "socket /run/glue/hub" in log
+        for line in log.splitlines():
+            assert not line.startswith(("reached ", "gained ")), line
+            assert line.count("socket") == 0 or "found socket /run/glue/hub" in line, line
+        for treasure in (_SECRET, str(held.directory), "device ", "competition.toml", "results.sqlite"):
+            assert treasure not in log
+
+
+def test_the_disk_was_full_at_its_limit(held: Held) -> None:
+    log = held.log("fills")
+    assert "/tmp: No space left on device after 16 MiB" in log
+    assert "/run/glue: Read-only file system after 0 MiB" in log
+
+
+def test_what_was_printed_was_kept_up_to_its_limit(held: Held) -> None:
+    assert "the last words of crashes" in held.log("crashes")
+    assert 0 < len(held.log("shouts")) <= 256 * 1024
+
+
+def test_the_memory_of_the_hubs_stayed_bounded(held: Held, alone: Held) -> None:
+    """The flood sends messages of the largest size from many connections, and never the end of one."""
+    assert alone.peak > 0
+    assert held.peak < alone.peak + 256 * 1024
+
+
+def test_no_container_and_no_process_is_left(held: Held, engine: Any) -> None:
+    assert not engine.containers.list(all=True, filters={"label": "glue.competition"})
+
+
+@pytest.fixture(autouse=True, scope="module")
+def shown(held: Held) -> Iterator[None]:
+    """Print the standings, for whoever reads the log of the tests."""
+    yield
+    board = _compete("board", held.directory).stdout
+    os.write(1, f"\n{board}\n".encode())
