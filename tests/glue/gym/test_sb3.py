@@ -16,6 +16,8 @@ from tests.hubs import hub_with
 
 sb3: Any = pytest.importorskip("stable_baselines3", reason="needs Stable-Baselines3: the extra sb3")
 gymnasium: Any = pytest.importorskip("gymnasium")
+# Networks as small as these gain nothing from more threads, which wait for each other on a busy machine.
+pytest.importorskip("torch").set_num_threads(1)
 import glue.gym  # noqa: E402
 from glue.gym.sb3 import SB3VecEnv  # noqa: E402
 
