@@ -74,12 +74,13 @@ class _Announcement(event.Listener):
 class _FilledLocator:
     """The cache beside the source, as numba lays it out, if it has been filled; nothing need be writable."""
 
-    def __init__(self, source: Path) -> None:
+    def __init__(self, function: Callable[..., Any], source: Path) -> None:
         self._source = source
+        self._line = function.__code__.co_firstlineno
 
     @classmethod
-    def from_function(cls, function: object, source: str) -> _FilledLocator | None:
-        found = cls(Path(source))
+    def from_function(cls, function: Callable[..., Any], source: str) -> _FilledLocator | None:
+        found = cls(function, Path(source))
         return found if any(Path(found.get_cache_path()).glob("*.nbi")) else None
 
     def ensure_cache_path(self) -> None:
@@ -92,12 +93,13 @@ class _FilledLocator:
         status = self._source.stat()
         return status.st_mtime, status.st_size
 
-    def get_disambiguator(self) -> None:
-        return None
+    def get_disambiguator(self) -> str:
+        return str(self._line)
 
 
 class _CacheImpl(CompileResultCacheImpl):
-    _locator_classes = [*CompileResultCacheImpl._locator_classes, cast(Any, _FilledLocator)]  # noqa: RUF012
+    _first, *_others = CompileResultCacheImpl._locator_classes  # the first is for NUMBA_CACHE_DIR
+    _locator_classes = [_first, cast(Any, _FilledLocator), *_others]  # noqa: RUF012
 
 
 class _Cache(FunctionCache):
