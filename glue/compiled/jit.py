@@ -71,35 +71,21 @@ class _Announcement(event.Listener):
             print(f"done in {time.perf_counter() - self._began:.0f} s", file=sys.stderr, flush=True)
 
 
-class _FilledLocator:
-    """The cache beside the source, as numba lays it out, if it has been filled; nothing need be writable."""
+_given, _in_tree, *_others = cast("list[Any]", CompileResultCacheImpl._locator_classes)
+"""Where numba looks: in NUMBA_CACHE_DIR, beside the source, in the user's cache folder, and so on."""
 
-    def __init__(self, function: Callable[..., Any], source: Path) -> None:
-        self._source = source
-        self._line = function.__code__.co_firstlineno
 
-    @classmethod
-    def from_function(cls, function: Callable[..., Any], source: str) -> _FilledLocator | None:
-        found = cls(function, Path(source))
-        return found if any(Path(found.get_cache_path()).glob("*.nbi")) else None
+class _FilledLocator(_in_tree):  # type: ignore[misc]
+    """The cache beside the source, if it has been filled; it need not be writable."""
 
     def ensure_cache_path(self) -> None:
-        """Nothing: it is there."""
-
-    def get_cache_path(self) -> str:
-        return str(self._source.parent / "__pycache__")
-
-    def get_source_stamp(self) -> tuple[float, int]:
-        status = self._source.stat()
-        return status.st_mtime, status.st_size
-
-    def get_disambiguator(self) -> str:
-        return str(self._line)
+        folder = Path(self.get_cache_path())
+        if not any(folder.glob("*.nbi")):
+            raise OSError(f"nothing is cached in {folder}")
 
 
 class _CacheImpl(CompileResultCacheImpl):
-    _first, *_others = CompileResultCacheImpl._locator_classes  # the first is for NUMBA_CACHE_DIR
-    _locator_classes = [_first, cast(Any, _FilledLocator), *_others]  # noqa: RUF012
+    _locator_classes = [_given, _FilledLocator, _in_tree, *_others]  # noqa: RUF012
 
 
 class _Cache(FunctionCache):
