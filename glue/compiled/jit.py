@@ -75,7 +75,7 @@ _given, _in_tree, *_others = cast("list[Any]", CompileResultCacheImpl._locator_c
 """Where numba looks: in NUMBA_CACHE_DIR, beside the source, in the user's cache folder, and so on."""
 
 
-class _FilledLocator(_in_tree):  # type: ignore[misc]
+class _FilledLocator(_in_tree):  # type: ignore[misc, valid-type]
     """The cache beside the source, if it has been filled; it need not be writable."""
 
     def ensure_cache_path(self) -> None:
