@@ -2,7 +2,8 @@
 
 Every scored level is begun from the same agent: what it had learned before (agent_save) is loaded again, so
 that neither the order of the levels nor what is learned on them matters. An agent that cannot save goes on as
-it is.
+it is. Every episode is played in a fresh game, because Infinite Mario keeps the buttons that an episode
+leaves pressed into the next one, and they can change its return.
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ def evaluate(
 
 
 class _Player:
-    """Plays episodes on numbered levels."""
+    """Plays episodes on numbered levels, each in a fresh game."""
 
     def __init__(self, glue: Experiment, environment: InfiniteMario) -> None:
         self._glue = glue
@@ -110,6 +111,7 @@ class _Player:
 
     def play(self, level: int) -> Score:
         glue, task = self._glue, numbered_level(self._environment.parameters, level)
+        self._environment.env_init()  # rl_init would make the agent forget what it has learned
         glue.rl_env_message(
             f"level level_seed={task.level_seed} level_type={task.level_type} "
             f"level_difficulty={task.level_difficulty}"
