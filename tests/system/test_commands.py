@@ -41,6 +41,9 @@ def hub(tmp_path: Path) -> str:
 ENDLESS_COMMANDS = {
     "glue-hub": ["--bind", "tcp://127.0.0.1:*"],
     "glue-compete": ["board", "runs"],
+    "glue-conform": ["agent", "--", "sleep", "100"],
+    "glue-generalise": ["--agent", "random"],
+    "glue-keys": ["show", "carol.key"],
     "glue-env": ["mario", "--hub", "ipc:///nowhere/hub"],
     "glue-agent": ["hierarchical", "--hub", "ipc:///nowhere/hub"],
     "glue-experiment": ["--env", "mario", "--agent", "hierarchical", "--episodes", "100000", "--in-process"],
@@ -54,7 +57,7 @@ ENDLESS_COMMANDS = {
 
 IMPORTS = [
     *((command, "click") for command in ENDLESS_COMMANDS),
-    *((command, "numpy.linalg") for command in ENDLESS_COMMANDS),
+    *((command, "numpy.linalg") for command in ENDLESS_COMMANDS if command != "glue-keys"),
     ("glue-agent", "msgpack"),
     ("glue-agent", "numba.core"),
     ("glue-experiment", "sqlite3"),

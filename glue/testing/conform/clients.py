@@ -9,11 +9,14 @@ import tempfile
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
+from typing import Final, Protocol
 
 from glue.errors import ConfigError
 
-__all__ = ["Client", "ClientProcess", "Start", "is_awake", "starter"]
+__all__ = ["TRANSPORTS", "Client", "ClientProcess", "Start", "is_awake", "starter"]
+
+TRANSPORTS: Final = ("tcp", "ipc")
+"""The kinds of addresses at which a client is to find its hub."""
 
 
 class Client(Protocol):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -12,10 +12,11 @@ from glue import __version__
 from glue.commands import run
 from glue.errors import ConfigError
 from glue.protocol.messages import Role
-from glue.testing.conform.clients import starter
-from glue.testing.conform.judge import TRANSPORTS, Verdict, judge
-from glue.testing.conform.report import document, line, reached, scorecard, summary
+from glue.testing.conform.clients import TRANSPORTS, starter
 from glue.testing.conform.rules import Tier
+
+if TYPE_CHECKING:
+    from glue.testing.conform.judge import Verdict
 
 __all__ = ["conform", "main"]
 
@@ -78,6 +79,9 @@ def conform(
       glue-conform experiment --tier plays -- node mirror.mjs experiment
       glue-conform agent --scorecard agent.md -- python -m glue.testing.mirror agent
     """
+    from glue.testing.conform.judge import judge
+    from glue.testing.conform.report import document, line, reached, scorecard, summary
+
     if card is not None and not card.parent.is_dir():
         raise ConfigError(f"cannot write {card}: there is no folder {card.parent}; make it first")
 

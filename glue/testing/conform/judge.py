@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Container
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Final
 
 from glue.protocol.messages import Role
 from glue.testing.conform import everyone, experiments, players
@@ -16,9 +15,7 @@ from glue.testing.conform.players import PlayerDesk
 from glue.testing.conform.rules import Broken, NotJudged, Rule, Tier
 from glue.testing.conform.wire import Listener
 
-__all__ = ["TRANSPORTS", "Outcome", "Verdict", "judge", "rules_of"]
-
-TRANSPORTS: Final = ("tcp", "ipc")
+__all__ = ["Outcome", "Verdict", "judge", "rules_of"]
 
 
 class Outcome(StrEnum):

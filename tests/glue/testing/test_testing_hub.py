@@ -11,10 +11,12 @@ import pytest
 
 from glue.client.experiment import connect
 from glue.core.config import HubConfig
+from glue.core.session import Peer
 from glue.core.sessions import Route, Switchboard
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.hub.server import Hub
 from glue.protocol.messages import CALLS, ErrorCode, Event, Kind, Message, Role
+from glue.protocol.steps import Step, StepFormat
 from glue.testing import ContractBroken, HubRule, check_hub
 from glue.types import Action
 
@@ -58,9 +60,15 @@ class Spoiled(Switchboard):
         arrived = [to.deliver(sent) for to, sent in self.out(route, message)]
         return all(arrived)
 
+    def deliver(self, peer: Peer, message: Message) -> None:
+        self.send(peer.route, message)
+
     def receive(self, route: Route, message: Message, now: float) -> bool:
         in_turn = [super(Spoiled, self).receive(route, heard, now) for heard in self.heard(route, message)]
         return all(in_turn)
+
+    def receive_step(self, route: Route, form: StepFormat, step: Step, now: float) -> bool:
+        return False  # by the long way, where what is heard can be changed
 
     def out(self, route: Route, message: Message) -> list[tuple[Route, Message]]:
         return [(route, self.says(message))]

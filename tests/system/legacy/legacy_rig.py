@@ -85,6 +85,15 @@ class Rig:
             aside.num_steps()
         aside.close()
 
+    def wait_until_empty(self, session: str) -> None:
+        """Return when nobody takes part in a session any more.
+
+        The hub keeps the place of a program that has closed its sending half while it is owed replies, for as
+        long as a request may take.
+        """
+        while session in self.hub.switchboard._sessions:
+            self.settle()
+
     def native(self, session: str = "default") -> RemoteExperiment:
         """Connect as an experiment of ours."""
         return connect(self.url, session, context=self._context, log=self.log)

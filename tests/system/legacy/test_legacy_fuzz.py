@@ -59,6 +59,7 @@ class Arena:
             with suppress(OSError):  # closed in the attack
                 connection.reset()
         self._open.clear()
+        self.rig.wait_until_empty(self.attacked)
 
     def close(self) -> None:
         self._bystander.close()
