@@ -179,7 +179,14 @@ def large(desk: PlayerDesk) -> None:
     desk.steps(Observation([7] * 70, [0.25] * 40), Observation(count, count / 7, b"\xfe" * rest))
 
 
-@RULES.add("texts", Tier.PLAYS, "bodies", "texts are UTF-8: empty, long, outside of ASCII, with NUL", PLAYERS)
+@RULES.add(
+    "texts",
+    Tier.PLAYS,
+    "bodies",
+    "texts are UTF-8: empty, long, outside of ASCII, with NUL",
+    PLAYERS,
+    needs=("large",),
+)
 def texts(desk: PlayerDesk) -> None:
     for text in TEXTS:
         desk.ask("MESSAGE", body=text)
@@ -204,7 +211,7 @@ def rewards(desk: PlayerDesk) -> None:
     "the-header",
     "every format of msgpack is understood, in every width",
     PLAYERS,
-    needs=("doubles",),
+    needs=("doubles", "rewards"),
 )
 def widths(desk: PlayerDesk) -> None:
     kind = int(desk.kinds["STEP"])
