@@ -112,9 +112,7 @@ def test_a_policy_that_is_none_is_refused(tmp_path: Path) -> None:
             make_agent("sb3", policy=str(path)).agent_init("")
 
 
-@pytest.mark.skipif(
-    "GYM_LEARN" not in os.environ, reason="learns for minutes: set GYM_LEARN, as .ci/run does"
-)
+@pytest.mark.skipif("GYM_LEARN" not in os.environ, reason="learns for minutes: set GYM_LEARN")
 def test_ppo_learns_to_finish_level_121() -> None:
     warnings.simplefilter("ignore")
     envs = mario(32, level_seed=121, level_difficulty=0)
