@@ -15,12 +15,10 @@ from typing import Any, Final
 
 from glue.errors import ConfigError, SimulatorError
 
-__all__ = ["Element", "Kernel", "SoarError", "Value"]
+__all__ = ["Element", "Kernel", "SoarError"]
 
 Element = Any
 """An element of working memory, as soar-sml hands it out."""
-
-Value = int | float | str
 
 _SETTINGS: Final = (
     "watch 0",
