@@ -6,8 +6,8 @@ BIN    := $(VENV)/bin
 DEMO   := runs/demo
 READY  := $(VENV)/.ready
 
-# Three processes, as they often wait; each begins with its share of the tests, and takes over from others at the end.
-PARALLEL := --numprocesses=3 --dist=worksteal
+# Twice as many as two cores, as they often wait; each begins with its share of the tests, and takes over from others.
+PARALLEL := --numprocesses=4 --dist=worksteal
 
 # The tests start hundreds of processes: each finds its modules compiled, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
@@ -26,7 +26,7 @@ help:
 
 $(READY): pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --editable '.[dev]'
 	@touch $(READY)
 
 demo: $(READY)

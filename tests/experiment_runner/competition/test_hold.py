@@ -24,6 +24,7 @@ from experiment_runner.competition.organiser import competition_of
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.verify import verify
 from experiment_runner.store.store import Store
+from tests.proof import size
 from tests.terminal import BIN
 
 pytestmark = pytest.mark.slow
@@ -200,10 +201,11 @@ def test_another_secret_is_another_competition(held: Path) -> None:
     assert len(refused.stderr.splitlines()) == 1
 
 
-def test_100_random_changes_of_a_record_are_found(run: Path) -> None:
+@pytest.mark.proof
+def test_random_changes_of_a_record_are_found(run: Path) -> None:
     chance = random.Random(1)
     paths = [record_path(run, trial) for trial in ("walk/mines/0", "crash/mines/1", "walk/walk/1")]
-    for change in range(100):
+    for change in range(size(24, 100)):
         path = paths[change % len(paths)]
         whole = path.read_bytes()
         place = chance.randrange(len(whole))

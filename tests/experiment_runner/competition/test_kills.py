@@ -15,7 +15,7 @@ import pytest
 
 from tests.system.runs import alive, children, wait_until
 
-KILLS = int(os.environ.get("GLUE_KILLS", "3"))
+KILLS = int(os.environ.get("GLUE_KILLS", "2"))
 """How often the organiser is killed; `.ci/run` says 20."""
 
 LONGEST_LIFE = 3.0
