@@ -17,6 +17,8 @@ from glue.hub.listener import is_left_over
 __all__ = ["SOCKET", "scratch_folder"]
 
 _PREFIX: Final = "glue-"
+_OURS: Final = _PREFIX + 8 * "?"
+"""Such folders with what `tempfile` adds. To look into another program's would be to connect to its socket."""
 
 SOCKET: Final = "hub"
 """Name of the Unix socket in such a folder."""
@@ -51,7 +53,7 @@ def _make(parent: Path) -> tuple[Path, RunLock]:
 
 
 def _remove_abandoned(parent: Path) -> None:
-    for folder in parent.glob(f"{_PREFIX}*"):
+    for folder in parent.glob(_OURS):
         # Only what is certainly ours: other programs make folders in /tmp, too.
         with suppress(OSError, ExperimentError):
             names = {path.name for path in folder.iterdir()}

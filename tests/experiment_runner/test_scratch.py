@@ -56,7 +56,7 @@ def test_folder_of_a_killed_run_is_removed_and_that_of_a_living_one_stays(tmp_pa
 
 def test_folder_of_version_0_1_0_is_removed_when_nobody_listens_in_it(tmp_path: Path) -> None:
     """That version took no lock."""
-    dead, living, empty = (tmp_path / f"glue-{name}" for name in ("dead", "living", "empty"))
+    dead, living, empty = (tmp_path / f"glue-{name:_<8}" for name in ("dead", "living", "empty"))
     for folder in (dead, living, empty):
         folder.mkdir()
     with socket.socket(socket.AF_UNIX) as once, socket.socket(socket.AF_UNIX) as listening:
@@ -67,3 +67,15 @@ def test_folder_of_version_0_1_0_is_removed_when_nobody_listens_in_it(tmp_path: 
         listening.listen()
         with scratch_folder():
             assert [folder.exists() for folder in (dead, living, empty)] == [False, True, True]
+
+
+def test_socket_in_a_folder_of_another_program_is_not_knocked_at(tmp_path: Path) -> None:
+    """A hub under test would take it for a client that connects and leaves."""
+    folder = tmp_path / "glue-conform-0e836mdz"
+    folder.mkdir()
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(folder / "hub"))
+        listening.listen()
+        listening.setblocking(False)
+        with scratch_folder(), pytest.raises(BlockingIOError):
+            listening.accept()

@@ -36,7 +36,8 @@ class Listener:
     """
 
     def __init__(self, scheme: str) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="glue-conform-") if scheme == "ipc" else None
+        # Not glue-...: runs of earlier versions knock at the sockets in such folders.
+        self._folder = tempfile.TemporaryDirectory(prefix="conform-") if scheme == "ipc" else None
         self._port = 0
         self._socket: socket.socket | None = None
         self.open()
