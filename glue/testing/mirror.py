@@ -41,8 +41,10 @@ __all__ = [
 TASK_SPEC: Final = "a mirror, größer than it is"
 FAIL: Final = "fail"
 FAILURE: Final = "asked to fail"
-END: Final = b"!"[0]
+END: Final = b"!"
 """The last char of an action that ends the episode."""
+CUT: Final = b"?"
+"""The last char of an action that has the episode cut off."""
 
 
 class _Mirror:
@@ -106,6 +108,10 @@ class MirrorAgent(_Mirror):
 class MirrorEnvironment(_Mirror):
     """The mirror's environment."""
 
+    def __init__(self) -> None:
+        super().__init__()
+        self.truncated = False
+
     def env_init(self) -> str:
         self.count = 0
         return TASK_SPEC
@@ -117,7 +123,12 @@ class MirrorEnvironment(_Mirror):
     def env_step(self, action: Action) -> tuple[float, Observation, bool]:
         self.count += 1
         reward = float(action.doubles[0]) if len(action.doubles) else 0.0
-        return reward, Observation(*self.runs(action)), action.chars[-1:] == bytes([END])
+        last = action.chars[-1:]
+        self.truncated = last == CUT
+        return reward, Observation(*self.runs(action)), last in (END, CUT)
+
+    def env_truncated(self) -> bool:
+        return self.truncated
 
     def env_cleanup(self) -> None:
         pass
@@ -179,7 +190,7 @@ def carry_out(
             return _both(*glue.rl_start())
         case "RL_STEP":
             gained, seen, terminal, action = glue.rl_step()
-            return _both(seen, action, [int(bool(terminal))], [gained])
+            return _both(seen, action, [int(terminal)], [gained])
         case "RL_EPISODE":
             return result([int(glue.rl_episode(int(text)))])
         case "RL_RETURN":
@@ -198,7 +209,7 @@ def carry_out(
             return _both(glue.rl_env_start(), Action())
         case "RL_ENV_STEP":
             gained, seen, terminal = glue.rl_env_step(Action(ints, doubles, argument))
-            return _both(seen, Action(), [int(bool(terminal))], [gained])
+            return _both(seen, Action(), [int(terminal)], [gained])
         case "RL_AGENT_START":
             return _both(Observation(), glue.rl_agent_start(Observation(ints, doubles, argument)))
         case "RL_AGENT_STEP":

@@ -35,7 +35,9 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "glue/legacy": ("glue/hub",),
     "glue/testing": ("glue/client", "glue/legacy"),
     "glue/gym": ("glue/client",),
-    "glue/testing/conform": ("glue/testing",),
+    "glue/testing/conform/hub": ("glue/testing",),
+    "glue/testing/conform/scenes": ("glue/testing/conform/hub",),
+    "glue/testing/conform": ("glue/testing/conform/scenes",),
     "glue/__init__": ("glue/client", "glue/compiled", "glue/trajectory"),
     "glue/commands": ("glue/__init__", "glue/legacy", "glue/testing/conform"),
     # Environments and agents run on different machines, and share what crosses the wire.

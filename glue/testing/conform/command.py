@@ -12,8 +12,8 @@ from glue import __version__
 from glue.commands import run
 from glue.errors import ConfigError
 from glue.protocol.messages import Role
-from glue.testing.conform.clients import TRANSPORTS, starter
-from glue.testing.conform.rules import Tier
+from glue.testing.conform.hub.clients import TRANSPORTS, starter
+from glue.testing.conform.hub.rules import Tier
 
 if TYPE_CHECKING:
     from glue.testing.conform.judge import Verdict

@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from glue.protocol.messages import Role
-from glue.testing.conform import everyone, experiments, players
-from glue.testing.conform.clients import Start
-from glue.testing.conform.desk import Desk
-from glue.testing.conform.experiments import ExperimentDesk
-from glue.testing.conform.players import PlayerDesk
-from glue.testing.conform.rules import Broken, NotJudged, Rule, Tier
-from glue.testing.conform.wire import Listener
+from glue.testing.conform.hub.clients import Start
+from glue.testing.conform.hub.desk import Desk
+from glue.testing.conform.hub.experiment import ExperimentDesk
+from glue.testing.conform.hub.player import PlayerDesk
+from glue.testing.conform.hub.rules import Broken, NotJudged, Rule, Tier
+from glue.testing.conform.hub.wire import Listener
+from glue.testing.conform.scenes import FIRST, all_rules
 
 __all__ = ["Outcome", "Verdict", "judge", "rules_of"]
 
@@ -54,11 +54,8 @@ class Verdict:
 
 def rules_of(role: Role, tier: Tier = Tier.COMPLETE) -> list[Rule]:
     """Return the rules for a role, those of `tier` and of the tiers before it, as they are judged."""
-    own = experiments.RULES if role is Role.EXPERIMENT else players.RULES
     tiers = list(Tier)[: list(Tier).index(tier) + 1]
-    return [
-        rule for rule in (*everyone.FIRST, *own, *everyone.LAST) if rule.tier in tiers and role in rule.roles
-    ]
+    return [rule for rule in all_rules(role) if rule.tier in tiers]
 
 
 def judge(
@@ -105,7 +102,7 @@ def judge(
 def _judged(rule: Rule, desk: Desk, transport: str, others: set[str]) -> Verdict:
     verdict = Verdict(rule, transport, Outcome.PASSED)
     try:
-        if rule not in everyone.FIRST:
+        if rule not in FIRST:
             desk.ready()
         rule.scene(desk)
     except NotJudged as why:

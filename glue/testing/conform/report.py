@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from glue.protocol.messages import Role
+from glue.testing.conform.hub.rules import Tier
 from glue.testing.conform.judge import Outcome, Verdict
-from glue.testing.conform.rules import Tier
 
 __all__ = ["document", "line", "reached", "scorecard", "summary"]
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from glue.protocol.messages import Role
-from glue.testing.conform.clients import Start, is_awake
+from glue.testing.conform.hub.clients import Start, is_awake
 from glue.testing.mirror import run_mirror
 from tests.glue.testing.conform.wrong import run
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from glue.protocol.messages import Role
-from glue.testing.conform.clients import starter
+from glue.testing.conform.hub.clients import starter
+from glue.testing.conform.hub.rules import Tier
 from glue.testing.conform.judge import Outcome, judge, rules_of
 from glue.testing.conform.report import line
-from glue.testing.conform.rules import Tier
 from tests.glue.testing.conform.forked import mirror
 from tests.proof import size
 

@@ -71,11 +71,15 @@ FAULTS: Final[dict[str, dict[str, str]]] = {
         "counts ints as unsigned": "ints",
         "loses the kept answer": "answer-lost",
         "ignores WELCOME's limits": "max-body",
+        "offers to cut off, and ends": "truncate",
+        "goes on where it was to cut off": "truncate",
     },
     "experiment": {
         "counts ints as unsigned": "ints",
         "takes an integer terminal for an error": "integer-terminal",
         "reads numbers of steps in 32 bits": "counters",
+        "goes on after a cut-off": "truncate",
+        "shows 2 for an episode that was cut off": "truncate",
         "counts requests from 0": "numbers",
         "takes any reply for its own": "other-replies",
         "asks ahead of WELCOME": "silent-until-welcomed",
@@ -259,7 +263,7 @@ class Client:
         if self.wrong("reconnects with a new instance"):
             self.instance = os.urandom(16)
         role = "environment" if self.wrong("takes another role") else self.role
-        offers = [] if self.role == "experiment" else ["seed", "save"]
+        offers = {"agent": ["seed", "save"], "environment": ["seed", "save", "truncate"]}.get(self.role, [])
         hello = [HELLO, self.session, self.hellos, [1], role, self.instance, "mirror", "a test", offers]
         self.send([msgpack.packb(hello)])
 
@@ -431,11 +435,16 @@ class Client:
                 reward = doubles[0] if doubles else 0.0
                 if self.wrong("answers with the reward as a text") and doubles:
                     reward = str(reward)
-                replied = [reward, chars[-1:] == b"!" and not self.wrong("never ends an episode")]
+                replied = [reward, self.terminal(chars[-1:])]
             if empty:
                 return replied, bytes(16)
             return replied, self.write([*ints[::-1], self.count], [*doubles[::-1], *added], chars[::-1])
         return [], None
+
+    def terminal(self, last: bytes) -> bool | int:
+        if last == b"?" and not self.wrong("goes on where it was to cut off"):
+            return True if self.wrong("offers to cut off, and ends") else 2
+        return last == b"!" and not self.wrong("never ends an episode")
 
     def echo(self, body: bytes) -> bytes:
         if body == b"fail":

@@ -139,12 +139,18 @@ class Asking(Client):
             number = got[0] & 0xFFFFFFFF if self.wrong("reads numbers of steps in 32 bits") else got[0]
             return [], [], str(number).encode()
         if verb == "RL_EPISODE":
-            return [int(bool(got[0]))], [], b""
+            told = self.wrong("shows 2 for an episode that was cut off")
+            return [int(got[0]) if told else int(bool(got[0]) and self.terminal_of(got[0]) != 2)], [], b""
         if verb == "RL_RETURN":
             return [], [float(got[0])], b""
         if verb in ("RL_START", "RL_STEP", "RL_ENV_START", "RL_ENV_STEP", "RL_AGENT_START", "RL_AGENT_STEP"):
             return self.abstract(reply, got)
         return [], [], reply
+
+    def terminal_of(self, got: bool | int) -> int:
+        if got == 2 and type(got) is int:
+            return 0 if self.wrong("goes on after a cut-off") else 2
+        return int(bool(got))
 
     def abstract(self, reply: bytes, got: list[Any]) -> tuple[list[int], list[float], bytes]:
         all_ints, all_doubles, all_chars = [], [], b""
@@ -160,6 +166,6 @@ class Asking(Client):
             if type(got[1]) is not bool and self.wrong("takes an integer terminal for an error"):
                 print("terminal is not a bool")
                 raise Quit(1)
-            all_ints.append(int(bool(got[1])))
+            all_ints.append(self.terminal_of(got[1]))
             all_doubles.append(float(got[0]))
         return all_ints, all_doubles, all_chars

@@ -6,21 +6,19 @@ For a player an exchange is a call and its answer; for an experiment, the reply 
 from __future__ import annotations
 
 import secrets
-import struct
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, Final, NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 from glue.errors import RemoteProtocolError
 from glue.protocol import zmtp
 from glue.protocol.messages import PROTOCOL_VERSION, Kind, Message, Role, Value
 from glue.protocol.wire import FROM_HUB, TO_HUB, UnknownKind, decode, encode
-from glue.testing.conform.clients import Client, Start
-from glue.testing.conform.rules import Broken, NotJudged
-from glue.testing.conform.wire import Gone, Listener, Wire
-from glue.testing.scripted import shown
-from glue.types import AbstractType, body_size
+from glue.testing.conform.hub.clients import Client, Start
+from glue.testing.conform.hub.comparing import difference, same, told
+from glue.testing.conform.hub.rules import Broken, NotJudged
+from glue.testing.conform.hub.wire import Gone, Listener, Wire
 
 __all__ = ["LULL", "MAX_BODY", "Desk", "Exchange"]
 
@@ -32,9 +30,6 @@ LULL: Final = 0.25
 
 _LOOK: Final = 0.02
 """Seconds for a look at each of two things that may happen."""
-
-_SHOWN: Final = 300
-"""Characters of a message that a verdict shows."""
 
 _T = TypeVar("_T")
 
@@ -286,11 +281,15 @@ class Desk(ABC):
     def take(self, expected: Message) -> Sequence[bytes]:
         """Receive the next message, which must be as expected; return its frames."""
         got, frames = self.next(told(expected))
+        self.matches(expected, got, frames)
+        return frames
+
+    def matches(self, expected: Message, got: Message, frames: Sequence[bytes]) -> None:
+        """Check that a message is as expected, and note it."""
         wanted = self.numbered(expected, got)
         if not same(wanted, got):
             raise Broken(told(wanted), f"{told(got)}{difference(wanted, frames)}", frames)
         self.took(got)
-        return frames
 
     # --- Exchanges ------------------------------------------------------------------------------------
 
@@ -349,46 +348,3 @@ class Desk(ABC):
     def _said(self) -> str:
         lines = self.output().strip().splitlines()
         return f"; it printed: {lines[-1]:.200}" if lines else ""
-
-
-def told(message: Message) -> str:
-    """Return a message as a verdict shows it."""
-    text = shown(message)
-    return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}... ({len(message.body)} bytes)"
-
-
-def same(wanted: Message, got: Message) -> bool:
-    """Return whether two messages are equal; any NaN equals any other."""
-    if wanted == got:
-        return True
-    return wanted[:3] == got[:3] and _plain(wanted) == _plain(got)
-
-
-def _plain(message: Message) -> list[Any]:
-    """Return scalars and body such that each NaN is the same, and negative zero another than zero."""
-    values: list[Any] = [_bits(v) if isinstance(v, float) else v for v in message.scalars]
-    body = message.body
-    shape = TO_HUB[message.kind].body.name
-    if shape not in ("OBSERVATION", "ACTION", "OBSERVATION_ACTION"):
-        return [*values, body]
-    while body:
-        size = body_size(body)
-        value = AbstractType.from_body(body[:size])
-        values += [value.counts, value.ints.tolist(), list(map(_bits, value.doubles.tolist())), value.chars]
-        body = body[size:]
-    return values
-
-
-def _bits(value: float) -> bytes:
-    return b"NaN" if value != value else struct.pack(">d", value)
-
-
-def difference(wanted: Message, frames: Sequence[bytes]) -> str:
-    """Return where the frames begin to differ from those of the message that was expected."""
-    for name, one, other in zip(("header", "body"), encode(wanted, TO_HUB), frames, strict=False):
-        if one != other:
-            at = next((i for i, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), -1)
-            if at < 0:
-                return f"; the {name} has {len(other)} bytes instead of {len(one)}"
-            return f"; byte {at} of the {name} is {other[at]:02x} instead of {one[at]:02x}"
-    return ""

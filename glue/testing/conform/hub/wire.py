@@ -14,7 +14,7 @@ from typing import Final
 from glue.errors import RemoteProtocolError
 from glue.protocol import zmtp
 from glue.protocol.limits import MAX_BODY, MAX_HEADER
-from glue.testing.conform.rules import Broken
+from glue.testing.conform.hub.rules import Broken
 
 __all__ = ["Gone", "Listener", "Wire"]
 
