@@ -18,7 +18,7 @@ __all__ = ["SOCKET", "scratch_folder"]
 
 _PREFIX: Final = "glue-"
 _OURS: Final = _PREFIX + 8 * "?"
-"""With what `tempfile` adds. To look whether another program's is in use would be to connect to its socket."""
+"""With what `tempfile` adds. To look into another program's folder is to connect to its socket."""
 
 SOCKET: Final = "hub"
 """Name of the Unix socket in such a folder."""
