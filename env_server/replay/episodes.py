@@ -22,7 +22,7 @@ from glue.options import Value, build
 from glue.players.loading import find, names
 from glue.protocol.messages import Role
 from glue.roles import Environment, SaveableEnvironment, SeedableEnvironment, offers
-from glue.trajectory import Episode, Run, TrajectoryReader
+from glue.trajectory import Episode, Run, TrajectoryError, TrajectoryReader
 from glue.types import Action, Observation
 
 __all__ = [
@@ -43,6 +43,9 @@ RecordedRun: TypeAlias = Run | GoldenRun
 _Array: TypeAlias = npt.NDArray[Any]
 
 _REWARD: Final = struct.Struct("<d")
+
+_COMPETITION: Final = b"\x89GLPLAY\n"
+"""How the records of a competition begin: docs/competition.md."""
 
 
 class Difference(GlueError):
@@ -74,10 +77,22 @@ class Moment(NamedTuple):
 
 
 def open_recording(path: str | os.PathLike[str]) -> TrajectoryReader | GoldenReader:
-    """Return the reader for the file: of glue.trajectory's format, or of the original's recordings."""
+    """Return the reader for the file: of glue.trajectory's format, or of the original's recordings.
+
+    Raises:
+        TrajectoryError: it is neither, or cannot be read.
+    """
     try:
         with open(path, "rb") as file:
-            first = zlib.decompressobj(31).decompress(file.read(4096), 1)
+            head = file.read(4096)
+        if head.startswith(_COMPETITION):
+            raise TrajectoryError(
+                f"{path} is the record of a competition, which has no observations to be shown: "
+                "glue-compete verify DIR plays it again"
+            )
+        first = zlib.decompressobj(31).decompress(head, 1)
+    except IsADirectoryError:
+        raise TrajectoryError(f"{path} is a directory: name the recordings, which are files") from None
     except (OSError, zlib.error):
         first = b""  # the reader will say what is wrong
     return GoldenReader(path) if first == b"{" else TrajectoryReader(path)

@@ -13,6 +13,7 @@ from glue import __version__
 from glue.commands import run
 from glue.console import say
 from glue.core.config import DEFAULT_HUB
+from glue.errors import ConfigError
 
 if TYPE_CHECKING:
     from experiment_runner.competition.settings import Competition
@@ -49,9 +50,15 @@ def compete() -> None:
 )
 def check(file: Path, out: Path) -> int:
     """Let every entrant start and play 3 episodes with a public level, and report to its owner."""
+    from experiment_runner.competition.secret import read_secret
     from experiment_runner.competition.smoke import check_entrants
 
-    failed = check_entrants(_load(file), out, say)
+    competition = _load(file)
+    try:
+        read_secret(competition, say)  # not needed, but no program is to inherit it
+    except ConfigError as error:
+        say(f"to be done before glue-compete run: {error}")
+    failed = check_entrants(competition, out, say)
     return 1 if failed else 0
 
 
@@ -85,7 +92,7 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
 
     competition = _load(file)
     specs = trials(competition, read_secret(competition, say))
-    with open_competition(out, file.read_text(encoding="utf-8"), specs) as store:
+    with open_competition(out, file.read_text(encoding="utf-8"), competition, specs) as store:
         gate = None if keys is None else Gate(bind, keys)
         failed = hold(store, competition, workers or max(1, (os.cpu_count() or 1) // 2), say, gate)
     if failed:

@@ -7,6 +7,8 @@ environment variable DOCKER_HOST says where.
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -20,6 +22,7 @@ from requests.exceptions import RequestException
 
 import docker
 from experiment_runner.competition.jail import LABEL, check_engine, check_image, jail, user_of
+from experiment_runner.competition.remover import MODULE as REMOVER
 from experiment_runner.competition.settings import Entrant, Limits
 from experiment_runner.competition.starting import SOCKET, Place
 from glue.console import say
@@ -27,7 +30,8 @@ from glue.errors import ConfigError, ExperimentError
 
 __all__ = ["Container", "Containers"]
 
-_DOCKER: Final = "unix:///var/run/docker.sock"
+_UNIX: Final = "unix://"
+_DOCKER: Final = f"{_UNIX}/var/run/docker.sock"
 
 _SIGNALLED: Final = 128
 """The exit status for signal 0."""
@@ -73,8 +77,12 @@ class Containers:
         (place.folder / SOCKET).chmod(0o666)
         with _asking(f"start a container for {entrant.name}"):
             made = self._engine.containers.create(entrant.image, **jail(limits, place, user))
-            container = Container(made, limits, place.log)
-            container.start()
+            try:
+                container = Container(made, limits, place.log, self._address.removeprefix(_UNIX))
+                container.start()
+            except BaseException:
+                _remove(made)
+                raise
         return container
 
     def sweep(self, run: str) -> None:
@@ -101,11 +109,15 @@ class Containers:
                 ) from None
         return settings
 
+    @property
+    def _address(self) -> str:
+        return os.environ.get("DOCKER_HOST") or _DOCKER
+
     @cached_property
     def _engine(self) -> Any:
         """The engine's client."""
-        address = os.environ.get("DOCKER_HOST") or _DOCKER
-        if not address.startswith("unix://"):
+        address = self._address
+        if not address.startswith(_UNIX):
             raise ConfigError(
                 f"DOCKER_HOST is {address}, but a container reaches the hub through a directory of this "
                 f"machine: its engine must be here too, as in DOCKER_HOST={_DOCKER}"
@@ -129,6 +141,7 @@ class Container:
         container: as the engine made it.
         limits: of the competition.
         log: the file that receives what it prints, once it is stopped.
+        address: path of the engine's socket.
 
     Attributes:
         log: as given.
@@ -136,7 +149,7 @@ class Container:
             memory has ended, whatever is left of it.
     """
 
-    def __init__(self, container: Any, limits: Limits, log: Path) -> None:
+    def __init__(self, container: Any, limits: Limits, log: Path, address: str) -> None:
         self.log = log
         self.reason: str | None = None
         self._container = container
@@ -147,6 +160,11 @@ class Container:
         )
         self._ended = threading.Event()
         self._stopped = False
+        self._remover = subprocess.Popen(
+            [sys.executable, "-P", "-m", REMOVER, address, container.id],
+            stdin=subprocess.PIPE,
+            process_group=0,
+        )
 
     def start(self) -> None:
         """Start it; an image that cannot be run ends at once.
@@ -183,7 +201,13 @@ class Container:
             with suppress(APIError):  # it has ended
                 self._container.kill()
             _remove(self._container)
+        self._dismiss()
         self.log.write_bytes(self._printed.take())
+
+    def _dismiss(self) -> None:
+        """End the remover, which has nothing left to do."""
+        self._remover.kill()
+        self._remover.communicate()
 
     def _watch(self) -> None:
         with suppress(OSError, DockerException):  # the engine is gone, or the container

@@ -126,7 +126,11 @@ class _Parser:
             self._fail(f'task {name} needs an environment, as in: env = "mario"', *where)
         if ("episodes" in table) == ("steps" in table):
             self._fail(f"task {name} needs its length: episodes = 20, or steps = 100_000", *where)
-        options = self._table(table, "options") if "options" in table else {}
+        options = table.get("options", {})
+        if not isinstance(options, dict):
+            self._fail(
+                "options must be a table, as in: options = { level_difficulty = 0 }", *where, "options"
+            )
         for option, value in options.items():
             if not isinstance(value, (bool, int, float, str)):
                 self._fail(

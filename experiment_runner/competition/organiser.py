@@ -13,7 +13,6 @@ does in an experiment: what an entrant had learned was in its process.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -33,6 +32,7 @@ from experiment_runner.competition.match import (
 from experiment_runner.competition.outside import gate_for
 from experiment_runner.competition.records.record import RecordFile, record_path
 from experiment_runner.competition.settings import Competition, Gate
+from experiment_runner.competition.starting import name_of_run
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from experiment_runner.executors.local import LocalExecutor
 from experiment_runner.plan import TrialSpec
@@ -49,6 +49,8 @@ _WAIT_SECONDS: Final = 0.1
 _MAX_LOSSES: Final = 3
 """How often the process of a match may be killed until its trial is given up."""
 
+_FOR_ITS_OWNER: Final = 0o700
+
 Say = Callable[[str], None]
 
 
@@ -57,12 +59,15 @@ def log_path(directory: Path, trial_id: str) -> Path:
     return directory / LOGS / f"{trial_id}.log"
 
 
-def open_competition(directory: Path, text: str, specs: Sequence[TrialSpec]) -> Store:
+def open_competition(
+    directory: Path, text: str, competition: Competition, specs: Sequence[TrialSpec]
+) -> Store:
     """Return the store of a competition: a new one, or the one in the directory if it is the same.
 
     Args:
         directory: contains the run, or will contain it; nobody else may read it, for the levels are there.
         text: of the competition's file.
+        competition: what that says.
         specs: all trials.
 
     Raises:
@@ -70,20 +75,25 @@ def open_competition(directory: Path, text: str, specs: Sequence[TrialSpec]) -> 
     """
     with reported(f"cannot open {directory}"):
         exists = holds_run(directory)
+        directory.mkdir(mode=_FOR_ITS_OWNER, parents=True, exist_ok=True)
     if not exists:
         files = {COMPETITION_FILE: text, ABOUT_FILE: json.dumps(about(), indent=2) + "\n"}
         store = Store.create(directory, specs, files)
-        with reported(f"cannot write to {directory}"):
-            directory.chmod(0o700)
-        store.record_event("start", program())
-        return store
-    store = Store.open(directory)
+    else:
+        store = Store.open(directory)
     try:
+        with reported(f"cannot write to {directory}"):
+            directory.chmod(_FOR_ITS_OWNER)
         recorded = [record.spec for record in store.trials()]
         if recorded != list(specs):
             why = _difference(recorded, specs)
             raise ExperimentError(f"{directory} is the run of another competition: {why}")
-        store.record_event("resume", program())
+        if _rules(competition_of(directory)) != _rules(competition):
+            raise ExperimentError(
+                f"{directory} was begun with other limits, or another number of episodes or steps: put those "
+                "of its competition.toml back, or choose another directory with --out"
+            )
+        store.record_event("resume" if exists else "start", program())
     except BaseException:
         store.close()
         raise
@@ -108,7 +118,7 @@ def matches(
     """Return what the workers do for these trials."""
     entrants = {entrant.name: entrant for entrant in competition.entrants}
     steps = {task.name: task.steps for task in competition.tasks}
-    run = hashlib.sha256(str(directory.absolute()).encode()).hexdigest()[:16]
+    run = name_of_run(directory)
     made = []
     for spec in specs:
         assert spec.agent is not None
@@ -248,6 +258,11 @@ class _Organiser:
         self._store.record_event("lost", why, trial_id)
         self._say(f"{trial_id}: {why}; it starts over")
         return match
+
+
+def _rules(competition: Competition) -> object:
+    """Return what the trials themselves do not say of how they are played."""
+    return competition.limits, [(task.name, task.episodes, task.steps) for task in competition.tasks]
 
 
 def _difference(recorded: Sequence[TrialSpec], specs: Sequence[TrialSpec]) -> str:

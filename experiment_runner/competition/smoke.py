@@ -19,18 +19,19 @@ from experiment_runner.competition.match import (
 )
 from experiment_runner.competition.secret import public_trial
 from experiment_runner.competition.settings import Competition, Entrant
+from experiment_runner.competition.starting import name_of_run
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from experiment_runner.executors.local import LocalExecutor
+from experiment_runner.lock import LOCK_FILE, RunLock
 from experiment_runner.store.database import reported
 from experiment_runner.store.records import EpisodeResult
-from glue.errors import ConfigError
+from glue.errors import ConfigError, ExperimentError
 
 __all__ = ["EPISODES", "check_entrants"]
 
 EPISODES: Final = 3
 _MAX_STEPS: Final = 1_000
 _WAIT_SECONDS: Final = 0.2
-_RUN: Final = "check"
 _LAST_LINES: Final = 20
 _MAX_TAIL: Final = 8192
 
@@ -45,8 +46,21 @@ def check_entrants(competition: Competition, directory: Path, say: Callable[[str
 
     Raises:
         ConfigError: the task has no such environment, or a wrong option.
+        ExperimentError: another process checks entrants in the same directory.
         StorageError: a report cannot be written.
     """
+    with reported(f"cannot write to {directory}"):
+        directory.mkdir(parents=True, exist_ok=True)
+        lock = RunLock(directory)
+    try:
+        return _check_entrants(competition, directory, say)
+    finally:
+        (directory / LOCK_FILE).unlink(missing_ok=True)
+        lock.release()
+
+
+def _check_entrants(competition: Competition, directory: Path, say: Callable[[str], None]) -> int:
+    run = name_of_run(directory)
     failed = 0
     for entrant in competition.entrants:
         folder = directory / entrant.name
@@ -54,7 +68,7 @@ def check_entrants(competition: Competition, directory: Path, say: Callable[[str
         with reported(f"cannot write to {folder}"):
             folder.mkdir(parents=True, exist_ok=True)
             log.write_bytes(b"")
-        episodes, problem = _try(competition, entrant, log)
+        episodes, problem = _try(competition, entrant, log, run)
         with reported(f"cannot write to {folder}"):
             (folder / "report.txt").write_text(_report(competition, entrant, episodes, problem, log), "utf-8")
         failed += problem is not None and entrant.key is None
@@ -62,21 +76,23 @@ def check_entrants(competition: Competition, directory: Path, say: Callable[[str
     return failed
 
 
-def _try(competition: Competition, entrant: Entrant, log: Path) -> tuple[list[EpisodeResult], str | None]:
+def _try(
+    competition: Competition, entrant: Entrant, log: Path, run: str
+) -> tuple[list[EpisodeResult], str | None]:
     """Return the episodes that an entrant has played, and why it could not play all of them."""
     if entrant.key is not None:
         return [], "not tried: it joins from elsewhere, with its key"
     spec = public_trial(competition, entrant.name, EPISODES, _MAX_STEPS)
-    starter = starter_for(entrant)
     try:
+        starter = starter_for(entrant)
         starter.check(entrant)
-        starter.sweep(_RUN)
-    except ConfigError as error:
+        starter.sweep(run)
+    except (ConfigError, ExperimentError) as error:
         return [], str(error)
     episodes: list[EpisodeResult] = []
     problem = None
     with LocalExecutor(1, MODULE, encode_match, decode_report) as executor:
-        executor.start(Match(spec, entrant, competition.limits, 0, log, _RUN))
+        executor.start(Match(spec, entrant, competition.limits, 0, log, run))
         while True:
             for _, report in executor.receive(_WAIT_SECONDS):
                 match report:

@@ -9,6 +9,7 @@ nobody but the agent of one session. What it finds there is all that connects it
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Final, Protocol
 
 from experiment_runner.competition.settings import Entrant, Limits
 
-__all__ = ["SOCKET", "Place", "Running", "Starter", "variables"]
+__all__ = ["SOCKET", "Place", "Running", "Starter", "name_of_run", "variables"]
 
 SOCKET: Final = "hub"
 """Name of the hub's Unix socket in the folder of a place."""
@@ -92,6 +93,15 @@ class Starter(Protocol):
     def sweep(self, run: str) -> None:
         """End what an organiser of this run that was killed has left running."""
         ...
+
+
+def name_of_run(directory: Path) -> str:
+    """Return what identifies a run among all runs of this machine: `Place.run`.
+
+    Whoever starts entrants in its name holds the lock of the directory: what bears it when a run begins was
+    left by somebody who is gone.
+    """
+    return hashlib.sha256(str(directory.absolute()).encode()).hexdigest()[:16]
 
 
 def variables(hub: str, session: str) -> Mapping[str, str]:

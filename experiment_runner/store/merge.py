@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from experiment_runner.store.database import reported
-from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
+from experiment_runner.store.layout import ABOUT_FILE, COMPETITION_FILE, PLAN_FILE
 from experiment_runner.store.records import TrialRecord
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
@@ -33,9 +33,15 @@ def merge(runs: Sequence[Results], directory: Path) -> None:
     """Create a run directory that holds the trials of all `runs`.
 
     Raises:
-        ExperimentError: a trial has different results in two runs, two trials would have the same name,
-            or the directory cannot be created. Then it is as it was before.
+        ExperimentError: a run is a competition's, a trial has different results in two runs, two trials would
+            have the same name, or the directory cannot be created. Then it is as it was before.
     """
+    for run in runs:
+        if (run.directory / COMPETITION_FILE).is_file():
+            raise ExperimentError(
+                f"{run.directory} cannot be merged: it is a competition, whose scores are verified by its "
+                f"own records; for its episodes alone there is glue-results export {run.directory}"
+            )
     sources = _choose(runs)
     plans = {_text(run.directory / PLAN_FILE) for run in runs}
     abouts = {str(run.directory): _about(run) for run in runs}

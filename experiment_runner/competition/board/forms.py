@@ -39,23 +39,24 @@ def as_text(board: Standings, width: int | None = None) -> str:
     """
     header = ("place", "entrant", "mean rank", "total", "95 % interval", "by total", *board.tasks)
     placed = [standing for standing in board.entrants if standing.place is not None]
-    lines = [board.competition, ""]
+    parts = [board.competition]
     if placed:
-        rows = [_row(standing, board) for standing in placed]
-        lines += [format_table(header, rows, width=width), ""]
-    lines += [
+        parts.append(format_table(header, [_row(standing, board) for standing in placed], width=width))
+    notes = [
         f"no place: {other.name}: {one_line(other.missing)}" for other in board.entrants if other.missing
     ]
-    lines += [
+    notes += [
         f"forfeited: {standing.name}, {forfeit.task}, trial {forfeit.trial}: {one_line(forfeit.reason)}"
         for standing in board.entrants
         for forfeit in standing.forfeits
     ]
-    lines += ["", *LEGEND, "", board.program]
+    if notes:
+        parts.append("\n".join(notes))
+    parts += ["\n".join(LEGEND), board.program]
     if board.seeds:
         seeds = [(seed.task, str(seed.trial), str(seed.seed), _options(seed.options)) for seed in board.seeds]
-        lines += ["", format_table(("task", "trial", "seed", "options"), seeds, prose=True)]
-    return "\n".join(lines)
+        parts.append(format_table(("task", "trial", "seed", "options"), seeds, prose=True))
+    return "\n\n".join(parts)
 
 
 def as_csv(board: Standings) -> str:

@@ -178,7 +178,7 @@ class _Entrant:
         if outcome.reason is not None:
             self.forfeits.append(Forfeit(task, int(number), outcome.reason))
         if verdict is None:
-            self._missing.append("not verified yet")
+            self._missing.append("not verified yet: glue-compete verify does it")
         elif verdict.problem is not None:
             self._missing.append(f"not verified: {verdict.problem}")
         elif _digest(record_path(self._results.directory, spec.id)) != verdict.digest:

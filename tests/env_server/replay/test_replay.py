@@ -613,3 +613,11 @@ def test_steps_that_are_not_read_are_passed_over() -> None:
         if isinstance(part, GoldenEpisode)
     ]
     assert len(runs) == sum(line["kind"] == "end" for line in golden_lines("variants.jsonl.gz", 10**9))
+
+
+def test_what_is_not_a_recording_is_refused_with_what_it_is(tmp_path: Path) -> None:
+    (tmp_path / "0.plays").write_bytes(b"\x89GLPLAY\n" + bytes(100))
+    with pytest.raises(TrajectoryError, match=r"record of a competition.*glue-compete verify"):
+        open_recording(tmp_path / "0.plays")
+    with pytest.raises(TrajectoryError, match="is a directory"):
+        open_recording(tmp_path)

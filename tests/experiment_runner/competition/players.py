@@ -118,6 +118,6 @@ def reports_of(
     (spec,) = trials(held, SECRET)
     match = Match(spec, held.entrants[0], held.limits, held.tasks[0].steps, folder / "log", "test")
     reports: list[Any] = []
-    starter = agent if isinstance(agent, InThread) else InThread(agent)
+    starter = agent if hasattr(agent, "sweep") else InThread(agent)
     play(match, reports.append, starter, clock=clock or time.monotonic)
     return reports

@@ -23,9 +23,11 @@ import pytest
 from experiment_runner.competition.organiser import competition_of
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.verify import verify
+from experiment_runner.lock import LOCK_FILE, RunLock
 from experiment_runner.store.store import Store
 from tests.proof import size
 from tests.terminal import BIN
+from tests.terminal import run as terminal_run
 
 pytestmark = pytest.mark.slow
 
@@ -201,6 +203,57 @@ def test_another_secret_is_another_competition(held: Path) -> None:
     assert len(refused.stderr.splitlines()) == 1
 
 
+@pytest.mark.parametrize(
+    ("old", "new"), [("bank_seconds = 1.0", "bank_seconds = 2.0"), ("steps", "episodes")]
+)
+def test_other_limits_and_other_lengths_are_another_competition(
+    old: str, new: str, run: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "agent.py").write_text(AGENT)
+    (tmp_path / "spring.toml").write_text(FILE.replace(old, new))
+    refused = compete(tmp_path, "run", "spring.toml", "--out", "run")
+    assert refused.returncode == 1
+    assert "begun with other limits" in refused.stderr
+    assert len(refused.stderr.splitlines()) == 1
+
+
+def test_a_directory_that_an_organiser_has_left_open_is_closed(run: Path, held: Path) -> None:
+    """It is killed before its mode is right, or somebody has changed that: the levels are in there."""
+    run.chmod(0o755)
+    assert compete(held, "run", "spring.toml", "--out", str(run)).returncode == 0
+    assert run.stat().st_mode & 0o077 == 0
+
+
+def test_two_checks_do_not_write_to_one_directory(tmp_path: Path) -> None:
+    (tmp_path / "spring.toml").write_text(FILE)
+    (tmp_path / "check").mkdir()
+    lock = RunLock(tmp_path / "check")
+    refused = compete(tmp_path, "check", "spring.toml")
+    lock.release()
+    assert refused.returncode == 1
+    assert "check is in use by process" in refused.stderr
+    assert "--out" in refused.stderr
+
+
+def test_runs_are_shown_and_removed_but_not_merged(run: Path) -> None:
+    """Their standings need the records; and nothing of them is left, neither levels nor logs."""
+    shown = results(run, "show")
+    assert shown.returncode == 0, shown.stderr
+    assert "walk, mines" in shown.stdout
+    refused = results(run, "merge", "--out", str(run.parent / "merged"))
+    assert refused.returncode == 1
+    assert f"glue-results export {run}" in refused.stderr
+    assert not (run.parent / "merged").exists()
+    assert results(run, "export").returncode == 0
+    assert results(run, "remove", "--yes").returncode == 0
+    assert not run.exists()
+
+
+def results(run: Path, command: str, *options: str) -> subprocess.CompletedProcess[str]:
+    """Run `glue-results` on a run."""
+    return terminal_run("glue-results", command, str(run), *options, cwd=run.parent)
+
+
 @pytest.mark.proof
 def test_random_changes_of_a_record_are_found(run: Path) -> None:
     chance = random.Random(1)
@@ -279,7 +332,8 @@ def test_check_reports_to_every_owner(held: Path, tmp_path: Path) -> None:
     assert set(reports) == {"walk", "crash", "raise", "sleep"}
     assert "episode 3: return" in reports["walk"]
     assert "status 7" in reports["crash"]
-    assert all(f"I am {name}" in report for name, report in reports.items())
+    assert all(f"I am {name} ['GLUE_HUB', 'GLUE_SESSION']" in report for name, report in reports.items())
+    assert not (tmp_path / "check" / LOCK_FILE).exists()
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,209 @@
+"""Nothing but actions, observations and rewards passes between an entrant and its environment."""
+
+from __future__ import annotations
+
+import os
+import struct
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, ClassVar
+
+import pytest
+import zmq
+
+from env_server.toys import MinesEnvironment
+from experiment_runner.competition.match import Forfeited
+from experiment_runner.competition.secret import trials
+from experiment_runner.competition.settings import Entrant, Limits
+from experiment_runner.competition.starting import Place, variables
+from experiment_runner.executors.job import Ended
+from glue.core.config import TimeLimits
+from glue.core.engine import role_seed
+from glue.options import Option
+from glue.protocol.messages import CALLS, PROTOCOL_VERSION, Body, Kind, Message, Role
+from glue.protocol.wire import FROM_HUB, TO_HUB, decode, encode
+from glue.types import Action, Observation
+from tests.experiment_runner.competition.players import SECRET, competition, reports_of
+
+CANARY = "sings in the mine"
+
+ASKED = {
+    *(Kind.AGENT_SEED, Kind.AGENT_INIT, Kind.AGENT_START, Kind.AGENT_STEP, Kind.AGENT_END),
+    Kind.AGENT_CLEANUP,
+}
+"""What an agent is asked in a competition: no message, and no save."""
+
+TO_KEEP_UP = {Kind.WELCOME, Kind.HEARTBEAT, Kind.GOODBYE}
+
+SMUGGLED = [
+    *(Kind.ENV_MESSAGE, Kind.RL_ENV_MESSAGE, Kind.RL_AGENT_MESSAGE, Kind.AGENT_MESSAGE, Kind.NOTICE),
+    *(Kind.ENV_STEP, Kind.ENV_SEED, Kind.RL_ENV_LOAD, Kind.RL_STEP),
+]
+
+
+class Listening(MinesEnvironment):
+    """Mines on a level of a secret seed, with every capability; notes what it is asked."""
+
+    heard: ClassVar[list[str]] = []
+
+    def __init__(self, level_seed: Annotated[int, Option("which level", low=0)] = 0) -> None:
+        super().__init__(random_start=True)
+
+    def env_init(self) -> str:
+        self.heard.append("init")
+        return super().env_init()
+
+    def env_seed(self, seed: int) -> None:
+        self.heard.append("seed")
+        super().env_seed(seed)
+
+    def env_start(self) -> Observation:
+        self.heard.append("start")
+        return super().env_start()
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        self.heard.append("step")
+        assert (len(action.ints), len(action.doubles), bytes(action.chars)) == (1, 0, b"")
+        return super().env_step(action)
+
+    def env_message(self, message: str) -> str:
+        self.heard.append(f"message {message}")
+        return CANARY
+
+    def env_save(self) -> bytes:
+        self.heard.append("save")
+        return b""
+
+    def env_load(self, data: bytes) -> None:
+        self.heard.append("load")
+
+
+class RawAgent:
+    """An entrant that keeps every byte it gets, and once sends what it likes; see `Starter`."""
+
+    def __init__(self, action: Action, smuggled: Kind | None = None) -> None:
+        self.action = action
+        self.smuggled = smuggled
+        self.received: list[bytes] = []
+        self.kinds: set[Kind] = set()
+        self.told: list[str] = []
+
+    def check(self, entrant: Entrant) -> None:
+        pass
+
+    def sweep(self, run: str) -> None:
+        pass
+
+    def start(self, entrant: Entrant, limits: Limits, place: Place) -> _Running:
+        self.told += [str(place.folder), *variables(place.hub, place.session).values()]
+        return _Running(self, place)
+
+    def serve(self, place: Place, over: threading.Event) -> None:
+        with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
+            socket.linger = 0
+            socket.connect(place.hub)
+            hello = ((PROTOCOL_VERSION,), "agent", os.urandom(16), CANARY, CANARY, ("seed", "save"))
+            socket.send_multipart(encode(Message(Kind.HELLO, place.session, 0, hello), TO_HUB))
+            while not over.is_set():
+                if socket.poll(50):
+                    self._take(socket, socket.recv_multipart(), place)
+
+    def _take(self, socket: Any, frames: list[bytes], place: Place) -> None:
+        self.received += frames
+        kind, session, seq, _, _ = decode(frames, FROM_HUB)
+        self.kinds.add(kind)
+        if kind not in CALLS:
+            return
+        if kind is Kind.AGENT_STEP and self.smuggled is not None:
+            socket.send_multipart(self._smuggle(self.smuggled, place))
+            self.smuggled = None
+        acts = CALLS[kind].reply.body is Body.ACTION
+        body = self.action.body if acts else b""
+        socket.send_multipart(encode(Message(kind, session, seq, (), body), TO_HUB))
+
+    @staticmethod
+    def _smuggle(kind: Kind, place: Place) -> tuple[bytes, ...]:
+        """A message that is well formed, but not for its sender."""
+        scalars = {int: 1, float: 1.0, bool: True, str: CANARY, bytes: CANARY.encode()}
+        shape = TO_HUB[kind]
+        values = tuple(scalars.get(scalar.type, ()) for scalar in shape.scalars)
+        body = Action(chars=CANARY.encode()).body if shape.body is Body.ACTION else CANARY.encode()
+        return encode(Message(kind, place.session, 1, values, body if shape.body else b""), TO_HUB)
+
+
+class _Running:
+    reason: str | None = None
+
+    def __init__(self, agent: RawAgent, place: Place) -> None:
+        self.log = place.log
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=agent.serve, args=(place, self._over))
+        self._thread.start()
+
+    def wait(self, seconds: float) -> bool:
+        self._over.wait(min(seconds, 0.05))
+        return False
+
+    def stop(self) -> None:
+        self._over.set()
+        self._thread.join()
+
+
+@pytest.fixture
+def heard() -> Iterator[list[str]]:
+    Listening.heard.clear()
+    yield Listening.heard
+    Listening.heard.clear()
+
+
+ENV = f"{__name__}:Listening"
+LIMITS = TimeLimits(start_seconds=10.0)
+
+
+def test_no_message_passes_between_an_entrant_and_its_environment(heard: list[str], tmp_path: Path) -> None:
+    agent = RawAgent(Action(ints=[1]))
+    reports = reports_of(agent, tmp_path, env=ENV, limits=LIMITS)
+    assert reports[-1] == Ended(None)
+    assert not any(isinstance(report, Forfeited) for report in reports)
+    assert set(heard) == {"seed", "init", "start", "step"}
+    assert agent.kinds - TO_KEEP_UP == ASKED
+    assert not any(CANARY.encode() in frame for frame in agent.received)
+
+
+@pytest.mark.parametrize("kind", SMUGGLED)
+def test_what_an_entrant_smuggles_in_does_not_reach_its_environment(
+    kind: Kind, heard: list[str], tmp_path: Path
+) -> None:
+    agent = RawAgent(Action(ints=[1]), smuggled=kind)
+    reports = reports_of(agent, tmp_path, env=ENV, limits=LIMITS, steps=10)
+    assert agent.smuggled is None
+    assert reports[-1] == Ended(None)
+    assert set(heard) <= {"seed", "init", "start", "step"}
+    assert heard.count("step") <= 10
+    assert agent.kinds <= ASKED | TO_KEEP_UP | {Kind.ERROR}
+    assert not any(CANARY.encode() in frame for frame in agent.received)
+
+
+@pytest.mark.parametrize(("env", "action"), [(ENV, [1]), ("mario", [1, 0, 1])])
+def test_an_entrant_never_sees_a_seed(env: str, action: list[int], tmp_path: Path) -> None:
+    agent = RawAgent(Action(ints=action))
+    reports = reports_of(agent, tmp_path, env=env, limits=LIMITS)
+    assert reports[-1] == Ended(None)
+    seen = b"\n".join([*agent.received, *map(str.encode, agent.told)])
+    assert Kind.AGENT_SEED in agent.kinds  # its own, which says nothing of these
+    for secret in secrets(env):
+        assert secret not in seen
+
+
+def secrets(env: str) -> Iterator[bytes]:
+    """The secret and what is drawn from it for the environment, in every usual form."""
+    (spec,) = trials(competition("alice", env=env), SECRET)
+    assert spec.environment is not None
+    yield SECRET
+    for number in (spec.seed, role_seed(spec.seed, Role.ENVIRONMENT), spec.environment.options["level_seed"]):
+        assert isinstance(number, int)
+        yield from (str(number).encode(), f"{number:x}".encode())
+        for form in ("<Q", ">Q") if number >= 2**32 else ("<I", ">I"):
+            yield struct.pack(form, number)
+        yield struct.pack("<d", number)
