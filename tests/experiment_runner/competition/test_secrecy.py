@@ -125,7 +125,7 @@ class RawAgent:
     @staticmethod
     def _smuggle(kind: Kind, place: Place) -> tuple[bytes, ...]:
         """A message that is well formed, but not for its sender."""
-        scalars = {int: 1, float: 1.0, bool: True, str: CANARY, bytes: CANARY.encode()}
+        scalars: dict[type, Any] = {int: 1, float: 1.0, bool: True, str: CANARY, bytes: CANARY.encode()}
         shape = TO_HUB[kind]
         values = tuple(scalars.get(scalar.type, ()) for scalar in shape.scalars)
         body = Action(chars=CANARY.encode()).body if shape.body is Body.ACTION else CANARY.encode()
