@@ -95,9 +95,10 @@ class _Sprite:
 
 @dataclass(slots=True)
 class _Column:
-    """A column on the input link: its tiles from top to bottom, and their elements by row."""
+    """A column on the input link: its link to the left, its tiles from top to bottom, their elements by row."""
 
     element: Element
+    left: Element | None
     tiles: bytes
     elements: dict[int, Element]
 
@@ -208,7 +209,7 @@ class MarioLink(Link):
     def _put_columns(self, seen: Seen) -> None:
         first = seen.camera
         for number in [n for n in self._columns if not first <= n < first + COLUMNS]:
-            self._kernel.remove(self._columns.pop(number).element)
+            self._drop_column(number)
         for k in range(COLUMNS):
             column = self._columns.get(first + k) or self._add_column(first + k)
             tiles = seen.chars[k :: COLUMNS + 1].replace(bytes([MARIO]), bytes([BLANK]))
@@ -217,14 +218,23 @@ class MarioLink(Link):
 
     def _add_column(self, number: int) -> _Column:
         kernel = self._kernel
-        column = _Column(kernel.add_identifier(kernel.input, "column"), _EMPTY, {})
+        column = _Column(kernel.add_identifier(kernel.input, "column"), None, _EMPTY, {})
         kernel.add_int(column.element, "number", number)
-        if number - 1 in self._columns:
-            kernel.add_link(column.element, "left", self._columns[number - 1].element)
-        if number + 1 in self._columns:
-            kernel.add_link(self._columns[number + 1].element, "left", column.element)
         self._columns[number] = column
+        for right in (number, number + 1):
+            if right in self._columns and right - 1 in self._columns:
+                self._columns[right].left = kernel.add_link(
+                    self._columns[right].element, "left", self._columns[right - 1].element
+                )
         return column
+
+    def _drop_column(self, number: int) -> None:
+        kernel = self._kernel
+        right = self._columns.get(number + 1)
+        if right is not None and right.left is not None:  # Soar would keep it, and with it the column
+            kernel.remove(right.left)
+            right.left = None
+        kernel.remove(self._columns.pop(number).element)
 
     def _put_tiles(self, column: _Column, tiles: bytes) -> None:
         kernel = self._kernel

@@ -166,8 +166,9 @@ class SoarPlayer(abc.ABC):
         return self._kernel, self._link
 
     def _reinitialize(self, kernel: Kernel) -> None:
-        self._cycles += kernel.cycles
-        kernel.reinitialize()
+        if kernel.cycles:
+            self._cycles += kernel.cycles
+            kernel.reinitialize()
 
     def _exploration(self, kernel: Kernel) -> list[float]:
         return [float(kernel.command(f"decide indifferent-selection --{name}")) for name in _EXPLORATION]
