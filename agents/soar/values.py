@@ -1,0 +1,52 @@
+"""What a Soar agent of Mario's has learned: values by what its rules test.
+
+    keystroke   in a state that is described by a text, of which several may add up
+    operator    by its object, described by a text
+    context     an operator's name, and which kinds of objects there are to choose from
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import Final, NamedTuple
+
+from glue.errors import SaveError
+
+__all__ = ["CONTEXT", "KEYSTROKE", "OPERATOR", "Learned", "learned_values"]
+
+KEYSTROKE: Final = "keystroke"
+OPERATOR: Final = "operator"
+CONTEXT: Final = "context"
+
+_TEST: Final = re.compile(r"\^(sees|keystroke|context|name)\s+\|?([^\s|)]+)")
+_VALUE: Final = re.compile(r"\^operator <[\w*-]+> = (-?\d+\.\d+)\)\s*\}\s*$")
+
+
+class Learned(NamedTuple):
+    """What a value is of: the kind of it, the text that describes the state, and what was chosen there."""
+
+    kind: str
+    seen: str
+    chosen: str
+
+
+def learned_values(rules: Iterable[str]) -> dict[Learned, float]:
+    """Return the values of rules, as `agents.soar.rules.parse_rules` gives them.
+
+    Raises:
+        SaveError: a rule is not one of the productions that come with Mario's agents.
+    """
+    values = {}
+    for rule in rules:
+        tests, value = dict(_TEST.findall(rule)), _VALUE.search(rule)
+        if value is None or not tests.keys() & {"sees", "context"}:
+            raise SaveError(f"this rule is not of an agent for Mario: {rule!r:.200}")
+        if "keystroke" in tests:
+            key = Learned(KEYSTROKE, tests["sees"], tests["keystroke"])
+        elif "sees" in tests:
+            key = Learned(OPERATOR, tests["sees"], "")
+        else:
+            key = Learned(CONTEXT, tests["context"], tests["name"])
+        values[key] = float(value.group(1))
+    return values

@@ -1,0 +1,189 @@
+"""What Soar's reinforcement learning makes of a game, value by value: SARSA at both levels, as docs/soar.md says."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pytest
+
+from agents.soar.agents import (
+    SoarFlatAgent,
+    SoarHierarchicalAgent,
+    SoarHierarchicalInternalAgent,
+    SoarHierarchicalProgrammedAgent,
+    SoarObjectsCoarseAgent,
+)
+from agents.soar.rules import parse_rules
+from agents.soar.values import CONTEXT, KEYSTROKE, OPERATOR, Learned, learned_values
+from env_server.mario.environment import InfiniteMario
+from tests.agents.soar.memory import Memory, working_memory
+
+pytest.importorskip("soar_sml", reason="agents on the Soar kernel need it: pip install 'glue-rl[soar]'")
+
+STEP_SIZE, DISCOUNT = 0.3, 0.9
+Keys = Sequence[Learned]
+
+
+class Textbook:
+    """SARSA on the sum of values, each kept in two parts as Soar does: the reward, and what comes after it.
+
+    A state that is left for good, as a substate is when its FLO ends, teaches only the reward; what was expected
+    to come after it stays. The last operator of the top state learns only from the next one.
+    """
+
+    def __init__(self) -> None:
+        self.rewards: dict[Learned, float] = defaultdict(float)
+        self.futures: dict[Learned, float] = defaultdict(float)
+
+    def value(self, keys: Keys) -> float:
+        return sum(self.rewards[key] + self.futures[key] for key in keys)
+
+    def update(self, keys: Keys, reward: float, future: float | None) -> None:
+        to_reward = reward - sum(self.rewards[key] for key in keys)
+        to_future = 0.0 if future is None else future - sum(self.futures[key] for key in keys)
+        for key in keys:
+            self.rewards[key] += STEP_SIZE / len(keys) * to_reward
+            self.futures[key] += STEP_SIZE / len(keys) * to_future
+
+
+class Watched:
+    """An agent's choices, read from its working memory after a step."""
+
+    def __init__(self, agent: Any) -> None:
+        stack = agent._kernel.command("print --stack")
+        selected = re.findall(r" O: (\w+) ", stack)
+        states = re.findall(r"==>S: (\w+)", stack)
+        self.memory = {
+            **working_memory(agent._kernel, "s1", 2),
+            **working_memory(agent._kernel, states[-1], 2),
+            **working_memory(agent._kernel, "i2", 5),
+        }
+        self.flo = selected[0]
+        self.keystroke = self.memory[selected[-1]]
+        top = self.memory[self.flo]
+        self.flo_name = top["name"][0]
+        self.object: Mapping[str, list[str]] = self.memory.get(top.get("object", [""])[0], {})
+        self.object_place = place(self.memory, top.get("object", [""])[0])
+
+    def flo_keys(self) -> Keys:
+        top = self.memory[self.flo]
+        keys = [Learned(OPERATOR, text, "") for text in top.get("sees", [])]
+        return keys + [Learned(CONTEXT, text, self.flo_name) for text in top.get("context", [])]
+
+    def keystroke_keys(self) -> Keys:
+        name = self.keystroke["keystroke"][0]
+        return [Learned(KEYSTROKE, text, name) for text in self.keystroke.get("sees", [])]
+
+
+def place(memory: Memory, tile: str) -> tuple[str, str] | None:
+    """Return the column and the row of a tile, if it is one in view."""
+    for column in memory["I2"]["column"]:
+        if tile in memory[column].get("tile", []):
+            return memory[column]["number"][0], memory[tile]["row"][0]
+    return None
+
+
+def goal_reached(before: Watched, now: Memory) -> bool:
+    """Return whether the object of an FLO that has ended is gone, or a monster more than three tiles behind."""
+    if before.flo_name == "tackle-monster":
+        monsters = {now[monster]["id"][0]: now[monster] for monster in now["I2"]["monster"]}
+        left = monsters.get(before.object["id"][0])
+        return left is None or int(left["dx"][0]) < -6
+    assert before.object_place is not None
+    number, row = before.object_place
+    columns = {now[column]["number"][0]: now[column] for column in now["I2"]["column"]}
+    if number not in columns:
+        return False
+    there = [now[tile]["type"] for tile in columns[number].get("tile", []) if now[tile]["row"] == [row]]
+    return there != [before.object["type"]]
+
+
+def follow(agent: Any, episodes: int, level: Mapping[str, int], internal: bool) -> Textbook:
+    """Play, and learn beside the agent from what it chooses."""
+    book = Textbook()
+    game = InfiniteMario(**level)
+    agent.agent_seed(2)
+    agent.agent_init(game.env_init())
+    for _ in range(episodes):
+        action, reward, terminal = agent.agent_start(game.env_start()), 0.0, False
+        before: Watched | None = None
+        klo: Keys = ()
+        flo: Keys = ()
+        total, weight = 0.0, 1.0
+        while not terminal:
+            now = Watched(agent)
+            total += weight * reward
+            if before is not None and now.flo == before.flo:
+                earned = -0.01 if internal else reward
+                book.update(klo, earned, DISCOUNT * book.value(now.keystroke_keys()))
+            else:
+                if before is not None and klo:
+                    earned = -0.01 + goal_reached(before, now.memory) if internal else reward
+                    book.update(klo, earned, None)
+                if now.flo_keys():
+                    book.update(flo, total, weight * DISCOUNT * book.value(now.flo_keys()))
+                    flo, total, weight = now.flo_keys(), 0.0, 1.0
+                else:
+                    weight *= DISCOUNT
+            klo = now.keystroke_keys()
+            before = now
+            reward, observation, terminal = game.env_step(action)
+            if terminal:
+                agent.agent_end(reward)
+            else:
+                action = agent.agent_step(reward, observation)
+        if klo:
+            book.update(klo, -0.01 - 10 * (reward < 0) if internal else reward, None)
+    return book
+
+
+def flat(agent: Any, episodes: int) -> Textbook:
+    """The same for the flat agent, which has one level."""
+    book = Textbook()
+    game = InfiniteMario()
+    agent.agent_seed(2)
+    agent.agent_init(game.env_init())
+    for _ in range(episodes):
+        action, reward, terminal = agent.agent_start(game.env_start()), 0.0, False
+        last: Keys = ()
+        while not terminal:
+            now = Watched(agent).keystroke_keys()
+            book.update(last, reward, DISCOUNT * book.value(now))
+            last = now
+            reward, observation, terminal = game.env_step(action)
+            if terminal:
+                agent.agent_end(reward)
+            else:
+                action = agent.agent_step(reward, observation)
+    return book
+
+
+def check(agent: Any, book: Textbook) -> None:
+    found = learned_values(parse_rules(agent._kernel.value_rules()))
+    agent.agent_cleanup()
+    expected = {key: book.value([key]) for key in found}
+    assert len([value for value in expected.values() if value]) > 50
+    assert book.rewards.keys() == found.keys()
+    assert found == pytest.approx(expected, abs=2e-6)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        SoarHierarchicalProgrammedAgent,
+        SoarHierarchicalAgent,
+        SoarHierarchicalInternalAgent,
+        SoarObjectsCoarseAgent,
+    ],
+)
+def test_both_levels_learn_what_the_textbook_says(kind: type[Any]) -> None:
+    agent = kind()
+    check(agent, follow(agent, 4, {"level_difficulty": 0}, kind is SoarHierarchicalInternalAgent))
+
+
+def test_the_flat_agent_learns_what_the_textbook_says_but_for_the_last_reward() -> None:
+    agent = SoarFlatAgent()
+    check(agent, flat(agent, 4))
