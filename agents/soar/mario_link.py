@@ -95,7 +95,7 @@ class _Sprite:
 
 @dataclass(slots=True)
 class _Column:
-    """A column on the input link: its link to the left, its tiles from top to bottom, their elements by row."""
+    """A column on the input link: its link to the left, its tiles from top to bottom, and their elements."""
 
     element: Element
     left: Element | None

@@ -1,8 +1,8 @@
 """What a Soar agent of Mario's has learned: values by what its rules test.
 
-    keystroke   in a state that is described by a text, of which several may add up
-    operator    by its object, described by a text
-    context     an operator's name, and which kinds of objects there are to choose from
+keystroke   in a state that is described by a text, of which several may add up
+operator    by its object, described by a text
+context     an operator's name, and which kinds of objects there are to choose from
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from agents.soar.agents import SoarHierarchicalAgent, SoarHierarchicalFactsAgent
 from agents.soar.mario_link import _SPRITES
 from env_server.mario.environment import InfiniteMario
 from glue.types import Observation
-from tests.agents.soar.memory import working_memory
+from tests.agents.soar.memory import Memory, working_memory
 
 if TYPE_CHECKING:
     from tests.agents.conftest import Watcher
@@ -91,9 +92,8 @@ def ours(things: Sequence[Object], absolute: bool) -> tuple[Counter[Any], Counte
     return relations, proposed
 
 
-def soars(agent: Any) -> tuple[Counter[Any], Counter[Any]]:
-    """Return the same from Soar's working memory."""
-    memory = working_memory(agent._kernel, "i2", 5)
+def soars(memory: Memory, operators: Memory) -> tuple[Counter[Any], Counter[Any]]:
+    """Return the same from Soar's working memory: its input link and its top state."""
     relations: Counter[Any] = Counter()
     link = memory["I2"]
     for monster in link["monster"]:
@@ -110,7 +110,6 @@ def soars(agent: Any) -> tuple[Counter[Any], Counter[Any]]:
                 relations["pit", int(memory[pit]["start"][0]), int(memory[pit]["dx"][0])] += 1
 
     proposed: Counter[Any] = Counter()
-    operators = working_memory(agent._kernel, "s1", 2)
     for operator in operators["S1"]["operator+"]:
         its = operators[operator]
         name = its["name"][0]
@@ -122,6 +121,19 @@ def soars(agent: Any) -> tuple[Counter[Any], Counter[Any]]:
             thing = memory[its["object"][0]]
             proposed[name, thing["type"][0], int(thing["dx"][0]), int(thing["dy"][0])] += 1
     return relations, proposed
+
+
+def identities(operators: Memory) -> dict[tuple[str, str], str]:
+    """Return the operators that are proposed, by their names and objects."""
+    found = {}
+    for operator in operators["S1"]["operator+"]:
+        its = operators[operator]
+        found[its["name"][0], its.get("object", its.get("start", [""]))[0]] = operator
+    return found
+
+
+def platforms(memory: Memory) -> set[tuple[str, ...]]:
+    return {(*its["start"], *its["end"], *its["lowest"]) for its in memory.values() if "start-dx" in its}
 
 
 @pytest.mark.parametrize("kind", AGENTS)
@@ -139,9 +151,12 @@ def test_relations_and_proposals_are_those_of_our_own_agents(
     agent.agent_init(InfiniteMario().env_init())
     seen: Counter[str] = Counter()
     begins = True
+    known: dict[tuple[str, str], str] = {}
+    built: set[tuple[str, ...]] = set()
     for observation in observations(task, seed=task["level_seed"], count=OBSERVATIONS // len(LEVELS)):
         if observation is None:
             begins = True
+            known = {}
             continue
         if begins:
             agent.agent_start(observation)
@@ -149,7 +164,30 @@ def test_relations_and_proposals_are_those_of_our_own_agents(
         else:
             agent.agent_step(-0.01, observation)
         expected = ours(watcher(observation), absolute)
-        assert soars(agent) == expected
+        memory = working_memory(agent._kernel, "i2", 5)
+        operators = working_memory(agent._kernel, "s1", 2)
+        assert soars(memory, operators) == expected
+        now = identities(operators)
+        if platforms(memory) == built:
+            assert {name: now[name] for name in now.keys() & known.keys()}.items() <= known.items(), (
+                "an FLO that is still proposed goes on: Soar must not open it anew"
+            )
+        known, built = now, platforms(memory)
         seen.update(name for name, *_ in expected[1])
     agent.agent_cleanup()
     assert len(seen) > 2, "the levels must show something to compare"
+
+
+def test_a_column_that_has_left_the_view_is_gone() -> None:
+    agent = SoarHierarchicalAgent(seed=1)
+    agent.agent_init(InfiniteMario().env_init())
+    begins = True
+    for observation in observations(LEVELS[0], seed=1, count=120):
+        if observation is not None:
+            (agent.agent_start if begins else partial(agent.agent_step, -0.01))(observation)
+        begins = observation is None
+    memory = working_memory(agent._kernel, "i2", 3)
+    columns = {int(memory[column]["number"][0]): memory[column] for column in memory["I2"]["column"]}
+    assert min(columns) > 0
+    assert [number for number in columns if "left" not in columns[number]] == [min(columns)]
+    agent.agent_cleanup()
