@@ -96,10 +96,10 @@ def goal_reached(before: Watched, now: Memory) -> bool:
     return there != [before.object["type"]]
 
 
-def follow(agent: Any, episodes: int, level: Mapping[str, int], internal: bool) -> Textbook:
+def follow(agent: Any, episodes: int, internal: bool) -> Textbook:
     """Play, and learn beside the agent from what it chooses."""
     book = Textbook()
-    game = InfiniteMario(**level)
+    game = InfiniteMario()
     agent.agent_seed(2)
     agent.agent_init(game.env_init())
     for _ in range(episodes):
@@ -176,7 +176,7 @@ def check(agent: Any, book: Textbook) -> None:
 )
 def test_both_levels_learn_what_the_textbook_says(kind: type[Any]) -> None:
     agent = kind()
-    check(agent, follow(agent, 3, {"level_difficulty": 0}, kind is SoarHierarchicalInternalAgent))
+    check(agent, follow(agent, 3, kind is SoarHierarchicalInternalAgent))
 
 
 def test_the_flat_agent_learns_what_the_textbook_says_but_for_the_last_reward() -> None:

@@ -186,6 +186,7 @@ def test_a_column_that_has_left_the_view_is_gone() -> None:
         if observation is not None:
             (agent.agent_start if begins else partial(agent.agent_step, -0.01))(observation)
         begins = observation is None
+    assert agent._kernel is not None
     memory = working_memory(agent._kernel, "i2", 3)
     columns = {int(memory[column]["number"][0]): memory[column] for column in memory["I2"]["column"]}
     assert min(columns) > 0
