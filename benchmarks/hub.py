@@ -32,6 +32,9 @@ _STEPS = 5000
 _ACTION_SIZE = 20
 _SESSIONS = (1, 64, 256, 1024)
 _COMPARED = 64
+_EACH = 100
+"""Steps of an episode where there are many sessions."""
+_MAX_SEATS = HubConfig().max_seats
 _SMALL, _MARIO = SIZES
 _VECTOR_ENV = "Gymnasium's AsyncVectorEnv, one environment"
 _DM_ENV_RPC = "dm_env_rpc"
@@ -241,12 +244,16 @@ def _hub(transport: str) -> Iterator[Hub]:
 @contextmanager
 def _many_sessions(number: int) -> Iterator[Measure]:
     with ExitStack() as stack:
-        url = stack.enter_context(_hub("tcp")).endpoints[0]
-        pids = [stack.enter_context(serving(role, _SMALL, url, number)) for role in ("environment", "agent")]
+        hub = stack.enter_context(_hub("tcp"))
+        url = hub.endpoints[0]
+        pids = [
+            stack.enter_context(serving(role, _SMALL, url, range(start, min(start + _MAX_SEATS, number))))
+            for start in range(0, number, _MAX_SEATS)
+            for role in ("environment", "agent")
+        ]
         glues = [stack.enter_context(connect(url, str(i))) for i in range(number)]
         pool = stack.enter_context(ThreadPoolExecutor(number))
         list(pool.map(lambda glue: glue.rl_init(), glues))
-        steps = max(_STEPS // number, 20)
         yield lambda: rate(
-            lambda: list(pool.map(lambda glue: glue.rl_episode(steps), glues)), number * steps, pids
+            lambda: list(pool.map(lambda glue: glue.rl_episode(_EACH), glues)), number * _EACH, pids
         )

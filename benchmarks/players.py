@@ -70,10 +70,11 @@ class Still:
 
 @contextmanager
 def serving(
-    role: str, size: str, url: str, sessions: int = 1, variables: Mapping[str, str] = os.environ
+    role: str, size: str, url: str, sessions: range = range(1), variables: Mapping[str, str] = os.environ
 ) -> Iterator[int]:
-    """Serve `sessions` agents or environments from a process of their own, whose number is given."""
-    command = [sys.executable, "-m", "benchmarks.players", role, size, url, str(sessions)]
+    """Serve agents or environments of `sessions` from a process of their own, whose number is given."""
+    command = [sys.executable, "-m", "benchmarks.players", role, size, url]
+    command += [str(sessions.start), str(sessions.stop)]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL, env=dict(variables))
     try:
         yield process.pid
@@ -82,8 +83,8 @@ def serving(
         process.wait()
 
 
-def _main(role: str, size: str, url: str, sessions: str) -> None:
-    names = [str(number) for number in range(int(sessions))]
+def _main(role: str, size: str, url: str, start: str, stop: str) -> None:
+    names = [str(number) for number in range(int(start), int(stop))]
     key, hub_key = os.environ.get("GLUE_KEY"), os.environ.get("GLUE_HUB_KEY")
     if role == "agent":
         serve_agent({name: Still() for name in names}, url, key=key, hub_key=hub_key)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import platform
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
 from glue.client.place import OwnKey
@@ -94,8 +94,7 @@ class Link:
         Raises:
             LocalProtocolError: the body is larger than the hub accepts.
         """
-        if len(message.body) > self._max_body:
-            raise self._too_large(message.kind, message.body)
+        self.check_size(message.kind, message.body)
         self._transport.send_message(message)
 
     def receive(self) -> Message | None:
@@ -131,12 +130,33 @@ class Link:
             yield from self._transport.receive_steps(form, after, self._max_body)
             self._received = time.monotonic()
 
+    def receive_batches(self, forms: Mapping[bytes, StepFormat]) -> Iterator[list[tuple[StepFormat, Step]]]:
+        """As `receive_steps`, for several sessions: yield all messages of any of `forms` received at once."""
+        if isinstance(self._transport, SocketTransport):
+            yield from self._transport.receive_batches(forms, self._max_body)
+            self._received = time.monotonic()
+
     def send_step(self, form: StepFormat, seq: int, scalars: tuple[Value, ...], body: bytes) -> None:
         """Send the answer to what `receive_steps` yielded; as `send`."""
         if len(body) > self._max_body:
-            raise self._too_large(form.kind, body)
+            self.check_size(form.kind, body)
         assert isinstance(self._transport, SocketTransport)
         self._transport.send_data(form.head(seq, scalars, len(body)), body)
+
+    def send_steps(self, answers: Sequence[tuple[StepFormat, Step]]) -> None:
+        """Send answers to what `receive_batches` yielded, their sizes checked, in one system call."""
+        parts = []
+        for form, (seq, scalars, body) in answers:
+            parts += (form.head(seq, scalars, len(body)), body)
+        assert isinstance(self._transport, SocketTransport)
+        self._transport.send_data(b"", b"".join(parts))
+
+    def check_size(self, kind: Kind, body: bytes) -> None:
+        """Raise LocalProtocolError if the hub does not accept a body so large."""
+        if len(body) > self._max_body:
+            raise LocalProtocolError(
+                f"the body of {kind.name} has {len(body)} bytes; the hub takes {self._max_body}"
+            )
 
     def close(self, reason: str) -> None:
         """Say goodbye to the hub, if there is one, and close."""
@@ -150,11 +170,6 @@ class Link:
         if self._silent:
             self._silent = False
             self._log(f"the hub at {self._hub} is there")
-
-    def _too_large(self, kind: Kind, body: bytes) -> LocalProtocolError:
-        return LocalProtocolError(
-            f"the body of {kind.name} has {len(body)} bytes; the hub takes {self._max_body}"
-        )
 
     def _control(self, message: Message) -> Message | None:
         kind, session, _, scalars, _ = message

@@ -19,17 +19,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from glue.client.bodies import READ, write
+from glue.client.answers import Players
 from glue.client.link import Link, Log
 from glue.client.place import Place, find_place
 from glue.console import say, show_failure
-from glue.core.calls import Handler, name_of, role_calls
-from glue.errors import GlueError, HubClosed, PeerFailed, RemoteProtocolError
+from glue.errors import GlueError, HubClosed, PeerFailed
 from glue.protocol.messages import CALLS, ErrorCode, Kind, Message, Role
-from glue.protocol.steps import step_formats
 from glue.protocol.wire import clip
-from glue.roles import Agent, Environment, capabilities
-from glue.types import Action, Observation
+from glue.roles import Agent, Environment
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
@@ -90,73 +87,6 @@ def serve_environment(
     return _serve(Role.ENVIRONMENT, environments, place, wait, context, log)
 
 
-class _Player:
-    """One agent or environment, in one session: what it can be asked, and its last answer.
-
-    Attributes:
-        name: what people call it.
-        capabilities: what it offers beyond its role.
-        last_call: the call that was answered last, or that is being answered.
-    """
-
-    def __init__(self, role: Role, session: str, player: Agent | Environment) -> None:
-        self._session = session
-        self._step = Kind.AGENT_STEP if role is Role.AGENT else Kind.ENV_STEP
-        self.name = name_of(player)
-        self.capabilities = capabilities(player)
-        self._handlers: dict[Kind, Handler] = role_calls(role, player)
-        self._last_seq = 0
-        self.last_call: Message | None = None
-        self._last_answer: Message | None = None
-
-    def forget(self) -> None:
-        """Forget which calls were answered: a hub that does not know this player has a count of its own.
-
-        The last call is kept. If this very call comes again, it is the same hub, which never received
-        the answer.
-        """
-        self._last_seq = 0
-
-    def answer(self, message: Message) -> Message | None:
-        """Return the answer to a call; the same one if the call is repeated; None if it is outdated."""
-        kind, session, seq, scalars, body = message
-        if seq <= self._last_seq:
-            return self._last_answer if seq == self._last_seq else None
-        if message == self.last_call:
-            self._last_seq = seq
-            return self._last_answer
-        self.last_call = message
-        handler = self._handlers.get(kind)
-        if handler is None:
-            raise RemoteProtocolError(f"the hub asked {self.name} for {kind.name}")
-        replied, result = handler(scalars, READ[CALLS[kind].request.body](body))
-        answer = Message(kind, session, seq, replied, write(result))
-        self._last_seq = seq
-        self._last_answer = answer
-        return answer
-
-    def answer_steps(self, link: Link) -> None:
-        """Answer one step after the other, each in two system calls, until something else arrives."""
-        kind, session = self._step, self._session
-        handler = self._handlers[kind]
-        read = Observation._wrap if kind is Kind.AGENT_STEP else Action._wrap  # the body has been checked
-        request, reply = step_formats(kind, session)
-        send = link.send_step
-        call = answer = None
-        try:
-            for call in link.receive_steps(request, self._last_seq):
-                seq, scalars, body = call
-                replied, result = handler(scalars, read(body))
-                answer = seq, replied, result._body
-                send(reply, *answer)
-        finally:
-            if call is not None:
-                self.last_call = Message(kind, session, *call)
-            if answer is not None:
-                self._last_seq = answer[0]
-                self._last_answer = Message(kind, session, *answer)
-
-
 def _serve(
     role: Role,
     players: Mapping[str, Agent] | Mapping[str, Environment],
@@ -165,9 +95,8 @@ def _serve(
     context: Context | None,
     log: Log,
 ) -> str:
-    served = {session: _Player(role, session, player) for session, player in players.items()}
-    names = {session: (player.name, player.capabilities) for session, player in served.items()}
-    link = Link(role, place.hub, names, wait, context, log, key=place.key)
+    served = Players(role, players)
+    link = Link(role, place.hub, served.names, wait, context, log, key=place.key)
     reason = "interrupted"
     try:
         while True:
@@ -183,11 +112,9 @@ def _serve(
                     log(f"{role} {player.name} is in session {message.session!r} at {place.hub}")
             elif message.kind in CALLS:
                 try:
-                    answer = player.answer(message)
-                    if answer is not None:
-                        link.send(answer)
-                    player.answer_steps(link)
+                    served.answer(message, link)
                 except Exception as error:
+                    player = served.asked or player
                     call = player.last_call or message
                     what = call.kind.name.lower()
                     reason = f"{type(error).__name__} in {what}"

@@ -10,14 +10,14 @@ import select
 import socket
 import struct
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from glue.client.frames import FrameTransport
 from glue.client.place import needs_key
 from glue.errors import Refused, RemoteProtocolError
 from glue.protocol import zmtp
-from glue.protocol.steps import Step, StepFormat
+from glue.protocol.steps import MAX_LEAD, Step, StepFormat, lead_of
 from glue.sockets.options import limit_silence, probe_when_silent, unix_address
 
 __all__ = ["SocketTransport"]
@@ -152,6 +152,42 @@ class SocketTransport(FrameTransport):
             step = found[0]
             after = step[0]
             yield step
+
+    def receive_batches(
+        self, forms: Mapping[bytes, StepFormat], limit: int
+    ) -> Iterator[list[tuple[StepFormat, Step]]]:
+        """Yield the messages received at once, until something else arrives, or nothing in time.
+
+        What that was, `receive` returns.
+
+        Args:
+            forms: the formats of the messages, by their lead.
+            limit: bytes of the longest body.
+        """
+        decoder = self._decoder
+        while decoder is self._decoder:  # the connection is still the same
+            if lead_of(decoder.peek(MAX_LEAD), 0) in forms:
+                data = decoder.take_back()
+            elif not decoder.between_messages:
+                return
+            else:
+                received = self._receive_data()
+                if received is None:
+                    self._timed_out = True
+                    return
+                data = received
+            steps: list[tuple[StepFormat, Step]] = []
+            at = 0
+            while (form := forms.get(lead_of(data, at))) is not None:
+                found = form.decode(data, at)
+                if found is None or len(found[0][2]) > limit:
+                    break
+                steps.append((form, found[0]))
+                at = found[1]
+            decoder.receive_data(data[at:])
+            if not steps:
+                return
+            yield steps
 
     def close(self, linger: float | None = None) -> None:
         """Close, giving the hub at most `linger` seconds (by default one) to read what was sent last."""

@@ -26,7 +26,7 @@ from glue.hub.log import Log
 from glue.hub.loop import Loop
 from glue.protocol import zmtp
 from glue.protocol.messages import Kind, Message, Role
-from glue.protocol.steps import Step, StepFormat, lead_of, step_formats
+from glue.protocol.steps import MAX_LEAD, Step, StepFormat, lead_of, step_formats
 from glue.protocol.wire import FROM_HUB, MAX_HEADER, encode
 from glue.sockets.options import limit_silence
 
@@ -91,6 +91,8 @@ class Router:
         self._complaint = ""
         self._keys: Keys | None = None  # that have replaced those of the addresses
         self._dealers: set[_Dealer] = set()
+        self.joined: dict[_Dealer, list[bytes]] | None = None
+        """Steps to be sent together, while the answers that they follow from are acted on."""
         self._unseated: dict[_Dealer, float] = {}
         """Those without a seat, the oldest first, and since when."""
         self._listeners = [
@@ -195,13 +197,28 @@ class _Dealer:
             if len(self._expected) > _MAX_EXPECTED:
                 self._expected.clear()
             self._expected[reply.lead] = reply
+            joined = self._router.joined
+            if joined is not None:
+                joined.setdefault(self, []).append(request.encode(seq, scalars, body))
+                return True
             connection.send(request.encode(seq, scalars, body))
             self._router.expect()
         else:
+            self.send_joined()
             connection.send(zmtp.encode(encode(message, FROM_HUB)))
         if connection.unsent:
             self._weigh()
         return True
+
+    def send_joined(self) -> None:
+        """Send the steps that were joined for this peer, if there are any."""
+        joined = self._router.joined
+        steps = joined.pop(self, None) if joined else None
+        if steps is not None and not self.connection.closed:
+            self.connection.send(b"".join(steps))
+            self._router.expect()
+            if self.connection.unsent:
+                self._weigh()
 
     @property
     def seated(self) -> bool:
@@ -243,11 +260,24 @@ class _Dealer:
     def _answer_steps(self, data: bytes, now: float) -> bytes:
         """Act on the messages that `data` begins with if they answer outstanding steps; return what is left.
 
-        There are at most as many as seats: each of them is the answer to a step of another session.
+        There are at most as many as seats: each of them is the answer to a step of another session. The steps
+        that follow from them leave together, in one system call for each peer: sent one by one, the first
+        would wake a peer that finds but one of them to answer.
         """
-        connection, expected = self.connection, self._expected
         if len(data) > self._max_body or not self._decoder.between_messages:
             return data
+        if len(self._expected) == 1:
+            return self._answer_each(data, now)
+        joined = self._router.joined = {}
+        try:
+            return self._answer_each(data, now)
+        finally:
+            for dealer in list(joined):
+                dealer.send_joined()
+            self._router.joined = None
+
+    def _answer_each(self, data: bytes, now: float) -> bytes:
+        connection, expected = self.connection, self._expected
         at = 0
         while at < len(data) and not connection.unsent:
             form = expected.get(lead_of(data, at))
@@ -283,6 +313,8 @@ class _Dealer:
                     router.seated(self)
             if not connection.in_turn:
                 break
+            if self._expected and lead_of(decoder.peek(MAX_LEAD), 0) in self._expected:
+                decoder.receive_data(self._answer_steps(decoder.take_back(), now))
         if not decoder.buffered:
             connection.read(True)
             return True

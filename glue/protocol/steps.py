@@ -17,12 +17,15 @@ import msgpack
 from glue.protocol.messages import CALLS, Body, Kind, Shape, Value
 from glue.types import CUT_OFF, PREFIX_SIZE
 
-__all__ = ["Step", "StepFormat", "lead_of", "step_formats"]
+__all__ = ["MAX_LEAD", "Step", "StepFormat", "lead_of", "step_formats"]
 
 Step = tuple[int, tuple[Value, ...], bytes]
 """A message of a step: its sequence number, scalars and body."""
 
 _MAX_FIXED_TEXT: Final = 31
+
+MAX_LEAD: Final = 5 + _MAX_FIXED_TEXT
+"""Bytes of a message within which `lead_of` finds its lead."""
 
 _FALSE: Final = 0xC2
 _TRUE: Final = 0xC3

@@ -186,6 +186,19 @@ class Decoder:
         """Whether the next byte begins a message in plain text: nothing is kept or left of a handshake."""
         return self.ready and not self._size and not self._frames and self._mechanism is None
 
+    def peek(self, size: int) -> bytes:
+        """Return up to `size` bytes of the next message in plain text, if any of them were received."""
+        if not self.ready or self._frames or self._mechanism is not None:
+            return b""
+        return self._buffer[self._at : self._at + size]
+
+    def take_back(self) -> bytes:
+        """Return all bytes received of messages that `peek` sees the first of, and forget them."""
+        data = b"".join((self._buffer[self._at :], *self._later))
+        self._later.clear()
+        self._buffer, self._at, self._size, self._needed = b"", 0, 0, 2
+        return data
+
     @property
     def buffered(self) -> int:
         """Bytes that are kept, waiting for more or for `next_event`."""
