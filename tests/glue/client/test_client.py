@@ -402,6 +402,45 @@ def test_each_session_has_its_own_player_and_its_own_count(hub: HandHub, lines: 
     hub.say(Kind.GOODBYE, 0, "enough", session="a")
 
 
+def test_steps_of_several_sessions_are_each_carried_out_once(hub: HandHub, lines: list[str]) -> None:
+    agents = {"a": ScriptedAgent(), "b": ScriptedAgent()}
+    hub.run(serve_agent, agents, hub.url, log=lines.append)
+    for session in agents:
+        hub.welcome(session=session)
+    hub.say(Kind.AGENT_MESSAGE, 1, session="a")
+    hub.hear(Kind.AGENT_MESSAGE)
+    steps = [("a", 2), ("b", 7), ("a", 2), ("b", 6), ("b", 7), ("a", 3), ("b", 8)]
+    for session, seq in steps:
+        hub.say(Kind.AGENT_STEP, seq, 1.0, body=OBSERVATION.body, session=session)
+    answers = [hub.hear(Kind.AGENT_STEP) for step in steps if step != ("b", 6)]
+    for session, numbers in (("a", [2, 2, 3]), ("b", [7, 7, 8])):
+        mine = [answer for answer in answers if answer.session == session]
+        assert sorted(answer.seq for answer in mine) == numbers
+        assert mine[0].body == mine[1].body
+        assert sum(call.startswith("agent_step") for call in agents[session].calls) == 2
+    hub.say(Kind.GOODBYE, 0, "enough", session="a")
+
+
+def test_a_step_whose_answer_was_lost_is_not_carried_out_again_in_any_of_several_sessions(
+    hub: HandHub, lines: list[str]
+) -> None:
+    agents = {"a": ScriptedAgent(), "b": ScriptedAgent()}
+    hub.run(serve_agent, agents, hub.url, log=lines.append)
+    for _ in range(2):
+        for session in agents:
+            hub.welcome(session=session)
+        hub.say(Kind.AGENT_MESSAGE, 1, session="a")
+        hub.hear(Kind.AGENT_MESSAGE)
+        hub.say(Kind.AGENT_STEP, 7, 1.0, body=OBSERVATION.body, session="b")
+        assert hub.hear(Kind.AGENT_STEP).session == "b"
+        hub.stop()
+        hub.start()
+    assert sum(call.startswith("agent_step") for call in agents["b"].calls) == 1
+    for session in agents:
+        hub.welcome(session=session)
+    hub.say(Kind.GOODBYE, 0, "enough", session="a")
+
+
 # Mistakes of a user's player
 
 
@@ -424,6 +463,21 @@ def fail(hub: HandHub, lines: list[str], error: Exception) -> tuple[Message, Pee
     with pytest.raises(PeerFailed) as caught:
         serving.result(TIMEOUT)
     return told, caught.value
+
+
+def test_an_exception_in_one_of_several_sessions_is_told_there_and_all_others_are_answered(
+    hub: HandHub, lines: list[str]
+) -> None:
+    agents = {"a": ScriptedAgent(), "b": Failing(ValueError("no")), "c": ScriptedAgent()}
+    serving = hub.run(serve_agent, agents, hub.url, log=lines.append)
+    for session in agents:
+        hub.welcome(session=session)
+    for session, seq in (("a", 1), ("a", 2), ("b", 7)):
+        hub.say(Kind.AGENT_STEP, seq, 1.0, body=OBSERVATION.body, session=session)
+    assert [hub.hear(Kind.AGENT_STEP).seq for _ in range(2)] == [1, 2]
+    assert hub.hear(Kind.ERROR)[1:3] == ("b", 7)
+    with pytest.raises(PeerFailed, match="agent_step"):
+        serving.result(TIMEOUT)
 
 
 def test_an_exception_is_told_to_the_hub_in_a_few_words_and_shown_in_full(

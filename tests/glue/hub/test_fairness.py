@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 
 import pytest
 
 from glue.core.config import HubConfig
 from glue.core.sessions import INSTANCE_SIZE
+from glue.hub.connection import Connection
 from glue.hub.server import Hub
 from glue.protocol import zmtp
-from glue.protocol.messages import Kind, Message, Role, Value
-from glue.protocol.wire import TO_HUB, encode
+from glue.protocol.messages import CALLS, Kind, Message, Role, Value
+from glue.protocol.wire import FROM_HUB, TO_HUB, decode, encode
+from glue.types import Action
 from tests.glue.hub.test_hub import TIMEOUT, port_of
 
 READY = b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER"
 REQUESTS = 20
+AGENT_STEP = b"\x94\x06"
+"""How its header begins."""
 
 
 class Rig:
@@ -141,3 +145,55 @@ def test_a_turn_takes_one_message_of_a_session(rig: Rig, kind: Kind, scalars: tu
     for turn in range(1, 51):
         rig.hub.loop.turn()
         assert received(peer).count(answer) <= 1, f"turn {turn}"
+
+
+class Player:
+    """A connection of an agent or environment that takes part in several sessions."""
+
+    def __init__(self, rig: Rig, role: Role, sessions: Sequence[str]) -> None:
+        hello = ((1,), str(role), os.urandom(INSTANCE_SIZE), "", "", ())
+        self.connection = rig.connect(*(frame(Kind.HELLO, session, 0, *hello) for session in sessions))
+        self._decoder = zmtp.Decoder(zmtp.DEALER, 2**20)
+        self.steps: list[Message] = []
+
+    def answer(self) -> None:
+        """Answer what has arrived, but keep steps."""
+        self._decoder.receive_data(received(self.connection))
+        while (event := self._decoder.next_event()) is not None:
+            call = decode(event, FROM_HUB) if isinstance(event, list) else None
+            if call is not None and call.kind in (Kind.ENV_STEP, Kind.AGENT_STEP):
+                self.steps.append(call)
+            elif call is not None and call.kind in CALLS:
+                text = call.kind in (Kind.ENV_INIT, Kind.AGENT_INIT)
+                self.say(Message(call.kind, call.session, call.seq, (), b"a task" if text else Action().body))
+
+    def say(self, *messages: Message) -> None:
+        self.connection.send(b"".join(zmtp.encode(encode(message, TO_HUB)) for message in messages))
+
+
+def test_the_steps_that_follow_from_answers_received_together_leave_together(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sessions = ("a", "b", "c")
+    agent, environment = (Player(rig, role, sessions) for role in (Role.AGENT, Role.ENVIRONMENT))
+
+    def answered() -> None:
+        agent.answer()
+        environment.answer()
+
+    for session in sessions:
+        experiment = rig.join(Role.EXPERIMENT, session)
+        experiment.send(frame(Kind.RL_INIT, session, 1, None))
+        rig.turns_until(lambda: (answered(), b"a task" in received(experiment))[1])  # noqa: B023
+        experiment.send(frame(Kind.RL_EPISODE, session, 2, 0))
+    rig.turns_until(lambda: (answered(), len(environment.steps) == len(sessions))[1])
+    sent: list[bytes] = []
+    send = Connection.send
+    monkeypatch.setattr(Connection, "send", lambda self, data: (sent.append(data), send(self, data)))
+    environment.say(
+        *(Message(Kind.ENV_STEP, *step[1:3], (1.0, False), Action().body) for step in environment.steps)
+    )
+    rig.turns_until(lambda: any(AGENT_STEP in data for data in sent))
+    agent.answer()
+    assert [step.session for step in agent.steps] == list(sessions)
+    assert sum(AGENT_STEP in data for data in sent) == 1

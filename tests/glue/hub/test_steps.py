@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -19,6 +20,7 @@ from tests.players import ChainAgent, ChainEnvironment
 EPISODES = 15
 STEPS = 20
 """In each episode of ChainEnvironment."""
+SESSIONS = 8
 
 
 @pytest.mark.parametrize("verb", ["RL_EPISODE", "RL_STEP"])
@@ -59,3 +61,40 @@ def test_the_steps_of_an_episode_are_never_parsed(
     steps = [name for name, kind in parsed if kind in ("ENV_STEP", "AGENT_STEP")]
     # A heartbeat may share what a system call receives with one of them.
     assert len(steps) < EPISODES * STEPS / 10, steps
+
+
+def test_the_steps_of_many_sessions_are_hardly_ever_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
+    parsed = []
+    for module in (frames, server):
+        decode = module.decode
+
+        def count(*arguments: Any, decode: Any = decode) -> Any:
+            message = decode(*arguments)
+            parsed.append(message.kind.name)
+            return message
+
+        monkeypatch.setattr(module, "decode", count)
+    sessions = [str(number) for number in range(SESSIONS)]
+    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",))).in_background() as hub:
+        url = hub.endpoints[0]
+        players = [
+            threading.Thread(target=serve, args=({name: make() for name in sessions}, url))
+            for serve, make in ((serve_agent, ChainAgent), (serve_environment, ChainEnvironment))
+        ]
+        for player in players:
+            player.start()
+
+        def play(session: str) -> None:
+            with connect(url, session) as glue:
+                glue.rl_init()
+                for _ in range(EPISODES):
+                    glue.rl_episode()
+                assert glue.rl_num_steps() == STEPS
+
+        with ThreadPoolExecutor(SESSIONS) as pool:
+            list(pool.map(play, sessions))
+    for player in players:
+        player.join()
+    steps = [kind for kind in parsed if kind in ("ENV_STEP", "AGENT_STEP")]
+    # One may arrive in two pieces, or follow something else.
+    assert len(steps) < SESSIONS * EPISODES * STEPS / 10
