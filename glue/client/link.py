@@ -145,7 +145,7 @@ class Link:
 
     def send_steps(self, answers: Sequence[tuple[StepFormat, Step]]) -> None:
         """Send answers to what `receive_batches` yielded, their sizes checked, in one system call."""
-        parts = []
+        parts: list[bytes] = []
         for form, (seq, scalars, body) in answers:
             parts += (form.head(seq, scalars, len(body)), body)
         assert isinstance(self._transport, SocketTransport)

@@ -177,19 +177,31 @@ def test_the_steps_that_follow_from_answers_received_together_leave_together(
     sessions = ("a", "b", "c")
     agent, environment = (Player(rig, role, sessions) for role in (Role.AGENT, Role.ENVIRONMENT))
 
-    def answered() -> None:
+    def begun() -> bool:
         agent.answer()
         environment.answer()
+        return b"a task" in received(experiments[-1])
 
+    def stepping() -> bool:
+        agent.answer()
+        environment.answer()
+        return len(environment.steps) == len(sessions)
+
+    experiments = []
     for session in sessions:
-        experiment = rig.join(Role.EXPERIMENT, session)
-        experiment.send(frame(Kind.RL_INIT, session, 1, None))
-        rig.turns_until(lambda: (answered(), b"a task" in received(experiment))[1])  # noqa: B023
-        experiment.send(frame(Kind.RL_EPISODE, session, 2, 0))
-    rig.turns_until(lambda: (answered(), len(environment.steps) == len(sessions))[1])
+        experiments.append(rig.join(Role.EXPERIMENT, session))
+        experiments[-1].send(frame(Kind.RL_INIT, session, 1, None))
+        rig.turns_until(begun)
+        experiments[-1].send(frame(Kind.RL_EPISODE, session, 2, 0))
+    rig.turns_until(stepping)
     sent: list[bytes] = []
     send = Connection.send
-    monkeypatch.setattr(Connection, "send", lambda self, data: (sent.append(data), send(self, data)))
+
+    def note(self: Connection, data: bytes) -> None:
+        sent.append(data)
+        send(self, data)
+
+    monkeypatch.setattr(Connection, "send", note)
     environment.say(
         *(Message(Kind.ENV_STEP, *step[1:3], (1.0, False), Action().body) for step in environment.steps)
     )
