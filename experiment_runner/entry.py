@@ -37,6 +37,11 @@ def results() -> NoReturn:
     start("experiment_runner.commands.results")
 
 
+def view() -> NoReturn:
+    """Run `glue-view`."""
+    start("experiment_runner.view.command")
+
+
 def watch() -> NoReturn:
     """Run `glue-watch`."""
     start("experiment_runner.commands.watch")

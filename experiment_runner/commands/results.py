@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
-from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -61,11 +59,14 @@ def list_runs(folder: Path, as_json: bool) -> int:
     """
     from experiment_runner.report.overview import Overview, overview
     from experiment_runner.report.tables import format_table, one_line, terminal_width
+    from experiment_runner.store.layout import runs_under
     from experiment_runner.store.results import Results
 
+    if not folder.is_dir():
+        raise ConfigError(f"there is no folder {folder}")
     overviews: list[Overview] = []
     unreadable: list[str] = []
-    for directory in _runs_under(folder):
+    for directory in runs_under(folder):
         try:
             with Results.open(directory) as found:
                 overviews.append(overview(found))
@@ -265,19 +266,6 @@ def _why_unsaved(found: Results, trial: TrialRecord) -> str:
         f"{trial.spec.id} has no checkpoint yet, after {trial.done} of {trial.spec.episodes} episodes: "
         "one is written at its end, and before that as often as --checkpoint-every says"
     )
-
-
-def _runs_under(folder: Path) -> Iterator[Path]:
-    from experiment_runner.store.database import DATABASE_FILES
-    from experiment_runner.store.layout import UNFINISHED
-
-    if not folder.is_dir():
-        raise ConfigError(f"there is no folder {folder}")
-    for path, folders, files in os.walk(folder):
-        folders[:] = sorted(name for name in folders if name != UNFINISHED)
-        if DATABASE_FILES[0] in files:
-            folders.clear()
-            yield Path(path)
 
 
 def main() -> None:

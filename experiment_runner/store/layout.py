@@ -28,6 +28,7 @@ __all__ = [
     "NewRun",
     "new_run",
     "remove_run",
+    "runs_under",
     "write_flushed",
 ]
 
@@ -114,6 +115,15 @@ def remove_run(directory: Path) -> list[str]:
     if not left:
         directory.rmdir()
     return left
+
+
+def runs_under(folder: Path) -> Iterator[Path]:
+    """Yield what looks like a run in a folder, or the folder itself, in the order of the names."""
+    for path, folders, files in os.walk(folder):
+        folders[:] = sorted(name for name in folders if name != UNFINISHED)
+        if DATABASE_FILES[0] in files:
+            folders.clear()
+            yield Path(path)
 
 
 def write_flushed(path: Path, text: str) -> None:

@@ -39,6 +39,8 @@ HOMES: Mapping[str, Sequence[str]] = {
     "gymnasium": ["glue/gym/*", "env_server/gym/*", "agents/ppo.py"],
     "stable_baselines3": ["glue/gym/sb3.py"],
     "torch": ["agents/ppo.py"],
+    "starlette": ["experiment_runner/view/*"],
+    "uvicorn": ["experiment_runner/view/server.py"],
 }
 """Where a dependency may be imported. Everything else goes through these."""
 
@@ -160,7 +162,7 @@ class Missing:
     def find_spec(self, name, path=None, target=None):
         if name.partition('.')[0] in {
             'matplotlib', 'PIL', 'scipy', 'pyarrow', 'gymnasium', 'nacl', 'ray', 'pandas', 'docker',
-            'requests',
+            'requests', 'starlette', 'uvicorn',
         }:
             raise ModuleNotFoundError(name)
 

@@ -1,0 +1,71 @@
+// Building the page. Text from a run is hostile: it becomes text nodes and attributes that cannot run, never markup.
+
+/** Return a new element; `props` are attributes, `on...` listeners and `class`; children are nodes or text. */
+export function h(tag, props = {}, ...children) {
+  const element = document.createElement(tag);
+  for (const [name, value] of Object.entries(props)) {
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (value === true) element.setAttribute(name, "");
+    else if (value !== false && value !== null && value !== undefined) element.setAttribute(name, value);
+  }
+  element.append(...children.filter((child) => child !== null && child !== undefined));
+  return element;
+}
+
+/** Set an element's text; nothing is touched if it is the same. */
+export function setText(element, text) {
+  if (element.textContent !== text) element.textContent = text;
+}
+
+/** Return a table inside a box that scrolls; `columns` are names, `rows` lists of cells: text, numbers or nodes. */
+export function table(caption, columns, rows) {
+  const head = h("tr", {}, ...columns.map((name) => h("th", { scope: "col" }, name)));
+  const body = rows.map((row) =>
+    h("tr", {}, ...row.map((cell, i) =>
+      h(i ? "td" : "th", { scope: i ? null : "row", class: isNumber(cell) ? "number" : null }, cell))));
+  const title = h("caption", {}, caption);
+  return h("div", { class: "scroll", tabindex: "0", role: "region", "aria-label": caption },
+    h("table", {}, title, h("thead", {}, head), h("tbody", {}, ...body)));
+}
+
+function isNumber(cell) {
+  return typeof cell === "string" && /^[-+−]?[\d,.]+( to [-+−]?[\d,.]+)?%?$|^-$/.test(cell);
+}
+
+const plain = new Intl.NumberFormat("en");
+const fixed = new Intl.NumberFormat("en", { minimumFractionDigits: 2, maximumFractionDigits: 2 });
+
+/** Return a whole number for people. */
+export const count = (value) => plain.format(value);
+
+/** Return a return or score for people, as glue-results shows it; a number that there is not is "-". */
+export const score = (value) => (value === null || value === undefined ? "-" : fixed.format(value));
+
+/** Return a time in seconds since 1970 for people, in their own zone. */
+export const date = (seconds) =>
+  seconds === null ? "" : new Date(seconds * 1000).toLocaleString("sv").slice(0, 16);
+
+/** Return a number of seconds for people. */
+export function duration(seconds) {
+  const whole = Math.round(seconds);
+  const hours = Math.floor(whole / 3600);
+  const minutes = Math.floor((whole % 3600) / 60);
+  if (hours) return `${count(hours)} h ${String(minutes).padStart(2, "0")} min`;
+  return minutes ? `${minutes} min ${String(whole % 60).padStart(2, "0")} s` : `${whole} s`;
+}
+
+/** Return the answer of the server to a GET; an `Error` says in its message what is wrong. */
+export async function get(path, query = {}, signal = undefined) {
+  const search = new URLSearchParams();
+  for (const [name, value] of Object.entries(query)) {
+    for (const one of [value].flat()) search.append(name, one);
+  }
+  const response = await fetch(`api/${path}?${search}`, { signal });
+  const type = response.headers.get("Content-Type") ?? "";
+  const body = type.startsWith("application/json") ? await response.json() : { error: await response.text() };
+  if (!response.ok) throw new Error(body.error);
+  return body;
+}
+
+/** Return a paragraph that says what went wrong. */
+export const failure = (error) => h("p", { class: "failure", role: "alert" }, String(error.message ?? error));

@@ -1,0 +1,139 @@
+"""What changes, sent to pages as server-sent events: one stream for each page.
+
+A topic holds values by key, and for each the number of the change that made it. A page that was away names
+the last change that it has seen, and is sent everything that has changed since, each value once: nothing has
+to be queued for a page that is slow, asleep or gone, and a value that was replaced before the page took it is
+left out.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import secrets
+import time
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, suppress
+from typing import Any, Final
+
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import Response, StreamingResponse
+from starlette.routing import BaseRoute, Route
+
+__all__ = ["Pulse", "Source", "Topic", "routes"]
+
+_HEARTBEAT_SECONDS: Final = 15.0
+_LEAST_SECONDS: Final = 0.03  # between two events to a page
+_MAX_TOPICS: Final = 8
+
+Source = Callable[[str], "AbstractAsyncContextManager[Topic]"]
+"""Called with what follows the colon in a topic's name, as `id` in `live:id`; keeps the topic up to date
+while the context is open. It raises `KeyError` if there is no such topic."""
+
+
+class Pulse:
+    """Numbers all changes, and wakes the streams at each."""
+
+    def __init__(self) -> None:
+        self.run = secrets.token_hex(4)  # changes of another server are numbered anew
+        self.change = 0
+        self.closed = False
+        self._changed = asyncio.Event()
+
+    def beat(self) -> int:
+        """Return the number of a new change, and wake everyone who waits."""
+        self.change += 1
+        self._wake()
+        return self.change
+
+    def close(self) -> None:
+        """End all streams."""
+        self.closed = True
+        self._wake()
+
+    async def wait(self, seconds: float) -> None:
+        """Return after the next change, or after some seconds."""
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._changed.wait(), seconds)
+
+    def _wake(self) -> None:
+        self._changed.set()
+        self._changed = asyncio.Event()
+
+
+class Topic:
+    """Values by key, which can be represented in JSON; None in place of one that is gone."""
+
+    def __init__(self, pulse: Pulse) -> None:
+        self._pulse = pulse
+        self._values: dict[str, tuple[int, Any]] = {}
+
+    def put(self, key: str, value: object) -> None:
+        """Set a value; it is a change unless it is equal to the one before."""
+        if key not in self._values or self._values[key][1] != value:
+            self._values[key] = (self._pulse.beat(), value)
+
+    def since(self, change: int) -> dict[str, Any]:
+        """Return the values that have changed after that change."""
+        return {key: value for key, (number, value) in self._values.items() if number > change}
+
+    def values(self) -> dict[str, Any]:
+        """Return all values that are not None."""
+        return {key: value for key, (_, value) in self._values.items() if value is not None}
+
+
+def routes(pulse: Pulse, sources: Mapping[str, Source]) -> list[BaseRoute]:
+    """Return the route of the stream, `/api/stream?topic=NAME&topic=NAME:ARGUMENT`.
+
+    Each event is a JSON object, by topic, of the values that have changed. Its id, sent back as
+    Last-Event-ID or `?since=`, lets the stream go on from there.
+    """
+
+    async def stream(request: Request) -> Response:
+        names = list(dict.fromkeys(request.query_params.getlist("topic")))
+        since = request.headers.get("last-event-id") or request.query_params.get("since", "")
+        if not 0 < len(names) <= _MAX_TOPICS or any(name.partition(":")[0] not in sources for name in names):
+            raise HTTPException(404, "there is no such topic")
+        events = _events(pulse, sources, names, _change(pulse, since))
+        return StreamingResponse(events, media_type="text/event-stream", headers={"X-Accel-Buffering": "no"})
+
+    return [Route("/api/stream", stream)]
+
+
+async def _events(
+    pulse: Pulse, sources: Mapping[str, Source], names: Sequence[str], change: int
+) -> AsyncIterator[str]:
+    async with AsyncExitStack() as stack:
+        topics: dict[str, Topic | None] = {}
+        for name in names:
+            kind, _, argument = name.partition(":")
+            try:
+                topics[name] = await stack.enter_async_context(sources[kind](argument))
+            except KeyError:
+                topics[name] = None
+        yield "retry: 1000\n\n"
+        first, spoke = True, time.monotonic()
+        while not pulse.closed:
+            seen = pulse.change
+            found = {name: topic and topic.since(change) for name, topic in topics.items()}
+            # The first event tells a page also what is empty, or not there.
+            changed = found if first else {name: values for name, values in found.items() if values}
+            if changed:
+                yield f"id: {pulse.run}-{seen}\ndata: {json.dumps(changed, allow_nan=False)}\n\n"
+                first, spoke = False, time.monotonic()
+                await asyncio.sleep(_LEAST_SECONDS)
+            elif time.monotonic() - spoke >= _HEARTBEAT_SECONDS:
+                yield ":\n\n"  # so that both ends notice when the other is gone
+                spoke = time.monotonic()
+            change = seen
+            if pulse.change == seen:
+                await pulse.wait(_HEARTBEAT_SECONDS)
+
+
+def _change(pulse: Pulse, since: str) -> int:
+    """Return which change an event's id names; 0, before all, if it is not of this server."""
+    run, _, number = since.partition("-")
+    if run != pulse.run or not number.isascii() or not number.isdigit() or len(number) > 18:
+        return 0
+    return min(int(number), pulse.change)

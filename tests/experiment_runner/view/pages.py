@@ -1,0 +1,120 @@
+"""A real `glue-view`, and a client that speaks HTTP to it, for tests."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+__all__ = ["Answer", "Page", "Stream", "glue_view"]
+
+_SECONDS = 30.0
+
+
+class Answer(NamedTuple):
+    """What came back: status, headers by name in small letters, and the body."""
+
+    status: int
+    headers: Mapping[str, str]
+    body: bytes
+
+    def json(self) -> Any:
+        return json.loads(self.body)
+
+
+class Page:
+    """A server that runs, and the cookie that opens it."""
+
+    def __init__(self, process: subprocess.Popen[str], url: str) -> None:
+        self.process = process
+        self.url = url
+        found = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/\?token=([\w-]{20,})", url)
+        assert found, url
+        self.port, self.token = int(found[1]), found[2]
+        self.cookie = ""
+        self._streams: list[Stream] = []
+
+    def log_in(self) -> Answer:
+        """Exchange the token for the cookie."""
+        answer = self.ask(f"/?token={self.token}", {"Cookie": ""})
+        self.cookie = answer.headers["set-cookie"].partition(";")[0]
+        return answer
+
+    def ask(self, path: str, headers: Mapping[str, str] | None = None, method: str = "GET") -> Answer:
+        """Send a request as it is, nothing normalised, with the cookie unless `headers` has another."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=_SECONDS)
+        with contextlib.closing(connection):
+            given = {"Cookie": self.cookie} | dict(headers or {})
+            connection.putrequest(method, path, skip_host="Host" in given)
+            for name, value in given.items():
+                connection.putheader(name, value)
+            connection.endheaders()
+            response = connection.getresponse()
+            found = {name.lower(): value for name, value in response.getheaders()}
+            return Answer(response.status, found, response.read())
+
+    def stream(self, query: str, headers: Mapping[str, str] | None = None) -> Stream:
+        """Open a stream of events."""
+        self._streams.append(Stream(self, query, headers))
+        return self._streams[-1]
+
+    def close(self) -> None:
+        """Close all streams."""
+        while self._streams:
+            self._streams.pop().close()
+
+    def stop(self, number: int = signal.SIGINT) -> int:
+        """Send a signal, and return the exit code."""
+        self.process.send_signal(number)
+        return self.process.wait(_SECONDS)
+
+
+class Stream:
+    """A stream of events that is open."""
+
+    def __init__(self, page: Page, query: str, headers: Mapping[str, str] | None = None) -> None:
+        self._connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=_SECONDS)
+        sent = {"Cookie": page.cookie} | dict(headers or {})
+        self._connection.request("GET", f"/api/stream?{query}", headers=sent)
+        self.response = self._connection.getresponse()
+        self.id = ""
+
+    def next(self) -> Any:
+        """Wait for the next event, and return its data; None at the end."""
+        while line := self.response.readline():
+            if line.startswith(b"id: "):
+                self.id = line[4:].decode().strip()
+            elif line.startswith(b"data: "):
+                return json.loads(line[6:])
+        return None
+
+    def close(self) -> None:
+        self.response.close()
+        self._connection.close()
+
+
+@contextlib.contextmanager
+def glue_view(*arguments: object, cwd: Path | None = None) -> Iterator[Page]:
+    """Run `glue-view` at a free port until the context ends."""
+    command = [sys.executable, "-m", "experiment_runner.view.command", *map(str, arguments), "--no-browser"]
+    process = subprocess.Popen(
+        [*command, "--port", "0"], cwd=cwd, stdout=subprocess.PIPE, text=True, env={**os.environ}
+    )
+    with process:
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            page = Page(process, line.split()[-1] if line else "")
+            page.log_in()
+            with contextlib.closing(page):
+                yield page
+        finally:
+            process.kill()

@@ -1,0 +1,91 @@
+"""The stream of events: what a page is sent, when it comes back, and how it ends."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from experiment_runner.plan import TrialSpec
+from experiment_runner.store.records import EpisodeResult
+from experiment_runner.store.store import Store
+from tests.experiment_runner.view.pages import Page, glue_view
+
+
+def make_run(directory: Path, episodes: int = 10) -> Store:
+    return Store.create(directory, [TrialSpec("remote/remote/0", None, None, episodes, 0, 1)], {})
+
+
+def play(store: Store, episode: int) -> None:
+    store.record("remote/remote/0", EpisodeResult(episode, 1.5 * episode, 3, True, 0.1))
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Iterator[Page]:
+    with glue_view(tmp_path) as page:
+        yield page
+
+
+def run_of(event: dict[str, dict[str, object]]) -> dict[str, object]:
+    (run,) = event["runs"].values()
+    assert isinstance(run, dict)
+    return run
+
+
+def test_a_page_sees_a_run_begin_go_on_end_and_vanish(page: Page, tmp_path: Path) -> None:
+    stream = page.stream("topic=runs")
+    assert stream.response.getheader("content-type", "").startswith("text/event-stream")
+    assert stream.next() == {"runs": {}}
+    store = make_run(tmp_path / "a")
+    begun = run_of(stream.next())
+    assert (begun["state"], begun["episodes"], begun["planned_episodes"]) == ("running", 0, 10)
+    play(store, 1)
+    assert run_of(stream.next())["episodes"] == 1
+    store.close()
+    assert run_of(stream.next())["state"] == "interrupted"
+    for path in (tmp_path / "a").iterdir():
+        path.unlink()
+    assert stream.next() == {"runs": {begun["id"]: None}}
+
+
+def test_a_page_that_comes_back_is_sent_what_it_has_missed_alone(page: Page, tmp_path: Path) -> None:
+    stores = [make_run(tmp_path / name) for name in ("a", "b")]
+    stream = page.stream("topic=runs")
+    assert len(stream.next()["runs"]) == 2
+    last = stream.id
+    stream.close()
+    play(stores[0], 1)
+    back = page.stream("topic=runs", {"Last-Event-ID": last})
+    missed = back.next()["runs"]
+    if not missed:  # the watcher slept while nobody listened, and looks when somebody does
+        missed = back.next()["runs"]
+    assert [run["episodes"] for run in missed.values()] == [1]
+    for other in ("", "of-another", f"{last}0" * 9, "-1"):
+        assert len(page.stream(f"topic=runs&since={other}").next()["runs"]) == 2
+    for store in stores:
+        store.close()
+
+
+def test_a_damaged_store_is_shown_as_such_and_harms_no_other(page: Page, tmp_path: Path) -> None:
+    make_run(tmp_path / "good").close()
+    bad = tmp_path / "<script>alert(1)<" / "run"
+    bad.mkdir(parents=True)
+    (bad / "results.sqlite").write_bytes(b"SQLite format 3\0" + b"\xff" * 5000)
+    runs = {run["name"]: run for run in page.stream("topic=runs").next()["runs"].values()}
+    states = {name.partition("/")[2]: run["state"] for name, run in runs.items()}
+    assert states == {"good": "interrupted", "<script>alert(1)</run".replace("</", "</", 1): "damaged"}
+    damaged = next(run for run in runs.values() if run["state"] == "damaged")
+    assert "results.sqlite" in damaged["reason"] or "cannot read" in damaged["reason"]
+    assert page.ask(f"/api/run/{damaged['id']}").status == 422
+
+
+def test_ctrl_c_ends_the_server_at_once_with_pages_open(page: Page) -> None:
+    streams = [page.stream("topic=runs") for _ in range(5)]
+    assert all(stream.next() == {"runs": {}} for stream in streams)
+    began = time.monotonic()
+    assert page.stop() == 130
+    took = time.monotonic() - began
+    assert [stream.next() for stream in streams] == [None] * 5
+    assert took < 10  # a second on a quiet machine; without the end of the streams it would be never
