@@ -18,7 +18,7 @@ OURS = [
 
 def test_uplot_is_what_was_published_with_its_licence() -> None:
     sums = (STATIC / "uplot/SHA256SUMS").read_text().split("\n")[:-1]
-    listed = dict(reversed(line.split("  ")) for line in sums)
+    listed = {name: digest for digest, name in (line.split("  ") for line in sums)}
     assert {"LICENSE", "uPlot.esm.js", "uPlot.min.css"} == listed.keys()
     for name, digest in listed.items():
         assert hashlib.sha256((STATIC / "uplot" / name).read_bytes()).hexdigest() == digest, name
