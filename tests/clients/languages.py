@@ -95,7 +95,10 @@ JAVA: Final = Language(
     {"javac": "openjdk-17-jdk-headless", "make": "make"},
     (("make", "all"),),
     (("make", "test"), ("make", "javadoc")),
-    {each: ("java", "-XX:+UseSerialGC", "-cp", _JAVA_PATH, _CLASSES[each]) for each in _EXAMPLES},
+    {
+        each: ("java", "-XX:+UseSerialGC", "-XX:TieredStopAtLevel=1", "-cp", _JAVA_PATH, _CLASSES[each])
+        for each in _EXAMPLES
+    },
 )
 
 RUST: Final = Language(

@@ -39,9 +39,11 @@ def hub(bind: str = "tcp://127.0.0.1:*") -> Iterator[str]:
 
 
 @contextmanager
-def program(command: Sequence[str], url: str, session: str = "default") -> Iterator[subprocess.Popen[str]]:
-    """Run a program at a hub; it is killed at the end if need be."""
-    place = {"GLUE_HUB": url, "GLUE_SESSION": session}
+def program(
+    command: Sequence[str], url: str, session: str = "default", **variables: str
+) -> Iterator[subprocess.Popen[str]]:
+    """Run a program at a hub, with environment variables; it is killed at the end if need be."""
+    place = {"GLUE_HUB": url, "GLUE_SESSION": session, **variables}
     with subprocess.Popen(
         command,
         env={**os.environ, **place},

@@ -49,6 +49,7 @@ def test_kit_finds_no_fault(language: Language, role: Role) -> None:
     )
 
     assert done.returncode == 0, done.stdout + done.stderr
+    assert "not judged" not in done.stdout, done.stdout  # they have all capabilities that there are
 
 
 FIRST: Final = {

@@ -81,7 +81,8 @@ class MirrorEnvironment : public Mirror, public glue_rl::Environment {
   Step step(const AbstractView& action) override {
     count_ += 1;
     const double reward = action.doubles().empty() ? 0 : action.doubles().front();
-    return {reward, !action.chars().empty() && action.chars().back() == '!', mirror(action, {})};
+    const char last = action.chars().empty() ? '\0' : action.chars().back();
+    return {reward, last == '!', mirror(action, {}), last == '?'};
   }
   std::string message(std::string_view text) override { return answer(text); }
 };
@@ -105,6 +106,12 @@ Action both(const Observation& observation, const Action& action, std::initializ
             std::initializer_list<double> doubles = {}) {
   return result(joined(observation.ints, action.ints, ints), joined(observation.doubles, action.doubles, doubles),
                 observation.chars + action.chars);
+}
+
+// The terminal as a number; 2 for a cut-off.
+template <class Step>
+std::int32_t terminal(const Step& step) {
+  return step.truncated ? 2 : step.terminal;
 }
 
 class MirrorExperiment {
@@ -135,7 +142,7 @@ class MirrorExperiment {
     }
     if (verb == "RL_STEP") {
       const auto step = glue_.step();
-      return both(step.observation, step.action, {step.terminal}, {step.reward});
+      return both(step.observation, step.action, {terminal(step)}, {step.reward});
     }
     if (verb == "RL_EPISODE") return result({glue_.episode(std::stoull(argument))});
     if (verb == "RL_RETURN") return result({}, {glue_.episode_return()});
@@ -146,7 +153,7 @@ class MirrorExperiment {
     if (verb == "RL_ENV_START") return both(glue_.env_start(), {});
     if (verb == "RL_ENV_STEP") {
       const auto step = glue_.env_step(given);
-      return both(step.observation, {}, {step.terminal}, {step.reward});
+      return both(step.observation, {}, {terminal(step)}, {step.reward});
     }
     if (verb == "RL_AGENT_START") return both({}, glue_.agent_start(given));
     if (verb == "RL_AGENT_STEP") return both({}, glue_.agent_step(order.reward, given));

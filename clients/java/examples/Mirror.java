@@ -127,13 +127,15 @@ abstract class Mirror implements Seedable, Saveable {
         public Step step(Action action) {
             count++;
             byte[] chars = action.chars();
+            int last = chars.length > 0 ? chars[chars.length - 1] : 0;
             return new Step(
                     action.doubles().length > 0 ? action.doubles()[0] : 0,
-                    chars.length > 0 && chars[chars.length - 1] == '!',
+                    last == '!',
                     isEmpty(action) ? new Observation() : new Observation(
                             mirrored(action.ints(), count),
                             mirrored(action.doubles(), sum(action.ints())),
-                            mirrored(chars)));
+                            mirrored(chars)),
+                    last == '?');
         }
     }
 
@@ -176,9 +178,9 @@ abstract class Mirror implements Seedable, Saveable {
                     return both(start.observation(), start.action(), new int[0]);
                 case "RL_STEP":
                     Experiment.Step step = glue.step();
-                    return both(step.observation(), step.action(), flag(step.terminal()), step.reward());
+                    return both(step.observation(), step.action(), flag(step.terminal(), step.truncated()), step.reward());
                 case "RL_EPISODE":
-                    return result(flag(glue.episode(Long.parseLong(text))), NO_CHARS);
+                    return result(flag(glue.episode(Long.parseLong(text)), false), NO_CHARS);
                 case "RL_RETURN":
                     return result(new int[0], NO_CHARS, glue.episodeReturn());
                 case "RL_NUM_STEPS":
@@ -196,7 +198,7 @@ abstract class Mirror implements Seedable, Saveable {
                     return both(glue.envStart(), new Action(), new int[0]);
                 case "RL_ENV_STEP":
                     Environment.Step half = glue.envStep(new Action(ints, doubles, argument));
-                    return both(half.observation(), new Action(), flag(half.terminal()), half.reward());
+                    return both(half.observation(), new Action(), flag(half.terminal(), half.truncated()), half.reward());
                 case "RL_AGENT_START":
                     return both(new Observation(), glue.agentStart(observation), new int[0]);
                 case "RL_AGENT_STEP":
@@ -224,8 +226,8 @@ abstract class Mirror implements Seedable, Saveable {
             return words("");
         }
 
-        private static int[] flag(boolean terminal) {
-            return new int[] {terminal ? 1 : 0};
+        private static int[] flag(boolean terminal, boolean truncated) {
+            return new int[] {truncated ? 2 : terminal ? 1 : 0};
         }
 
         private static Action words(String text) {

@@ -88,6 +88,7 @@ class MirrorEnvironment extends Mirror {
     return {
       reward: doubles[0] ?? 0,
       terminal: chars.at(-1) === "!".charCodeAt(0),
+      truncated: chars.at(-1) === "?".charCodeAt(0),
       observation: this.mirror(action),
     };
   }
@@ -126,8 +127,8 @@ async function carryOut(glue, verb, argument, reward, { ints, doubles }, notices
       return both(observation, action);
     }
     case "RL_STEP": {
-      const { reward: gained, terminal, observation, action } = await glue.step();
-      return both(observation, action, [Number(terminal)], [gained]);
+      const { reward: gained, terminal, truncated, observation, action } = await glue.step();
+      return both(observation, action, [truncated ? 2 : Number(terminal)], [gained]);
     }
     case "RL_EPISODE": return result([Number(await glue.episode(BigInt(text)))]);
     case "RL_RETURN": return result([], [await glue.episodeReturn()]);
@@ -138,8 +139,8 @@ async function carryOut(glue, verb, argument, reward, { ints, doubles }, notices
     case "RL_CLEANUP": await glue.cleanup(); return result();
     case "RL_ENV_START": return both(await glue.envStart(), EMPTY);
     case "RL_ENV_STEP": {
-      const { reward: gained, terminal, observation } = await glue.envStep(given);
-      return both(observation, EMPTY, [Number(terminal)], [gained]);
+      const { reward: gained, terminal, truncated, observation } = await glue.envStep(given);
+      return both(observation, EMPTY, [truncated ? 2 : Number(terminal)], [gained]);
     }
     case "RL_AGENT_START": return both(EMPTY, await glue.agentStart(given));
     case "RL_AGENT_STEP": return both(EMPTY, await glue.agentStep(reward, given));

@@ -2,7 +2,7 @@
 
 import { GlueError, HubClosed, PeerFailed, PeerLost, ProtocolError, Unsupported } from "./errors.js";
 import { Link } from "./link.js";
-import { encode, ERROR, NOTICE, RL } from "./messages.js";
+import { CUT_OFF, encode, ERROR, NOTICE, RL } from "./messages.js";
 
 /** @typedef {import("./messages.js").Message} Message */
 
@@ -60,11 +60,11 @@ export class Experiment {
 
   async step() {
     const { scalars: [reward, terminal], value: [observation, action] } = await this.#ask(RL.STEP);
-    return { reward, terminal, observation, action };
+    return { reward, terminal: terminal !== false, observation, truncated: terminal === CUT_OFF, action };
   }
 
   async episode(/** @type {number | bigint} */ maxSteps = 0) {
-    return (await this.#ask(RL.EPISODE, [maxSteps])).scalars[0];
+    return (await this.#ask(RL.EPISODE, [maxSteps])).scalars[0] === true;
   }
 
   async episodeReturn() {
@@ -97,7 +97,7 @@ export class Experiment {
 
   async envStep(/** @type {import("./index.js").AbstractTypeLike} */ action) {
     const { scalars: [reward, terminal], value: observation } = await this.#ask(RL.ENV_STEP, [], action);
-    return { reward, terminal, observation };
+    return { reward, terminal: terminal !== false, observation, truncated: terminal === CUT_OFF };
   }
 
   async agentStart(/** @type {import("./index.js").AbstractTypeLike} */ observation) {

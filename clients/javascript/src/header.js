@@ -134,11 +134,11 @@ export class HeaderReader {
     return Number(value);
   }
 
-  /** @returns {boolean} */
-  bool() {
+  /** A bool, which may be an integer: all but 0 are true. @returns {number} */
+  flag() {
     const tag = this.#tag();
-    if (tag === 0xc2 || tag === 0xc3) return tag === 0xc3;
-    return Number(this.#integer(tag) ?? this.#fail("a bool", tag)) !== 0;
+    if (tag === 0xc2 || tag === 0xc3) return tag - 0xc2;
+    return Number(this.#integer(tag) ?? this.#fail("a bool", tag));
   }
 
   /** @returns {string} */

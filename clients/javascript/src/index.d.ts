@@ -53,6 +53,8 @@ export interface Step<T = AbstractTypeLike> {
   /** Whether the episode is over. */
   terminal: boolean;
   observation: T;
+  /** Whether it was only cut off, in a state that is not terminal: the agent is shown the observation, and no end. */
+  truncated?: boolean;
 }
 
 /** The task. Its optional methods are those of an agent. */
@@ -111,7 +113,7 @@ export interface Experiment {
   init(seed?: number | bigint): Promise<string>;
   start(): Promise<{ observation: Observation; action: Action }>;
   step(): Promise<Step<Observation> & { action: Action }>;
-  /** RL_episode; at most `maxSteps` steps, 0 for any number. Resolves to whether it reached its end. */
+  /** RL_episode; at most `maxSteps` steps, 0 for any number. Resolves to whether it reached its end, and was not cut off. */
   episode(maxSteps?: number | bigint): Promise<boolean>;
   /** RL_return: the sum of the episode's rewards. */
   episodeReturn(): Promise<number>;

@@ -17,6 +17,9 @@ export const RL = {
 
 export const HELLO = 64, WELCOME = 65, REFUSE = 66, HEARTBEAT = 67, GOODBYE = 68, ERROR = 69, NOTICE = 70;
 
+/** The terminal of an episode that was cut off, in a state that is not terminal. */
+export const CUT_OFF = 2;
+
 /** The largest text, bytes, observation or action. */
 export const MAX_BODY = 16777216;
 const MAX_SESSION = 255;
@@ -28,7 +31,7 @@ const MAX_SESSION = 255;
  * @typedef {{ kind: number, session: string, seq: number | bigint, scalars: any[], value: any, known: boolean }} Message
  */
 
-/** @typedef {"int" | "float" | "bool" | "text" | "binary" | "ints" | "texts" | "seed"} Scalar */
+/** @typedef {"int" | "float" | "bool" | "terminal" | "text" | "binary" | "ints" | "texts" | "seed"} Scalar */
 /** @typedef {"none" | "text" | "bytes" | "abstract" | "both"} Body */
 /** @typedef {{ scalars: Scalar[], body: Body }} Shape */
 
@@ -48,7 +51,7 @@ const CALLS = [
   [AGENT.LOAD, shape("bytes"), shape("none")],
   [ENV.INIT, shape("none"), shape("text")],
   [ENV.START, shape("none"), shape("abstract")],
-  [ENV.STEP, shape("abstract"), shape("abstract", "float", "bool")],
+  [ENV.STEP, shape("abstract"), shape("abstract", "float", "terminal")],
   [ENV.CLEANUP, shape("none"), shape("none")],
   [ENV.MESSAGE, shape("text"), shape("text")],
   [ENV.SEED, shape("none", "int"), shape("none")],
@@ -60,8 +63,8 @@ const CALLS = [
 const REQUESTS = [
   [RL.INIT, shape("none", "seed"), shape("text")],
   [RL.START, shape("none"), shape("both")],
-  [RL.STEP, shape("none"), shape("both", "float", "bool")],
-  [RL.EPISODE, shape("none", "int"), shape("none", "bool")],
+  [RL.STEP, shape("none"), shape("both", "float", "terminal")],
+  [RL.EPISODE, shape("none", "int"), shape("none", "terminal")],
   [RL.RETURN, shape("none"), shape("none", "float")],
   [RL.NUM_STEPS, shape("none"), shape("none", "int")],
   [RL.NUM_EPISODES, shape("none"), shape("none", "int")],
@@ -69,7 +72,7 @@ const REQUESTS = [
   [RL.ENV_MESSAGE, shape("text"), shape("text")],
   [RL.CLEANUP, shape("none"), shape("none")],
   [RL.ENV_START, shape("none"), shape("abstract")],
-  [RL.ENV_STEP, shape("abstract"), shape("abstract", "float", "bool")],
+  [RL.ENV_STEP, shape("abstract"), shape("abstract", "float", "terminal")],
   [RL.AGENT_START, shape("abstract"), shape("abstract")],
   [RL.AGENT_STEP, shape("abstract", "float"), shape("abstract")],
   [RL.AGENT_END, shape("none", "float"), shape("none")],
@@ -161,10 +164,14 @@ function readScalar(reader, type) {
   switch (type) {
     case "int": return reader.int();
     case "float": return reader.float();
-    case "bool": return reader.bool();
+    case "bool": return reader.flag() !== 0;
+    case "terminal": return terminalOf(reader.flag());
     default: return reader.text();
   }
 }
+
+/** True, false, or CUT_OFF. @param {number} flag */
+const terminalOf = (flag) => (flag === CUT_OFF ? CUT_OFF : flag !== 0);
 
 /** @param {HeaderWriter} header @param {Scalar} type @param {any} value */
 function writeScalar(header, type, value) {
@@ -172,6 +179,7 @@ function writeScalar(header, type, value) {
     case "int": return header.int(value);
     case "float": return header.float(value);
     case "bool": return header.bool(value);
+    case "terminal": return value === CUT_OFF ? header.int(value) : header.bool(value);
     case "text": return header.text(value);
     case "binary": return header.binary(value);
     case "seed": return value === undefined ? header.nil() : header.int(value);

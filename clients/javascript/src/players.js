@@ -2,7 +2,7 @@
 
 import { HubClosed } from "./errors.js";
 import { clip, Link } from "./link.js";
-import { AGENT, encode, ENV, ERROR } from "./messages.js";
+import { AGENT, CUT_OFF, encode, ENV, ERROR } from "./messages.js";
 
 /** @typedef {import("./messages.js").Message} Message */
 /** @typedef {{ method: string, otherwise?: any }} Call which method carries a call out; what it brings without one */
@@ -66,6 +66,7 @@ class Player {
     const capabilities = [];
     if (player.save && player.load) capabilities.push("save");
     if (player.seed) capabilities.push("seed");
+    if (calls === ENVIRONMENT_CALLS) capabilities.push("truncate");
     /** @type {(reason: string) => void} */
     let resolve;
     /** @type {(error: Error) => void} */
@@ -137,7 +138,7 @@ class Player {
   #finish({ kind, seq }, frames, result, connection) {
     const answer =
       kind === ENV.STEP
-        ? encode(kind, this.#link.session, seq, [result.reward, result.terminal], result.observation)
+        ? encode(kind, this.#link.session, seq, [result.reward, result.truncated ? CUT_OFF : result.terminal], result.observation)
         : encode(kind, this.#link.session, seq, [], result);
     if (answer.length === 2 && answer[1].length > this.#link.maxBody) {
       throw new RangeError(`the answer has ${answer[1].length} bytes; the hub takes ${this.#link.maxBody}`);

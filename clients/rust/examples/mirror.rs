@@ -114,6 +114,7 @@ impl Environment for Mirror {
             reward: action.doubles.first().copied().unwrap_or(0.0),
             terminal: action.chars.last() == Some(&b'!'),
             observation: self.mirror(action, &[]),
+            truncated: action.chars.last() == Some(&b'?'),
         })
     }
 
@@ -139,6 +140,15 @@ impl Environment for Mirror {
 fn result(ints: Vec<i32>, mut doubles: Vec<f64>, chars: Vec<u8>) -> Action {
     doubles.push(sum(&ints));
     Action { ints, doubles, chars }
+}
+
+/// The terminal as a number; 2 for a cut-off.
+fn flag(terminal: bool, truncated: bool) -> i32 {
+    if truncated {
+        2
+    } else {
+        terminal.into()
+    }
 }
 
 fn words(text: &str) -> Action {
@@ -173,7 +183,7 @@ fn carry_out(
         }
         "RL_STEP" => {
             let step = glue.step()?;
-            both(&step.observation, &step.action, &[step.terminal.into()], &[step.reward])
+            both(&step.observation, &step.action, &[flag(step.terminal, step.truncated)], &[step.reward])
         }
         "RL_EPISODE" => result(vec![glue.episode(number())?.into()], vec![], vec![]),
         "RL_RETURN" => result(vec![], vec![glue.episode_return()?], vec![]),
@@ -185,7 +195,7 @@ fn carry_out(
         "RL_ENV_START" => both(&glue.env_start()?, &nothing, &[], &[]),
         "RL_ENV_STEP" => {
             let step = glue.env_step(&given)?;
-            both(&step.observation, &nothing, &[step.terminal.into()], &[step.reward])
+            both(&step.observation, &nothing, &[flag(step.terminal, step.truncated)], &[step.reward])
         }
         "RL_AGENT_START" => both(&nothing, &glue.agent_start(&given)?, &[], &[]),
         "RL_AGENT_STEP" => both(&nothing, &glue.agent_step(order.reward, &given)?, &[], &[]),

@@ -32,7 +32,7 @@ impl Environment for Walk {
             LAST => 1.0,
             _ => 0.0,
         };
-        Ok(Step { reward, terminal: reward != 0.0, observation: [self.state].into() })
+        Ok(Step { reward, terminal: reward != 0.0, observation: [self.state].into(), truncated: false })
     }
 
     fn message(&mut self, _: &str) -> Outcome<String> {

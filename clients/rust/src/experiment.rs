@@ -24,6 +24,8 @@ pub struct Transition {
     pub observation: Observation,
     /// The next action; after a terminal step the one that was executed.
     pub action: Action,
+    /// Whether the environment cut the episode off, in a state that is not terminal.
+    pub truncated: bool,
 }
 
 /// Takes an event, a role and a name.
@@ -91,12 +93,14 @@ impl<'a> Experiment<'a> {
     pub fn step(&mut self) -> Result<Transition, Error> {
         let reply = self.ask(kind::RL_STEP, &[], None)?;
         let (observation, action) = self.both();
-        Ok(Transition { reward: reply.float(0), terminal: reply.bool(1), observation, action })
+        let (terminal, truncated) = (reply.bool(1), reply.is_cut_off(1));
+        Ok(Transition { reward: reply.float(0), terminal, observation, action, truncated })
     }
 
-    /// RL_episode of at most `max_steps` steps, 0 for any number; returns whether it reached its end.
+    /// RL_episode of at most `max_steps` steps, 0 for any number; returns whether it reached its end, and was not cut off.
     pub fn episode(&mut self, max_steps: u64) -> Result<bool, Error> {
-        Ok(self.ask(kind::RL_EPISODE, &[Scalar::Int(max_steps)], None)?.bool(0))
+        let reply = self.ask(kind::RL_EPISODE, &[Scalar::Int(max_steps)], None)?;
+        Ok(reply.bool(0) && !reply.is_cut_off(0))
     }
 
     /// RL_return: the sum of the episode's rewards.
@@ -140,7 +144,8 @@ impl<'a> Experiment<'a> {
     /// RL_env_step: executes an action.
     pub fn env_step(&mut self, action: &Action) -> Result<Step, Error> {
         let reply = self.ask(kind::RL_ENV_STEP, &[], Some(&bytes(action)))?;
-        Ok(Step { reward: reply.float(0), terminal: reply.bool(1), observation: self.one() })
+        let (terminal, truncated) = (reply.bool(1), reply.is_cut_off(1));
+        Ok(Step { reward: reply.float(0), terminal, observation: self.one(), truncated })
     }
 
     /// RL_agent_start: the first observation of an episode for the agent, and its action.

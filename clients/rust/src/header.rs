@@ -127,12 +127,13 @@ impl<'a> Reader<'a> {
         }
     }
 
-    pub(crate) fn bool(&mut self) -> Result<bool, Error> {
+    /// Reads a bool, which may be an integer: all but 0 are true.
+    pub(crate) fn flag(&mut self) -> Result<i128, Error> {
         match self.tag()? {
-            0xc2 => Ok(false),
-            0xc3 => Ok(true),
+            0xc2 => Ok(0),
+            0xc3 => Ok(1),
             tag => match self.integer(tag)? {
-                Some(value) => Ok(value != 0),
+                Some(value) => Ok(value),
                 None => unexpected("a bool", tag),
             },
         }

@@ -58,6 +58,9 @@ pub(crate) mod kind {
     pub(crate) const NOTICE: u64 = 70;
 }
 
+/// Instead of a bool, that an episode was cut off in a state that is not terminal.
+pub(crate) const CUT_OFF: u64 = 2;
+
 /// One item of a header.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Scalar {
@@ -68,6 +71,17 @@ pub(crate) enum Scalar {
     Text(String),
     Binary(Vec<u8>),
     Array(Vec<Scalar>),
+}
+
+impl Scalar {
+    /// Returns how an integer that is written for the end of an episode is read.
+    pub(crate) fn end(flag: i128) -> Scalar {
+        if flag == i128::from(CUT_OFF) {
+            Scalar::Int(CUT_OFF)
+        } else {
+            Scalar::Bool(flag != 0)
+        }
+    }
 }
 
 impl From<&str> for Scalar {
@@ -81,6 +95,8 @@ enum Type {
     Int,
     Float,
     Bool,
+    /// A bool, or [`CUT_OFF`].
+    End,
     Text,
 }
 
@@ -126,11 +142,14 @@ impl Message {
         }
     }
 
+    /// Returns a bool, or whether an episode is over.
     pub(crate) fn bool(&self, scalar: usize) -> bool {
-        match self.scalars[scalar] {
-            Scalar::Bool(value) => value,
-            _ => unreachable!("decode has checked that it is a bool"),
-        }
+        self.scalars[scalar] != Scalar::Bool(false)
+    }
+
+    /// Returns whether an episode is over because it was cut off.
+    pub(crate) fn is_cut_off(&self, scalar: usize) -> bool {
+        self.scalars[scalar] == Scalar::Int(CUT_OFF)
     }
 
     pub(crate) fn text(&self, scalar: usize) -> &str {
@@ -144,7 +163,7 @@ impl Message {
 /// Returns what a kind carries when it comes from the hub.
 fn from_hub(kind: u64) -> Option<(&'static [Type], Body)> {
     use kind::*;
-    use Type::{Bool, Float, Int, Text};
+    use Type::{Bool, End, Float, Int, Text};
     Some(match kind {
         ENV_INIT | ENV_START | ENV_CLEANUP | ENV_SAVE | AGENT_CLEANUP | AGENT_SAVE | RL_CLEANUP | RL_AGENT_END
         | RL_AGENT_LOAD | RL_ENV_LOAD | HEARTBEAT => (&[], Body::None),
@@ -152,12 +171,12 @@ fn from_hub(kind: u64) -> Option<(&'static [Type], Body)> {
         | RL_ENV_MESSAGE | RL_AGENT_SAVE | RL_ENV_SAVE => (&[], Body::Bytes),
         AGENT_START | ENV_STEP | RL_ENV_START | RL_AGENT_START | RL_AGENT_STEP => (&[], Body::Abstract),
         AGENT_STEP => (&[Float], Body::Abstract),
-        RL_ENV_STEP => (&[Float, Bool], Body::Abstract),
+        RL_ENV_STEP => (&[Float, End], Body::Abstract),
         RL_START => (&[], Body::Both),
-        RL_STEP => (&[Float, Bool], Body::Both),
+        RL_STEP => (&[Float, End], Body::Both),
         AGENT_END | RL_RETURN => (&[Float], Body::None),
         AGENT_SEED | ENV_SEED | RL_NUM_STEPS | RL_NUM_EPISODES => (&[Int], Body::None),
-        RL_EPISODE => (&[Bool], Body::None),
+        RL_EPISODE => (&[End], Body::None),
         WELCOME => (&[Int, Bool, Float, Float, Int], Body::None),
         GOODBYE => (&[Text], Body::None),
         REFUSE | ERROR => (&[Text, Text], Body::None),
@@ -209,7 +228,8 @@ pub(crate) fn decode(frames: &Frames) -> Result<Message, Error> {
         scalars.push(match each {
             Type::Int => Scalar::Int(reader.int()?),
             Type::Float => Scalar::Float(reader.float()?),
-            Type::Bool => Scalar::Bool(reader.bool()?),
+            Type::Bool => Scalar::Bool(reader.flag()? != 0),
+            Type::End => Scalar::end(reader.flag()?),
             Type::Text => Scalar::Text(reader.text()?.to_owned()),
         });
     }

@@ -4,7 +4,7 @@ use std::borrow::Cow;
 use std::panic::{catch_unwind, resume_unwind, AssertUnwindSafe};
 
 use crate::link::Link;
-use crate::message::{encode, kind, Frames, Message, Scalar};
+use crate::message::{encode, kind, Frames, Message, Scalar, CUT_OFF};
 use crate::{AbstractType, Agent, Capability, Environment, Error, Options, Outcome};
 
 /// Lets an agent take part in a session until the hub says goodbye; returns its reason.
@@ -54,7 +54,8 @@ pub fn serve_environment(environment: &mut dyn Environment, options: &Options) -
             kind::ENV_STEP => {
                 done.read(body);
                 let step = environment.step(&done)?;
-                answer.scalars = vec![Scalar::Float(step.reward), Scalar::Bool(step.terminal)];
+                let end = if step.truncated { Scalar::Int(CUT_OFF) } else { Scalar::Bool(step.terminal) };
+                answer.scalars = vec![Scalar::Float(step.reward), end];
                 step.observation.write(answer.body());
             }
             kind::ENV_CLEANUP => environment.cleanup()?,
@@ -98,13 +99,16 @@ fn serve<'a>(
     options: &'a Options,
     call: &'a mut Call<'a>,
 ) -> Result<String, Error> {
-    let capabilities: Vec<_> = capabilities
+    let mut capabilities: Vec<_> = capabilities
         .iter()
         .map(|capability| match capability {
             Capability::Seed => "seed",
             Capability::Save => "save",
         })
         .collect();
+    if role == "environment" {
+        capabilities.push("truncate");
+    }
     let link = Link::new(role, options, &capabilities)?;
     let mut player = Player { link, call, last_seq: 0, last_call: Frames::default(), last_answer: Frames::default() };
     let error = player.answer_all();

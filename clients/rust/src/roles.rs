@@ -70,6 +70,9 @@ pub struct Step {
     pub terminal: bool,
     /// The observation after the action.
     pub observation: Observation,
+    /// Whether it is over only because it was cut off, in a state that is not terminal: the agent is shown the observation,
+    /// and no end.
+    pub truncated: bool,
 }
 
 /// The task.

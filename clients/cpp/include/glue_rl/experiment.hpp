@@ -26,9 +26,12 @@ class Experiment {
   /// What RL_step brings; after a terminal step, `action` is the one that was executed.
   struct Transition {
     double reward = 0;
+    /// Whether the episode is over.
     bool terminal = false;
     Observation observation;
     Action action;
+    /// Whether the environment cut it off, in a state that is not terminal.
+    bool truncated = false;
   };
 
   /// Is told the event (a player `joined`, was `lost`, has `returned` or is `slow`), the role and the name.
@@ -67,11 +70,14 @@ class Experiment {
   /// RL_step.
   Transition step() {
     const auto reply = ask(begin(0, detail::kRlStep));
-    return {reply.floats[0], reply.truth, Observation(reply.first), Action(reply.second)};
+    return {reply.floats[0], reply.truth, Observation(reply.first), Action(reply.second), reply.cut_off};
   }
 
-  /// RL_episode of at most `max_steps` steps, 0 for any number; returns whether it reached its end.
-  bool episode(std::uint64_t max_steps = 0) { return ask(begin(1, detail::kRlEpisode).integer(max_steps)).truth; }
+  /// RL_episode of at most `max_steps` steps, 0 for any number; returns whether it reached its end, and was not cut off.
+  bool episode(std::uint64_t max_steps = 0) {
+    const auto reply = ask(begin(1, detail::kRlEpisode).integer(max_steps));
+    return reply.truth && !reply.cut_off;
+  }
 
   /// RL_return: the sum of the episode's rewards.
   double episode_return() { return ask(begin(0, detail::kRlReturn)).floats[0]; }
@@ -97,7 +103,7 @@ class Experiment {
   /// RL_env_step: executes an action.
   Environment::Step env_step(const Action& action) {
     const auto reply = ask(begin(0, detail::kRlEnvStep), &action);
-    return {reply.floats[0], reply.truth, Observation(reply.first)};
+    return {reply.floats[0], reply.truth, Observation(reply.first), reply.cut_off};
   }
 
   /// RL_agent_start: the first observation of an episode for the agent, and its action.
@@ -135,7 +141,7 @@ class Experiment {
     begin(0, kind);
     link_.check(bytes.size());
     detail::Frames request;
-    request.body = detail::Frame(bytes);
+    request.body = bytes;
     request.has_body = true;
     return std::string(ask(std::move(request)).body);
   }
@@ -144,7 +150,7 @@ class Experiment {
     detail::Frames request;
     if (body != nullptr) {
       link_.check(body->body_size());
-      request.body = detail::Frame(body->body_size());
+      request.body.resize(body->body_size());
       request.has_body = true;
       body->write(request.body.data());
     }
@@ -153,7 +159,7 @@ class Experiment {
 
   /// Returns the reply to the request whose header was begun, however often the network fails.
   detail::Message ask(detail::Frames request) {
-    request.header = detail::Frame(header_.bytes());
+    request.header = header_.bytes();
     seq_ += 1;
     if (link_.welcomed()) link_.send(request);
     while (true) {

@@ -2,6 +2,7 @@
 
 #include <exception>
 #include <string>
+#include <type_traits>
 #include <utility>
 #include <vector>
 
@@ -13,40 +14,44 @@ namespace glue_rl {
 
 namespace detail {
 
-/// The answer to a call, as it is being made.
+/// The answer to a call, as it is being written to `frames`.
 class Answer {
  public:
-  Answer(const Message& call, std::string_view session) : call_(call), session_(session) {
+  Answer(Frames& frames, const Message& call, std::string_view session)
+      : frames_(frames), call_(call), session_(session) {
+    frames.body.clear();
+    frames.has_body = false;
     header_.begin(0, call.kind, session, call.seq);
   }
 
   void text(std::string_view bytes) {
-    frames_.body = Frame(bytes);
+    frames_.body = bytes;
     frames_.has_body = true;
   }
 
   void abstract(const AbstractType& value) {
-    frames_.body = Frame(value.body_size());
+    frames_.body.resize(value.body_size());
     frames_.has_body = true;
     value.write(frames_.body.data());
   }
 
-  void step(double reward, bool terminal) {
-    header_.begin(2, call_.kind, session_, call_.seq).real(reward).truth(terminal);
+  void step(const Environment::Step& step) {
+    header_.begin(2, call_.kind, session_, call_.seq).real(step.reward);
+    if (step.truncated) {
+      header_.integer(kCutOff);
+    } else {
+      header_.truth(step.terminal);
+    }
+    abstract(step.observation);
   }
 
-  Frames finish() {
-    frames_.header = Frame(header_.bytes());
-    return std::move(frames_);
-  }
-
-  std::size_t body_size() const { return frames_.body.view().size(); }
+  void finish() { frames_.header = header_.bytes(); }
 
  private:
+  Frames& frames_;
   const Message& call_;
   std::string_view session_;
   HeaderWriter header_;
-  Frames frames_;
 };
 
 inline bool call_seedable(Seedable* player, const Message& message) {
@@ -85,12 +90,7 @@ inline bool carry_out(Environment& environment, const Message& message, Answer& 
   switch (message.kind) {
     case kEnvInit: answer.text(environment.init()); return true;
     case kEnvStart: answer.abstract(environment.start()); return true;
-    case kEnvStep: {
-      const Environment::Step step = environment.step(message.first);
-      answer.step(step.reward, step.terminal);
-      answer.abstract(step.observation);
-      return true;
-    }
+    case kEnvStep: answer.step(environment.step(message.first)); return true;
     case kEnvCleanup: environment.cleanup(); return true;
     case kEnvMessage: answer.text(environment.message(message.body)); return true;
     case kEnvSeed: return call_seedable(dynamic_cast<Seedable*>(&environment), message);
@@ -126,6 +126,7 @@ class Player {
     std::vector<std::string> capabilities;
     if (dynamic_cast<Saveable*>(&player) != nullptr) capabilities.emplace_back("save");
     if (dynamic_cast<Seedable*>(&player) != nullptr) capabilities.emplace_back("seed");
+    if (std::is_same_v<Role, Environment>) capabilities.emplace_back("truncate");
     return capabilities;
   }
 
@@ -138,7 +139,7 @@ class Player {
     } else if (message.seq >= last_seq_ && link_.welcomed()) {
       const std::uint64_t seq = message.seq;
       if (seq > last_seq_ && !(frames_ == last_call_)) {
-        last_answer_ = answer(message);
+        answer(message);
         std::swap(last_call_, frames_);
       }
       last_seq_ = seq;
@@ -147,17 +148,17 @@ class Player {
     }
   }
 
-  Frames answer(const Message& message) {
+  /// Carries a call out; what is to be sent is the last answer then.
+  void answer(const Message& message) {
     try {
-      Answer answer(message, link_.session());
+      Answer answer(last_answer_, message, link_.session());
       if (carry_out(player_, message, answer)) {
-        link_.check(answer.body_size());
-        return answer.finish();
+        link_.check(last_answer_.body.size());
+        answer.finish();
+        return;
       }
-      Frames frames;
       const std::string text = std::string("this ") + role_ + " does not know kind " + std::to_string(message.kind);
-      frames.header = Frame(link_.error(message.seq, "unknown-kind", text).bytes());
-      return frames;
+      last_answer_.header = link_.error(message.seq, "unknown-kind", text).bytes();
     } catch (const std::exception& error) {
       raised(message.seq, error.what());
     } catch (...) {

@@ -36,8 +36,11 @@ class Environment {
   /// What came of an action.
   struct Step {
     double reward = 0;
+    /// Whether the episode is over.
     bool terminal = false;
     Observation observation;
+    /// Whether it was only cut off, in a state that is not terminal: the agent is shown the observation, and no end.
+    bool truncated = false;
   };
 
   virtual ~Environment() = default;

@@ -8,8 +8,21 @@ public interface Environment {
      * @param reward the reward
      * @param terminal whether the episode is over
      * @param observation the observation after the action
+     * @param truncated whether it is over only because it was cut off, in a state that is not terminal: the agent is shown
+     *     the observation, and no end
      */
-    record Step(double reward, boolean terminal, Observation observation) {}
+    record Step(double reward, boolean terminal, Observation observation, boolean truncated) {
+        /**
+         * Makes a step of an episode that is not cut off.
+         *
+         * @param reward the reward
+         * @param terminal whether the episode is over
+         * @param observation the observation after the action
+         */
+        public Step(double reward, boolean terminal, Observation observation) {
+            this(reward, terminal, observation, false);
+        }
+    }
 
     /**
      * Prepares.

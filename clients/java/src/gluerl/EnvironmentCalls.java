@@ -17,7 +17,8 @@ final class EnvironmentCalls implements Calls {
                 return new Result(environment.start().body());
             case ENV_STEP:
                 Environment.Step step = environment.step(new Action(message.reader()));
-                return new Result(step.observation().body(), step.reward(), step.terminal());
+                Object end = step.truncated() ? (Object) Message.CUT_OFF : (Object) step.terminal();
+                return new Result(step.observation().body(), step.reward(), end);
             case ENV_CLEANUP:
                 environment.cleanup();
                 return Result.NOTHING;

@@ -21,8 +21,10 @@ public final class Experiment implements AutoCloseable {
      * @param terminal whether the episode is over
      * @param observation the observation after the step
      * @param action the next action; after a terminal step the one that was executed
+     * @param truncated whether the environment cut the episode off, in a state that is not terminal
      */
-    public record Step(double reward, boolean terminal, Observation observation, Action action) {}
+    public record Step(
+            double reward, boolean terminal, Observation observation, Action action, boolean truncated) {}
 
     /** Is told when players come and go. */
     @FunctionalInterface
@@ -93,17 +95,19 @@ public final class Experiment implements AutoCloseable {
     public Step step() {
         Message reply = ask(Kind.RL_STEP, null);
         var body = reply.reader();
-        return new Step(reply.real(0), reply.truth(1), new Observation(body), new Action(body));
+        return new Step(
+                reply.real(0), reply.truth(1), new Observation(body), new Action(body), reply.isCutOff(1));
     }
 
     /**
      * RL_episode.
      *
      * @param maxSteps the largest number of steps; 0 for any
-     * @return whether the episode reached its end
+     * @return whether the episode reached its end, and was not cut off
      */
     public boolean episode(long maxSteps) {
-        return ask(Kind.RL_EPISODE, null, maxSteps).truth(0);
+        Message reply = ask(Kind.RL_EPISODE, null, maxSteps);
+        return reply.truth(0) && !reply.isCutOff(0);
     }
 
     /**
@@ -175,7 +179,8 @@ public final class Experiment implements AutoCloseable {
      */
     public Environment.Step envStep(Action action) {
         Message reply = ask(Kind.RL_ENV_STEP, action.body());
-        return new Environment.Step(reply.real(0), reply.truth(1), new Observation(reply.reader()));
+        return new Environment.Step(
+                reply.real(0), reply.truth(1), new Observation(reply.reader()), reply.isCutOff(1));
     }
 
     /**

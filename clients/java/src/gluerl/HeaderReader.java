@@ -66,15 +66,16 @@ final class HeaderReader {
         return value;
     }
 
-    boolean truth() {
+    /** Returns a bool, which may be an integer: all but 0 are true. */
+    long flag() {
         int tag = tag();
         if (tag == 0xc2 || tag == 0xc3) {
-            return tag == 0xc3;
+            return tag - 0xc2;
         }
         if (!isInteger(tag)) {
             fail("a bool", tag);
         }
-        return anyInteger(tag) != 0;
+        return anyInteger(tag);
     }
 
     String text() {

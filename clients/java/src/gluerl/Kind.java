@@ -12,8 +12,8 @@ import java.util.Map;
 /**
  * Every kind of message, and what it carries to the hub and from it: docs/protocol.md, "Every kind of message".
  *
- * <p>Scalars are written as one letter each: {@code i} int, {@code f} float, {@code b} bool, {@code t} text, {@code n}
- * int or nil, {@code x} binary, {@code I} array of int, {@code T} array of text. A null says that the kind does not go
+ * <p>Scalars are written as one letter each: {@code i} int, {@code f} float, {@code b} bool, {@code e} the end of an
+ * episode, which is a bool or {@link Message#CUT_OFF}, {@code t} text, {@code n} int or nil, {@code x} binary, {@code I} array of int, {@code T} array of text. A null says that the kind does not go
  * that way.
  */
 enum Kind {
@@ -29,7 +29,7 @@ enum Kind {
 
     ENV_INIT(11, "", TEXT, "", NONE),
     ENV_START(12, "", ABSTRACT, "", NONE),
-    ENV_STEP(13, "fb", ABSTRACT, "", ABSTRACT),
+    ENV_STEP(13, "fe", ABSTRACT, "", ABSTRACT),
     ENV_CLEANUP(14, "", NONE, "", NONE),
     ENV_MESSAGE(19, "", TEXT, "", TEXT),
     ENV_SEED(83, "", NONE, "i", NONE),
@@ -38,16 +38,16 @@ enum Kind {
 
     RL_INIT(20, "n", NONE, "", TEXT),
     RL_START(21, "", NONE, "", BOTH),
-    RL_STEP(22, "", NONE, "fb", BOTH),
+    RL_STEP(22, "", NONE, "fe", BOTH),
     RL_CLEANUP(23, "", NONE, "", NONE),
     RL_RETURN(24, "", NONE, "f", NONE),
     RL_NUM_STEPS(25, "", NONE, "i", NONE),
     RL_NUM_EPISODES(26, "", NONE, "i", NONE),
-    RL_EPISODE(27, "i", NONE, "b", NONE),
+    RL_EPISODE(27, "i", NONE, "e", NONE),
     RL_AGENT_MESSAGE(33, "", TEXT, "", TEXT),
     RL_ENV_MESSAGE(34, "", TEXT, "", TEXT),
     RL_ENV_START(36, "", NONE, "", ABSTRACT),
-    RL_ENV_STEP(37, "", ABSTRACT, "fb", ABSTRACT),
+    RL_ENV_STEP(37, "", ABSTRACT, "fe", ABSTRACT),
     RL_AGENT_START(38, "", ABSTRACT, "", ABSTRACT),
     RL_AGENT_STEP(39, "f", ABSTRACT, "", ABSTRACT),
     RL_AGENT_END(40, "f", NONE, "", NONE),

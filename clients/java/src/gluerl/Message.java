@@ -10,11 +10,15 @@ import java.nio.charset.StandardCharsets;
  * @param code the code of its kind
  * @param session the name of the session
  * @param seq the sequence number
- * @param scalars each a Long, Double, Boolean or String, as the kind says
+ * @param scalars each a Long, Double, Boolean or String, as the kind says; an end is a Boolean or CUT_OFF
  * @param body the body, or null
  */
 record Message(Kind kind, long code, String session, long seq, Object[] scalars, byte[] body) {
     static final int MAX_BODY = 16777216;
+
+    /** Instead of a Boolean, that an episode was cut off in a state that is not terminal. */
+    static final Long CUT_OFF = 2L;
+
     private static final int MAX_SESSION = 255;
     private static final Object[] NO_SCALARS = {};
 
@@ -39,7 +43,8 @@ record Message(Kind kind, long code, String session, long seq, Object[] scalars,
             scalars[i] = switch (kind.fromHub.charAt(i)) {
                 case 'i' -> (Object) reader.integer();
                 case 'f' -> reader.real();
-                case 'b' -> reader.truth();
+                case 'b' -> reader.flag() != 0;
+                case 'e' -> endOf(reader.flag());
                 default -> reader.text();
             };
         }
@@ -57,7 +62,13 @@ record Message(Kind kind, long code, String session, long seq, Object[] scalars,
             switch (kind.toHub.charAt(i)) {
                 case 'i' -> header.integer((Long) value);
                 case 'f' -> header.real((Double) value);
-                case 'b' -> header.truth((Boolean) value);
+                case 'b', 'e' -> {
+                    if (CUT_OFF.equals(value)) {
+                        header.integer(CUT_OFF);
+                    } else {
+                        header.truth((Boolean) value);
+                    }
+                }
                 case 't' -> header.text((String) value);
                 case 'x' -> header.binary((byte[]) value);
                 case 'I' -> {
@@ -104,7 +115,11 @@ record Message(Kind kind, long code, String session, long seq, Object[] scalars,
     }
 
     boolean truth(int scalar) {
-        return (Boolean) scalars[scalar];
+        return !Boolean.FALSE.equals(scalars[scalar]);
+    }
+
+    boolean isCutOff(int scalar) {
+        return CUT_OFF.equals(scalars[scalar]);
     }
 
     long integer(int scalar) {
@@ -113,6 +128,10 @@ record Message(Kind kind, long code, String session, long seq, Object[] scalars,
 
     String text(int scalar) {
         return (String) scalars[scalar];
+    }
+
+    private static Object endOf(long flag) {
+        return flag == CUT_OFF ? CUT_OFF : (Object) (flag != 0);
     }
 
     private static void check(Kind kind, byte[] body) {

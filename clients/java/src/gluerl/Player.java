@@ -22,6 +22,9 @@ final class Player {
         if (player instanceof Seedable) {
             capabilities.add("seed");
         }
+        if (player instanceof Environment) {
+            capabilities.add("truncate");
+        }
         this.role = role;
         this.name = options.name();
         this.calls = calls;

@@ -158,13 +158,14 @@ class HeaderReader {
     return static_cast<double>(whole);
   }
 
-  bool truth() {
+  /// Reads a bool, which may be an integer: all but 0 are true.
+  std::uint64_t truth() {
     const unsigned tag = next_tag();
     if (tag == 0xc2 || tag == 0xc3) return tag == 0xc3;
     std::uint64_t value = 0;
     bool negative = false;
     if (!any_integer(tag, value, negative)) unexpected("a bool");
-    return value != 0;
+    return value;
   }
 
   std::string_view text() {

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <memory>
 #include <optional>
 #include <random>
 #include <string>
@@ -9,12 +10,12 @@
 #include <vector>
 
 #include "../options.hpp"
-#include "dealer.hpp"
+#include "curve_dealer.hpp"
+#include "plain_dealer.hpp"
 
 namespace glue_rl::detail {
 
 using Clock = std::chrono::steady_clock;
-using Milliseconds = std::chrono::milliseconds;
 
 /// Returns one line of at most a thousand bytes, and of whole characters.
 inline std::string clip(std::string_view text) {
@@ -32,11 +33,13 @@ class Link {
   Link(std::string role, const Options& options, std::vector<std::string> capabilities)
       : role_(std::move(role)), options_(options), capabilities_(std::move(capabilities)) {
     check_session(options.session);
-    std::optional<Keys> keys;
-    if (!options.key.empty() || !options.hub_key.empty()) keys = read_keys(options.key, options.hub_key);
     std::random_device random;  // of the operating system
     for (std::size_t i = 0; i < kInstance; ++i) instance_.push_back(static_cast<char>(random()));
-    dealer_.emplace(options.hub, keys ? &*keys : nullptr);
+    if (options.key.empty() && options.hub_key.empty()) {
+      dealer_ = std::make_unique<PlainDealer>(options.hub, options.log);
+    } else {
+      dealer_ = std::make_unique<CurveDealer>(options.hub, read_keys(options.key, options.hub_key));
+    }
   }
 
   /// Returns whether the hub has let us in over the latest connection, as far as is known.
@@ -61,7 +64,7 @@ class Link {
   /// Sends a message without a body.
   void send(const HeaderWriter& header) {
     Frames frames;
-    frames.header = Frame(header.bytes());
+    frames.header = header.bytes();
     dealer_->send(frames);
   }
 
@@ -69,13 +72,13 @@ class Link {
   /// nothing if there is none for a heartbeat.
   std::optional<Message> receive(Frames& frames) {
     try {
-      if (!dealer_->receive(frames, heartbeat_)) {
+      if (!dealer_->receive(frames, heartbeat_, timeout_)) {
         idle();
         return std::nullopt;
       }
       received_ = Clock::now();
-      const std::string_view body = frames.body.view();
-      const Message message = decode(frames.header.view(), frames.has_body ? &body : nullptr);
+      const std::string_view body = frames.body;
+      const Message message = decode(frames.header, frames.has_body ? &body : nullptr);
       if (message.session != options_.session) {
         if (message.kind == kError && message.session.empty()) log("the hub says: " + std::string(message.texts[1]));
         return std::nullopt;
@@ -137,7 +140,7 @@ class Link {
     greeted_ = dealer_->connections();
     HeaderWriter hello;
     hello.begin(6, kHello, session(), greeted_).array(1).integer(1).text(role_).binary(instance_);
-    hello.text(options_.name).text("C++, libzmq").array(capabilities_.size());
+    hello.text(options_.name).text("C++").array(capabilities_.size());
     for (const auto& capability : capabilities_) hello.text(capability);
     send(hello);
   }
@@ -148,6 +151,7 @@ class Link {
     if (message.ints[0] != 1) throw ProtocolError("a version was chosen that was not offered");
     const double seconds = message.floats[0];
     heartbeat_ = Milliseconds(static_cast<int>(1000 * (seconds > 0.01 ? std::min(seconds, 60.0) : 0.01)));
+    timeout_ = std::max(Milliseconds(static_cast<int>(1000 * std::clamp(message.floats[1], 0.0, 86400.0))), heartbeat_);
     max_body_ = std::min<std::uint64_t>(message.ints[1], kMaxBody);
     if (waiting_) log("the hub at " + options_.hub + " is there");
     waiting_ = false;
@@ -187,8 +191,9 @@ class Link {
   Options options_;
   std::vector<std::string> capabilities_;
   std::string instance_;
-  std::optional<Dealer> dealer_;
+  std::unique_ptr<Dealer> dealer_;
   Milliseconds heartbeat_{1000};
+  Milliseconds timeout_{5000};
   std::size_t max_body_ = kMaxBody;
   std::uint64_t greeted_ = 0;  // the connection that was greeted last; also the seq of that HELLO
   bool welcomed_ = false;      // over that connection

@@ -13,6 +13,7 @@ namespace glue_rl::detail {
 
 constexpr std::size_t kMaxBody = 16777216;
 constexpr std::size_t kMaxSession = 255;
+constexpr std::uint64_t kCutOff = 2;  // as a terminal
 
 /// The codes of docs/protocol.md, "Every kind of message".
 enum Kind : std::uint64_t {
@@ -107,6 +108,7 @@ struct Message {
   std::array<std::uint64_t, 2> ints{};
   std::array<double, 2> floats{};
   bool truth = false;
+  bool cut_off = false;  // whether that truth was 2
   std::array<std::string_view, 3> texts{};
   std::string_view body;
   AbstractView first;   // the observation or action in the body
@@ -134,7 +136,12 @@ inline Message decode(std::string_view header, const std::string_view* body) {
     switch (*type) {
       case 'i': message.ints[ints++] = reader.integer(); break;
       case 'f': message.floats[floats++] = reader.real(); break;
-      case 'b': message.truth = reader.truth(); break;
+      case 'b': {
+        const std::uint64_t flag = reader.truth();
+        message.truth = flag != 0;
+        message.cut_off = flag == kCutOff;
+        break;
+      }
       default: message.texts[texts++] = reader.text(); break;
     }
   }

@@ -1,0 +1,105 @@
+"""The C++ library with keys, at a hub that wants them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+import pytest
+
+pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
+
+from env_server.toys import SkeletonEnvironment
+from glue.core.config import Bind, HubConfig
+from glue.core.local import local
+from glue.hub.server import Hub
+from glue.keys.allowed import read_keys
+from tests.clients.languages import CPP
+from tests.clients.random_agent import RandomAgent
+from tests.clients.table import SECONDS, Episode, hub, program, read_episodes
+from tests.keyed import KeyFolder
+from tests.system.proxy import Proxy
+
+EPISODES: Final = 300
+SEED: Final = 7
+CUTS: Final = 20
+
+ROLES: Final = {"agent": "random", "environment": "skeleton", "experiment": "experiment"}
+"""Each role, and the example that has it."""
+
+
+class Keyed:
+    """Keys of a hub, and of a program for each role."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = KeyFolder(folder)
+        self.secrets = {name: self.folder.entrant(name) for name in (*ROLES, "stranger")}
+        self.folder.allow("\n".join(f'[{role}]\nrole = "{role}"\n' for role in ROLES))
+
+    @contextmanager
+    def hub(self) -> Iterator[str]:
+        """Run a hub that only those come into whose keys it has; yields its URL."""
+        made = Hub(HubConfig(bind=(Bind("tcp://127.0.0.1:*", keys=read_keys(self.folder.path)),)))
+        with made.in_background():
+            yield made.endpoints[0]
+            made.stop("the test is over")
+
+    def variables(self, name: str) -> dict[str, str]:
+        """Return what a program finds its key by."""
+        return {"GLUE_KEY": str(self.secrets[name]), "GLUE_HUB_KEY": str(self.folder.hub_key)}
+
+
+@pytest.fixture
+def keyed(tmp_path: Path) -> Keyed:
+    CPP.ready()
+    return Keyed(tmp_path)
+
+
+def walked() -> list[Episode]:
+    """Return the episodes that our players play."""
+    glue = local(RandomAgent(), SkeletonEnvironment())
+    glue.rl_init(SEED)
+    return [(glue.rl_return(), glue.rl_num_steps()) for _ in range(EPISODES) if glue.rl_episode(1000)]
+
+
+def test_all_roles_play_with_their_keys_and_go_on_when_connections_are_cut(keyed: Keyed) -> None:
+    with keyed.hub() as url, Proxy(int(url.rpartition(":")[2]), cuts=CUTS).in_background() as proxy:
+        commands = {role: CPP.programs[example] for role, example in ROLES.items()}
+        experiment = [*commands["experiment"], str(EPISODES), str(SEED)]
+        with (
+            program(commands["agent"], proxy.url, **keyed.variables("agent")),
+            program(commands["environment"], proxy.url, **keyed.variables("environment")),
+            program(experiment, proxy.url, **keyed.variables("experiment")) as process,
+        ):
+            assert process.stdout is not None
+            played = read_episodes(process.stdout)
+            assert process.wait(SECONDS) == 0
+            assert proxy.finished.is_set()
+
+    assert played == walked()
+
+
+def refused(url: str, **variables: str) -> str:
+    """Return what an agent says that does not get in."""
+    done = subprocess.run(
+        CPP.programs["random"],
+        env={**os.environ, "GLUE_HUB": url, **variables},
+        capture_output=True,
+        text=True,
+        timeout=SECONDS,
+    )
+    assert done.returncode == 1, done
+    return done.stdout + done.stderr
+
+
+def test_who_does_not_get_in_is_told_why(keyed: Keyed) -> None:
+    with keyed.hub() as url:
+        assert "does not know this key" in refused(url, **keyed.variables("stranger"))
+        assert "set GLUE_KEY and GLUE_HUB_KEY" in refused(url)
+        assert "GLUE_KEY needs GLUE_HUB_KEY" in refused(url, GLUE_KEY=str(keyed.secrets["agent"]))
+    with hub() as url:
+        assert "unset GLUE_KEY and GLUE_HUB_KEY" in refused(url, **keyed.variables("agent"))
