@@ -23,7 +23,7 @@ _STEPS = 2000
 _PROGRAMS = str(_ROOT / "tests" / "clients" / "python_programs.py")
 _JAVA_PATH = f"{_CLIENTS / 'java/build/glue-rl.jar'}:{_CLIENTS / 'java/build/examples'}"
 _JAVA = ("java", "-XX:+UseSerialGC", "-XX:TieredStopAtLevel=1", "-cp", _JAVA_PATH)
-"""With the flags that clients/java/README.md gives: else the compiler is busier than the agent for a minute."""
+"""With the flags of clients/java/README.md: without them the compiler is busier than the agent."""
 
 _LANGUAGES: dict[str, dict[str, Sequence[str]]] = {
     "Python": {each: (sys.executable, _PROGRAMS, each) for each in ("random", "skeleton")},
