@@ -1,10 +1,13 @@
 """Dispatch jobs to an executor, store their reports, and restart lost jobs.
 
-Only this module writes results to the store of a run.
+Only this module writes results to the store of a run. Episodes that end within a moment of each other are
+committed together, and reported after that: what was reported is on disk.
 """
 
 from __future__ import annotations
 
+import math
+import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -35,6 +38,8 @@ __all__ = ["Dispatcher", "Executor"]
 
 _MAX_LOSSES: Final = 3
 _WAIT_SECONDS: Final = 0.1
+_COMMIT_SECONDS: Final = 0.05
+"""How long after a commit episodes are kept for the next one: as much work is lost with the process."""
 
 
 class Executor(Protocol):
@@ -87,6 +92,8 @@ class Dispatcher:
         self._make_job = make_job
         self._interrupts = interrupts
         self._specs = {record.spec.id: record.spec for record in store.trials()}
+        self._unstored: list[tuple[str, Recorded]] = []
+        self._stored_at = -math.inf
         self._losses: dict[str, tuple[int, int]] = {}
         """For each lost trial: its progress, and how often it was lost without further progress."""
         self._joined: dict[tuple[str, str], str] = {}
@@ -103,8 +110,16 @@ class Dispatcher:
             StorageError: a report cannot be stored.
         """
         for trial in trials:
-            send = partial(self.take, trial.trial_id)
-            run_job(self._job(trial), send, interrupts=self._interrupts, recording=recording)
+            send = partial(self._take_here, trial.trial_id)
+            try:
+                run_job(self._job(trial), send, interrupts=self._interrupts, recording=recording)
+            finally:
+                self._store_episodes()
+
+    def _take_here(self, trial_id: str, report: Report) -> None:
+        self.take(trial_id, report)
+        if time.monotonic() - self._stored_at >= _COMMIT_SECONDS:
+            self._store_episodes()
 
     def run_on(self, executor: Executor, trials: Iterable[Remaining]) -> None:
         """Run trials on an executor.
@@ -133,21 +148,25 @@ class Dispatcher:
                     self.take(trial_id, report)
                     if isinstance(report, Lost):
                         waiting.extendleft(self._after_loss(trial_id, report))
+                self._store_episodes()
                 if self._interrupts.requested and not stopped:
                     stopped = True
                     executor.stop()
 
     def take(self, trial_id: str, report: Report) -> None:
-        """Store a report.
+        """Store a report; an episode with no checkpoint after it together with those that end soon.
 
         Raises:
             StorageError: it cannot be stored.
         """
         store, reporter, spec = self._store, self._reporter, self._specs[trial_id]
+        if isinstance(report, Recorded):
+            self._unstored.append((trial_id, report))
+            if report.checkpoint is not None:
+                self._store_episodes()
+            return
+        self._store_episodes()
         match report:
-            case Recorded(result, checkpoint):
-                store.record(trial_id, result, checkpoint)
-                reporter.episode(spec, result)
             case Voided(episode, why):
                 store.record_void(trial_id, episode, why)
                 self._say(trial_id, f"episode {episode} is void: {why}")
@@ -166,6 +185,15 @@ class Dispatcher:
                     store.record_failure(trial_id, failure)
                     self._say(trial_id, f"Error: {failure}")
                 reporter.end(spec)
+
+    def _store_episodes(self) -> None:
+        """Commit the episodes that are kept, then report them."""
+        unstored, self._unstored = self._unstored, []
+        if unstored:
+            self._store.record_all([(trial_id, *recorded) for trial_id, recorded in unstored])
+            for trial_id, recorded in unstored:
+                self._reporter.episode(self._specs[trial_id], recorded.result)
+            self._stored_at = time.monotonic()
 
     def _job(self, trial: Remaining) -> Job:
         spec = self._specs[trial.trial_id]

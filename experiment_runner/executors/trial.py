@@ -21,10 +21,10 @@ __all__ = ["BEGINNING", "Sink", "Start", "run_trial"]
 
 
 class Sink(Protocol):
-    """Receives the results of a trial. They are stored when the call returns."""
+    """Receives the results of a trial. What is given first is stored first."""
 
     def record(self, result: EpisodeResult, checkpoint: Checkpoint | None) -> None:
-        """Store a finished episode, and the checkpoint after it, if any."""
+        """Store a finished episode, and the checkpoint after it, if any; perhaps with the next ones."""
         ...
 
     def void(self, episode: int, why: str) -> None:

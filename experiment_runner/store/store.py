@@ -1,8 +1,8 @@
 """Writing a run directory.
 
-`Store.record` commits an episode and the checkpoint taken after it in one transaction. So the database
-contains whole episodes at whatever moment a process is killed, and every episode that a checkpoint
-includes.
+An episode and the checkpoint taken after it are committed in one transaction; `Store.record_all` commits
+several. So the database contains whole episodes at whatever moment a process is killed, and every episode
+that a checkpoint includes.
 
 A commit survives the process, however it ends. It is flushed to the disk with the next checkpoint at the
 latest: if the machine loses power, the episodes since the last checkpoint may be lost, as if they had not
@@ -50,6 +50,7 @@ class Store(Results):
         self._connection = database.connection
         self._lock = lock
         self._clock = clock
+        self._flushing: bool | None = None  # not known yet
         self._keys: dict[str, int] = dict(self._query("SELECT id, key FROM trials"))
         self._done = {record.spec.id: record.done for record in self.trials()}
 
@@ -123,26 +124,36 @@ class Store(Results):
             ExperimentError: it is not the trial's next episode, or cannot be written. The episodes before
                 it remain recorded.
         """
-        key = self._key(trial_id)
-        expected = self._done[trial_id] + 1
-        if result.episode != expected:
-            raise ExperimentError(
-                f"episode {result.episode} of {trial_id} was recorded where episode {expected} was expected"
-            )
+        self.record_all([(trial_id, result, checkpoint)])
+
+    def record_all(self, records: Sequence[tuple[str, EpisodeResult, Checkpoint | None]]) -> None:
+        """Commit finished episodes, of one trial or of several, all of them or none; as `record`."""
+        done: dict[str, int] = {}
+        for trial_id, result, _ in records:
+            self._key(trial_id)
+            expected = done.get(trial_id, self._done[trial_id]) + 1
+            if result.episode != expected:
+                raise ExperimentError(
+                    f"episode {result.episode} of {trial_id} was recorded "
+                    f"where episode {expected} was expected"
+                )
+            done[trial_id] = expected
         # Flush with each checkpoint: then a power loss costs at most the episodes since.
-        self._execute(f"PRAGMA synchronous = {'NORMAL' if checkpoint is None else 'FULL'}")
+        self._flush_commits(any(checkpoint is not None for _, _, checkpoint in records))
         with (
             reported(
-                f"episode {result.episode} of {trial_id} is not recorded",
+                f"{_named(records)} not recorded",
                 f"; the episodes before it are. Solve that, and continue with --resume {self.directory}",
             ),
             transaction(self._connection),
         ):
-            self._connection.execute(_PUT_EPISODE, (key, *result))
-            if checkpoint is not None:
-                row = (key, result.episode, checkpoint.agent, checkpoint.environment)
-                self._connection.execute(_PUT_CHECKPOINT, row)
-        self._done[trial_id] = result.episode
+            for trial_id, result, checkpoint in records:
+                key = self._keys[trial_id]
+                self._connection.execute(_PUT_EPISODE, (key, *result))
+                if checkpoint is not None:
+                    row = (key, result.episode, checkpoint.agent, checkpoint.environment)
+                    self._connection.execute(_PUT_CHECKPOINT, row)
+        self._done.update(done)
 
     def record_void(self, trial_id: str, episode: int, why: str) -> None:
         """Commit that an attempt at an episode does not count."""
@@ -159,7 +170,7 @@ class Store(Results):
 
     def record_outcome(self, trial_id: str, outcome: Outcome) -> None:
         """Commit how a trial of a competition ended, and flush everything about it to the disk."""
-        self._execute("PRAGMA synchronous = FULL")
+        self._flush_commits(True)
         self._execute(_PUT_OUTCOME, self._key(trial_id), *outcome)
 
     def record_verdict(self, trial_id: str, verdict: Verdict) -> None:
@@ -220,9 +231,22 @@ class Store(Results):
             raise ExperimentError(f"{self.directory} has no trial {trial_id}")
         return self._keys[trial_id]
 
+    def _flush_commits(self, wanted: bool) -> None:
+        """Let commits be flushed to the disk, or not."""
+        if wanted is not self._flushing:
+            self._execute(f"PRAGMA synchronous = {'FULL' if wanted else 'NORMAL'}")
+            self._flushing = wanted
+
     def _execute(self, statement: str, *values: object) -> None:
         with reported(f"cannot write to {self.directory}"):
             self._connection.execute(statement, values)
+
+
+def _named(records: Sequence[tuple[str, EpisodeResult, Checkpoint | None]]) -> str:
+    trial_id, result, _ = records[0]
+    if len(records) == 1:
+        return f"episode {result.episode} of {trial_id} is"
+    return f"episode {result.episode} of {trial_id} is, with {len(records) - 1} others,"
 
 
 def _trial_row(spec: TrialSpec) -> tuple[object, ...]:

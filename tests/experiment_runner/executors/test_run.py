@@ -16,7 +16,7 @@ from experiment_runner.executors.trial import Start
 from experiment_runner.interrupts import Interrupts
 from experiment_runner.plan import Plan, RoleSweep, TrialSpec
 from experiment_runner.players import HubOptions, Meeting
-from experiment_runner.store.records import EpisodeResult, TrialRecord
+from experiment_runner.store.records import Checkpoint, EpisodeResult, TrialRecord
 from experiment_runner.store.store import Store
 from glue.errors import ConfigError
 from tests.system.runs import contents
@@ -199,7 +199,7 @@ def test_what_cannot_be_carried_out_is_said_beforehand(config: RunConfig, plan: 
         config.check(plan)
 
 
-def test_report_of_a_recorded_episode_is_stored_before_anybody_hears_of_it(tmp_path: Path) -> None:
+def test_episodes_are_stored_together_before_anybody_hears_of_them(tmp_path: Path) -> None:
     heard: list[int] = []
 
     class Listening(Silent):
@@ -210,4 +210,9 @@ def test_report_of_a_recorded_episode_is_stored_before_anybody_hears_of_it(tmp_p
         listened_to = dispatcher(store, Listening())
         for episode in (1, 2):
             listened_to.take(FIRST, Recorded(EpisodeResult(episode, 1.0, 2, True, 0.5), None))
-    assert heard == [1, 2]
+        assert heard == []
+        listened_to.take(FIRST, Said("a line"))
+        assert heard == [2, 2]
+        saved = Checkpoint(b"agent", b"environment")
+        listened_to.take(FIRST, Recorded(EpisodeResult(3, 1.0, 2, True, 0.5), saved))
+        assert heard == [2, 2, 3]
