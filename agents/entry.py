@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NoReturn
-
 from glue.entry import start
 
 
-def agent() -> NoReturn:
+def agent() -> None:
     """Run `glue-agent`."""
     start("agents.command")

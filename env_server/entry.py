@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NoReturn
-
 from glue.entry import start
 
 
-def environment() -> NoReturn:
+def environment() -> None:
     """Run `glue-env`."""
     start("env_server.command")
 
 
-def replay() -> NoReturn:
+def replay() -> None:
     """Run `glue-replay`."""
     start("env_server.replay.command")

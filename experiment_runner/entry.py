@@ -2,46 +2,44 @@
 
 from __future__ import annotations
 
-from typing import NoReturn
-
 from glue.entry import start
 
 
-def compete() -> NoReturn:
+def compete() -> None:
     """Run `glue-compete`."""
     start("experiment_runner.competition.command")
 
 
-def experiment() -> NoReturn:
+def experiment() -> None:
     """Run `glue-experiment`."""
     start("experiment_runner.commands.experiment")
 
 
-def generalise() -> NoReturn:
+def generalise() -> None:
     """Run `glue-generalise`."""
     start("experiment_runner.generalisation.command")
 
 
-def paper() -> NoReturn:
+def paper() -> None:
     """Run `glue-paper`."""
     start("experiment_runner.paper.command")
 
 
-def plot() -> NoReturn:
+def plot() -> None:
     """Run `glue-plot`."""
     start("experiment_runner.commands.plot")
 
 
-def results() -> NoReturn:
+def results() -> None:
     """Run `glue-results`."""
     start("experiment_runner.commands.results")
 
 
-def view() -> NoReturn:
+def view() -> None:
     """Run `glue-view`."""
     start("experiment_runner.view.command")
 
 
-def watch() -> NoReturn:
+def watch() -> None:
     """Run `glue-watch`."""
     start("experiment_runner.commands.watch")

@@ -8,9 +8,11 @@ The names below are imported when they are first used, so that `import glue` cos
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final
 
+TYPE_CHECKING = False  # not imported: see glue.entry
 if TYPE_CHECKING:
+    from typing import Any, Final
+
     from glue.client.experiment import connect
     from glue.client.players import serve_agent, serve_environment
     from glue.core.experiment import Experiment

@@ -1,6 +1,8 @@
 """Where every command begins: Ctrl-C and SIGTERM are handled before anything slow is imported.
 
-This module imports nothing but what Python itself has loaded, or loads in a millisecond.
+This module, and those that call it, import nothing but what Python itself has loaded, or loads in a
+millisecond: until `handle_signals` has been called, Ctrl-C prints a traceback. Hence no `typing`, except for
+type checkers, to which TYPE_CHECKING is true.
 """
 
 from __future__ import annotations
@@ -8,10 +10,13 @@ from __future__ import annotations
 import os
 import select
 import signal
-from collections.abc import Callable
 from importlib import import_module
-from types import FrameType
-from typing import Final, NoReturn
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from types import FrameType
+    from typing import Final, NoReturn
 
 __all__ = ["EXIT_INTERRUPTED", "EXIT_TERMINATED", "Terminated", "handle_signals", "is_stuck", "start"]
 

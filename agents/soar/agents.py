@@ -46,14 +46,9 @@ class SoarAgent(SoarPlayer):
         max_cycles: MaxCycles = 100,
         seed: Seed = None,
     ) -> None:
-        super().__init__(Path(productions), max_cycles, seed)
-        self._given = bool(productions)
-
-    def agent_init(self, task_spec: str) -> None:
-        """Load the productions; see `SoarPlayer.agent_init`."""
-        if not self._given:
+        if not productions:
             raise ConfigError("agent soar needs the file of its productions: --productions my.soar")
-        super().agent_init(task_spec)
+        super().__init__(Path(productions), max_cycles, seed)
 
     def _new_link(self, kernel: Kernel, task: TaskSpec) -> Link:
         return TaskLink(kernel, task)

@@ -109,10 +109,8 @@ class Kernel:
         """Load a file of productions, and the files that it sources, which it names relative to itself.
 
         Raises:
-            ConfigError: there is no such file, or Soar does not accept a line of it.
+            ConfigError: Soar does not accept a line of it.
         """
-        if not file.is_file():
-            raise ConfigError(f"there is no file of productions {str(file)!r}")
         try:
             self.command(f'source "{file.resolve().as_posix()}"')
         except SoarError as error:
@@ -199,11 +197,17 @@ _all_kernels: _Kernels | None = None
 
 def _kernels() -> _Kernels:
     global _all_kernels
+    require_soar()
+    _all_kernels = _all_kernels or _Kernels()
+    return _all_kernels
+
+
+def require_soar() -> None:
+    """Raise ConfigError if soar-sml is not installed."""
     try:
-        _all_kernels = _all_kernels or _Kernels()
+        import soar_sml  # noqa: F401
     except ImportError:
         raise ConfigError("this agent needs soar-sml: pip install 'glue-rl[soar]'") from None
-    return _all_kernels
 
 
 def _end_of(printed: str) -> str:

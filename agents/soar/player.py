@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar, Final
 
 import numpy as np
 
-from agents.soar.kernel import Kernel
+from agents.soar.kernel import Kernel, require_soar
 from agents.soar.link import Link
 from agents.soar.rules import parse_rules
 from glue.errors import ConfigError, SaveError
@@ -43,11 +43,17 @@ class SoarPlayer(abc.ABC):
         productions: the file to load.
         max_cycles: the largest number of decision cycles that a step may take.
         seed: takes the place of the seed that the experiment sends; None to use the experiment's.
+
+    Raises:
+        ConfigError: soar-sml is not installed, or there is no such file.
     """
 
     name: ClassVar[str]
 
     def __init__(self, productions: Path, max_cycles: int, seed: int | None) -> None:
+        require_soar()
+        if not productions.is_file():
+            raise ConfigError(f"there is no file of productions {str(productions)!r}")
         self._productions = productions
         self._max_cycles = max_cycles
         self._own_seed = seed
@@ -79,7 +85,7 @@ class SoarPlayer(abc.ABC):
         """Forget everything, and load the productions into a new kernel.
 
         Raises:
-            ConfigError: soar-sml is not installed, the productions do not load, or the task does not fit.
+            ConfigError: the productions do not load, or the task does not fit.
             TaskSpecError: the task spec does not parse.
         """
         self._task = parse_task_spec(task_spec)

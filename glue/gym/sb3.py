@@ -15,17 +15,19 @@ import numpy as np
 import numpy.typing as npt
 
 from glue.errors import ConfigError
-from glue.gym.modes import AutoresetMode
-from glue.gym.spaces import Codec, read_spaces
-from glue.options import Option
-from glue.taskspec import parse_task_spec
-from glue.types import Action, Observation
 
+# First of all, as it needs Gymnasium itself: whoever lacks either is told what brings both.
 try:
     import stable_baselines3
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError:
     raise ConfigError("this needs Stable-Baselines3: pip install 'glue-rl[sb3]'") from None
+
+from glue.gym.modes import AutoresetMode
+from glue.gym.spaces import Codec, read_spaces
+from glue.options import Option
+from glue.taskspec import parse_task_spec
+from glue.types import Action, Observation
 
 __all__ = ["SB3Agent", "SB3VecEnv"]
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NoReturn
-
 from glue.entry import start
 
 
-def hub() -> NoReturn:
+def hub() -> None:
     """Run `glue-hub`."""
     start("glue.hub.command")

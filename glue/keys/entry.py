@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NoReturn
-
 from glue.entry import start
 
 
-def keys() -> NoReturn:
+def keys() -> None:
     """Run `glue-keys`."""
     start("glue.keys.command")

@@ -109,7 +109,11 @@ def find(role: Role, name: str) -> type:
         return _class_of(_import(entry_point.module), entry_point.attr, entry_point.module)
     prefix, _, rest = name.partition(":")
     adapter = {point.name: point for point in entry_points(group=_ADAPTERS[role])}.get(prefix)
-    if adapter is not None and rest:
+    if adapter is not None:
+        if not rest:
+            raise ConfigError(
+                f"{name!r} is half a name: write {prefix}:NAME, with {prefix}'s name of the {role}"
+            )
         adapted: type = getattr(_import(adapter.module), adapter.attr)(rest)
         return adapted
     source, _, attribute = name.rpartition(":")
@@ -155,6 +159,8 @@ def _import(module: str) -> ModuleType:
         if error.name is not None and (module == error.name or module.startswith(error.name + ".")):
             raise ConfigError(f"there is no module {module!r} here") from None
         raise ConfigError(_broken(module, error)) from error
+    except ConfigError:
+        raise  # it says itself what it needs
     except (Exception, SystemExit) as error:
         raise ConfigError(_broken(module, error)) from error
 

@@ -16,9 +16,11 @@ assertion. A hub may be written in any language: all that is needed is its addre
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Final
 
+TYPE_CHECKING = False  # not imported: see glue.entry
 if TYPE_CHECKING:
+    from typing import Any, Final
+
     from glue.testing.hub import check_hub
     from glue.testing.players import check_agent, check_environment
     from glue.testing.rules import ContractBroken, HubRule, Rule

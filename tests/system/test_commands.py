@@ -94,6 +94,24 @@ runpy.run_path(sys.argv[0], run_name="__main__")
 """
 
 
+def test_interrupts_are_handled_before_more_is_imported_than_python_needs() -> None:
+    scripts = importlib.metadata.entry_points(group="console_scripts")
+    modules = {point.module for point in scripts if point.name in COMMANDS}
+    program = f"""
+import sys
+sys.path.insert(0, {str(ROOT)!r})
+before = set(sys.modules)
+for module in {sorted(modules)!r}:
+    __import__(module)
+print(*sorted(set(sys.modules) - before))
+"""
+    # Without `site`, which imports whatever the installed packages tell it to.
+    shown = subprocess.run([sys.executable, "-SEc", program], capture_output=True, text=True, check=True)
+    imported = shown.stdout.split()
+    assert "glue.entry" in imported
+    assert not {"typing", "re", "contextlib", "click"} & set(imported)
+
+
 @pytest.mark.parametrize("command", ["glue-agent", "glue-env"])
 def test_interrupt_of_a_player_that_waits_is_one_word(
     command: str, tmp_path: Path, terminals: list[Terminal]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import NoReturn
-
 from glue.entry import start
 
 
-def conform() -> NoReturn:
+def conform() -> None:
     """Run `glue-conform`."""
     start("glue.testing.conform.command")

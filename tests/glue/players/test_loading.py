@@ -114,3 +114,48 @@ def test_syntax_error_is_shown_with_its_line_and_a_caret(folder: Path) -> None:
     shown = str(raised.value)
     assert "broken.py" in shown
     assert "line 2\n    class Mine(:\n               ^\nSyntaxError" in shown
+
+
+def test_an_adapter_without_a_name_is_told_how_to_write_one() -> None:
+    for name in ("gymnasium", "gymnasium:"):
+        with pytest.raises(ConfigError, match="gymnasium:NAME"):
+            find(Role.ENVIRONMENT, name)
+
+
+def test_module_that_says_what_it_needs_is_quoted_alone(folder: Path) -> None:
+    write(folder, "needy.py", "from glue.errors import ConfigError\nraise ConfigError('install the extra')")
+    with pytest.raises(ConfigError) as raised:
+        find(Role.AGENT, "needy:Mine")
+    assert str(raised.value) == "install the extra"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "missing", "remedy"),
+    [
+        (("sb3",), "gymnasium", "glue-rl[sb3]"),
+        (("sb3",), "stable_baselines3", "glue-rl[sb3]"),
+        (("soar-mines",), "soar_sml", "glue-rl[soar]"),
+        (("soar",), "nothing", "--productions"),
+    ],
+)
+def test_player_that_needs_more_says_so_before_it_looks_for_a_hub(
+    arguments: tuple[str, ...], missing: str, remedy: str, tmp_path: Path
+) -> None:
+    """Also where a plain install is all there is."""
+    program = f"""
+import sys
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] == {missing!r}:
+            raise ModuleNotFoundError(name, name=name)
+sys.meta_path.insert(0, Missing())
+sys.argv[1:] = {[*arguments, "--hub", "ipc:///nowhere/hub"]!r}
+from agents.entry import agent
+agent()
+"""
+    shown = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    assert shown.returncode == 2
+    (line,) = shown.stderr.splitlines()
+    assert remedy in line
