@@ -343,7 +343,8 @@ def _ask_for_trust(directory: Path, plan: Plan) -> None:
         return
     if not sys.stdin.isatty():
         raise ConfigError(f"{directory} would execute {files}: if you trust it, add --trust")
-    click.confirm(f"{directory} will execute {files}. Do you trust it?", abort=True, err=True)
+    if not click.confirm(f"{directory} will execute {files}. Do you trust it?", err=True):
+        raise ConfigError(f"{directory} is not trusted, and was left as it is")
 
 
 def _check(options: HubOptions) -> None:

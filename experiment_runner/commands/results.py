@@ -229,7 +229,9 @@ def remove(directories: tuple[Path, ...], yes: bool) -> None:
             with Results.open(directory) as found:
                 trials = found.trials()
             amount = f"{counted(len(trials), 'trial')}, {counted(sum(t.done for t in trials), 'episode')}"
-            click.confirm(f"remove {directory} ({amount})?", abort=True, err=True)
+            if not click.confirm(f"remove {directory} ({amount})?", err=True):
+                say(f"kept {directory}")
+                continue
         with reported(f"cannot remove {directory}"):
             left = remove_run(directory)
         say(

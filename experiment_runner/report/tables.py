@@ -76,6 +76,8 @@ def _paragraph(header: Sequence[str], row: Sequence[str], width: int) -> str:
     name = max(map(len, header[1:]), default=0)
     lines = [row[0]]
     for label, cell in zip(header[1:], row[1:], strict=True):
+        if not cell:
+            continue
         indent = len(_GAP) + name + len(_GAP)
         text = _wrap(cell, max(width - indent, 1)).replace("\n", "\n" + " " * indent)
         lines.append(f"{_GAP}{label.ljust(name)}{_GAP}{text}".rstrip())

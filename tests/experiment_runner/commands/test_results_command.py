@@ -214,8 +214,9 @@ def test_remove_leaves_what_is_not_the_runs(run: Path) -> None:
 
 def test_remove_asks_first_and_refuses_a_run_under_way(run: Path, tmp_path: Path) -> None:
     done = CliRunner().invoke(results, ["remove", str(run)], input="n\n")
-    assert done.exit_code != 0
+    assert done.exit_code == 0
     assert f"remove {run} (4 trials, 15 episodes)?" in done.stderr
+    assert f"kept {run}" in done.stderr
     store, _ = resume_run(run)
     with store, pytest.raises(ExperimentError, match=f"in use by process {os.getpid()}"):
         call("remove", run, "--yes")

@@ -48,7 +48,6 @@ runs/b        7/5000  sarsa/mines/0: the agent raised
 PARAGRAPHS = """\
 runs/first
   episodes  200/200
-  reason
 
 runs/b
   episodes  7/5000
