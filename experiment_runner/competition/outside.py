@@ -61,7 +61,7 @@ class Outside:
 
 
 class InFolder(Outside):
-    """Waits for entrants who find the hub's socket in a folder: whoever can reach that may connect."""
+    """Waits for entrants who find the hub's socket in a folder: everybody who can reach it may connect."""
 
     def check(self, entrant: Entrant) -> None:
         """Check that the folder is there."""

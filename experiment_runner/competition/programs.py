@@ -38,7 +38,7 @@ class Programs:
         return _Program(entrant, limits, place)
 
     def sweep(self, run: str) -> None:
-        """Do nothing: a program ends with whoever started it."""
+        """Do nothing: a program ends with the process that started it."""
 
 
 class _Program:

@@ -98,8 +98,8 @@ class Starter(Protocol):
 def name_of_run(directory: Path) -> str:
     """Return what identifies a run among all runs of this machine: `Place.run`.
 
-    Whoever starts entrants in its name holds the lock of the directory: what bears it when a run begins was
-    left by somebody who is gone.
+    Only the holder of the directory's lock starts entrants under this name. So containers that have it when a
+    run begins were left behind by one that was killed.
     """
     return hashlib.sha256(str(directory.absolute()).encode()).hexdigest()[:16]
 

@@ -89,7 +89,7 @@ def _own_key(key: str | Path | None, hub_key: str | Path | None) -> OwnKey | Non
 
 
 def needs_key(hub: str) -> str:
-    """Return what a program is told whose hub lets in nobody without a key."""
+    """Return the error message for a program without a key whose hub requires one."""
     return (
         f"the hub at {hub} lets in only those whose key it knows: make one with glue-keys new NAME, ask "
         f"whoever runs the hub to allow it, and give --key NAME.key_secret --hub-key KEY"

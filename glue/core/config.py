@@ -11,7 +11,7 @@ An address for one role of one session:
 
     Bind("ipc:///run/match-17/agent", frozenset({Role.AGENT}), frozenset({"match-17"}))
 
-An address where whoever connects is what their key says, and no one else gets in:
+An address that requires a known key, which decides the role and the sessions of its owner:
 
     Bind("tcp://0.0.0.0:4097", keys=Keys(secret, {public: Permit("carol", frozenset({Role.AGENT}))}))
 

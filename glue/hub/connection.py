@@ -91,7 +91,7 @@ class Connection:
         self._watch()
 
     def receive(self) -> bytes | None:
-        """Return the data received: None if none is available or wanted, empty at the end."""
+        """Return the data received: None if none is available or reading is paused, empty at the end."""
         # What the peer sent before it went is still here.
         if not self._reading and not self._gone:
             return None

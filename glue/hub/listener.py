@@ -104,7 +104,7 @@ class Listener:
 
     Args:
         loop: the loop it runs in, not yet running.
-        address: where the connections arrive; closed by whoever opened it.
+        address: where the connections arrive; closed by the caller.
         accept: takes each connection. It may raise OSError: the connection has gone already.
         log: takes a line for people when connections cannot be accepted.
     """

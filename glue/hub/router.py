@@ -56,7 +56,7 @@ class Router:
     Args:
         loop: the loop it runs in, not yet running.
         config: times and limits.
-        addresses: where peers connect; closed by whoever opened them.
+        addresses: where peers connect; closed by the caller.
         receive: takes the route to answer by, the frames received and the time; returns whether the message
             was in turn. RemoteProtocolError ends the connection.
         receive_step: takes the route, the format, the answer to a step and the time; returns whether it

@@ -186,7 +186,7 @@ class Experiment(Peer):
         self._send(self._request, now)
 
     def _expect_end(self) -> None:
-        """Give the request under way the hub's timeout: whoever sent it may be gone altogether."""
+        """Apply the hub's timeout to the pending request: its sender may be gone for good."""
         self._pending.add(self._connection, self._end, closing=True)
 
     def _end(self, now: float) -> None:

@@ -16,8 +16,8 @@ Between WELCOME and INITIATE the server keeps neither C' nor its own s': both ar
 made for this one connection and forgotten when the cookie comes back. So whatever was recorded of another
 connection, a HELLO, an INITIATE or all of it, opens nothing here.
 
-Source: ZeroMQ RFC 26 (CurveZMQ), RFC 25 (ZMTP CURVE), and libzmq 4.3, whose MESSAGE is no command of ZMTP and
-carries the flags of its frame in the box.
+Source: ZeroMQ RFC 26 (CurveZMQ), RFC 25 (ZMTP CURVE), and libzmq 4.3, whose MESSAGE is not a command of ZMTP
+and carries the flags of its frame in the box.
 """
 
 from __future__ import annotations

@@ -44,11 +44,11 @@ def _greeting(mechanism: bytes, as_server: int) -> bytes:
 
 
 GREETING: Final = _greeting(b"NULL", 0)
-"""What either side says first: a signature, version 3.1, the mechanism, and that this is no matter of server
-and client."""
+"""What either side says first: a signature, version 3.1, the mechanism, and the role of a client, which means
+nothing here."""
 
 CURVE_GREETING: Final = _greeting(b"CURVE", 1)
-"""What the server says first where CURVE is spoken."""
+"""What the server says first where CURVE is used."""
 
 _MORE: Final = 1
 _LONG: Final = 2
@@ -290,7 +290,7 @@ class Decoder:
         mechanism = greeting[12:32].rstrip(b"\0")
         if mechanism != wanted:
             raise OtherMechanism(
-                f"it wants the security mechanism {mechanism!r}; only {wanted.decode()} is spoken here"
+                f"it asks for the security mechanism {mechanism!r}; only {wanted.decode()} is supported here"
             )
         if self._mechanism is not None and greeting[32]:
             raise RemoteProtocolError("it wants to be the server of the CURVE handshake, as this side is")

@@ -28,7 +28,7 @@ char_rows = st.binary(max_size=40)
 kinds = st.sampled_from([Observation, Action])
 values = st.builds(lambda kind, i, d, c: kind(i, d, c), kinds, int_rows, double_rows, char_rows)
 
-# Signalling, negative and quiet NaN with a payload, negative zero, the least and greatest doubles.
+# Signalling, negative and quiet NaN with a payload, negative zero, the smallest and the largest doubles.
 ODD_DOUBLES = struct.pack(
     "<6Q", 0x7FF0000000000001, 0xFFF8000000000000, 0x7FF8DEADBEEF0001, 1 << 63, 1, 0x7FEFFFFFFFFFFFFF
 )

@@ -22,7 +22,7 @@ LEGEND: Final = (
 )
 
 _FORMULA: Final = ("=", "+", "-", "@")
-"""How a cell begins that a spreadsheet would compute."""
+"""First characters by which a spreadsheet recognizes a formula."""
 
 
 def number(value: float) -> str:
@@ -82,7 +82,7 @@ def as_csv(board: Standings) -> str:
 
 
 def as_json(board: Standings) -> str:
-    """Return the standings as a JSON object; a number that there is not is null."""
+    """Return the standings as a JSON object; a missing number is null."""
     return json.dumps(_finite(asdict(board)), indent=2) + "\n"
 
 

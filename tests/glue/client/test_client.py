@@ -298,7 +298,7 @@ def test_a_malformed_address_or_session_is_refused_before_anything_is_sent(url: 
         connect(url, session)
 
 
-# Signs of life
+# Heartbeats
 
 
 def test_an_idle_peer_shows_signs_of_life_as_often_as_the_hub_wants(hub: HandHub, lines: list[str]) -> None:

@@ -244,9 +244,9 @@ def test_a_message_changed_on_its_way_is_refused() -> None:
 
 
 def test_each_mechanism_refuses_the_other_clearly() -> None:
-    with pytest.raises(RemoteProtocolError, match="b'NULL'; only CURVE is spoken here"):
+    with pytest.raises(RemoteProtocolError, match="b'NULL'; only CURVE is supported here"):
         events(Decoder(ROUTER, MAX_FRAME, server()), GREETING)
-    with pytest.raises(RemoteProtocolError, match="b'CURVE'; only NULL is spoken here"):
+    with pytest.raises(RemoteProtocolError, match="b'CURVE'; only NULL is supported here"):
         events(Decoder(DEALER, MAX_FRAME), CURVE_GREETING)
     with pytest.raises(RemoteProtocolError, match="wants to be the server"):
         events(Decoder(ROUTER, MAX_FRAME, server()), CURVE_GREETING)

@@ -1,4 +1,4 @@
-"""Cables that are pulled: what is sent vanishes, and nobody is told; between hosts, as network namespaces."""
+"""Cables pulled between hosts, which are network namespaces: packets vanish, and no error is reported."""
 
 from __future__ import annotations
 
