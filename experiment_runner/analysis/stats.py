@@ -27,6 +27,7 @@ __all__ = [
     "interquartile_mean",
     "mean",
     "mean_of_last",
+    "require_scipy",
     "running_mean",
 ]
 
@@ -162,10 +163,15 @@ def estimate(
 def has_scipy() -> bool:
     """Return whether SciPy, which intervals and interquartile means need, is installed."""
     try:
-        _scipy_stats()
+        require_scipy()
     except ExperimentError:
         return False
     return True
+
+
+def require_scipy() -> None:
+    """Raise ExperimentError if SciPy is not installed."""
+    _scipy_stats()
 
 
 def _scipy_stats() -> Any:

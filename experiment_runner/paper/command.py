@@ -79,6 +79,7 @@ def paper(
       glue-paper 7 --trials 2 --episodes 300 --out runs/quick
       glue-paper --report-only
     """
+    from experiment_runner.analysis.stats import require_scipy
     from experiment_runner.paper.report import write_report
     from experiment_runner.paper.tables import as_text
     from experiment_runner.report.tables import terminal_width
@@ -94,6 +95,7 @@ def paper(
         )
         for name in chosen
     }
+    require_scipy()  # now, not after hours of learning
     failed = 0
     for name, plan in plans.items():
         say(f"{name}: {EXPERIMENTS[name].title}")

@@ -240,7 +240,9 @@ class LegacyPort:
         """
         match = _LEGACY.fullmatch(text)
         if match is None:
-            raise ConfigError(f"{text!r} is not a port for RL-Glue programs: write [HOST:]PORT[=SESSION]")
+            raise ConfigError(
+                f"{text!r:.120} is not a port for RL-Glue programs: write [HOST:]PORT[=SESSION]"
+            )
         host = match["host"] or "127.0.0.1"
         url = check_url(f"tcp://{host}:{match['port']}")
         if not insecure and not _is_local(url):
@@ -265,15 +267,15 @@ def check_url(url: str) -> str:
     if separator and scheme == "ipc" and rest:
         if len(rest.encode()) > _IPC_PATH_LIMIT:
             raise ConfigError(
-                f"the path of {url} has {len(rest.encode())} bytes; at most {_IPC_PATH_LIMIT} are allowed"
+                f"the path of {url:.80} has {len(rest.encode())} bytes; at most {_IPC_PATH_LIMIT} are allowed"
             )
         return url
     match = _TCP.fullmatch(url)
     if match is None:
-        raise ConfigError(f"{url!r} is not the address of a hub: write tcp://host:port or ipc://path")
+        raise ConfigError(f"{url!r:.120} is not the address of a hub: write tcp://host:port or ipc://path")
     port = match["port"]
     if port != "*" and not 1 <= int(port) <= 65535:
-        raise ConfigError(f"the port of {url} must be from 1 to 65535, not {port}")
+        raise ConfigError(f"the port of {url:.120} must be from 1 to 65535, not {port}")
     return url
 
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
-from glue.core.config import DEFAULT_HUB, Bind, HubConfig, check_session, check_url
+from glue.core.config import DEFAULT_HUB, Bind, HubConfig, LegacyPort, check_session, check_url
 from glue.errors import ConfigError
 from glue.protocol.messages import Role
 from glue.protocol.wire import MAX_BODY, MAX_NAME
@@ -110,6 +111,14 @@ def test_times_and_limits_out_of_range_are_refused(settings: dict[str, Any], com
     with pytest.raises(ConfigError) as caught:
         HubConfig(**settings)
     assert complaint in str(caught.value)
+
+
+@pytest.mark.parametrize("parse", [check_url, LegacyPort.parse])
+@pytest.mark.parametrize("start", ["tcp://127.0.0.1:", "ipc://", ""])
+def test_a_long_address_is_not_repeated_in_full(parse: Callable[[str], object], start: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        parse(start + "9" * 5000)
+    assert len(str(caught.value)) < 250
 
 
 def test_an_address_admits_the_roles_and_sessions_that_it_names() -> None:
