@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -79,19 +80,50 @@ glue-rl = {{ path = "{CLIENTS / "rust"}" }}
 """
 
 
-def test_first_agent_of_the_page_walks(
-    language: Language, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    page = (ROOT / "docs" / "clients.md").read_text()
-    (code,) = re.findall(rf"```{language.name}\n(.*?)```", page, re.DOTALL)
-    file, build, start = FIRST[language.name]
-    (tmp_path / file).write_text(code)
-    (tmp_path / "Cargo.toml").write_text(MANIFEST)
-    (tmp_path / "node_modules").mkdir()
-    (tmp_path / "node_modules" / "glue-rl").symlink_to(CLIENTS / "javascript")
-    monkeypatch.chdir(tmp_path)
-    if build:
-        run(build, tmp_path)
+PAGE: Final = ROOT / "docs" / "clients.md"
+
+
+def code_in(page: Path, language: str) -> str:
+    """Return the first piece of code in a language on a page."""
+    code = re.search(rf"```{language}\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+    assert code is not None, f"{page} has no {language}"
+    return code[1]
+
+
+@pytest.mark.parametrize("name", FIRST)
+def test_readme_begins_with_the_first_agent_of_the_page(name: str) -> None:
+    readme = CLIENTS / name / "README.md"
+
+    assert code_in(readme, name) == code_in(PAGE, name)
+    assert len(readme.read_text("utf-8").splitlines()) <= 75  # a page
+
+
+SOURCES: Final = {"cpp": "include", "java": "src", "javascript": "src", "rust": "src"}
+
+
+def test_page_tells_how_long_the_sources_are() -> None:
+    (row,) = re.findall(r"^\| source, without tests \|(.*)\|$", PAGE.read_text("utf-8"), re.MULTILINE)
+    told = [int(cell.split()[0].replace(",", "")) for cell in row.split("|")]
+    lengths = [
+        sum(
+            len(path.read_text("utf-8").splitlines())
+            for path in (CLIENTS / name / source).rglob("*")
+            if path.is_file() and path.name != "tests.rs"
+        )
+        for name, source in SOURCES.items()
+    ]
+
+    assert [round(length, -2) for length in lengths] == told
+
+
+def test_first_agent_in_python_walks(tmp_path: Path) -> None:
+    file = tmp_path / "agent.py"
+    file.write_text(code_in(PAGE, "python"))
+    walks((str(Path(sys.executable).with_name("glue-agent")), f"{file}:Walker"))
+
+
+def walks(start: Sequence[str]) -> None:
+    """Check that an agent walks to the end."""
     with (
         hub() as url,
         serving(SkeletonEnvironment(), url),
@@ -101,6 +133,21 @@ def test_first_agent_of_the_page_walks(
         glue.rl_init()
         assert glue.rl_episode()
         assert (glue.rl_return(), glue.rl_num_steps()) == (1.0, 10)
+
+
+def test_first_agent_of_the_page_walks(
+    language: Language, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    code = code_in(PAGE, language.name)
+    file, build, start = FIRST[language.name]
+    (tmp_path / file).write_text(code)
+    (tmp_path / "Cargo.toml").write_text(MANIFEST)
+    (tmp_path / "node_modules").mkdir()
+    (tmp_path / "node_modules" / "glue-rl").symlink_to(CLIENTS / "javascript")
+    monkeypatch.chdir(tmp_path)
+    if build:
+        run(build, tmp_path)
+    walks(start)
 
 
 @FULL
