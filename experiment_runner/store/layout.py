@@ -26,6 +26,7 @@ __all__ = [
     "RECORDS",
     "UNFINISHED",
     "NewRun",
+    "how_to_go_on",
     "new_run",
     "remove_run",
     "runs_under",
@@ -124,6 +125,13 @@ def runs_under(folder: Path) -> Iterator[Path]:
         if DATABASE_FILES[0] in files:
             folders.clear()
             yield Path(path)
+
+
+def how_to_go_on(directory: Path) -> str:
+    """Return what somebody is to do whose run has ended early, once the reason is gone."""
+    if (directory / COMPETITION_FILE).exists():
+        return "start the same command again"
+    return f"continue with --resume {directory}"
 
 
 def write_flushed(path: Path, text: str) -> None:

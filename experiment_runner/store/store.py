@@ -23,7 +23,7 @@ from typing import Final, Self
 from experiment_runner.lock import RunLock
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.store.database import Database, holds_run, open_to_write, reported, transaction
-from experiment_runner.store.layout import new_run, write_flushed
+from experiment_runner.store.layout import how_to_go_on, new_run, write_flushed
 from experiment_runner.store.records import Checkpoint, EpisodeResult, Outcome, Verdict
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
@@ -143,7 +143,7 @@ class Store(Results):
         with (
             reported(
                 f"{_named(records)} not recorded",
-                f"; the episodes before it are. Solve that, and continue with --resume {self.directory}",
+                f"; the episodes before it are. Solve that, and {how_to_go_on(self.directory)}",
             ),
             transaction(self._connection),
         ):

@@ -25,7 +25,7 @@ from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.verify import verify
 from experiment_runner.lock import LOCK_FILE, RunLock
 from experiment_runner.store.store import Store
-from tests.proof import size
+from tests.proof import FULL, size
 from tests.terminal import BIN
 from tests.terminal import run as terminal_run
 
@@ -222,6 +222,29 @@ def test_a_directory_that_an_organiser_has_left_open_is_closed(run: Path, held: 
     run.chmod(0o755)
     assert compete(held, "run", "spring.toml", "--out", str(run)).returncode == 0
     assert run.stat().st_mode & 0o077 == 0
+
+
+@pytest.mark.skipif(not FULL, reason="proved by `make proof` alone")
+@pytest.mark.proof
+def test_a_full_disk_is_one_line_and_nothing_recorded_is_lost(tmp_path: Path) -> None:
+    """A limit on the size of files stands in for it."""
+    (tmp_path / "agent.py").write_text(AGENT)
+    (tmp_path / "spring.toml").write_text(FILE)
+    command = f"ulimit -f 100; exec {BIN / 'glue-compete'} run spring.toml --out run"
+    environment = {**os.environ, "SECRET": "xyzzy"}
+    full = subprocess.run(
+        ["sh", "-c", command], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=200
+    )
+    assert full.returncode == 1
+    *told, last = full.stderr.splitlines()
+    assert last.startswith("Error: ")
+    assert "start the same command again" in last
+    assert "Traceback" not in full.stderr
+    over = [line.split()[1] for line in told if line.startswith("[")]
+    again = compete(tmp_path, "run", "spring.toml", "--out", "run")
+    assert again.returncode == 0, again.stderr
+    assert not any(f"] {trial} " in again.stderr for trial in over)
+    assert compete(tmp_path, "verify", "run").returncode == 0
 
 
 def test_two_checks_do_not_write_to_one_directory(tmp_path: Path) -> None:
