@@ -6,6 +6,7 @@ environment variable DOCKER_HOST says where.
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -32,6 +33,8 @@ __all__ = ["Container", "Containers"]
 
 _UNIX: Final = "unix://"
 _DOCKER: Final = f"{_UNIX}/var/run/docker.sock"
+
+_NOT_ALLOWED: Final = os.strerror(errno.EACCES)
 
 _SIGNALLED: Final = 128
 """The exit status for signal 0."""
@@ -126,6 +129,12 @@ class Containers:
             engine = docker.DockerClient(base_url=address)
             found = engine.info()
         except (DockerException, RequestException, OSError) as error:
+            if _NOT_ALLOWED in str(error):
+                raise ConfigError(
+                    f"the container engine at {address} does not let this user in: join its group (usermod "
+                    "--append --groups docker USER, and log in again), or set DOCKER_HOST to the socket of "
+                    "a rootless one"
+                ) from None
             raise ConfigError(
                 f"no container engine answers at {address}: start Docker (systemctl start docker), or set "
                 f"DOCKER_HOST to podman's socket; {_in_short(error)}"
@@ -155,8 +164,9 @@ class Container:
         self._container = container
         self._memory = limits.memory
         self._printed = _Printed(container.attach(stream=True), limits.log)
+        # Not filtered by kind, which podman knows by other names.
         self._events = container.client.api.events(
-            since=int(time.time()), filters={"container": container.id, "event": ["oom", "die"]}, decode=True
+            since=int(time.time()), filters={"container": container.id}, decode=True
         )
         self._ended = threading.Event()
         self._stopped = False
@@ -214,7 +224,7 @@ class Container:
             for event in self._events:
                 if event["Action"] == "oom":
                     self._end(self._used_too_much())
-                elif not self._stopped:
+                elif event["Action"] == "die" and not self._stopped:
                     self._container.reload()
                     state = self._container.attrs["State"]
                     memory = self._used_too_much() if state.get("OOMKilled") else None

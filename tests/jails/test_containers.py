@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import socket
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -15,9 +18,11 @@ from experiment_runner.competition.jail import LABEL
 from experiment_runner.competition.settings import Entrant, Limits
 from experiment_runner.competition.starting import SOCKET, Place
 from glue.errors import ConfigError
+from tests.system.runs import wait_until
 
 _MEBIBYTE = 2**20
 _SECONDS = 30.0
+_NOBODY = 65534
 _LIMITS = Limits(memory=64 * _MEBIBYTE, tmp=2 * _MEBIBYTE, shm=3 * _MEBIBYTE, log=4096, pids=20, cpus=0.5)
 
 _EATER = "x = []\nwhile True: x.append(bytearray(2 ** 20))"
@@ -189,6 +194,35 @@ def test_what_an_organiser_that_was_killed_left_is_swept(engine: Any, run: Run, 
     assert not engine.containers.list(all=True, filters={"label": f"{LABEL}={place.run}"})
 
 
+_STARTER = """
+import sys, time
+from pathlib import Path
+from experiment_runner.competition.containers import Containers
+from experiment_runner.competition.settings import Entrant, Limits
+from experiment_runner.competition.starting import Place
+
+image, folder, run = sys.argv[1:]
+Containers().start(Entrant("alice", image=image), Limits(), Place(Path(folder), "s", Path("log"), run))
+print("started", flush=True)
+time.sleep(1000)
+"""
+
+
+def test_it_ends_with_whoever_started_it(engine: Any, image: Callable[..., str], place: Place) -> None:
+    tag = image("USER 1234:1234", "CMD sleep 1000")
+    starter = subprocess.Popen(
+        [sys.executable, "-c", _STARTER, tag, str(place.folder), place.run], stdout=subprocess.PIPE
+    )
+    assert starter.stdout is not None
+    with starter.stdout:
+        assert starter.stdout.readline() == b"started\n"
+    label = {"label": f"{LABEL}={place.run}"}
+    assert len(engine.containers.list(filters=label)) == 1
+    starter.kill()
+    starter.wait()
+    wait_until(lambda: not engine.containers.list(all=True, filters=label), "the end of the container")
+
+
 def test_an_image_that_cannot_run_is_its_entrants_fault(image: Callable[..., str], place: Place) -> None:
     entrant = Entrant("alice", image=image("USER 1000", 'ENTRYPOINT ["/no/such/program"]'))
     container = Containers().start(entrant, _LIMITS, place)
@@ -238,6 +272,19 @@ def test_an_engine_elsewhere_cannot_reach_the_hub(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("DOCKER_HOST", "tcp://192.0.2.1:2375")
     with pytest.raises(ConfigError, match=r"DOCKER_HOST is tcp://192.0.2.1:2375.*engine must be here"):
         Containers().check(Entrant("alice", image="alice/agent:1"))
+
+
+def test_an_engine_that_lets_only_others_in(monkeypatch: pytest.MonkeyPatch, place: Place) -> None:
+    monkeypatch.setenv("DOCKER_HOST", f"unix://{place.folder / SOCKET}")
+    (place.folder / SOCKET).chmod(0)
+    user = os.geteuid()
+    if user == 0:
+        os.seteuid(_NOBODY)
+    try:
+        with pytest.raises(ConfigError, match=r"does not let this user in: .*usermod"):
+            Containers().check(Entrant("alice", image="alice/agent:1"))
+    finally:
+        os.seteuid(user)
 
 
 def test_an_engine_that_is_not_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -36,6 +36,7 @@ _FAIR = ("honest", "leaves")
 _TRIALS = 2
 
 _SECRET = "the-organisers-canary"
+_COMMAND = "experiment_runner.competition.command"
 _MATCH = "experiment_runner.competition.match"
 _SECONDS = 800
 
@@ -108,7 +109,7 @@ def hold(folder: Path, images: dict[str, str]) -> Held:
 
 
 def _compete(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-P", "-m", "experiment_runner.competition.command", *map(str, arguments)]
+    command = [sys.executable, "-P", "-m", _COMMAND, *map(str, arguments)]
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=_SECONDS)
 
 
@@ -199,6 +200,17 @@ def test_the_memory_of_the_hubs_stayed_bounded(held: Held, alone: Held) -> None:
 def test_no_container_is_left(held: Held, engine: Any) -> None:
     for name in (*_FAIR, *_REASONS):
         assert not engine.containers.list(all=True, filters={"ancestor": f"glue-test/{name}"})
+
+
+def test_two_checks_at_once_leave_each_others_containers_alone(
+    held: Held, build: Callable[[str], str], tmp_path: Path
+) -> None:
+    (tmp_path / "competition.toml").write_text(
+        _FILE.format(trials=1) + f'[entrants.honest]\nimage = "{build("honest")}"\n'
+    )
+    arguments = [sys.executable, "-P", "-m", _COMMAND, "check", str(tmp_path / "competition.toml"), "--out"]
+    checks = [subprocess.Popen([*arguments, str(tmp_path / out)], cwd=ROOT) for out in ("a", "b", "c")]
+    assert [check.wait(_SECONDS) for check in checks] == [0, 0, 0]
 
 
 @pytest.fixture(autouse=True, scope="module")

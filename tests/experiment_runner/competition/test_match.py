@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from experiment_runner.competition.match import Forfeited, Played
+from experiment_runner.competition.match import Forfeited, Played, starter_for
 from experiment_runner.competition.records.record import End, header, read_parts
 from experiment_runner.competition.secret import agent_seed, draw, trials
+from experiment_runner.competition.settings import Entrant
 from experiment_runner.executors.job import Ended, Recorded
 from glue.core.config import TimeLimits
 from glue.core.engine import role_seed
+from glue.errors import ConfigError
 from glue.protocol.messages import Role
 from glue.types import Action, Observation
 from tests.experiment_runner.competition.players import SECRET, InThread, Walker, competition, reports_of
@@ -155,6 +158,16 @@ def test_an_environment_that_fails_is_not_the_entrants_fault(tmp_path: Path) -> 
     reports = reports_of(Walker(), tmp_path, env=f"{tmp_path / 'broken.py'}:Broken")
     assert "RuntimeError: broken" in str(reports[-1].failure)
     assert not any(isinstance(report, Forfeited) for report in reports)
+
+
+def test_containers_without_their_sdk_are_one_line_that_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "docker", None)
+    monkeypatch.setitem(sys.modules, "docker.errors", None)
+    monkeypatch.delitem(sys.modules, "experiment_runner.competition.containers", raising=False)
+    with pytest.raises(ConfigError, match=r"entrant alice has an image.*pip install 'glue-rl\[compete\]'"):
+        starter_for(Entrant("alice", image="alice/agent:1"))
 
 
 def test_nobody_else_finds_the_place(tmp_path: Path) -> None:
