@@ -212,7 +212,8 @@ class Container:
                 self._container.kill()
             _remove(self._container)
         self._dismiss()
-        self.log.write_bytes(self._printed.take())
+        with suppress(OSError):  # the disk is full: the log is not worth the trial
+            self.log.write_bytes(self._printed.take())
 
     def _dismiss(self) -> None:
         """End the remover, which has nothing left to do."""

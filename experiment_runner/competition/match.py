@@ -31,6 +31,7 @@ from experiment_runner.interrupts import Interrupts
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.scratch import SOCKET as SHARED
 from experiment_runner.scratch import scratch_folder
+from experiment_runner.store.database import reported
 from experiment_runner.store.records import EpisodeResult
 from glue.client.experiment import RemoteExperiment, connect
 from glue.core.config import DEFAULT_SESSION, Bind, HubConfig, TimeLimits
@@ -186,8 +187,9 @@ class _Playing:
         else:
             _, task, trial = self._match.spec.id.split("/")
             folder = shared / f"{task}-{trial}"
-        folder.mkdir(mode=0o711, exist_ok=True)
-        self._match.log.parent.mkdir(parents=True, exist_ok=True)
+        with reported(f"cannot make a place for {self._match.entrant.name}"):
+            folder.mkdir(mode=0o711, exist_ok=True)
+            self._match.log.parent.mkdir(parents=True, exist_ok=True)
         return Place(folder, session, self._match.log, self._match.run)
 
     def _play_or_forfeit(self, glue: RemoteExperiment, inside: InsideEnvironment, running: Running) -> None:

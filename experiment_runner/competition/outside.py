@@ -11,6 +11,7 @@ from pathlib import Path
 
 from experiment_runner.competition.settings import Entrant, Gate, Limits
 from experiment_runner.competition.starting import SOCKET, Place
+from experiment_runner.store.database import reported
 from glue.core.config import Bind
 from glue.core.keys import Keys, Permit
 from glue.errors import ConfigError
@@ -51,9 +52,10 @@ class Outside:
 
     def start(self, entrant: Entrant, limits: Limits, place: Place) -> _Elsewhere:
         """Note in the log who is waited for."""
-        place.log.write_text(
-            f"{entrant.name} is not started here: its log is where its program is\n", encoding="utf-8"
-        )
+        with reported(f"cannot write {place.log}"):
+            place.log.write_text(
+                f"{entrant.name} is not started here: its log is where its program is\n", encoding="utf-8"
+            )
         return _Elsewhere(place.log)
 
     def sweep(self, run: str) -> None:

@@ -52,6 +52,8 @@ def read_keys(directory: Path) -> Keys:
     from glue.protocol.curve import public_key  # needs an extra
 
     pair = _own_pair(directory)
+    if directory.stat().st_mode & _OTHERS_WRITE:
+        raise ConfigError(f"--keys: other users can exchange the files in {directory}: chmod o-w {directory}")
     if public_key(pair.secret) != pair.public:
         raise ConfigError(f"{directory / HUB}{SECRET} is damaged: its two keys do not belong together")
     text = _read_list(directory / LIST)

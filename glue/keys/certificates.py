@@ -35,6 +35,7 @@ _MAX_FILE: Final = 65_536
 """Bytes; a certificate has less than a thousand."""
 
 _OTHERS: Final = 0o077
+_OTHERS_WRITE: Final = 0o002
 
 _PUBLIC_FILE: Final = """\
 #   ZeroMQ CURVE Public Certificate of {name}
@@ -131,7 +132,7 @@ def read_public(source: str | Path, option: str = "--hub-key") -> bytes:
         option: where it was given, for the message.
 
     Raises:
-        ConfigError: it is neither a key nor a file with one.
+        ConfigError: it is neither a key nor a file with one, or others can write to the file.
     """
     path = Path(source)
     if not _exists(path):
@@ -180,7 +181,12 @@ def _exists(path: Path) -> bool:
 def _read(path: Path, secret: bool = False) -> str:
     try:
         with path.open("rb") as file:
-            if secret and os.fstat(file.fileno()).st_mode & _OTHERS:
+            mode = os.fstat(file.fileno()).st_mode
+            if mode & _OTHERS_WRITE and not secret:
+                raise ConfigError(
+                    f"other users of this machine can exchange the key in {path} for theirs: chmod o-w {path}"
+                )
+            if secret and mode & _OTHERS:
                 raise ConfigError(
                     f"{path} holds a secret key, and other users of this machine can read it: "
                     f"chmod 600 {path} (and make a new pair if somebody may have)"

@@ -79,6 +79,10 @@ def test_a_mistake_in_the_list_names_file_and_table(folder: KeyFolder, text: str
 def test_a_directory_that_is_not_ready_is_refused_with_the_next_step(folder: KeyFolder) -> None:
     with pytest.raises(ConfigError, match="glue-keys new hub --dir nowhere"):
         read_keys(Path("nowhere"))
+    folder.path.chmod(0o777)
+    with pytest.raises(ConfigError, match=f"other users can exchange the files in .*chmod o-w {folder.path}"):
+        read_keys(folder.path)
+    folder.path.chmod(0o755)
     (folder.path / "allow.toml").chmod(0o666)
     with pytest.raises(ConfigError, match="other users can change it: chmod o-w"):
         read_keys(folder.path)

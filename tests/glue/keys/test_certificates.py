@@ -118,3 +118,10 @@ def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ConfigError, match=r"cannot make .*file: File exists"):
         write_pair(tmp_path / "file", "carol", KeyPair(bytes(32), bytes(32)))
+
+
+def test_a_public_key_that_others_could_exchange_is_refused_with_the_remedy(tmp_path: Path) -> None:
+    public, _ = write_pair(tmp_path, "carol", new_pair())
+    public.chmod(0o666)
+    with pytest.raises(ConfigError, match=f"chmod o-w {public}"):
+        read_public(public)
