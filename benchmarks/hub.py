@@ -155,7 +155,8 @@ def _sessions() -> Table:
         rows.append((f"{number:,}", count(result.per_second), share, f"{memory:.0f} KiB"))
     return Table(
         "Many sessions on one hub",
-        "All over tcp: one process serves every agent, one every environment, one is hub and experiments. "
+        f"All over tcp, in episodes of {_EACH} steps: one process serves every agent, one every environment "
+        f"(two each beyond {_MAX_SEATS}), one is hub and experiments. "
         "Memory is what the last one grew by, its threads included (the aim is less than 64 KiB). The aim "
         f"for {_COMPARED} is 1.3 times the previous version, whose checkout GLUE_PREVIOUS names.",
         ("sessions", "steps per second in all", f"of {_COMPARED}", "memory a session"),

@@ -32,19 +32,24 @@ LONGEST_LIFE = size(0.3, 1.0)
 
 
 def kill_one(experiment: subprocess.Popen[str], program: str, chance: random.Random) -> None:
-    """Kill one of the processes that run a program, as soon as there is one."""
+    """Kill one of the processes that run a program, as soon as there is one; of players, all of them.
 
-    def killed() -> bool:
+    On a busy machine one of the players may not have joined yet, and would not be missed.
+    """
+
+    def done() -> bool:
         assert experiment.poll() is None, f"finished too early: {experiment.communicate()}"
         running = children(experiment.pid, program)
         if not running:
             return False
-        with contextlib.suppress(ProcessLookupError):
-            os.kill(chance.choice(running), signal.SIGKILL)
-            return True
-        return False
+        killed = 0
+        for pid in running if "player_command" in program else [chance.choice(running)]:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+                killed += 1
+        return killed > 0
 
-    wait_until(killed, program)
+    wait_until(done, program)
 
 
 def kill_experiment(experiment: subprocess.Popen[str]) -> None:
