@@ -111,9 +111,7 @@ def find(role: Role, name: str) -> type:
     adapter = {point.name: point for point in entry_points(group=_ADAPTERS[role])}.get(prefix)
     if adapter is not None:
         if not rest:
-            raise ConfigError(
-                f"{name!r} is half a name: write {prefix}:NAME, with {prefix}'s name of the {role}"
-            )
+            raise ConfigError(f"{name!r} is not complete: write {prefix}:NAME, as {prefix} names the {role}")
         adapted: type = getattr(_import(adapter.module), adapter.attr)(rest)
         return adapted
     source, _, attribute = name.rpartition(":")
