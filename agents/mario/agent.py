@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import abc
-from typing import Annotated, ClassVar
+from typing import ClassVar
 
 from glue.errors import ConfigError, TaskSpecError
-from glue.options import Option
 from glue.taskspec import MARIO, parse_task_spec
 
-__all__ = ["MarioAgent", "Seed"]
-
-Seed = Annotated[int | None, Option("random seed; the experiment's if not given", low=0)]
+__all__ = ["MarioAgent"]
 
 
 class MarioAgent(abc.ABC):

@@ -16,19 +16,9 @@ import numpy as np
 
 from agents import sarsa
 from agents.mario import objects, observation
-from agents.mario.agent import Seed
+from agents.mario.options import Discount, Epsilon, Reduction, Seed, StepSize
 from agents.mohan2010 import features, klo
-from agents.mohan2010.learner import (
-    FULL,
-    MALFORMED,
-    Discount,
-    Epsilon,
-    Grid,
-    Learning,
-    MarioLearner,
-    Reduction,
-    StepSize,
-)
+from agents.mohan2010.learner import FULL, MALFORMED, Grid, Learning, MarioLearner
 from agents.policy import epsilon_greedy
 from agents.sarsa import Keys, Taken, Values
 from glue.compiled.jit import entry, jit

@@ -18,19 +18,9 @@ import numpy as np
 from agents import sarsa
 from agents.keys import extend, feature
 from agents.mario import objects
-from agents.mario.agent import Seed
+from agents.mario.options import Discount, Epsilon, Reduction, Seed, StepSize
 from agents.mohan2010 import flo, klo
-from agents.mohan2010.learner import (
-    FULL,
-    MALFORMED,
-    Discount,
-    Epsilon,
-    Grid,
-    Learning,
-    MarioLearner,
-    Reduction,
-    StepSize,
-)
+from agents.mohan2010.learner import FULL, MALFORMED, Grid, Learning, MarioLearner
 from agents.policy import epsilon_greedy
 from agents.sarsa import Keys, Learner, Taken, Values
 from glue.compiled.jit import entry, jit

@@ -25,21 +25,13 @@ from glue.options import Option
 from glue.saves import Saved, Setting, pack, unpack
 from glue.types import Action, Observation
 
-__all__ = [
-    "FULL", "MALFORMED", "Discount", "Epsilon", "Grid", "Learning", "MarioLearner", "Reduction", "StepSize",
-]  # fmt: skip
+__all__ = ["FULL", "MALFORMED", "Grid", "Learning", "MarioLearner"]
 
 FULL: Final = -1
 """What a step returns, having done nothing, if the table must grow first."""
 MALFORMED: Final = -2
 """What a step returns for an observation whose layout is not Mario's."""
 
-StepSize = Annotated[float, Option("step size of SARSA (Mohan 2010: 0.3)", low=0, high=1)]
-Discount = Annotated[float, Option("discount of SARSA (Mohan 2010: 0.9)", low=0, high=1)]
-Epsilon = Annotated[float, Option("chance to explore, at first (Mohan 2010: 0.1)", low=0, high=1)]
-Reduction = Annotated[
-    float, Option("what every decision cycle multiplies epsilon by (Mohan 2010: 0.9999)", low=0, high=1)
-]
 Grid = Annotated[
     int, Option("cells per tile of the distances to monsters (author's agents: 2)", low=1, high=16)
 ]
@@ -96,13 +88,15 @@ class MarioLearner(MarioAgent):
         type(self)._end(self._learner, self._table, self._memory, float(reward))
 
     def agent_message(self, message: str) -> str:
-        """Answer `values`, the number of values learned, and `epsilon`, the current chance to explore."""
+        """Answer `values` and `cycles`, how many there are, and `epsilon`, the current chance to explore."""
         if message == "values":
             return str(self._learner["entries"][0])
+        if message == "cycles":
+            return str(self._learner["cycles"][0])
         if message == "epsilon":
             learner = self._learner[0]
             return repr(float(learner["epsilon"] * learner["reduction"] ** float(learner["cycles"])))
-        return f"agent {self.name} answers only the messages values and epsilon"
+        return f"agent {self.name} answers only the messages values, cycles and epsilon"
 
     def agent_save(self) -> bytes:
         """Return the values, the generator's state and the counters."""

@@ -6,10 +6,11 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, ClassVar
 
+from agents.mario.options import Discount, Epsilon, Reduction, Seed, StepSize
 from agents.soar.kernel import Kernel
 from agents.soar.link import Link
 from agents.soar.mario_link import MarioLink
-from agents.soar.player import PRODUCTIONS, MaxCycles, Seed, SoarPlayer
+from agents.soar.player import PRODUCTIONS, MaxCycles, SoarPlayer
 from agents.soar.task_link import TaskLink
 from glue.errors import ConfigError
 from glue.options import Option
@@ -24,13 +25,6 @@ __all__ = [
     "SoarHierarchicalProgrammedAgent",
     "SoarMinesAgent",
     "SoarObjectsCoarseAgent",
-]
-
-StepSize = Annotated[float, Option("step size of SARSA (Mohan 2010: 0.3)", low=0, high=1)]
-Discount = Annotated[float, Option("discount of SARSA (Mohan 2010: 0.9)", low=0, high=1)]
-Epsilon = Annotated[float, Option("chance to explore, at first (Mohan 2010: 0.1)", low=0, high=1)]
-Reduction = Annotated[
-    float, Option("what every decision cycle multiplies epsilon by (Mohan 2010: 0.9999)", low=0, high=1)
 ]
 
 

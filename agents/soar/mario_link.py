@@ -47,9 +47,9 @@ from agents.soar.link import Link
 from glue.taskspec import TaskSpec
 from glue.types import Action, Observation
 
-__all__ = ["MarioLink"]
+__all__ = ["SPRITES", "MarioLink"]
 
-_SPRITES: Final = {
+SPRITES: Final = {
     0: "small",
     10: "big",
     11: "fiery",
@@ -63,6 +63,8 @@ _SPRITES: Final = {
     FIREBALL: "fireball",
     SHELL: "shell",
 }
+"""What kinds of sprites are called."""
+
 _TILES: Final = {
     COIN: "coin",
     QUESTION: "question",
@@ -147,7 +149,7 @@ class MarioLink(Link):
         kind = seen.kinds[0]
         if self._mario is None or self._square_elements is None:
             element = kernel.add_identifier(kernel.input, "mario")
-            self._mario_type = kernel.add_text(element, "type", _SPRITES.get(kind, str(kind)))
+            self._mario_type = kernel.add_text(element, "type", SPRITES.get(kind, str(kind)))
             self._square_elements = (
                 kernel.add_int(element, "column", square[0]),
                 kernel.add_int(element, "row", square[1]),
@@ -155,7 +157,7 @@ class MarioLink(Link):
             self._mario = _Sprite(element, kind, False, None, numbers, self._add_numbers(element, numbers))
         else:
             if kind != self._mario.kind:
-                kernel.update(self._mario_type, _SPRITES.get(kind, str(kind)))
+                kernel.update(self._mario_type, SPRITES.get(kind, str(kind)))
                 self._mario.kind = kind
             for element, now, before in zip(self._square_elements, square, self._square, strict=True):
                 if now != before:
@@ -185,7 +187,7 @@ class MarioLink(Link):
         element = kernel.add_identifier(kernel.input, "monster")
         kernel.add_int(element, "id", self._ids)
         kernel.add_int(element, "place", place)
-        kernel.add_text(element, "type", _SPRITES.get(kind, str(kind)))
+        kernel.add_text(element, "type", SPRITES.get(kind, str(kind)))
         wings = kernel.add_text(element, "winged", _YES_NO[winged])
         return _Sprite(element, kind, winged, wings, numbers, self._add_numbers(element, numbers))
 

@@ -23,12 +23,11 @@ from glue.saves import Saved, pack, unpack
 from glue.taskspec import TaskSpec, parse_task_spec
 from glue.types import Action, Observation
 
-__all__ = ["PRODUCTIONS", "MaxCycles", "Seed", "SoarPlayer"]
+__all__ = ["PRODUCTIONS", "MaxCycles", "SoarPlayer"]
 
 PRODUCTIONS: Final = Path(__file__).parent / "productions"
 """The folder of the productions that come with this package."""
 
-Seed = Annotated[int | None, Option("random seed; the experiment's if not given", low=0)]
 MaxCycles = Annotated[
     int, Option("decision cycles that a step may take before the agent counts as stuck", low=1, high=100_000)
 ]

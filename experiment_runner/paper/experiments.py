@@ -141,13 +141,16 @@ _PAPER: Final = (
 
 
 def _on_soar(number: str, agent: str, trials: int = 5) -> PaperExperiment:
-    """Return an experiment of the paper for an agent on the Soar kernel; it is a thousand times slower."""
+    """Return an experiment of the paper for an agent on the Soar kernel, beside our own agent.
+
+    A step takes Soar several hundred times as long.
+    """
     (paper,) = (experiment for experiment in _PAPER if experiment.name == number)
     difficulty = paper.difficulties[0]
     return PaperExperiment(
         f"{SOAR}-{number}",
         f"{paper.title}, on the Soar kernel",
-        (RoleSweep(agent),),
+        (RoleSweep(agent), paper.agents[0]),
         (difficulty,),
         published={difficulty: paper.published[difficulty]},
         group=SOAR,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
-from experiment_runner.paper.experiments import EXPERIMENTS, PAPER_LEVEL, Level
+from experiment_runner.paper.experiments import ALL, EXPERIMENTS, PAPER_LEVEL, SOAR, Level
 from experiment_runner.paper.outcomes import WINDOW, Outcome
 from experiment_runner.report.plots import learning_curves, scatter
 
@@ -24,6 +24,7 @@ def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
     """Return the figures that can be drawn of these outcomes, by name.
 
     figure-2, ...        the paper's: every episode of every trial as a dot, on the paper's level
+    soar-3, ...          the same for experiments on the Soar kernel, beside our own agent
     figure-13-nearest    the same for experiment 8 on the level where our reward is closest to the paper's
     curves-0, curves-1   learning curves of the hierarchical agents, `best` and the sample agent, on the
                          paper's level seed at difficulty 0 and 1
@@ -36,9 +37,9 @@ def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
     for experiment in EXPERIMENTS.values():
         level = Level(PAPER_LEVEL.seed, experiment.difficulties[0])
         panels = {o.agent: o.curves for o in outcomes if o.experiment is experiment and o.level == level}
-        if experiment.figure is not None and panels:
-            reference = _sample(outcomes, level)
-            drawn[f"figure-{experiment.figure}"] = scatter(panels, window=WINDOW, reference=reference)
+        if panels and (experiment.figure is not None or experiment.group == SOAR):
+            name = f"figure-{experiment.figure}" if experiment.group == ALL else experiment.name
+            drawn[name] = scatter(panels, window=WINDOW, reference=_sample(outcomes, level))
     nearest = _nearest([outcome for outcome in outcomes if outcome.level.seed != PAPER_LEVEL.seed])
     if nearest is not None:
         name = f"{nearest.agent}, level seed {nearest.level.seed}"

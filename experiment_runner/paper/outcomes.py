@@ -54,6 +54,9 @@ class Outcome:
     values      number of learned values at the newest checkpoint, for each trial that has one
     steps       total of all trials
     seconds     total duration of all episodes
+    cycles      mean number of decision cycles of an episode up to the newest checkpoint, for each trial whose
+                agent counts them
+    episodes    number of all trials, also of unfinished ones
     """
 
     experiment: PaperExperiment
@@ -64,6 +67,8 @@ class Outcome:
     values: tuple[int, ...]
     steps: int
     seconds: float
+    cycles: tuple[float, ...] = ()
+    episodes: int = 0
 
     @property
     def published(self) -> Published | None:
@@ -149,34 +154,40 @@ def _outcome(experiment: PaperExperiment, setting: Setting, results: Results) ->
     if spec.agent is None or spec.environment is None:
         raise ExperimentError(f"{results.directory} is not a run of experiment {experiment.name}")
     episodes = [episode for trial in setting.trials for episode in results.episodes(trial.spec.id)]
+    values, cycles = _answers(spec.agent, spec.environment, setting, results)
     return Outcome(
         experiment,
         spec.agent.label,
         level_of(spec.environment),
         len(setting.trials),
         setting.curves(),
-        _values(spec.agent, spec.environment, setting, results),
+        values,
         sum(episode.steps for episode in episodes),
         sum(episode.wall_time for episode in episodes),
+        cycles,
+        len(episodes),
     )
 
 
-def _values(agent: RoleSpec, environment: RoleSpec, setting: Setting, results: Results) -> tuple[int, ...]:
-    """Return the number of learned values at each newest checkpoint: the agent's reply to `values`."""
+def _answers(
+    agent: RoleSpec, environment: RoleSpec, setting: Setting, results: Results
+) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    """Return the agent's replies at each newest checkpoint: to `values`, and to `cycles` per episode."""
     found = [results.checkpoint(trial.spec.id) for trial in setting.trials]
-    saved = [checkpoint.agent for _, checkpoint in filter(None, found)]
-    if not saved:
-        return ()
-    answers = []
-    with local(
-        build(find(Role.AGENT, agent.name), agent.options),
-        build(find(Role.ENVIRONMENT, environment.name), environment.options),
-    ) as glue:
-        glue.rl_init()
-        for learned in saved:
-            glue.rl_agent_load(learned)
-            answers.append(glue.rl_agent_message("values"))
-    return tuple(int(answer) for answer in answers if answer.isdecimal())
+    saved = [(after, checkpoint.agent) for after, checkpoint in filter(None, found)]
+    values, cycles = [], []
+    if saved:
+        with local(
+            build(find(Role.AGENT, agent.name), agent.options),
+            build(find(Role.ENVIRONMENT, environment.name), environment.options),
+        ) as glue:
+            glue.rl_init()
+            for after, learned in saved:
+                glue.rl_agent_load(learned)
+                answers = [glue.rl_agent_message(question) for question in ("values", "cycles")]
+                values += [int(answer) for answer in answers[:1] if answer.isdecimal()]
+                cycles += [int(answer) / after for answer in answers[1:] if answer.isdecimal()]
+    return tuple(values), tuple(cycles)
 
 
 def _ascending(episodes: Iterable[int | None]) -> list[int]:

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from experiment_runner.paper.experiments import ALL, SOAR
 from experiment_runner.paper.figures import figures
 from experiment_runner.paper.outcomes import Outcome, load
-from experiment_runner.paper.tables import as_csv, as_markdown
+from experiment_runner.paper.shared_values import agreements
+from experiment_runner.paper.tables import as_csv, as_markdown, as_soar_markdown
 from experiment_runner.report.plots import save
 from experiment_runner.report.tables import counted
 from experiment_runner.store.database import reported
 from experiment_runner.store.output import written
 from glue.errors import ExperimentError
 
-__all__ = ["BEGIN", "END", "REPORT", "Report", "write_report"]
+__all__ = ["BEGIN", "END", "REPORT", "SOAR_BEGIN", "Report", "write_report"]
 
 REPORT: Final = "report"
 BEGIN: Final = "<!-- written by glue-paper, from here -->"
+SOAR_BEGIN: Final = "<!-- written by glue-paper soar, from here -->"
 END: Final = "<!-- to here -->"
 
 
@@ -33,8 +37,9 @@ def write_report(out: Path, docs: Path | None = None) -> Report:
 
     Args:
         out: contains the run directories.
-        docs: a Markdown page; the tables are written between its marks `BEGIN` and `END`, the figures to
-            images/paper beside it.
+        docs: a Markdown page; the tables are written between its marks `BEGIN` and `END`, those about the
+            agents on the Soar kernel between `SOAR_BEGIN` and `END`, and the figures to images/paper beside
+            it. What `out` has no runs of stays as it is.
 
     Raises:
         ExperimentError: no episode is finished yet, a mark is missing, or a file cannot be read or written.
@@ -42,11 +47,11 @@ def write_report(out: Path, docs: Path | None = None) -> Report:
     outcomes = load(out)
     if not outcomes:
         raise ExperimentError(f"{out} contains no finished episode of any experiment")
-    tables = as_markdown(outcomes)
-    page = None if docs is None else _with_tables(docs, tables)
+    sections = _sections(outcomes, out)
+    page = None if docs is None else _with_tables(docs, sections)
     drawn = figures(outcomes)
     folder = _folder(out / REPORT)
-    _write(folder / "tables.md", tables)
+    _write(folder / "tables.md", "\n".join(sections.values()))
     _write(folder / "tables.csv", as_csv(outcomes))
     for name, figure in drawn.items():
         for ending in ("png", "svg"):
@@ -63,15 +68,29 @@ def write_report(out: Path, docs: Path | None = None) -> Report:
     return Report(outcomes, files)
 
 
-def _with_tables(docs: Path, tables: str) -> str:
-    """Return the text of a page with `tables` between its marks."""
+def _sections(outcomes: list[Outcome], out: Path) -> dict[str, str]:
+    """Return the tables by the marks that they follow."""
+    sections = {}
+    own = [outcome for outcome in outcomes if outcome.experiment.group == ALL]
+    if own:
+        sections[BEGIN] = as_markdown(own)
+    soar = [outcome for outcome in outcomes if outcome.experiment.group == SOAR]
+    if soar:
+        sections[SOAR_BEGIN] = as_soar_markdown(soar, agreements(out))
+    return sections
+
+
+def _with_tables(docs: Path, sections: Mapping[str, str]) -> str:
+    """Return the text of a page with the sections after their marks."""
     with reported(f"cannot read {docs}"):
         text = docs.read_text(encoding="utf-8")
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not begin or not end:
-        raise ExperimentError(f"{docs} must have the lines {BEGIN} and {END}, in this order")
-    return f"{before}{BEGIN}\n\n{tables}\n{END}{after}"
+    for mark, tables in sections.items():
+        before, begin, rest = text.partition(mark)
+        _, end, after = rest.partition(END)
+        if not begin or not end:
+            raise ExperimentError(f"{docs} must have the lines {mark} and {END}, in this order")
+        text = f"{before}{begin}\n\n{tables}\n{end}{after}"
+    return text
 
 
 def _folder(path: Path) -> Path:

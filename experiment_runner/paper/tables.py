@@ -12,9 +12,10 @@ import numpy as np
 from experiment_runner.paper.experiments import EPISODES, PAPER_LEVEL, TRIALS
 from experiment_runner.paper.goals import verdicts
 from experiment_runner.paper.outcomes import FINISHED, TOLERANCE, WINDOW, Outcome
+from experiment_runner.paper.shared_values import Agreement
 from experiment_runner.report.tables import counted, format_table
 
-__all__ = ["as_csv", "as_markdown", "as_text"]
+__all__ = ["as_csv", "as_markdown", "as_soar_markdown", "as_text"]
 
 _HEADER: Final = (
     "experiment", "agent", "level", "paper", "ours", "95 % interval", "single trials",
@@ -23,6 +24,13 @@ _HEADER: Final = (
 _GOALS_HEADER: Final = ("required", "found", "met")
 _NOT_JUDGED: Final = f"not judged: needs {TRIALS} trials of {EPISODES} episodes"
 _MET: Final = {True: "yes", False: "**no**", None: _NOT_JUDGED}
+_CYCLES_HEADER: Final = (
+    "experiment", "agent", "level", "steps per episode", "decision cycles per episode", "per step",
+    "values per trial", "per episode",
+)  # fmt: skip
+_AGREEMENT_HEADER: Final = (
+    "experiment", "agent", "values of", "shared", "Soar and ours", "two of ours", "two on Soar",
+)  # fmt: skip
 _SHORT_HEADER: Final = ("agent", "level", "paper", "ours", "95 % interval", "trials finish")
 _TEXT_COLUMNS: Final = 3  # the first columns; the others are numbers
 _LEGEND: Final = f"""\
@@ -55,6 +63,38 @@ def as_markdown(outcomes: Sequence[Outcome]) -> str:
         rows = ((v.required, v.found, _MET[v.met]) for v in given)
         tables.append(f"**Required and found**\n\n{_table(_GOALS_HEADER, rows)}")
     return "\n\n".join([_LEGEND, *tables, _effort(outcomes)]) + "\n"
+
+
+def as_soar_markdown(outcomes: Sequence[Outcome], agreements: Sequence[Agreement]) -> str:
+    """Return tables in Markdown about the agents on the Soar kernel beside ours: results, cycles, values."""
+    counts = []
+    for outcome in outcomes:
+        if not outcome.cycles:
+            continue
+        per_episode, steps = float(np.mean(outcome.cycles)), outcome.steps / outcome.episodes
+        values = float(np.mean(outcome.values))
+        counts.append(
+            (
+                *_cells(outcome)[:_TEXT_COLUMNS],
+                f"{steps:,.0f}",
+                f"{per_episode:,.0f}",
+                f"{per_episode / steps:.2f}",
+                f"{values:,.0f}",
+                f"{values / outcome.curves.shape[1]:.1f}",
+            )
+        )
+    alike = []
+    for found in agreements:
+        ranks = (found.soar_and_ours, found.two_of_ours, found.two_on_soar)
+        shown = ("" if rank is None else f"{rank:.2f}" for rank in ranks)
+        alike.append((found.experiment, f"`{found.agent}`", found.kind, f"{found.shared:,.0f}", *shown))
+    titled = {
+        "Rewards": _table(_HEADER, map(_cells, outcomes)),
+        "Decision cycles, and rules that hold values": _table(_CYCLES_HEADER, counts),
+        "Rank correlation of the values that two trials share": _table(_AGREEMENT_HEADER, alike),
+    }
+    tables = (f"**{title}**\n\n{table}" for title, table in titled.items())
+    return "\n\n".join([*tables, _effort(outcomes)]) + "\n"
 
 
 def as_text(outcomes: Sequence[Outcome], width: int | None = None) -> str:

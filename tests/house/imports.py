@@ -65,7 +65,12 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "experiment_runner/view": ("experiment_runner/competition/board",),
     "experiment_runner/commands": ("experiment_runner/view",),
     "experiment_runner/generalisation": ("experiment_runner/analysis", "env_server/mario"),
-    "experiment_runner/paper": ("experiment_runner/commands", "env_server/replay", "agents/mohan2010"),
+    "experiment_runner/paper": (
+        "experiment_runner/commands",
+        "env_server/replay",
+        "agents/mohan2010",
+        "agents/soar",
+    ),
 }
 """From the bottom up: a folder may import itself, the folders named here, and all that those may import."""
 

@@ -21,7 +21,7 @@ from agents.mario.objects import (
     Object,
 )
 from agents.soar.agents import SoarHierarchicalAgent, SoarHierarchicalFactsAgent, SoarObjectsCoarseAgent
-from agents.soar.mario_link import _SPRITES
+from agents.soar.mario_link import SPRITES
 from env_server.mario.environment import InfiniteMario
 from glue.types import Observation
 from tests.agents.soar.memory import Memory, working_memory
@@ -76,7 +76,7 @@ def ours(things: Sequence[Object], absolute: bool) -> tuple[Counter[Any], Counte
     for thing in things:
         name = NAMES[thing.kind]
         if thing.kind == A_MONSTER:
-            kind = _SPRITES.get(thing.type, str(thing.type))
+            kind = SPRITES.get(thing.type, str(thing.type))
             relations[
                 "monster", kind, thing.dx, thing.dy, motion(thing.motion, absolute), bool(thing.related)
             ] += 1

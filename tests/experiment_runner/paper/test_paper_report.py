@@ -11,7 +11,7 @@ from click.testing import CliRunner, Result
 from experiment_runner.executors.resume import create_run
 from experiment_runner.paper.command import paper
 from experiment_runner.paper.experiments import EXPERIMENTS, plan_of
-from experiment_runner.paper.report import BEGIN, END, REPORT, write_report
+from experiment_runner.paper.report import BEGIN, END, REPORT, SOAR_BEGIN, write_report
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
@@ -107,6 +107,20 @@ def test_docs_get_the_tables_between_their_marks_and_the_figures(study: Path, tm
     assert docs.read_text(encoding="utf-8") == f"before\n{BEGIN}\n\n{tables}\n{END}\nafter\n"
     images = {path.name for path in (docs.parent / "images" / "paper").iterdir()}
     assert images == {f"{name}.png" for name in FIGURES}
+
+
+def test_agents_on_soar_have_a_section_of_their_own_beside_ours(tmp_path: Path) -> None:
+    out, docs = tmp_path / "runs", tmp_path / "paper.md"
+    make(out, "soar-4", 144.0)
+    text = f"{BEGIN}\nours\n{END}\n{SOAR_BEGIN}\nold\n{END}\nafter\n"
+    docs.write_text(text, encoding="utf-8")
+    write_report(out, docs)
+    tables = (out / REPORT / "tables.md").read_text(encoding="utf-8")
+    row = "| soar-4, programmed selection, on the Soar kernel | `{}` | 121, 0 | {} | 144.50 |"
+    assert row.format("soar-hierarchical-programmed", "146.91") in tables
+    assert row.format("hierarchical-programmed", "") in tables
+    assert docs.read_text(encoding="utf-8") == text.replace("\nold", f"\n\n{tables}")
+    assert [path.name for path in (tmp_path / "images" / "paper").iterdir()] == ["soar-4.png"]
 
 
 @pytest.mark.parametrize("text", ["", f"{BEGIN}\n", f"{END}\n{BEGIN}\n"])
