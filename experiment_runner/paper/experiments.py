@@ -149,7 +149,7 @@ def _on_soar(number: str, agent: str, trials: int = 5) -> PaperExperiment:
     difficulty = paper.difficulties[0]
     return PaperExperiment(
         f"{SOAR}-{number}",
-        f"{paper.title}, on the Soar kernel",
+        f"{paper.title}, Soar beside ours",
         (RoleSweep(agent), paper.agents[0]),
         (difficulty,),
         published={difficulty: paper.published[difficulty]},

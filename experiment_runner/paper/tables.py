@@ -88,12 +88,11 @@ def as_soar_markdown(outcomes: Sequence[Outcome], agreements: Sequence[Agreement
         ranks = (found.soar_and_ours, found.two_of_ours, found.two_on_soar)
         shown = ("" if rank is None else f"{rank:.2f}" for rank in ranks)
         alike.append((found.experiment, f"`{found.agent}`", found.kind, f"{found.shared:,.0f}", *shown))
-    titled = {
-        "Rewards": _table(_HEADER, map(_cells, outcomes)),
-        "Decision cycles, and rules that hold values": _table(_CYCLES_HEADER, counts),
-        "Rank correlation of the values that two trials share": _table(_AGREEMENT_HEADER, alike),
-    }
-    tables = (f"**{title}**\n\n{table}" for title, table in titled.items())
+    tables = [f"**Rewards**\n\n{_table(_HEADER, map(_cells, outcomes))}"]
+    if counts:
+        tables.append(f"**Decision cycles, and values learned**\n\n{_table(_CYCLES_HEADER, counts)}")
+    if alike:
+        tables.append(f"**Rank correlation of the values**\n\n{_table(_AGREEMENT_HEADER, alike)}")
     return "\n\n".join([*tables, _effort(outcomes)]) + "\n"
 
 

@@ -116,9 +116,9 @@ def test_agents_on_soar_have_a_section_of_their_own_beside_ours(tmp_path: Path) 
     docs.write_text(text, encoding="utf-8")
     write_report(out, docs)
     tables = (out / REPORT / "tables.md").read_text(encoding="utf-8")
-    row = "| soar-4, programmed selection, on the Soar kernel | `{}` | 121, 0 | {} | 144.50 |"
-    assert row.format("soar-hierarchical-programmed", "146.91") in tables
-    assert row.format("hierarchical-programmed", "") in tables
+    row = "| soar-4, programmed selection, Soar beside ours | `{}` | 121, 0 | {} | {} |"
+    assert row.format("soar-hierarchical-programmed", "146.91", "144.50") in tables
+    assert row.format("hierarchical-programmed", "", "146.50") in tables
     assert docs.read_text(encoding="utf-8") == text.replace("\nold", f"\n\n{tables}")
     assert [path.name for path in (tmp_path / "images" / "paper").iterdir()] == ["soar-4.png"]
 
