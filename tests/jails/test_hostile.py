@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from tests.house.imports import ROOT
+from tests.system.runs import children
 
 pytestmark = pytest.mark.timeout(1200)
 """The first test builds images and waits for two competitions."""
@@ -115,13 +116,10 @@ def _compete(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def _watch_memory(peaks: list[int], over: threading.Event) -> None:
     while not over.wait(0.1):
-        for process in Path("/proc").glob("[0-9]*"):
+        for process in children(os.getpid(), _MATCH):
             with suppress(OSError):
-                if _MATCH in (process / "cmdline").read_text():
-                    status = (process / "status").read_text()
-                    peaks += [
-                        int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")
-                    ]
+                status = Path(f"/proc/{process}/status").read_text()
+                peaks += [int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")]
 
 
 @pytest.fixture(scope="module")

@@ -57,6 +57,7 @@ def test_commands_have_the_options_that_they_are_given(script: str) -> None:
         found.make_context(command, arguments)
 
 
+@pytest.mark.timeout(900)
 @pytest.mark.proof
 @pytest.mark.skipif(not FULL, reason="proved by `make proof` alone")
 def test_the_page_can_be_followed(tmp_path: Path) -> None:
@@ -69,7 +70,7 @@ def test_the_page_can_be_followed(tmp_path: Path) -> None:
         env={**os.environ, "PATH": path},
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=880,
     )
     assert done.returncode == 0, done.stderr
     assert "12 of 12 trials are verified" in done.stderr
