@@ -8,6 +8,7 @@ off, the last observation is in the batch as well, behind all others.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
 
@@ -15,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from glue.errors import RemoteProtocolError
-from glue.types import CUT_OFF, AbstractType, Action, Observation
+from glue.types import CUT_OFF, PREFIX_SIZE, AbstractType, Action, Observation
 
 __all__ = [
     "Batch",
@@ -31,7 +32,15 @@ __all__ = [
 _VERSION: Final = "VERSION RL-Glue-Batch-1 "
 
 _COUNTS: Final = 3
+_PREFIX: Final = struct.Struct("<4I")
+_INT: Final = np.dtype("<i4")
+_DOUBLE: Final = np.dtype("<f8")
 _CHAR: Final = np.dtype(np.uint8)
+_UNSIGNED: Final = np.dtype("<u4")
+"""Read so, a negative number is larger than any that is allowed: one comparison sees both limits."""
+
+_NO_REWARDS: Final = np.empty(0, _DOUBLE)
+_NO_TERMINALS: Final = np.empty(0, _INT)
 
 
 class Ragged(NamedTuple):
@@ -103,13 +112,11 @@ def read_batch_task_spec(text: str) -> tuple[int, str]:
 def pack_batch(batch: Batch) -> Observation:
     """Return a batch as one observation."""
     rewards, terminals, values = batch
-    ints = np.concatenate([[np.int32(len(rewards))], terminals, values.counts.T.reshape(-1), values.ints])
-    doubles = np.concatenate([rewards, values.doubles])
-    return Observation(ints.astype(np.int32, copy=False), doubles, values.chars.tobytes())
+    return Observation.from_body(_join(len(rewards), rewards, terminals, values))
 
 
 def unpack_batch(observation: Observation) -> Batch:
-    """Return the batch that an observation carries; its arrays are views.
+    """Return the batch that an observation carries; its arrays are read-only views.
 
     Raises:
         RemoteProtocolError: it carries none.
@@ -117,21 +124,23 @@ def unpack_batch(observation: Observation) -> Batch:
     ints, doubles = observation.ints, observation.doubles
     games = int(ints[0]) if len(ints) else 0
     terminals = ints[1 : 1 + games]
-    if games < 1 or len(terminals) != games or terminals.min() < 0 or terminals.max() > CUT_OFF:
+    largest = CUT_OFF + 1 if games < 1 or len(terminals) != games else terminals.view(_UNSIGNED).max()
+    if largest > CUT_OFF:
         raise RemoteProtocolError(f"a batch has N, then N terminals of 0, 1 or 2, not {ints!r:.50}")
-    values = games + int(np.count_nonzero(terminals == CUT_OFF))
-    rest = _ragged(ints[1 + games :], doubles[games:], observation.chars, values)
+    values = games
+    if largest == CUT_OFF:
+        values += int(np.count_nonzero(terminals == CUT_OFF))
+    rest = _split(ints[1 + games :], doubles[games:], observation, values)
     return Batch(doubles[:games], terminals, rest)
 
 
 def pack_actions(actions: Ragged) -> Action:
     """Return the actions of N games as one."""
-    ints = np.concatenate([[np.int32(len(actions.counts))], actions.counts.T.reshape(-1), actions.ints])
-    return Action(ints.astype(np.int32, copy=False), actions.doubles, actions.chars.tobytes())
+    return Action.from_body(_join(len(actions.counts), _NO_REWARDS, _NO_TERMINALS, actions))
 
 
 def unpack_actions(action: Action, games: int) -> Ragged:
-    """Return the actions of `games` games that an action carries; its arrays are views.
+    """Return the actions of `games` games that an action carries; its arrays are read-only views.
 
     Raises:
         RemoteProtocolError: it does not carry that many.
@@ -139,19 +148,49 @@ def unpack_actions(action: Action, games: int) -> Ragged:
     ints = action.ints
     if not len(ints) or ints[0] != games:
         raise RemoteProtocolError(f"expected the actions of {games} games; received {action!r:.80}")
-    return _ragged(ints[1:], action.doubles, action.chars, games)
+    return _split(ints[1:], action.doubles, action, games)
 
 
-def _ragged(
-    ints: npt.NDArray[np.int32], doubles: npt.NDArray[np.float64], chars: bytes, values: int
+def _join(
+    games: int, rewards: npt.NDArray[np.float64], terminals: npt.NDArray[np.int32], values: Ragged
+) -> bytes:
+    """Return the body of an abstract type; every number is copied once, because there may be many."""
+    ints = 1 + len(terminals) + values.counts.size + len(values.ints)
+    doubles = len(rewards) + len(values.doubles)
+    return b"".join(
+        (
+            _PREFIX.pack(ints, doubles, len(values.chars), 0),
+            _row(rewards, _DOUBLE),
+            _row(values.doubles, _DOUBLE),
+            games.to_bytes(4, "little"),
+            _row(terminals, _INT),
+            _row(values.counts.T, _INT),
+            _row(values.ints, _INT),
+            _row(values.chars, _CHAR),
+        )
+    )
+
+
+def _row(numbers: npt.NDArray[Any], dtype: np.dtype[Any]) -> memoryview:
+    """Return the bytes of an array, which is copied only if it has other numbers or gaps."""
+    return np.ascontiguousarray(numbers, dtype).data
+
+
+def _split(
+    ints: npt.NDArray[np.int32], doubles: npt.NDArray[np.float64], whole: AbstractType, values: int
 ) -> Ragged:
+    """Return `values` values, whose counts begin `ints`, and whose chars are those of `whole`."""
     size = _COUNTS * values
     if len(ints) < size:
         raise RemoteProtocolError(f"a batch of {values} values has {size} counts; {len(ints)} ints are left")
-    counts = ints[:size].reshape(_COUNTS, values).T
-    ragged = Ragged(counts, ints[size:], doubles, np.frombuffer(chars, _CHAR))
-    received = [len(ragged.ints), len(doubles), len(chars)]
-    stated = counts.sum(axis=0, dtype=np.int64).tolist()
-    if counts.min() < 0 or stated != received:
-        raise RemoteProtocolError(f"a batch states {stated} ints, doubles and chars, and has {received}")
+    all_ints, all_doubles, num_chars = whole.counts
+    chars = np.frombuffer(whole.body, _CHAR, num_chars, PREFIX_SIZE + 8 * all_doubles + 4 * all_ints)
+    counts = ints[:size].reshape(_COUNTS, values)
+    ragged = Ragged(counts.T, ints[size:], doubles, chars)
+    received = [len(ragged.ints), len(doubles), num_chars]
+    stated = counts.view(_UNSIGNED).sum(axis=1, dtype=np.uint64).tolist()
+    if stated != received:
+        raise RemoteProtocolError(
+            f"a batch states {counts.sum(axis=1).tolist()} ints, doubles and chars, and has {received}"
+        )
     return ragged

@@ -21,7 +21,9 @@ from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.core.experiment import Experiment
 from glue.core.local import local
 from glue.errors import ConfigError, SimulatorError, TaskSpecError
-from glue.gym.spaces import Codec, SpaceLike, read_spaces
+from glue.gym.codec import Codec
+from glue.gym.leaves import SpaceLike
+from glue.gym.spaces import read_spaces
 from glue.roles import Environment
 from glue.taskspec import parse_task_spec
 from glue.types import CUT_OFF, Action, Observation

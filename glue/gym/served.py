@@ -16,7 +16,8 @@ import gymnasium
 from gymnasium.envs.registration import load_env_creator
 
 from glue.errors import ConfigError, SimulatorError
-from glue.gym.spaces import Codec, task_spec
+from glue.gym.codec import Codec
+from glue.gym.spaces import task_spec
 from glue.options import Option
 from glue.types import Action, Observation
 

@@ -15,120 +15,21 @@ behind the word LAYOUT in the task spec's EXTRA. A space read back from text and
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
-from typing import Any, Final, NamedTuple, TypeAlias
+from collections.abc import Callable
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from glue.errors import ConfigError, SimulatorError
-from glue.taskspec import RL_GLUE_3, Range, Ranges, Space, TaskSpec
-from glue.types import AbstractType
+from glue.errors import ConfigError
+from glue.gym.codec import Codec
+from glue.gym.leaves import CHAR, DOUBLE, FLOATS, INT, INT32, SpaceLike
+from glue.taskspec import RL_GLUE_3, Range, Space, TaskSpec
 
-__all__ = ["Codec", "SpaceLike", "read_spaces", "task_spec"]
-
-SpaceLike: TypeAlias = "spaces.Space[Any]"
+__all__ = ["read_spaces", "task_spec"]
 
 _MARK: Final = "LAYOUT "
-_INT32: Final = np.iinfo(np.int32)
-_FLOATS: Final = ("float16", "float32", "float64")
-_MAX_DEPTH: Final = 16
-_MAX_SIZE: Final = 2**24
-
-INT, DOUBLE, CHAR = range(3)
-
-
-class Leaf(NamedTuple):
-    """A space without parts: its run, and the shape and type of its values."""
-
-    space: SpaceLike
-    run: int
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]
-
-    @property
-    def size(self) -> int:
-        """How many numbers it is."""
-        return int(np.prod(self.shape, dtype=np.int64))
-
-
-class Codec:
-    """Values of a space as the ints, doubles and chars of an abstract type.
-
-    Raises:
-        ConfigError: the space is not of the kinds named at the top of this module.
-    """
-
-    def __init__(self, space: SpaceLike) -> None:
-        self.space = space
-        self._leaves = [*_leaves(space, 0)]
-        self._clips = [leaf.run == DOUBLE and bool(np.isfinite(_ends(leaf)).any()) for leaf in self._leaves]
-        self.layout = _layout(space)
-
-    @property
-    def ranges(self) -> Space:
-        """What a task spec says of this space."""
-        runs: list[list[tuple[int, Range]]] = [[], []]
-        chars = 0
-        for leaf in self._leaves:
-            if leaf.run == CHAR:
-                chars += leaf.size
-            else:
-                runs[leaf.run] += _runs(leaf)
-        return Space(Ranges(tuple(runs[INT])), Ranges(tuple(runs[DOUBLE])), chars)
-
-    def pack(self, value: Any) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64], bytes]:
-        """Return a value of the space as ints, doubles and chars."""
-        parts: tuple[list[npt.NDArray[Any]], ...] = ([], [], [])
-        for leaf, part in zip(self._leaves, _parts(self.space, value), strict=True):
-            parts[leaf.run].append(np.asarray(part).reshape(-1))
-        ints, doubles, chars = (
-            np.concatenate(run).astype(dtype, copy=False) if run else np.empty(0, dtype)
-            for run, dtype in zip(parts, (np.int32, np.float64, np.uint8), strict=True)
-        )
-        return ints, doubles, chars.tobytes()
-
-    def unpack(self, value: AbstractType) -> Any:
-        """Return the value of the space that ints, doubles and chars stand for.
-
-        Doubles outside of their bounds are clipped to them.
-
-        Raises:
-            SimulatorError: the counts are wrong, a number is NaN, or another one is not in the space.
-        """
-        wrong = self.ranges_wrong(value)
-        if wrong:
-            raise SimulatorError(wrong)
-        runs: tuple[npt.NDArray[Any], ...] = (
-            value.ints,
-            value.doubles,
-            np.frombuffer(value.chars, np.uint8),
-        )
-        at = [0, 0, 0]
-        found = []
-        for leaf, clips in zip(self._leaves, self._clips, strict=True):
-            start = at[leaf.run]
-            at[leaf.run] = start + leaf.size
-            numbers = runs[leaf.run][start : at[leaf.run]]
-            if clips:
-                numbers = np.clip(numbers, *_ends(leaf))
-            one = numbers.astype(leaf.dtype).reshape(leaf.shape)
-            part = one[()] if isinstance(leaf.space, spaces.Discrete) else one
-            if not leaf.space.contains(part):
-                raise SimulatorError(f"{part!r:.80} is not in {leaf.space!r:.200}")
-            found.append(part)
-        return _build(self.space, iter(found))
-
-    def ranges_wrong(self, value: AbstractType) -> str:
-        """Return why the counts of `value` are not those of the space, or ""."""
-        counts = [sum(leaf.size for leaf in self._leaves if leaf.run == run) for run in (INT, DOUBLE, CHAR)]
-        if value.counts == tuple(counts):
-            return "" if not np.isnan(value.doubles).any() else f"a number is NaN: {value!r:.200}"
-        return (
-            f"expected {counts[INT]} ints, {counts[DOUBLE]} doubles and {counts[CHAR]} chars for "
-            f"{self.space!r:.200}; received {value!r:.200}"
-        )
 
 
 def task_spec(observations: Codec, actions: Codec) -> str:
@@ -137,7 +38,9 @@ def task_spec(observations: Codec, actions: Codec) -> str:
     Raises:
         TaskSpecError: it would be longer than a task spec may be.
     """
-    layout = json.dumps({"observation": observations.layout, "action": actions.layout}, separators=(",", ":"))
+    layout = json.dumps(
+        {"observation": _layout(observations.space), "action": _layout(actions.space)}, separators=(",", ":")
+    )
     spec = TaskSpec(
         RL_GLUE_3, "episodic", 1.0, observations.ranges, actions.ranges, Range(), f"{_MARK}{layout}"
     )
@@ -169,94 +72,8 @@ def read_spaces(spec: TaskSpec) -> tuple[SpaceLike, SpaceLike]:
         ) from None
 
 
-def _leaves(space: SpaceLike, depth: int) -> Iterator[Leaf]:
-    if depth > _MAX_DEPTH:
-        raise ConfigError(f"a space nests more than {_MAX_DEPTH} deep")
-    if isinstance(space, spaces.Dict):
-        for key in sorted(space.spaces):
-            yield from _leaves(space.spaces[key], depth + 1)
-    elif isinstance(space, spaces.Tuple):
-        for part in space.spaces:
-            yield from _leaves(part, depth + 1)
-    elif isinstance(space, spaces.Discrete | spaces.MultiDiscrete | spaces.MultiBinary):
-        leaf = Leaf(space, INT, tuple(space.shape), np.dtype(space.dtype))
-        _check_ints(leaf)
-        yield leaf
-    elif isinstance(space, spaces.Box):
-        yield _box_leaf(space)
-    else:
-        raise ConfigError(
-            f"a task spec cannot describe {type(space).__name__}: only Discrete, MultiDiscrete, MultiBinary, "
-            "Box, and Dict and Tuple of these"
-        )
-
-
-def _box_leaf(space: spaces.Box) -> Leaf:
-    dtype = np.dtype(space.dtype)
-    if dtype == np.uint8:
-        return Leaf(space, CHAR, space.shape, dtype)
-    if dtype.name in _FLOATS:
-        return Leaf(space, DOUBLE, space.shape, dtype)
-    if dtype.kind in "iu":
-        leaf = Leaf(space, INT, space.shape, dtype)
-        _check_ints(leaf)
-        return leaf
-    raise ConfigError(f"a task spec cannot describe a Box of {dtype}: only of integers and floats of 64 bits")
-
-
-def _check_ints(leaf: Leaf) -> None:
-    low, high = _ends(leaf)
-    if leaf.size and (low.min() < _INT32.min or high.max() > _INT32.max):
-        raise ConfigError(f"the ints of RL-Glue have 32 bits; {leaf.space!r:.200} needs more")
-
-
-def _ends(leaf: Leaf) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Return the smallest and the largest value of each number of a leaf, flat."""
-    space = leaf.space
-    if isinstance(space, spaces.Discrete):
-        return np.array([space.start]), np.array([space.start + space.n - 1])
-    if isinstance(space, spaces.MultiDiscrete):
-        return space.start.reshape(-1), (space.start + space.nvec - 1).reshape(-1)
-    if isinstance(space, spaces.MultiBinary):
-        return np.zeros(leaf.size, np.int64), np.ones(leaf.size, np.int64)
-    return space.low.reshape(-1), space.high.reshape(-1)
-
-
-def _runs(leaf: Leaf) -> Iterator[tuple[int, Range]]:
-    """Yield the ranges of a leaf's numbers, equal neighbours together."""
-    low, high = _ends(leaf)
-    if not leaf.size:
-        return
-    changes = np.flatnonzero((low[1:] != low[:-1]) | (high[1:] != high[:-1])) + 1
-    for start, stop in zip([0, *changes.tolist()], [*changes.tolist(), leaf.size], strict=True):
-        yield stop - start, Range(low[start].item(), high[start].item())
-
-
-def _parts(space: SpaceLike, value: Any) -> Iterator[Any]:
-    """Yield the parts of a value, one for each leaf."""
-    if isinstance(space, spaces.Dict):
-        for key in sorted(space.spaces):
-            yield from _parts(space.spaces[key], value[key])
-    elif isinstance(space, spaces.Tuple):
-        for part, one in zip(space.spaces, value, strict=True):
-            yield from _parts(part, one)
-    else:
-        yield value
-
-
-def _build(space: SpaceLike, parts: Iterator[Any]) -> Any:
-    if isinstance(space, spaces.Dict):
-        return {key: _build(space.spaces[key], parts) for key in sorted(space.spaces)}
-    if isinstance(space, spaces.Tuple):
-        return tuple(_build(part, parts) for part in space.spaces)
-    return next(parts)
-
-
 def _layout(space: SpaceLike) -> Any:
     if isinstance(space, spaces.Dict):
-        for key in space.spaces:
-            if not isinstance(key, str):
-                raise ConfigError(f"the keys of a Dict space are texts, not {key!r:.80}")
         return {"Dict": {key: _layout(space.spaces[key]) for key in sorted(space.spaces)}}
     if isinstance(space, spaces.Tuple):
         return {"Tuple": [_layout(part) for part in space.spaces]}
@@ -353,7 +170,7 @@ def _read_box(described: Any, reader: _Reader) -> SpaceLike:
         reader.take(CHAR, shape)
         low, high = described[2:] or (0, 255)
         return spaces.Box(*(_bytes(bound, shape) for bound in (low, high)), shape, np.uint8)
-    if name in _FLOATS:
+    if name in FLOATS:
         dtype = np.dtype(name)
         low, high = reader.take(DOUBLE, shape)
         return spaces.Box(low.astype(dtype), high.astype(dtype), shape, dtype.type)
@@ -408,7 +225,7 @@ def _plain_ints(ends: npt.NDArray[np.float64]) -> SpaceLike:
         if len(start) == 1:
             return spaces.Discrete(int(last[0] - start[0]) + 1, start=int(start[0]))
         return spaces.MultiDiscrete(last - start + 1, start=start)
-    bounds = [np.clip(end, _INT32.min, _INT32.max).astype(np.int32) for end in (low, high)]
+    bounds = [np.clip(end, INT32.min, INT32.max).astype(np.int32) for end in (low, high)]
     return spaces.Box(*bounds, dtype=np.int32)
 
 

@@ -1,0 +1,124 @@
+"""Values of Gymnasium's spaces as ints, doubles and chars, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from gymnasium import spaces
+
+from glue.errors import SimulatorError
+from glue.gym.leaves import CHAR, DOUBLE, INT, Leaf, SpaceLike, ends_of, leaves_of
+from glue.taskspec import Range, Ranges, Space
+from glue.types import AbstractType
+
+__all__ = ["Codec"]
+
+
+class Codec:
+    """Values of a space as the ints, doubles and chars of an abstract type.
+
+    Raises:
+        ConfigError: the space is not of the kinds named at the top of `glue.gym.spaces`.
+    """
+
+    def __init__(self, space: SpaceLike) -> None:
+        self.space = space
+        self._leaves = [*leaves_of(space)]
+        self._clips = [leaf.run == DOUBLE and bool(np.isfinite(ends_of(leaf)).any()) for leaf in self._leaves]
+
+    @property
+    def ranges(self) -> Space:
+        """What a task spec says of this space."""
+        runs: list[list[tuple[int, Range]]] = [[], []]
+        chars = 0
+        for leaf in self._leaves:
+            if leaf.run == CHAR:
+                chars += leaf.size
+            else:
+                runs[leaf.run] += _runs(leaf)
+        return Space(Ranges(tuple(runs[INT])), Ranges(tuple(runs[DOUBLE])), chars)
+
+    def pack(self, value: Any) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64], bytes]:
+        """Return a value of the space as ints, doubles and chars."""
+        parts: tuple[list[npt.NDArray[Any]], ...] = ([], [], [])
+        for leaf, part in zip(self._leaves, _parts(self.space, value), strict=True):
+            parts[leaf.run].append(np.asarray(part).reshape(-1))
+        ints, doubles, chars = (
+            np.concatenate(run).astype(dtype, copy=False) if run else np.empty(0, dtype)
+            for run, dtype in zip(parts, (np.int32, np.float64, np.uint8), strict=True)
+        )
+        return ints, doubles, chars.tobytes()
+
+    def unpack(self, value: AbstractType) -> Any:
+        """Return the value of the space that ints, doubles and chars stand for.
+
+        Doubles outside of their bounds are clipped to them.
+
+        Raises:
+            SimulatorError: the counts are wrong, a number is NaN, or another one is not in the space.
+        """
+        wrong = self.ranges_wrong(value)
+        if wrong:
+            raise SimulatorError(wrong)
+        runs: tuple[npt.NDArray[Any], ...] = (
+            value.ints,
+            value.doubles,
+            np.frombuffer(value.chars, np.uint8),
+        )
+        at = [0, 0, 0]
+        found = []
+        for leaf, clips in zip(self._leaves, self._clips, strict=True):
+            start = at[leaf.run]
+            at[leaf.run] = start + leaf.size
+            numbers = runs[leaf.run][start : at[leaf.run]]
+            if clips:
+                numbers = np.clip(numbers, *ends_of(leaf))
+            one = numbers.astype(leaf.dtype).reshape(leaf.shape)
+            part = one[()] if isinstance(leaf.space, spaces.Discrete) else one
+            if not leaf.space.contains(part):
+                raise SimulatorError(f"{part!r:.80} is not in {leaf.space!r:.200}")
+            found.append(part)
+        return _build(self.space, iter(found))
+
+    def ranges_wrong(self, value: AbstractType) -> str:
+        """Return why the counts of `value` are not those of the space, or ""."""
+        counts = [sum(leaf.size for leaf in self._leaves if leaf.run == run) for run in (INT, DOUBLE, CHAR)]
+        if value.counts == tuple(counts):
+            return "" if not np.isnan(value.doubles).any() else f"a number is NaN: {value!r:.200}"
+        return (
+            f"expected {counts[INT]} ints, {counts[DOUBLE]} doubles and {counts[CHAR]} chars for "
+            f"{self.space!r:.200}; received {value!r:.200}"
+        )
+
+
+def _runs(leaf: Leaf) -> Iterator[tuple[int, Range]]:
+    """Yield the ranges of a leaf's numbers, equal neighbours together."""
+    low, high = ends_of(leaf)
+    if not leaf.size:
+        return
+    changes = np.flatnonzero((low[1:] != low[:-1]) | (high[1:] != high[:-1])) + 1
+    for start, stop in zip([0, *changes.tolist()], [*changes.tolist(), leaf.size], strict=True):
+        yield stop - start, Range(low[start].item(), high[start].item())
+
+
+def _parts(space: SpaceLike, value: Any) -> Iterator[Any]:
+    """Yield the parts of a value, one for each leaf."""
+    if isinstance(space, spaces.Dict):
+        for key in sorted(space.spaces):
+            yield from _parts(space.spaces[key], value[key])
+    elif isinstance(space, spaces.Tuple):
+        for part, one in zip(space.spaces, value, strict=True):
+            yield from _parts(part, one)
+    else:
+        yield value
+
+
+def _build(space: SpaceLike, parts: Iterator[Any]) -> Any:
+    if isinstance(space, spaces.Dict):
+        return {key: _build(space.spaces[key], parts) for key in sorted(space.spaces)}
+    if isinstance(space, spaces.Tuple):
+        return tuple(_build(part, parts) for part in space.spaces)
+    return next(parts)
