@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import multiprocessing
 import tempfile
 from collections.abc import Callable, Iterator
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.measure import Table, count, rate, rates, ratio
-from benchmarks.peers import installed
+from benchmarks.others import other_environments
 from env_server.mario.batch import Batch as Games
 from env_server.mario.environment import InfiniteMario
 from glue import Action, Experiment, Observation, connect, make, make_agent, serve_agent, serve_environment
@@ -96,55 +95,52 @@ def _one(gymnasium: Any) -> Callable[[], object]:
 
 
 def _vector(gymnasium: Any) -> Table:
-    works: dict[str, tuple[Callable[[], object], int]] = {}
+    works: dict[str, tuple[Callable[[], object], int, str, list[int]]] = {}
+    """By case: what to do, how many steps that is, what it is compared with, and the other processes."""
     for games in (64, 1024):
         whole = _STEPS // games * games
-        works[f"bare batch, {games} games, one thread"] = _bare(games), whole
+        bare = f"bare batch, {games} games, one thread"
+        works[bare] = _bare(games), whole, bare, []
         for name, options in _OPTIONS.items():
-            works[f"make_vec, {games} games, {name}"] = _many(gymnasium, games, **options), whole
-    works["gymnasium.make, one game"] = _one(gymnasium), _STEPS // 8
+            one = name.removesuffix(_TWO)
+            against = bare if one == name else f"make_vec, {games} games, {one}"
+            works[f"make_vec, {games} games, {name}"] = _many(gymnasium, games, **options), whole, against, []
+    works["gymnasium.make, one game"] = _one(gymnasium), _STEPS // 8, "", []
     envs = gymnasium.make_vec(_ID, num_envs=8, vectorization_mode="async")
     envs.reset(seed=_SEED)
-    works["AsyncVectorEnv over 8 single games"] = partial(_play, envs.step, _actions(8), 250), 2000
-    works |= _others(gymnasium)
-    found = rates([partial(rate, work, number) for work, number in works.values()])
+    pids = [process.pid for process in envs.unwrapped.processes]
+    works["AsyncVectorEnv over 8 single games"] = partial(_play, envs.step, _actions(8), 250), 2000, "", pids
+    with other_environments() as others:
+        works |= {name: (ask, steps, "", [pid]) for name, (ask, steps, pid) in others.items()}
+        found = rates([partial(rate, work, number, pids) for work, number, _, pids in works.values()])
     envs.close()
-    bare = found[0].per_second
+    speeds = dict(zip(works, found, strict=True))
     rows = [
-        (name, count(one.per_second), ratio(one.per_second / bare), f"{one.cpu:.1f}")
-        for name, one in zip(works, found, strict=True)
+        (
+            name,
+            count(speed.per_second),
+            ratio(speed.per_second / speeds[against].per_second) if against not in ("", name) else "",
+            f"{speed.cpu:.1f}",
+        )
+        for (name, speed), (_, _, against, _) in zip(speeds.items(), works.values(), strict=True)
     ]
     about = (
-        "Resets included; the bare batch writes observations for RL-Glue agents. EnvPool's CartPole and "
-        "Pong and gym-super-mario-bros are measured where they are installed."
+        "Observations and resets included; the bare batch writes observations for RL-Glue agents. The ratio "
+        "is to the bare batch of as many games, and that of two threads to one thread. Others are measured "
+        "where they are installed (GLUE_OTHERS)."
     )
-    columns = ("case", "steps/s", "of the bare batch of 64", "CPU, us a step")
+    columns = ("case", "steps/s", "ratio", "CPU, us a step")
     return Table("Infinite Mario for Gymnasium", about, columns, rows)
 
 
+_TWO = ", two threads"
 _OPTIONS: dict[str, dict[str, Any]] = {
     "tiles and sprites": {},
+    f"tiles and sprites{_TWO}": {"num_threads": 2},
     "tiles and sprites, copy=False": {"copy": False},
-    "tiles and sprites, two threads": {"num_threads": 2},
     "pixels": {"observation": "pixels"},
+    f"pixels{_TWO}": {"observation": "pixels", "num_threads": 2},
 }
-
-
-def _others(gymnasium: Any) -> dict[str, tuple[Callable[[], object], int]]:
-    """Return what others offer, where it is installed."""
-    works: dict[str, tuple[Callable[[], object], int]] = {}
-    if installed("envpool"):
-        envpool: Any = importlib.import_module("envpool")
-        for name in ("CartPole-v1", "Pong-v5"):
-            pool = envpool.make(name, env_type="gymnasium", num_envs=64)
-            pool.reset()
-            works[f"EnvPool's {name}, 64 games"] = partial(_play, pool.step, [np.ones(64, int)], 200), 12_800
-    if installed("gym_super_mario_bros"):
-        importlib.import_module("gym_super_mario_bros")
-        env = gymnasium.make("SuperMarioBros-v0")
-        env.reset()
-        works["gym-super-mario-bros"] = partial(_play, env.step, [1], 500), 500
-    return works
 
 
 def _served(gymnasium: Any) -> Table:

@@ -95,7 +95,7 @@ def read_action(action: str, given: object) -> npt.NDArray[np.int64]:
     Raises:
         SimulatorError: it is not in the space.
     """
-    return read_actions(action, np.asarray(given)[np.newaxis], 1)
+    return _read(action, given, "an action", ())
 
 
 def read_actions(action: str, given: object, count: int) -> npt.NDArray[np.int64]:
@@ -104,19 +104,24 @@ def read_actions(action: str, given: object, count: int) -> npt.NDArray[np.int64
     Raises:
         SimulatorError: one is not in the space.
     """
+    return _read(action, given, f"{count} action{'s' * (count > 1)}", (count,))
+
+
+def _read(action: str, given: object, expected: str, games: tuple[int, ...]) -> npt.NDArray[np.int64]:
     actions = np.asarray(given)
-    shape, limits = ((count, 3), _CHOICES) if action == "buttons" else ((count,), len(_BUTTONS))
+    shape, limits = ((*games, 3), _CHOICES) if action == "buttons" else (games, len(_BUTTONS))
     if actions.shape != shape or actions.dtype.kind not in "iu":
         one = "MultiDiscrete([3, 2, 2])" if action == "buttons" else "Discrete(12)"
         raise SimulatorError(
-            f"expected {count} action{'s' * (count > 1)} of {one}, integers of shape {shape}; "
+            f"expected {expected} of {one}, integers of shape {shape}; "
             f"received shape {actions.shape} of {actions.dtype}: {given!r:.80}"
         )
     wrong = (actions < 0) | (actions >= limits)
     if wrong.any():
-        place = int(np.argwhere(wrong)[0][0])
         ranges = "direction 0 to 2, jump and run 0 or 1" if action == "buttons" else "0 to 11"
-        raise SimulatorError(f"an action is {ranges}; received {actions[place].tolist()} for game {place}")
+        place = tuple(np.argwhere(wrong)[0][: len(games)].tolist())
+        whose = f" for game {place[0]}" if games else ""
+        raise SimulatorError(f"an action is {ranges}; received {actions[place].tolist()}{whose}")
     rows = actions.astype(np.int64) @ _ROW_OF if action == "buttons" else actions
-    buttons: npt.NDArray[np.int64] = _BUTTONS[rows]
+    buttons: npt.NDArray[np.int64] = _BUTTONS[rows.reshape(-1)]
     return buttons

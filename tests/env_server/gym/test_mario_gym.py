@@ -319,6 +319,11 @@ def test_an_action_outside_the_space_is_refused_and_nothing_moves(action: str) -
             env.step(wrong)
         with pytest.raises(SimulatorError):
             envs.step([good, wrong] if np.shape(wrong) == np.shape(good) else wrong)
+    single, several = ([3, 0, 0], [[1, 0, 0], [3, 0, 0]]) if action == "buttons" else (12, [0, 12])
+    with pytest.raises(SimulatorError, match=r"received (\[3, 0, 0\]|12)$"):
+        env.step(single)
+    with pytest.raises(SimulatorError, match=r"received (\[3, 0, 0\]|12) for game 1$"):
+        envs.step(several)
     for ours, theirs in zip(env.clone_state().arrays, before.arrays, strict=True):
         assert ours.tobytes() == theirs.tobytes()
     shown = envs.step(np.stack([good, good]))[0]
