@@ -6,6 +6,7 @@ Part of `make test` where it is installed, and always of a stage of .ci/run, whi
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ import glue.gym  # noqa: E402
 from benchmarks.learning import learn  # noqa: E402
 from glue.gym.sb3 import SB3VecEnv  # noqa: E402
 
+PAGE = (Path(__file__).parents[3] / "docs" / "gymnasium.md").read_text(encoding="utf-8")
 MARIO = "env_server.gym:glue/InfiniteMario-v0"
 pytestmark = pytest.mark.filterwarnings("ignore")
 
@@ -64,6 +66,13 @@ def test_a_mario_that_dies_is_not_truncated() -> None:
     assert done.tolist() == [True]
     assert (infos[0]["TimeLimit.truncated"], infos[0]["timeout"]) == (False, True)
     envs.close()
+
+
+def test_the_documented_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (example,) = re.findall(r"```python\n(import gymnasium\n.*?)```", PAGE, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    exec(example.replace("200_000", "1"), {})
+    assert (tmp_path / "model.zip").is_file()
 
 
 def test_ppo_learns_cartpole_through_the_hub(tmp_path: Path) -> None:
