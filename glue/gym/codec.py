@@ -75,7 +75,9 @@ class Codec:
             at[leaf.run] = start + leaf.size
             numbers = runs[leaf.run][start : at[leaf.run]]
             if clips:
-                numbers = np.clip(numbers, *ends_of(leaf))
+                low, high = ends_of(leaf)
+                # NumPy's clip would make -0.0 of a 0.0 that may be there.
+                numbers = np.where(numbers < low, low, np.where(numbers > high, high, numbers))
             one = numbers.astype(leaf.dtype).reshape(leaf.shape)
             part = one[()] if isinstance(leaf.space, spaces.Discrete) else one
             if not leaf.space.contains(part):

@@ -100,6 +100,8 @@ def test_whatever_is_sent_becomes_a_value_of_the_space_or_an_error(
 def test_floats_are_clipped_and_nothing_else_is() -> None:
     box = Codec(spaces.Box(-1, 1, (3,), np.float32))
     assert box.unpack(Action(doubles=[-7, 0.5, np.inf])).tolist() == [-1, 0.5, 1]
+    zero = Codec(spaces.Box(-1, -0.0, (1,), np.float64)).unpack(Action(doubles=[0.0]))
+    assert not np.signbit(zero).any()
     with pytest.raises(SimulatorError, match="NaN"):
         box.unpack(Action(doubles=[0, np.nan, 0]))
     with pytest.raises(SimulatorError, match="is not in Discrete"):
