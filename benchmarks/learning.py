@@ -25,7 +25,7 @@ __all__ = ["Progress", "learn"]
 _LEVEL = {"level_seed": 121, "level_difficulty": 0}
 _GAMES, _LENGTH = 32, 128  # steps of each game between two updates
 _LAST = 100  # episodes whose outcome is shown
-_STEPS = 500_000
+_STEPS = 300_000
 _SEEDS = (1, 2, 3)
 
 
