@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from experiment_runner.analysis.stats import FloatArray
 from experiment_runner.plan import REMOTE, RoleSpec, TrialSpec
@@ -27,12 +28,14 @@ class Setting:
     environment  the same for the environment; empty when all settings share it
     trials       the record of each trial
     returns      each trial's episode returns, (episodes so far,)
+    steps        how many steps each of these episodes took; may be longer than the returns
     """
 
     agent: str
     environment: str
     trials: tuple[TrialRecord, ...]
     returns: tuple[FloatArray, ...]
+    steps: tuple[npt.NDArray[np.int64], ...] = ()
 
     @property
     def label(self) -> str:
@@ -44,10 +47,17 @@ class Setting:
 
         If no trial is finished, of all trials that have begun, up to the length of the shortest.
         """
-        finished = [r for r, trial in zip(self.returns, self.trials, strict=True) if trial.finished]
-        used = finished or [r for r in self.returns if r.size]
+        used = [self.returns[i] for i in self._drawn()]
         length = min((len(r) for r in used), default=0)
         return np.array([r[:length] for r in used]).reshape(len(used), length)
+
+    def curve_steps(self) -> list[npt.NDArray[np.int64]]:
+        """Return the steps of the episodes of each trial in `curves`, at least as many as there are there."""
+        return [self.steps[i] for i in self._drawn()]
+
+    def _drawn(self) -> list[int]:
+        finished = [i for i, trial in enumerate(self.trials) if trial.finished]
+        return finished or [i for i, returns in enumerate(self.returns) if returns.size]
 
 
 def collect(runs: Iterable[Results]) -> list[Setting]:
@@ -56,7 +66,7 @@ def collect(runs: Iterable[Results]) -> list[Setting]:
     Raises:
         ExperimentError: two runs have a trial in common, or a run cannot be read.
     """
-    groups: dict[str, list[tuple[TrialRecord, FloatArray]]] = defaultdict(list)
+    groups: dict[str, list[tuple[TrialRecord, FloatArray, npt.NDArray[np.int64]]]] = defaultdict(list)
     seen: dict[tuple[str, str, int], Results] = {}
     for run in runs:
         joined = {player: RoleSpec(name, label=name) for player, name in joined_players(run).items()}
@@ -69,7 +79,8 @@ def collect(runs: Iterable[Results]) -> list[Setting]:
             same = seen.setdefault((key, trial.spec.id, trial.spec.seed), run)
             if same is not run:
                 raise ExperimentError(f"trial {trial.spec.id} is in {same.directory} and in {run.directory}")
-            groups[key].append((trial, run.returns(trial.spec.id)))
+            returns = run.returns(trial.spec.id)
+            groups[key].append((trial, returns, run.steps(trial.spec.id)))
     specs = [members[0][0].spec for members in groups.values()]
     agents = _names([(_label(spec.agent), _fields(spec.agent)) for spec in specs])
     environments = _names(

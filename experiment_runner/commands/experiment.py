@@ -16,6 +16,7 @@ from click.core import ParameterSource
 from experiment_runner.executors.settings import CHECKPOINT_EVERY, Place
 from experiment_runner.plan import Plan, RoleSweep, absolute, check_options, class_files, describe
 from experiment_runner.plan_file import load_plan
+from experiment_runner.view.starting import check_view, viewed
 from glue import __version__
 from glue.commands import (
     HUB_KEY_SETTINGS,
@@ -190,6 +191,11 @@ _MAX_SEED: Final = 2**63 - 1
     metavar="FILE",
     help="Record every step of a single trial in this new file, for glue-replay.",
 )
+@click.option(
+    "--view",
+    is_flag=True,
+    help="Show the run on a page in the browser, which stays until Ctrl-C; see glue-view.",
+)
 @click.option("--dry-run", is_flag=True, help="Show what would be run, without running it.")
 @click.option(
     "--json",
@@ -227,6 +233,7 @@ def experiment(
     any_reward: bool,
     checkpoint_every: int,
     record: Path | None,
+    view: bool,
     dry_run: bool,
     as_json: bool,
 ) -> int:
@@ -304,7 +311,9 @@ def experiment(
     if dry_run:
         click.echo(describe(plan))
         return 0
-    return _run(directory, plan, config, record, as_json)
+    if view:
+        check_view()
+    return _run(directory, plan, config, record, as_json, view)
 
 
 def _from_variable(option: str) -> bool:
@@ -372,7 +381,9 @@ def _new_directory(name: str) -> Path:
     return next(path for path in candidates if not path.exists())
 
 
-def _run(directory: Path, plan: Plan, config: RunConfig, record: Path | None, as_json: bool) -> int:
+def _run(
+    directory: Path, plan: Plan, config: RunConfig, record: Path | None, as_json: bool, view: bool
+) -> int:
     from experiment_runner.executors.resume import open_run
     from experiment_runner.executors.run import run_trials
     from experiment_runner.players import listening
@@ -389,6 +400,7 @@ def _run(directory: Path, plan: Plan, config: RunConfig, record: Path | None, as
         meeting = addresses.enter_context(listening(plan, config.meeting))
         recording = stack.enter_context(recorded(record))
         store = stack.enter_context(open_run(directory, plan, say=progress.say))
+        wait = stack.enter_context(viewed(directory, progress.say)) if view else None
         failed = run_trials(store, replace(config, meeting=meeting), lines or progress, recording)
         addresses.close()  # a player that joins from now on would not be served
         seconds = time.monotonic() - began
@@ -396,6 +408,9 @@ def _run(directory: Path, plan: Plan, config: RunConfig, record: Path | None, as
             lines.write(summarize(store, seconds))
         else:
             click.echo(tabulate(store, seconds, terminal_width()))
+        if wait is not None:
+            store.close()
+            wait()
     if record is not None and not record.exists():
         say(f"no episode was started, so {record} was not written")
     return 1 if failed else 0

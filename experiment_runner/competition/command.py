@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from experiment_runner.view.starting import check_view, viewed
 from glue import __version__
 from glue.commands import run
 from glue.console import say
@@ -84,17 +86,26 @@ def check(file: Path, out: Path) -> int:
     help="Directory with the hub's own pair of keys, for entrants who join with theirs; see glue-keys.",
 )
 @click.option("--bind", default=DEFAULT_HUB, show_default=True, metavar="URL", help="Where they connect.")
-def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, bind: str) -> int:
+@click.option("--view", is_flag=True, help="Show the standings on a page in the browser, until Ctrl-C.")
+def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, bind: str, view: bool) -> int:
     """Let every entrant play every task; again after an interruption, what is left."""
     from experiment_runner.competition.organiser import hold, open_competition
     from experiment_runner.competition.secret import read_secret, trials
     from experiment_runner.competition.settings import Gate
 
+    if view:
+        check_view()
     competition = _load(file)
     specs = trials(competition, read_secret(competition, say))
-    with open_competition(out, file.read_text(encoding="utf-8"), competition, specs) as store:
+    text = file.read_text(encoding="utf-8")
+    with ExitStack() as stack:
+        store = stack.enter_context(open_competition(out, text, competition, specs))
+        wait = stack.enter_context(viewed(out, say)) if view else None
         gate = None if keys is None else Gate(bind, keys)
         failed = hold(store, competition, workers or max(1, (os.cpu_count() or 1) // 2), say, gate)
+        if wait is not None:
+            store.close()  # so that it can be verified while the page is open
+            wait()
     if failed:
         say(f"{failed} of {len(specs)} trials have failed: start the same command again when that is solved")
         return 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -28,7 +28,7 @@ from experiment_runner.store.output import finite
 from experiment_runner.store.records import TrialRecord
 from experiment_runner.store.results import Results
 
-__all__ = ["Overview", "as_object", "as_text", "overview"]
+__all__ = ["Overview", "as_object", "as_text", "overview", "setting_numbers"]
 
 _WINDOW: Final = 100
 _SETTING_COLUMNS: Final = ("setting", "finished", "episodes", "mean", "95 % interval", "IQM", "converged")
@@ -125,7 +125,7 @@ def as_text(results: Results, width: int | None = None) -> str:
     programs = ", then ".join(_programs(results))
     if programs:
         lines.append(f"program  {one_line(programs)}")
-    rows = [_cells(numbers) for numbers in _settings(results)]
+    rows = [_cells(numbers) for numbers in setting_numbers(collect([results]))]
     lines += ["", format_table(_SETTING_COLUMNS, rows, width=width), "", *_legend(width or _LEGEND_WIDTH)]
     if not has_scipy():
         lines.append("(intervals and IQM need SciPy: pip install 'glue-rl[plot]')")
@@ -147,7 +147,9 @@ def as_object(results: Results) -> dict[str, object]:
     return {
         **overview(results).as_json(),
         "programs": _programs(results),
-        "settings": [{k: finite(v) for k, v in setting.items()} for setting in _settings(results)],
+        "settings": [
+            {k: finite(v) for k, v in setting.items()} for setting in setting_numbers(collect([results]))
+        ],
         "trial_records": [
             {
                 "trial": trial.spec.id,
@@ -163,6 +165,12 @@ def as_object(results: Results) -> dict[str, object]:
         "voids": [void._asdict() for void in results.voids()],
         "events": [event._asdict() for event in results.events()],
     }
+
+
+def setting_numbers(settings: Sequence[Setting]) -> list[dict[str, object]]:
+    """Return the line of each setting in the table of results; what is not available yet is None."""
+    rng = bootstrap_rng()
+    return [_numbers(setting, rng) for setting in settings]
 
 
 def _state(directory: Path, trials: list[TrialRecord], names: Mapping[str, str]) -> tuple[str, str]:
@@ -183,11 +191,6 @@ def _date(time: float | None) -> str:
 def _programs(results: Results) -> list[str]:
     """Return the distinct versions of the program that executed a run."""
     return list(dict.fromkeys(e.text for e in results.events() if e.kind in ("start", "resume")))
-
-
-def _settings(results: Results) -> list[dict[str, object]]:
-    rng = bootstrap_rng()
-    return [_numbers(setting, rng) for setting in collect([results])]
 
 
 def _numbers(setting: Setting, rng: np.random.Generator) -> dict[str, object]:

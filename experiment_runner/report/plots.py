@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from experiment_runner.analysis.curves import over_episodes
 from experiment_runner.analysis.stats import (
     FloatArray,
     estimate,
@@ -57,7 +58,6 @@ _WIDTH: Final = 6.4  # inches, as all lengths below
 _HEIGHT: Final = 4.0
 _PANEL_HEIGHT: Final = 2.6
 _ROW_HEIGHT: Final = 0.45
-_POINTS: Final = 400  # of a curve; more cannot be seen
 _TITLE_LETTERS: Final = 72  # across a figure
 _LEGEND_LETTERS: Final = 80  # in a line of the legend; an entry takes 6 beside its name
 _RETURN: Final = "episode return (reward)"
@@ -81,14 +81,13 @@ def learning_curves(
     with _style():
         figure, (axes,) = _panels(1, 1, _HEIGHT)
         for number, (name, returns) in enumerate(curves.items()):
-            means = running_mean(returns, window)
-            if not means.size:
+            curve = over_episodes(returns, window, rng)
+            if curve is None:
                 continue  # too short yet
-            shown = np.unique(np.linspace(0, means.shape[1] - 1, _POINTS).astype(int))
-            value, low, high = estimate([means[:, shown]], mean, rng)
+            value, low, high = curve.band
             color, dash = _look(number)
-            axes.plot(shown + window, value, label=name, color=color, linestyle=dash)
-            axes.fill_between(shown + window, low, high, color=color, alpha=0.2, linewidth=0)
+            axes.plot(curve.at, value, label=name, color=color, linestyle=dash)
+            axes.fill_between(curve.at, low, high, color=color, alpha=0.2, linewidth=0)
         axes.set_title(
             f"running mean of {counted(window, 'episode')} over {_trials(curves.values())}, "
             "with 95 % bootstrap bands"

@@ -106,6 +106,16 @@ class Results:
         self._check(rows, (_WHOLE, _NUMBER_OR_NULL), numbered=True)
         return np.array([total for _, total in rows], np.float64)  # None becomes NaN
 
+    def steps(self, trial_id: str) -> npt.NDArray[np.int64]:
+        """Return the numbers of steps of a trial's episodes so far, shape (episodes,)."""
+        rows = self._query(
+            """SELECT episode, steps FROM episodes
+                WHERE trial = (SELECT key FROM trials WHERE id = ?) ORDER BY episode""",
+            trial_id,
+        )
+        self._check(rows, (_WHOLE, _WHOLE), numbered=True)
+        return np.array([steps for _, steps in rows], np.int64)
+
     def totals(self, trial_id: str, last: int | None = None) -> Totals:
         """Return sums over the episodes of a trial so far, or over the last `last`; in constant memory."""
         rows = self._query(

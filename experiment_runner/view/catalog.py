@@ -55,6 +55,14 @@ class Catalog:
         """
         return self._entries[run_id]
 
+    def signs(self, run_id: str) -> tuple[object, ...]:
+        """Return what is different when a run has changed.
+
+        Raises:
+            KeyError: there is no such run.
+        """
+        return _signs(self._entries[run_id].directory)
+
     def find(self) -> dict[str, Entry]:
         """Look for runs, and return all that there are, by id."""
         entries: dict[str, Entry] = {}

@@ -31,6 +31,7 @@ _NICENESS: Final = 10
     metavar="N",
     help="Port to listen at, 0 for any. [default: 8097, or any if that is taken]",
 )
+@click.option("--stderr", is_flag=True, hidden=True)  # standard output is the experiment's
 @click.option("--no-browser", is_flag=True, help="Do not open a browser; only print the address.")
 @click.option(
     "--host",
@@ -52,7 +53,13 @@ _NICENESS: Final = 10
 )
 @click.version_option(__version__, prog_name="glue-view")
 def view(
-    directories: tuple[Path, ...], port: int | None, no_browser: bool, host: str, insecure: bool, proxy: str
+    directories: tuple[Path, ...],
+    port: int | None,
+    no_browser: bool,
+    host: str,
+    insecure: bool,
+    proxy: str,
+    stderr: bool,
 ) -> None:
     """Show the runs in each DIR (by default runs) on a page in the browser, until Ctrl-C.
 
@@ -68,11 +75,17 @@ def view(
     for directory in directories:
         if not directory.is_dir():
             raise ConfigError(f"there is no folder {directory}")
-    show(directories or (_DEFAULT_FOLDER,), port, host, insecure, proxy, browser=not no_browser)
+    show(directories or (_DEFAULT_FOLDER,), port, host, insecure, proxy, browser=not no_browser, err=stderr)
 
 
 def show(
-    directories: tuple[Path, ...], port: int | None, host: str, insecure: bool, proxy: str, browser: bool
+    directories: tuple[Path, ...],
+    port: int | None,
+    host: str,
+    insecure: bool,
+    proxy: str,
+    browser: bool,
+    err: bool,
 ) -> None:
     """Serve the page, and say where."""
     try:
@@ -91,7 +104,7 @@ def show(
     os.nice(_NICENESS)  # the runs come first
 
     def ready(url: str) -> None:
-        click.echo(f"the page is at {url}")
+        click.echo(f"the page is at {url}", err=err)
         if browser and _has_display():
             # It may wait for the browser.
             threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()

@@ -1,6 +1,71 @@
-import { h } from "./dom.js";
+// The standings of a competition as they come, also large for a lecture hall.
 
-export function mount(element) {
-  element.append(h("h1", {}, "To come"));
-  return () => {};
+import { count, failure, get, h, score, setText, table } from "./dom.js";
+import { listen } from "./stream.js";
+
+const REFRESH_SECONDS = 3;
+
+export function mount(element, { path, query }) {
+  const id = path[0] ?? "";
+  const title = h("h1", {}, "Standings");
+  const how = h("p", { class: "quiet", role: "status" });
+  const content = h("div");
+  const projector = h("button", { type: "button", "aria-pressed": "false", onclick: () => large(!document.body.classList.contains("projector")) },
+    "Projector");
+  element.append(h("div", { class: "head" }, title, projector), how, content);
+
+  function large(isLarge) {
+    document.body.classList.toggle("projector", isLarge);
+    projector.setAttribute("aria-pressed", String(isLarge));
+    history.replaceState(null, "", `#/standings/${id}${isLarge ? "?projector=1" : ""}`);
+  }
+
+  let timer = null;
+  let ended = false;
+  async function refresh() {
+    timer = null;
+    try {
+      const board = await get(`standings/${encodeURIComponent(id)}`);
+      if (ended) return;
+      setText(title, board.competition);
+      setText(how, `${count(board.over)} of ${count(board.matches)} trials are over, ${count(board.verified)} verified`);
+      content.replaceChildren(...draw(board));
+    } catch (error) {
+      if (!ended) content.replaceChildren(failure(error));
+    }
+  }
+  const stop = listen("runs", (changed, all) => {
+    if (!all.has(id)) content.replaceChildren(failure("There is no such competition any more."));
+    else if (id in changed) timer ??= setTimeout(refresh, content.childElementCount ? REFRESH_SECONDS * 1000 : 0);
+  });
+  large(query.get("projector") === "1");
+  return () => {
+    ended = true;
+    stop();
+    clearTimeout(timer);
+    document.body.classList.remove("projector");
+  };
+}
+
+function draw(board) {
+  const placed = board.entrants.filter((one) => one.place !== null);
+  const parts = [];
+  if (placed.length) {
+    parts.push(table("Places", ["place", "entrant", "mean rank", "total", "95 % interval", "by total", ...board.tasks],
+      placed.map((one) => [`${one.place}`, one.name, score(one.mean_rank), score(one.total),
+        one.low === null ? "-" : `${score(one.low)} to ${score(one.high)}`, `${one.place_by_total}`,
+        ...board.tasks.map((task) => `${score(one.tasks[task].score)} (${one.tasks[task].rank})`)])));
+  } else {
+    parts.push(h("p", { class: "empty" }, "Nobody has a place yet: a place takes a verified score in every trial. ",
+      h("code", {}, "glue-compete verify DIR"), " verifies what is over."));
+  }
+  const missing = board.entrants.filter((one) => one.missing);
+  if (missing.length) parts.push(table("Without a place", ["entrant", "why"], missing.map((one) => [one.name, one.missing])));
+  const forfeits = board.entrants.flatMap((one) => one.forfeits.map((lost) => [one.name, lost.task, `${lost.trial}`, lost.reason]));
+  if (forfeits.length) parts.push(table("Forfeits", ["entrant", "task", "trial", "reason"], forfeits));
+  parts.push(h("dl", { class: "terms" }, ...board.legend.flatMap((line) => {
+    const [term, ...rest] = line.split(/\s+/);
+    return [h("dt", {}, term), h("dd", {}, rest.join(" "))];
+  })));
+  return parts;
 }

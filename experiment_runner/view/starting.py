@@ -1,0 +1,53 @@
+"""The page of a run that is starting: `--view`.
+
+It is served by a process of its own, at a lower priority, which only reads the run's files: it can neither
+slow the run down nor break it. It ends with the process that started it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from importlib.util import find_spec
+from pathlib import Path
+
+from experiment_runner import children
+from glue.errors import ConfigError
+
+__all__ = ["check_view", "viewed"]
+
+_MODULE = "experiment_runner.view.command"
+
+
+def check_view() -> None:
+    """Refuse `--view` before anything is written, if the page cannot be served.
+
+    Raises:
+        ConfigError: Starlette or uvicorn is not installed.
+    """
+    if any(find_spec(name) is None for name in ("starlette", "uvicorn")):
+        raise ConfigError("--view needs Starlette and uvicorn: pip install 'glue-rl[web]'")
+
+
+@contextlib.contextmanager
+def viewed(directory: Path, say: Callable[[str], None]) -> Iterator[Callable[[], None]]:
+    """Show a run on a page; yield a function that waits, after the run, until the page is ended by Ctrl-C.
+
+    Raises:
+        ExperimentError: the page's process cannot be started.
+    """
+    process = children.start(_MODULE, [str(directory), "--stderr"])
+
+    def wait() -> None:
+        if process.poll() is None:
+            say("the run is over; its page stays until Ctrl-C")
+        try:
+            process.wait()
+        except KeyboardInterrupt:
+            say(f"\nto see it again: glue-view {directory}")
+
+    try:
+        yield wait
+    finally:
+        process.terminate()
+        children.end(process)
