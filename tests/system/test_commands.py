@@ -51,13 +51,14 @@ ENDLESS_COMMANDS = {
     "glue-plot": ["runs", "--out", "curves.png"],
     "glue-replay": ["recording.traj"],
     "glue-results": ["show", "runs"],
+    "glue-view": ["runs"],
     "glue-watch": ["--agent", "hierarchical", "--after", "100000"],
 }
 """Arguments with which a command imports all that it needs."""
 
 IMPORTS = [
     *((command, "click") for command in ENDLESS_COMMANDS),
-    *((command, "numpy.linalg") for command in ENDLESS_COMMANDS if command != "glue-keys"),
+    *((command, "numpy.linalg") for command in ENDLESS_COMMANDS if command not in ("glue-keys", "glue-view")),
     ("glue-agent", "msgpack"),
     ("glue-agent", "numba.core"),
     ("glue-experiment", "sqlite3"),
