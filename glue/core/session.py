@@ -15,6 +15,7 @@ from typing import Final, Protocol
 from glue.core.calls import skippable, unfit_for_batch, unsupported
 from glue.core.engine import Engine, Instruction
 from glue.core.memory import Memory
+from glue.core.observers import Observers
 from glue.core.time_bank import TimeBank
 from glue.errors import PeerLost, RemoteProtocolError
 from glue.protocol.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value
@@ -130,12 +131,14 @@ class Session:
         "_watched",
         "_watched_since",
         "name",
+        "observers",
         "peers",
     )
 
     def __init__(self, board: Board, name: str, time: TimeBank | None = None) -> None:
         self.name = name
         self.peers: dict[Role, Peer] = {}
+        self.observers: Observers | None = None
         self._board = board
         self._time = time
         self._engine = Engine(Action().body)
@@ -224,9 +227,20 @@ class Session:
         if missed is not None and (peer.role is Role.EXPERIMENT or CALLS[missed.kind].callee is peer.role):
             self._board.deliver(peer, missed)
 
+    def observe(self, peer: Peer, send: Callable[[Peer, Message], bool]) -> None:
+        """Let `peer` look on: `send` sends it a message, or returns False."""
+        if self.observers is None:
+            self.observers = Observers(self.name, send)
+        self.observers.join(peer, self._engine)
+
     def lose(self, peer: Peer, why: str, code: ErrorCode) -> None:
         """Remove `peer`: a lost player makes the episode void, a lost experiment is forgotten."""
         role = peer.role
+        if self.observers is not None and role is Role.OBSERVER:
+            self.observers.leave(peer)
+            if not self.observers.peers:
+                self.observers = None
+            return
         del self.peers[role]
         if role is Role.EXPERIMENT:
             self._forget_experiment()
@@ -324,6 +338,8 @@ class Session:
             self._error(peer, message, ErrorCode.NOT_ASKED, str(error))
             self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.name} broke the protocol: {error}")
             return True
+        if self.observers is not None:
+            self.observers.show(outstanding, scalars, message.body, self._engine)
         self._advance(instruction)
         return True
 
@@ -340,7 +356,10 @@ class Session:
             return False
         if kind is Kind.ENV_STEP and scalars[1] == CUT_OFF:
             return False  # `answer` looks whether this environment can mean that
-        kind, scalars, body = instruction = self._engine.resume(kind, scalars, body)
+        instruction = self._engine.resume(kind, scalars, body)
+        if self.observers is not None:
+            self.observers.show(outstanding, scalars, body, self._engine)
+        kind, scalars, body = instruction
         player = self.peers.get(_STEPPED[kind]) if kind in _STEPPED else None
         if player is None:
             self._advance(instruction)

@@ -17,6 +17,7 @@ from typing import Final
 
 from glue.core.config import HubConfig
 from glue.core.memory import Memory
+from glue.core.observers import MAX_OBSERVERS
 from glue.core.session import Peer, Route, Session
 from glue.core.time_bank import TimeBank
 from glue.errors import RemoteProtocolError
@@ -91,8 +92,13 @@ class Switchboard:
             self._lose(peer, f"left: {clip(str(message.scalars[0]))}")
             if peer.role is Role.EXPERIMENT:
                 self._dismiss(peer.session)
+        elif kind is Kind.OBSERVE and peer.session.observers is not None and peer.role is Role.OBSERVER:
+            moments = message.scalars[0]
+            assert isinstance(moments, int)
+            peer.session.observers.want(peer, moments)
         else:
-            self._error(route, message, ErrorCode.NOT_ASKED, f"{kind.name} is sent by the hub only")
+            text = f"{kind.name} is not for this {peer.role} to send"
+            self._error(route, message, ErrorCode.NOT_ASKED, text)
         return False
 
     def receive_step(self, route: Route, form: StepFormat, step: Step, now: float) -> bool:
@@ -192,6 +198,8 @@ class Switchboard:
         if message.session not in seats and len(seats) >= self._config.max_seats:
             text = f"this connection takes part in {len(seats)} sessions, the maximum; open another one"
             return ErrorCode.FULL, text
+        if role is Role.OBSERVER:
+            return self._greet_observer(route, message, instance, str(name), str(codec))
         session = self._sessions.get(message.session)
         if session is None:
             if len(self._sessions) >= self._config.max_sessions:
@@ -212,22 +220,54 @@ class Switchboard:
         known = session.knows(role, instance)
         # Over one connection nothing is lost: the sender has read, or will read, the WELCOME before this one.
         resumed = known or (current is not None and current.route == route)
-        config = self._config
-        welcome = (PROTOCOL_VERSION, resumed, config.heartbeat, config.timeout, config.max_body)
-        self.send(route, Message(Kind.WELCOME, session.name, message.seq, welcome))
+        self._welcome(route, message, resumed)
         if current is not None:
             if current.route == route:
                 # It has missed nothing. To send more again would let it fill the hub's memory.
                 return None
             self._unseat(current)
-        label = clip(f"{name} ({codec})", _MAX_LABEL)
-        named = clip(str(name), _MAX_LABEL), label
-        peer = Peer(session, role, route, instance, *named, frozenset(map(str, capabilities)), known)
+        offered = frozenset(map(str, capabilities))
+        peer = Peer(session, role, route, instance, *_named(name, codec), offered, known)
         self._sessions[session.name] = session
         self._seats.setdefault(route, {})[session.name] = peer
         if current is None:
-            self.log(f"session {session.name!r}: {role} {label} {'returned' if known else 'joined'}")
+            self.log(f"session {session.name!r}: {role} {peer.label} {'returned' if known else 'joined'}")
         session.join(peer, same=known or current is not None, announce=current is None)
+        return None
+
+    def _welcome(self, route: Route, message: Message, resumed: bool) -> None:
+        """Answer a HELLO whose sender is let in."""
+        config = self._config
+        welcome = (PROTOCOL_VERSION, resumed, config.heartbeat, config.timeout, config.max_body)
+        self.send(route, Message(Kind.WELCOME, message.session, message.seq, welcome))
+
+    def _greet_observer(
+        self, route: Route, message: Message, instance: bytes, name: str, codec: str
+    ) -> tuple[ErrorCode, str] | None:
+        """Let the sender of a HELLO look on, or return why not. It takes no role, and opens no session."""
+        session = self._sessions.get(message.session)
+        if session is None:
+            return ErrorCode.NO_SESSION, f"there is no session {message.session!r} yet; say HELLO again later"
+        current = self._seats.get(route, {}).get(message.session)
+        if current is not None:
+            if current.role is not Role.OBSERVER:
+                return ErrorCode.MALFORMED, f"this connection is already the {current.role} of the session"
+            self._welcome(route, message, resumed=True)
+            return None
+        others = session.observers.peers if session.observers is not None else []
+        if len(others) >= MAX_OBSERVERS:
+            gone = [other for other in others if not self._reach(other)]
+            if not gone:
+                return ErrorCode.FULL, f"session {session.name!r} has {MAX_OBSERVERS} observers, the maximum"
+            for other in gone:
+                self._lose(other, "is gone")
+        peer = Peer(
+            session, Role.OBSERVER, route, instance, *_named(name, codec), frozenset(), confirmed=True
+        )
+        self._seats.setdefault(route, {})[session.name] = peer
+        self.log(f"session {session.name!r}: observer {peer.label} joined")
+        self._welcome(route, message, resumed=False)
+        session.observe(peer, lambda observer, shown: self.send(observer.route, shown))
         return None
 
     def end(self, session: Session, why: str) -> None:
@@ -271,9 +311,12 @@ class Switchboard:
         self._unseat(peer)
         self.log(f"session {session.name!r}: {peer.role} {peer.label} {why}")
         session.lose(peer, why, code)
-        if not session.peers:
+        if not session.peers and peer.role is not Role.OBSERVER:
             self._sessions.pop(session.name, None)
             self.memory.hold(session, 0)
+            for observer in session.observers.peers if session.observers is not None else []:
+                self.send(observer.route, Message(Kind.GOODBYE, session.name, 0, ("the session is over",)))
+                self._lose(observer, "was dismissed: the session is over")
 
     def _mark_unreachable(self, peer: Peer) -> None:
         if peer.unreachable_since is None:
@@ -286,3 +329,8 @@ class Switchboard:
         """Send `message` to `peer`; if it cannot be reached, its timeout begins."""
         if not peer.route.deliver(message):
             self._mark_unreachable(peer)
+
+
+def _named(name: str, codec: str) -> tuple[str, str]:
+    """Return what error messages call a peer, and what notices and the log call it."""
+    return clip(name, _MAX_LABEL), clip(f"{name} ({codec})", _MAX_LABEL)

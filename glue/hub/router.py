@@ -25,7 +25,7 @@ from glue.hub.listener import Listener, OpenAddress
 from glue.hub.log import Log
 from glue.hub.loop import Loop
 from glue.protocol import zmtp
-from glue.protocol.messages import Kind, Message, Role
+from glue.protocol.messages import OBSERVING, Kind, Message, Role
 from glue.protocol.steps import MAX_LEAD, Step, StepFormat, lead_of, step_formats
 from glue.protocol.wire import FROM_HUB, MAX_HEADER, encode
 from glue.sockets.options import limit_silence
@@ -203,6 +203,8 @@ class _Dealer:
                 return True
             connection.send(request.encode(seq, scalars, body))
             self._router.expect()
+        elif kind in OBSERVING and connection.unsent:
+            return False  # an observer that has not read what came before misses this
         else:
             self.send_joined()
             connection.send(zmtp.encode(encode(message, FROM_HUB)))
@@ -353,6 +355,8 @@ class _KeyedDealer(_Dealer):
         """As of every dealer; but no step has a quick form here."""
         connection = self.connection
         if connection.closed or self._dismissed or connection.unsent > MAX_UNSENT:
+            return False
+        if message.kind in OBSERVING and connection.unsent:
             return False
         connection.send(self._curve.encode(encode(message, FROM_HUB)))
         if message.kind in _STEPS:

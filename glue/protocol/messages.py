@@ -19,7 +19,9 @@ from typing import Final, NamedTuple
 __all__ = [
     "CALLS",
     "CONTROL",
+    "OBSERVING",
     "PROTOCOL_VERSION",
+    "THREE_ROLES",
     "Body",
     "Call",
     "ErrorCode",
@@ -38,11 +40,16 @@ Value = None | bool | int | float | str | bytes | tuple[int, ...] | tuple[str, .
 
 
 class Role(StrEnum):
-    """The three programs of RL-Glue."""
+    """The three programs of RL-Glue, and those who look on."""
 
     AGENT = "agent"
     ENVIRONMENT = "environment"
     EXPERIMENT = "experiment"
+    OBSERVER = "observer"
+
+
+THREE_ROLES: Final = (Role.AGENT, Role.ENVIRONMENT, Role.EXPERIMENT)
+"""The programs that a session is made of."""
 
 
 class Kind(IntEnum):
@@ -81,6 +88,11 @@ class Kind(IntEnum):
     GOODBYE = 68
     ERROR = 69
     NOTICE = 70
+    OBSERVE = 71
+    OBSERVED_INIT = 72
+    OBSERVED_START = 73
+    OBSERVED_STEP = 74
+    OBSERVED_MESSAGE = 75
     AGENT_SEED = 80
     AGENT_SAVE = 81
     AGENT_LOAD = 82
@@ -171,6 +183,7 @@ class ErrorCode(StrEnum):
     ROLE_TAKEN = "role-taken"
     FULL = "full"
     NOT_ADMITTED = "not-admitted"
+    NO_SESSION = "no-session"
 
 
 class Event(StrEnum):
@@ -264,3 +277,17 @@ CONTROL: Final[Mapping[Kind, Shape]] = MappingProxyType(
         Kind.NOTICE: Shape((Scalar("event", str), Scalar("role", str), Scalar("name", str))),
     }
 )
+
+OBSERVING: Final[Mapping[Kind, Shape]] = MappingProxyType(
+    {
+        Kind.OBSERVE: Shape((Scalar("moments", int),)),
+        Kind.OBSERVED_INIT: _TEXT,
+        Kind.OBSERVED_START: Shape((Scalar("episode", int),), Body.OBSERVATION),
+        Kind.OBSERVED_STEP: Shape(
+            (Scalar("episode", int), Scalar("num_steps", int), Scalar("return", float), _REWARD, _TERMINAL),
+            Body.OBSERVATION_ACTION,
+        ),
+        Kind.OBSERVED_MESSAGE: Shape((Scalar("message", str),), Body.TEXT),
+    }
+)
+"""What an observer sends, which is OBSERVE, and what it is shown."""

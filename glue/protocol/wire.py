@@ -16,7 +16,7 @@ import msgpack
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.protocol.limits import MAX_BODY, MAX_HEADER, MAX_NAME
-from glue.protocol.messages import CALLS, CONTROL, Body, Kind, Message, Scalar, Shape, Value
+from glue.protocol.messages import CALLS, CONTROL, OBSERVING, Body, Kind, Message, Scalar, Shape, Value
 from glue.types import CUT_OFF, body_size
 
 __all__ = [
@@ -40,12 +40,14 @@ _NUMBERS_END: Final = 2**63
 TO_HUB: Final[Mapping[Kind, Shape]] = {
     **{kind: call.request if call.callee is None else call.reply for kind, call in CALLS.items()},
     **CONTROL,
+    Kind.OBSERVE: OBSERVING[Kind.OBSERVE],
 }
-"""What a peer may send: replies of agents and environments, requests of experiments, control."""
+"""What a peer may send: replies of agents and environments, requests of experiments and observers, control."""
 
 FROM_HUB: Final[Mapping[Kind, Shape]] = {
     **{kind: call.reply if call.callee is None else call.request for kind, call in CALLS.items()},
     **CONTROL,
+    **OBSERVING,
 }
 """What the hub may send: the other half of each call."""
 

@@ -19,7 +19,7 @@ from glue.client.players import serve_agent, serve_environment
 from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
 from glue.core.experiment import Experiment
 from glue.errors import GlueError, HubClosed, PeerFailed, PeerLost, Unsupported
-from glue.protocol.messages import ErrorCode, Role
+from glue.protocol.messages import THREE_ROLES, ErrorCode, Role
 from glue.types import AbstractType, Action, Observation
 
 if TYPE_CHECKING:
@@ -268,7 +268,7 @@ def run_mirror(role: Role, hub: str, session: str, context: Context | None = Non
 def main(arguments: Sequence[str]) -> int:
     """Run a mirror in the role that is named."""
     parser = argparse.ArgumentParser(prog="python -m glue.testing.mirror")
-    parser.add_argument("role", choices=[str(role) for role in Role])
+    parser.add_argument("role", choices=[str(role) for role in THREE_ROLES])
     parser.add_argument("--libzmq", action="store_true", help="connect with libzmq, not with plain sockets")
     options = parser.parse_args(arguments)
     context = None

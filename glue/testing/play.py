@@ -5,7 +5,7 @@ Each scene is a function; the rule that it is about is in `glue.testing.hub`.
 
 from __future__ import annotations
 
-from glue.protocol.messages import PROTOCOL_VERSION, ErrorCode, Event, Kind, Role
+from glue.protocol.messages import PROTOCOL_VERSION, THREE_ROLES, ErrorCode, Event, Kind, Role
 from glue.testing.scripted import Scene, ScriptedPeer, did, number, reward, saw, shown
 from glue.types import Action
 
@@ -32,7 +32,7 @@ def version(scene: Scene) -> None:
 def role_taken(scene: Scene) -> None:
     """A second peer in each role, while the first plays."""
     scene.init()
-    for role in Role:
+    for role in THREE_ROLES:
         second = scene.peer(role)
         second.hello()
         _refused(second, ErrorCode.ROLE_TAKEN, 0)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from glue.core.config import Bind, HubConfig
 from glue.core.sessions import INSTANCE_SIZE, Switchboard
 from glue.errors import RemoteProtocolError
-from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
+from glue.protocol.messages import CALLS, PROTOCOL_VERSION, THREE_ROLES, ErrorCode, Kind, Message, Role
 from glue.protocol.wire import FROM_HUB, MAX_NAME, TO_HUB, UnknownKind, decode, encode
 from glue.types import Action, Observation
 
@@ -226,7 +226,12 @@ def test_a_peer_of_another_protocol_version_is_refused_and_told_ours() -> None:
 @pytest.mark.parametrize(
     ("role", "instance", "session", "complaint"),
     [
-        ("king", instance("a"), "s", "the role must be one of agent, environment, experiment, not 'king'"),
+        (
+            "king",
+            instance("a"),
+            "s",
+            "the role must be one of agent, environment, experiment, observer, not 'king'",
+        ),
         ("agent", b"short", "s", "an instance must have 16 bytes, not 5"),
         (
             "agent",
@@ -422,7 +427,7 @@ def resumed(messages: list[Message]) -> bool:
     return bool(messages[0].scalars[1])
 
 
-@pytest.mark.parametrize("role", list(Role))
+@pytest.mark.parametrize("role", THREE_ROLES)
 def test_an_instance_is_unknown_until_it_has_sent_something_that_only_a_welcomed_peer_can(role: Role) -> None:
     # Each WELCOME may have been lost with its connection.
     rig = Rig()
@@ -749,7 +754,7 @@ def test_a_capability_that_a_player_lacks_is_an_error_for_the_experiment(rig: Ri
 def test_what_only_the_hub_says_is_an_error_from_a_peer(rig: Rig, message: tuple[Any, ...]) -> None:
     kind, *scalars = message
     code, text = error(rig.say("a", kind, 0, *scalars))
-    assert (code, text) == (ErrorCode.NOT_ASKED, f"{kind.name} is sent by the hub only")
+    assert (code, text) == (ErrorCode.NOT_ASKED, f"{kind.name} is not for this agent to send")
 
 
 def test_an_unknown_kind_is_an_error_and_costs_no_seat(playing: Rig) -> None:

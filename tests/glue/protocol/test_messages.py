@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from glue.protocol.messages import CALLS, CONTROL, Body, Kind, Role
+from glue.protocol.messages import CALLS, CONTROL, OBSERVING, Body, Kind, Role
 
 RL_GLUE = {
     "AGENT_INIT": 4,
@@ -41,9 +41,9 @@ def test_codes_below_64_are_rl_glues_own() -> None:
     assert {kind.name: kind.value for kind in Kind if kind < 64} == RL_GLUE
 
 
-def test_every_kind_is_either_a_call_or_control() -> None:
-    assert not CALLS.keys() & CONTROL.keys()
-    assert CALLS.keys() | CONTROL.keys() == set(Kind)
+def test_every_kind_is_a_call_or_control_or_of_observers() -> None:
+    assert len(CALLS) + len(CONTROL) + len(OBSERVING) == len(Kind)
+    assert CALLS.keys() | CONTROL.keys() | OBSERVING.keys() == set(Kind)
 
 
 @pytest.mark.parametrize("kind", CALLS)

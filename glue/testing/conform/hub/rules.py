@@ -8,12 +8,12 @@ from enum import StrEnum
 from typing import Any, Final
 
 from glue.errors import GlueError
-from glue.protocol.messages import Role
+from glue.protocol.messages import THREE_ROLES, Role
 
 __all__ = ["EVERYONE", "PLAYERS", "Broken", "NotJudged", "Rule", "Rules", "Tier"]
 
 PLAYERS: Final = (Role.AGENT, Role.ENVIRONMENT)
-EVERYONE: Final = tuple(Role)
+EVERYONE: Final = THREE_ROLES
 
 
 class Tier(StrEnum):

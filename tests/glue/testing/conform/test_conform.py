@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from glue.protocol.messages import Role
+from glue.protocol.messages import THREE_ROLES, Role
 from glue.testing.conform.hub.clients import starter
 from glue.testing.conform.hub.rules import Tier
 from glue.testing.conform.judge import Outcome, judge, rules_of
@@ -27,7 +27,7 @@ DOCS = ROOT / "docs"
 
 
 @pytest.mark.proof
-@pytest.mark.parametrize("role", list(Role))
+@pytest.mark.parametrize("role", THREE_ROLES)
 @pytest.mark.parametrize(("transport", "libzmq"), size(ENDS[:1], ENDS))
 def test_our_own_clients_keep_every_rule(role: Role, transport: str, libzmq: bool) -> None:
     verdicts = judge(role, mirror(role, libzmq), transport=transport, wait=20)
@@ -42,7 +42,7 @@ def test_every_rule_stands_in_the_protocol() -> None:
     headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
     anchors = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
-    for role in Role:
+    for role in THREE_ROLES:
         rules = rules_of(role)
         assert {rule.section for rule in rules} <= anchors
         assert len({rule.name for rule in rules}) == len(rules) > 30

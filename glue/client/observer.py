@@ -1,0 +1,198 @@
+"""Look on at a session of a hub, without taking part in it.
+
+    from glue.client.observer import observe
+
+    with observe("tcp://127.0.0.1:4097") as observer:
+        observer.want(100)
+        for seen in observer:
+            print(seen)
+
+What is seen is a `Start`, a `Step`, a `TaskSpecSeen` or an `Answer`. An observer is shown as many moments,
+that is starts and steps, as it wants, and misses the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final, NamedTuple, Self
+
+from glue.client.link import Link, Log
+from glue.client.place import Place, find_place
+from glue.console import say
+from glue.protocol.messages import Kind, Message, Role
+from glue.types import Action, Observation, body_size
+
+__all__ = ["Answer", "Observer", "Seen", "Start", "Step", "TaskSpecSeen", "observe"]
+
+
+class TaskSpecSeen(NamedTuple):
+    """What the environment answered to its init."""
+
+    text: str
+
+
+class Start(NamedTuple):
+    """An episode has begun. `episode` counts those that began since the session was first observed."""
+
+    episode: int
+    observation: Observation
+
+
+class Step(NamedTuple):
+    """A step of the environment, with the counters of the episode after it.
+
+    `episode` is 0 if it began before the session was observed; `num_steps` is RL_num_steps, and `terminal`
+    may be `glue.types.CUT_OFF`.
+    """
+
+    episode: int
+    num_steps: int
+    episode_return: float
+    reward: float
+    terminal: bool | int
+    observation: Observation
+    action: Action
+
+
+class Answer(NamedTuple):
+    """What the agent answered to a message that the experiment sent it."""
+
+    message: str
+    answer: str
+
+
+Seen = TaskSpecSeen | Start | Step | Answer
+
+
+def observe(
+    hub: str | None = None,
+    session: str | None = None,
+    *,
+    key: str | Path | None = None,
+    hub_key: str | Path | None = None,
+    name: str = "observer",
+    wait: float | None = None,
+    log: Log = say,
+) -> Observer:
+    """Return an observer of `session` at `hub`, once the hub has let it in.
+
+    Args:
+        hub: as of `glue.client.experiment.connect`, and so are the others.
+        session: name of the session; it has to be there.
+        key: file with the secret key by which the hub knows this program.
+        hub_key: the hub's public key, or a file that holds it; needed with `key`.
+        name: what the hub calls this program in its log.
+        wait: seconds after which a hub that has not answered is given up; None waits forever.
+        log: takes lines for people.
+
+    Raises:
+        ConfigError: an address, a key or a session name is malformed, or the host's name does not resolve.
+        HubUnreachable: no hub has answered within `wait` seconds.
+        Refused: the hub does not let it in: there is no such session, it has as many observers as it may
+            have, or this address or key is not for observers.
+    """
+    return Observer(find_place(hub, session, key, hub_key), name, wait, log)
+
+
+class Observer:
+    """A connection that is shown what happens in a session; iterate over it. Made by `observe`.
+
+    Attributes:
+        missed: number of moments that were not wanted, or not read in time, as far as is known.
+    """
+
+    def __init__(self, place: Place, name: str, wait: float | None, log: Log) -> None:
+        self.missed = 0
+        self._session = place.session
+        self._number = 0
+        self._wanted = 0
+        self._link = Link(
+            Role.OBSERVER, place.hub, {place.session: (name, ())}, wait, None, log, key=place.key
+        )
+        try:
+            while not self._link.ready(self._session):
+                self._link.receive()
+        except BaseException:
+            self.close()
+            raise
+
+    def want(self, moments: int) -> None:
+        """Ask to be shown the next `moments` moments, whatever was asked before."""
+        self._wanted = moments
+        if self._link.ready(self._session):
+            self._ask()
+
+    def receive(self) -> Seen | None:
+        """Return what is seen next; None if there is nothing for a heartbeat.
+
+        Raises:
+            HubClosed: the session is over, or the hub ends.
+            Refused: the connection was lost, and the hub does not let this observer in again.
+        """
+        message = self._link.receive()
+        if message is None:
+            return None
+        if message.kind is Kind.WELCOME:
+            # Over a new connection the hub counts anew, and knows nothing of what was wanted.
+            self._number = 0
+            self._ask()
+            return None
+        read = _READ.get(message.kind)
+        if read is None:
+            return None
+        self.missed += max(0, message.seq - self._number - 1)
+        self._number = message.seq
+        if message.kind in _MOMENTS:
+            self._wanted = max(0, self._wanted - 1)
+        return read(message)
+
+    def __iter__(self) -> Iterator[Seen]:
+        while True:
+            seen = self.receive()
+            if seen is not None:
+                yield seen
+
+    def close(self) -> None:
+        """Leave."""
+        self._link.close("has seen enough")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _ask(self) -> None:
+        if self._wanted:
+            self._link.send(Message(Kind.OBSERVE, self._session, 0, (self._wanted,)))
+
+
+def _step(message: Message) -> Step:
+    body = message.body
+    cut = body_size(body)
+    scalars: tuple[Any, ...] = message.scalars
+    return Step(*scalars, Observation.from_body(body[:cut]), Action.from_body(body[cut:]))
+
+
+def _start(message: Message) -> Start:
+    (episode,) = message.scalars
+    assert isinstance(episode, int)
+    return Start(episode, Observation.from_body(message.body))
+
+
+def _answer(message: Message) -> Answer:
+    return Answer(str(message.scalars[0]), message.body.decode(errors="replace"))
+
+
+_MOMENTS: Final = frozenset({Kind.OBSERVED_START, Kind.OBSERVED_STEP})
+
+_READ: Final[dict[Kind, Callable[[Message], Seen]]] = {
+    Kind.OBSERVED_INIT: lambda message: TaskSpecSeen(message.body.decode(errors="replace")),
+    Kind.OBSERVED_START: _start,
+    Kind.OBSERVED_STEP: _step,
+    Kind.OBSERVED_MESSAGE: _answer,
+}
