@@ -133,6 +133,8 @@ def listening(plan: Plan, meeting: Meeting) -> Iterator[Meeting]:
 def _binds(options: HubOptions, expected: bool, roles: frozenset[Role]) -> tuple[Bind, ...]:
     """Return the addresses of our own hub for players from outside, with the roles that are open to them."""
     keys = None if options.keys is None else read_keys(options.keys)
+    if keys is not None:
+        roles |= {Role.OBSERVER}  # those whose key says so
     return tuple(Bind(url, roles, keys=keys) for url in _outside(options, expected))
 
 

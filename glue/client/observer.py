@@ -142,8 +142,9 @@ class Observer:
         read = _READ.get(message.kind)
         if read is None:
             return None
-        self.missed += max(0, message.seq - self._number - 1)
-        self._number = message.seq
+        if message.seq:  # a task spec has no number
+            self.missed += max(0, message.seq - self._number - 1)
+            self._number = message.seq
         if message.kind in _MOMENTS:
             self._wanted = max(0, self._wanted - 1)
         return read(message)
@@ -174,8 +175,10 @@ class Observer:
 def _step(message: Message) -> Step:
     body = message.body
     cut = body_size(body)
-    scalars: tuple[Any, ...] = message.scalars
-    return Step(*scalars, Observation.from_body(body[:cut]), Action.from_body(body[cut:]))
+    counters: Any = message.scalars
+    episode, num_steps, episode_return, reward, terminal = counters
+    seen = Observation.from_body(body[:cut]), Action.from_body(body[cut:])
+    return Step(episode, num_steps, episode_return, reward, terminal, *seen)
 
 
 def _start(message: Message) -> Start:

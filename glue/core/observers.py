@@ -26,7 +26,7 @@ MAX_OBSERVERS: Final = 8
 
 @dataclass(slots=True)
 class _View:
-    """How many moments an observer still wants, and the number of the latest; whether it lacks the task spec."""
+    """How many moments an observer still wants, the number of the latest, and whether it lacks the spec."""
 
     wanted: int = 0
     number: int = 0

@@ -42,7 +42,7 @@ TO_HUB: Final[Mapping[Kind, Shape]] = {
     **CONTROL,
     Kind.OBSERVE: OBSERVING[Kind.OBSERVE],
 }
-"""What a peer may send: replies of agents and environments, requests of experiments and observers, control."""
+"""What a peer may send: replies of agents and environments, requests of experiments, control, OBSERVE."""
 
 FROM_HUB: Final[Mapping[Kind, Shape]] = {
     **{kind: call.reply if call.callee is None else call.request for kind, call in CALLS.items()},

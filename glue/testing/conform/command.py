@@ -11,7 +11,7 @@ import click
 from glue import __version__
 from glue.commands import run
 from glue.errors import ConfigError
-from glue.protocol.messages import THREE_ROLES
+from glue.protocol.messages import THREE_ROLES, Role
 from glue.testing.conform.hub.clients import TRANSPORTS, starter
 from glue.testing.conform.hub.rules import Tier
 

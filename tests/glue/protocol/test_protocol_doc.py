@@ -19,6 +19,7 @@ from glue.hub.server import Hub
 from glue.protocol.messages import (
     CALLS,
     CONTROL,
+    OBSERVING,
     PROTOCOL_VERSION,
     Body,
     ErrorCode,
@@ -54,6 +55,7 @@ def table(*head: str) -> list[list[str]]:
 
 KINDS_HEAD: Final = ("code", "kind", "request: scalars", "request: body", "reply: scalars", "reply: body")
 CONTROL_HEAD: Final = ("code", "kind", "direction", "scalars")
+OBSERVING_HEAD: Final = ("code", "kind", "direction", "scalars", "body")
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=str)
@@ -116,6 +118,9 @@ def test_every_kind_has_an_example_in_every_direction() -> None:
         for way in ("peer → hub", "hub → peer") if direction == "either" else (direction,):
             sender, receiver = way.split(" → ")
             expected.add((Kind[name], sender, receiver))
+    for _, name, direction, _, _ in table(*OBSERVING_HEAD):
+        sender, receiver = direction.split(" → ")
+        expected.add((Kind[name], sender, receiver))
 
     assert {(e.kind, e.sender, e.receiver) for e in EXAMPLES} == expected
 
@@ -190,6 +195,15 @@ def test_table_of_control_messages_is_that_of_the_program() -> None:
 
     assert sorted(rows) == sorted([str(int(k)), k.name, scalars_cell(s)] for k, s in CONTROL.items())
     assert {shape.body for shape in CONTROL.values()} == {Body.NONE}
+
+
+def test_table_of_what_observers_are_shown_is_that_of_the_program() -> None:
+    rows = [[code, kind, scalars, body] for code, kind, _, scalars, body in table(*OBSERVING_HEAD)]
+
+    assert sorted(rows) == sorted(
+        [str(int(kind)), kind.name, scalars_cell(shape), BODIES[shape.body]]
+        for kind, shape in OBSERVING.items()
+    )
 
 
 class Sent:

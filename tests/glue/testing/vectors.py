@@ -18,7 +18,7 @@ import numpy as np
 import glue.testing
 from glue.protocol import zmtp
 from glue.protocol.limits import MAX_BODY, MAX_HEADER
-from glue.protocol.messages import PROTOCOL_VERSION, Body, Kind, Message, Value
+from glue.protocol.messages import OBSERVING, PROTOCOL_VERSION, Body, Kind, Message, Value
 from glue.protocol.wire import FROM_HUB, TO_HUB, decode, encode
 from glue.types import CUT_OFF, Action, Observation, body_size
 from tests.glue.protocol.examples import EXAMPLES
@@ -83,6 +83,11 @@ def documents() -> Iterator[Document]:
 def cuts(entry: Document) -> bool:
     """Whether a message has the terminal 2, which means more than true to peers that know `truncate`."""
     return tagged(CUT_OFF) in entry["scalars"] and entry["kind"] in ("ENV_STEP", "RL_STEP", "RL_EPISODE")
+
+
+def of_observers(entry: Document) -> bool:
+    """Whether it is a message that a client which takes part never meets."""
+    return Kind[entry["kind"]] in OBSERVING
 
 
 def saw() -> bytes:
@@ -326,7 +331,8 @@ def streams() -> Document:
 def content() -> str:
     """The file, as text: one entry a line."""
     parts = {
-        "messages": [entry for entry in documents() if not cuts(entry)],
+        "messages": [entry for entry in documents() if not cuts(entry) and not of_observers(entry)],
+        "observe": [entry for entry in documents() if of_observers(entry)],
         "truncate": [entry for entry in documents() if cuts(entry)],
         "accepted": list(accepted()),
         "refused": list(refused()),
