@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import islice
 from threading import Thread
 
 import pytest
@@ -71,7 +72,7 @@ def test_an_observer_sees_what_is_played_and_what_the_agent_answers() -> None:
             first = glue.rl_start()
             steps = [glue.rl_step() for _ in range(3)]
             glue.rl_agent_message("values")
-            seen = [one for one, _ in zip(observer, range(5), strict=False)]
+            seen = list(islice(observer, 5))
         start, *moments, answer = seen
         assert start == Start(1, first.observation)
         assert [(m.reward, m.terminal, m.observation) for m in moments if isinstance(m, Step)] == [
