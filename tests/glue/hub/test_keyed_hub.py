@@ -39,7 +39,7 @@ TIMEOUT = 20.0
 @pytest.fixture
 def folder(tmp_path: Path) -> KeyFolder:
     made = KeyFolder(tmp_path)
-    for name in ("agent", "environment", "experiment", "stranger"):
+    for name in ("agent", "environment", "experiment", "observer", "stranger"):
         made.entrant(name)
     made.allow("".join(f'[{role}]\nrole = "{role}"\nsession = "a"\n' for role in Role))
     return made
