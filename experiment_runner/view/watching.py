@@ -53,6 +53,10 @@ class Watcher:
             await asyncio.sleep(max(_SECONDS, _SHARE * took))
 
     async def _look(self) -> None:
+        # The catalog names a change once: it must not be lost when the last page goes away meanwhile.
+        await asyncio.shield(asyncio.create_task(self._take_changes()))
+
+    async def _take_changes(self) -> None:
         changes = await self._read(self._catalog.changes)
         for run_id, summary in changes.items():
             self._topic.put(run_id, summary)

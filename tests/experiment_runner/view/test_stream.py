@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from experiment_runner.plan import TrialSpec
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.store import Store
+from experiment_runner.view.catalog import Catalog
+from experiment_runner.view.stream import Pulse
+from experiment_runner.view.watching import Watcher
 from tests.experiment_runner.view.pages import Page, glue_view
 
 
@@ -66,6 +72,37 @@ def test_a_page_that_comes_back_is_sent_what_it_has_missed_alone(page: Page, tmp
         assert len(page.stream(f"topic=runs&since={other}").next()["runs"]) == 2
     for store in stores:
         store.close()
+
+
+def test_a_change_that_is_found_while_the_last_page_goes_away_is_not_lost(tmp_path: Path) -> None:
+    looking, go_on = threading.Semaphore(0), threading.Semaphore(0)
+
+    class Slow(Catalog):
+        def changes(self) -> dict[str, dict[str, Any] | None]:
+            found = super().changes()
+            looking.release()
+            assert go_on.acquire(timeout=30)
+            return found
+
+    store = make_run(tmp_path / "a")  # stays open, so that reading it changes no file
+    play(store, 1)
+
+    async def come_and_go() -> list[int]:
+        go_on.release()
+        watcher = Watcher(Slow([tmp_path]), Pulse())
+        async with watcher.open("") as topic:
+            assert [run["episodes"] for run in topic.values().values()] == [1]
+            await asyncio.to_thread(looking.acquire)  # the first look
+            await asyncio.to_thread(looking.acquire)  # at nothing new
+            play(store, 2)
+            go_on.release()
+            await asyncio.to_thread(looking.acquire)
+        go_on.release(2)
+        async with watcher.open("") as topic:
+            return [run["episodes"] for run in topic.values().values()]
+
+    assert asyncio.run(come_and_go()) == [2]
+    store.close()
 
 
 def test_a_damaged_store_is_shown_as_such_and_harms_no_other(page: Page, tmp_path: Path) -> None:
