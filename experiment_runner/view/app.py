@@ -12,6 +12,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
+from experiment_runner.analysis.stats import has_scipy
 from experiment_runner.view import assets, stream
 from experiment_runner.view.catalog import Catalog
 from experiment_runner.view.curves import curves, wanted_by
@@ -40,7 +41,7 @@ def page(folders: Sequence[Path], address: Address, token: str, pulse: Pulse) ->
     """
     catalog = Catalog(folders)
     catalog.find()
-    read = Reader("reader")
+    read = Reader("reader", has_scipy)  # to import SciPy takes longer than any curve
     sources: dict[str, stream.Source] = {"runs": Watcher(catalog, pulse).open}
     routes = [
         *assets.routes(),

@@ -15,9 +15,15 @@ _T = TypeVar("_T")
 
 
 class Reader:
-    """Calls functions in a thread of its own, which does not keep the program from ending."""
+    """Calls functions in a thread of its own, which does not keep the program from ending.
 
-    def __init__(self, name: str) -> None:
+    Args:
+        name: of the thread.
+        prepare: called by the thread before anything else; must not raise.
+    """
+
+    def __init__(self, name: str, prepare: Callable[[], object] = object) -> None:
+        self._prepare = prepare
         self._calls: queue.SimpleQueue[tuple[Future[Any], Callable[[], Any]]] = queue.SimpleQueue()
         threading.Thread(target=self._work, name=name, daemon=True).start()
 
@@ -28,6 +34,7 @@ class Reader:
         return await asyncio.wrap_future(future)
 
     def _work(self) -> None:
+        self._prepare()
         while True:
             future, function = self._calls.get()
             if not future.set_running_or_notify_cancel():
