@@ -118,7 +118,8 @@ class Dispatcher:
 
     def _take_here(self, trial_id: str, report: Report) -> None:
         self.take(trial_id, report)
-        if time.monotonic() - self._stored_at >= _COMMIT_SECONDS:
+        # A line may come from a thread that watches players; this thread alone writes to the store.
+        if isinstance(report, Recorded) and time.monotonic() - self._stored_at >= _COMMIT_SECONDS:
             self._store_episodes()
 
     def run_on(self, executor: Executor, trials: Iterable[Remaining]) -> None:
@@ -165,6 +166,9 @@ class Dispatcher:
             if report.checkpoint is not None:
                 self._store_episodes()
             return
+        if isinstance(report, Said):
+            self._say(trial_id, report.line)
+            return
         self._store_episodes()
         match report:
             case Voided(episode, why):
@@ -175,8 +179,6 @@ class Dispatcher:
                 if kind == "joined":
                     self._note_player(spec, text)
                 self._say(trial_id, text)
-            case Said(line):
-                self._say(trial_id, line)
             case Lost(why):
                 store.record_event("lost", why, trial_id)
                 self._say(trial_id, why)

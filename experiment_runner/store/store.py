@@ -142,7 +142,7 @@ class Store(Results):
         self._flush_commits(any(checkpoint is not None for _, _, checkpoint in records))
         with (
             reported(
-                f"{_named(records)} not recorded",
+                _unrecorded(records),
                 f"; the episodes before it are. Solve that, and {how_to_go_on(self.directory)}",
             ),
             transaction(self._connection),
@@ -242,11 +242,10 @@ class Store(Results):
             self._connection.execute(statement, values)
 
 
-def _named(records: Sequence[tuple[str, EpisodeResult, Checkpoint | None]]) -> str:
+def _unrecorded(records: Sequence[tuple[str, EpisodeResult, Checkpoint | None]]) -> str:
     trial_id, result, _ = records[0]
-    if len(records) == 1:
-        return f"episode {result.episode} of {trial_id} is"
-    return f"episode {result.episode} of {trial_id} is, with {len(records) - 1} others,"
+    first = f"episode {result.episode} of {trial_id} is not recorded"
+    return first if len(records) == 1 else f"{first}, nor are {len(records) - 1} after it"
 
 
 def _trial_row(spec: TrialSpec) -> tuple[object, ...]:

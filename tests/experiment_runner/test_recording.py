@@ -308,7 +308,6 @@ def test_killed_recording_holds_every_episode_of_the_results_and_the_rest_goes_t
     assert len(before) < 1500
     first = numbers(counting(Path("a.traj")))
     assert first[: len(before)] == before
-    assert len(first) <= len(before) + 1
     again = invoke(*arguments, "--record", "a.traj")
     assert isinstance(again.exception, TrajectoryError)
     assert "a.traj exists already" in str(again.exception)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import threading
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -211,7 +212,11 @@ def test_episodes_are_stored_together_before_anybody_hears_of_them(tmp_path: Pat
         for episode in (1, 2):
             listened_to.take(FIRST, Recorded(EpisodeResult(episode, 1.0, 2, True, 0.5), None))
         assert heard == []
-        listened_to.take(FIRST, Said("a line"))
+        watcher = threading.Thread(target=listened_to.take, args=(FIRST, Said("a player is restarted")))
+        watcher.start()
+        watcher.join()  # it must not touch the store, which belongs to this thread
+        assert heard == []
+        listened_to.take(FIRST, Happened("joined", "agent: somebody"))
         assert heard == [2, 2]
         saved = Checkpoint(b"agent", b"environment")
         listened_to.take(FIRST, Recorded(EpisodeResult(3, 1.0, 2, True, 0.5), saved))
