@@ -103,14 +103,15 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
         wait = stack.enter_context(viewed(out, say)) if view else None
         gate = None if keys is None else Gate(bind, keys)
         failed = hold(store, competition, workers or max(1, (os.cpu_count() or 1) // 2), say, gate)
+        store.close()  # so that it can be verified while the page is open
+        if failed:
+            whole = f"{failed} of {len(specs)} trials have failed"
+            say(f"{whole}: start the same command again when that is solved")
+        else:
+            say(f"all {len(specs)} trials are over; now: glue-compete verify {out}")
         if wait is not None:
-            store.close()  # so that it can be verified while the page is open
             wait()
-    if failed:
-        say(f"{failed} of {len(specs)} trials have failed: start the same command again when that is solved")
-        return 1
-    say(f"all {len(specs)} trials are over; now: glue-compete verify {out}")
-    return 0
+    return 1 if failed else 0
 
 
 @compete.command()

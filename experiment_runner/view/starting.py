@@ -7,16 +7,20 @@ slow the run down nor break it. It ends with the process that started it.
 from __future__ import annotations
 
 import contextlib
+import os
+import shlex
 from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Final
 
 from experiment_runner import children
 from glue.errors import ConfigError
 
 __all__ = ["check_view", "viewed"]
 
-_MODULE = "experiment_runner.view.command"
+_MODULE: Final = "experiment_runner.view.command"
+_STANDARD_STREAMS: Final = (0, 1, 2)
 
 
 def check_view() -> None:
@@ -33,21 +37,22 @@ def check_view() -> None:
 def viewed(directory: Path, say: Callable[[str], None]) -> Iterator[Callable[[], None]]:
     """Show a run on a page; yield a function that waits, after the run, until the page is ended by Ctrl-C.
 
+    Without a terminal nobody can press Ctrl-C, and a script would wait forever: then it does not wait.
+
     Raises:
         ExperimentError: the page's process cannot be started.
     """
     process = children.start(_MODULE, [str(directory), "--stderr"])
 
     def wait() -> None:
-        if process.poll() is None:
+        if process.poll() is None and any(map(os.isatty, _STANDARD_STREAMS)):
             say("the run is over; its page stays until Ctrl-C")
-        try:
-            process.wait()
-        except KeyboardInterrupt:
-            say(f"\nto see it again: glue-view {directory}")
+            with contextlib.suppress(KeyboardInterrupt):
+                process.wait()
+        say(f"to see the run again: glue-view {shlex.quote(str(directory))}")
 
     try:
         yield wait
     finally:
-        process.terminate()
+        process.kill()  # it only reads, and has nothing to say
         children.end(process)
