@@ -124,6 +124,7 @@ class _Rate:
 
 def _summary(results: Results) -> dict[str, Any]:
     joined = joined_players(results)
+    verdicts = results.verdicts().values()
     specs = [trial.spec for trial in results.trials()]
     agents = [_label(spec.agent, joined.get((spec.id, "agent"))) for spec in specs]
     environments = [_label(spec.environment, joined.get((spec.id, "environment"))) for spec in specs]
@@ -133,6 +134,8 @@ def _summary(results: Results) -> dict[str, Any]:
         "agents": _some(agents),
         "environments": _some(environments),
         "seeds": _some([str(spec.seed) for spec in specs]),
+        "verified": sum(verdict.problem is None for verdict in verdicts),
+        "mismatched": sum(verdict.problem is not None for verdict in verdicts),
         "competition": (results.directory / COMPETITION_FILE).is_file(),
     }
 

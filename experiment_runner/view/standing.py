@@ -23,4 +23,4 @@ def standings_of(directory: Path) -> dict[str, Any]:
     with Results.open(directory) as results:
         board: dict[str, Any] = json.loads(as_json(standings(results, competition_of(directory))))
         progress = {"matches": len(results.trials()), "over": len(results.outcomes())}
-        return board | progress | {"verified": len(results.verdicts()), "legend": LEGEND}
+        return board | progress | {"legend": LEGEND}

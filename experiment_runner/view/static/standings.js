@@ -20,6 +20,7 @@ export function mount(element, { path, query }) {
     history.replaceState(null, "", `#/standings/${id}${isLarge ? "?projector=1" : ""}`);
   }
 
+  let run = null;
   let timer = null;
   let ended = false;
   async function refresh() {
@@ -28,20 +29,28 @@ export function mount(element, { path, query }) {
       const board = await get(`standings/${encodeURIComponent(id)}`);
       if (ended) return;
       setText(title, board.competition);
-      setText(how, `${count(board.over)} of ${count(board.matches)} trials are over, ${count(board.verified)} verified`);
+      const { verified, mismatched } = run;
+      setText(how, `${count(board.over)} of ${count(board.matches)} trials are over, ${count(verified)} verified${
+        mismatched ? `; ${count(mismatched)} do not match their record` : ""}`);
       content.replaceChildren(...draw(board));
     } catch (error) {
       if (!ended) content.replaceChildren(failure(error));
     }
   }
   const stop = listen("runs", (changed, all) => {
-    if (!all.has(id)) content.replaceChildren(failure("There is no such competition any more."));
+    run = all.get(id);
+    if (!run) content.replaceChildren(failure("There is no such competition any more."));
     else if (id in changed) timer ??= setTimeout(refresh, content.childElementCount ? REFRESH_SECONDS * 1000 : 0);
   });
+  const leave = (event) => {
+    if (event.key === "Escape") large(false);
+  };
+  document.addEventListener("keydown", leave);
   large(query.get("projector") === "1");
   return () => {
     ended = true;
     stop();
+    document.removeEventListener("keydown", leave);
     clearTimeout(timer);
     document.body.classList.remove("projector");
   };

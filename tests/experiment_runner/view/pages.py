@@ -14,7 +14,10 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-__all__ = ["Answer", "Page", "Stream", "glue_view"]
+from tests.system.runs import wait_until
+from tests.terminal import BIN, watched_terminal
+
+__all__ = ["Answer", "Page", "Stream", "glue_view", "in_terminal"]
 
 _SECONDS = 30.0
 
@@ -60,6 +63,12 @@ class Page:
             response = connection.getresponse()
             found = {name.lower(): value for name, value in response.getheaders()}
             return Answer(response.status, found, response.read())
+
+    def run_id(self, name: str) -> str:
+        """Return the id of the run whose directory has a name."""
+        with contextlib.closing(self.stream("topic=runs")) as stream:
+            (found,) = (run["id"] for run in stream.next()["runs"].values() if Path(run["path"]).name == name)
+        return str(found)
 
     def stream(self, query: str, headers: Mapping[str, str] | None = None) -> Stream:
         """Open a stream of events."""
@@ -116,5 +125,30 @@ def glue_view(*arguments: object, cwd: Path | None = None) -> Iterator[Page]:
             page.log_in()
             with contextlib.closing(page):
                 yield page
+        finally:
+            process.kill()
+
+
+@contextlib.contextmanager
+def in_terminal(*command: str, cwd: Path) -> Iterator[tuple[Page, list[bytes]]]:
+    """Run one of our commands with `--view` in a terminal; yield its page, and what is written there."""
+    with (
+        watched_terminal() as (writing, seen),
+        subprocess.Popen(
+            [BIN / command[0], *command[1:], "--view"],
+            cwd=cwd,
+            env={name: value for name, value in os.environ.items() if "DISPLAY" not in name},
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=writing,
+            text=True,
+        ) as process,
+    ):
+        try:
+            wait_until(lambda: re.search(rb"token=\S+\s", b"".join(seen)), "the page's address")
+            page = Page(process, re.findall(r"http://\S+", b"".join(seen).decode())[0])
+            page.log_in()
+            with contextlib.closing(page):
+                yield page, seen
         finally:
             process.kill()

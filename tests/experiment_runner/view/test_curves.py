@@ -25,11 +25,11 @@ RETURNS = RNG.normal(size=(TRIALS, EPISODES)).cumsum(axis=1)
 STEPS = RNG.integers(1, 50, size=(TRIALS, EPISODES))
 
 
-def store_run(directory: Path) -> None:
-    agent, environment = RoleSpec("a.py:A", label=NAME), RoleSpec("mines", label="mines")
-    specs = [TrialSpec(f"a/mines/{i}", agent, environment, EPISODES, 0, i) for i in range(TRIALS)]
+def store_run(directory: Path, name: str = NAME, all_returns: Any = RETURNS) -> None:
+    agent, environment = RoleSpec(f"{name[1]}.py:A", label=name), RoleSpec("mines", label="mines")
+    specs = [TrialSpec(f"{name[1]}/mines/{i}", agent, environment, EPISODES, 0, i) for i in range(TRIALS)]
     with Store.create(directory, specs, {}) as store:
-        for spec, returns, steps in zip(specs, RETURNS, STEPS, strict=True):
+        for spec, returns, steps in zip(specs, all_returns, STEPS, strict=True):
             for i, (total, length) in enumerate(zip(returns, steps, strict=True)):
                 store.record(spec.id, EpisodeResult(i + 1, float(total), int(length), True, 0.0))
 

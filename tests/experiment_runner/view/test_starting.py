@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import re
-import signal
-import subprocess
 from pathlib import Path
 
-import pytest
-
-from tests.experiment_runner.view.pages import Page
+from tests.experiment_runner.view.pages import in_terminal
 from tests.system.runs import wait_until
-from tests.terminal import BIN, run, watched_terminal
+from tests.terminal import run
 
-EXPERIMENT = ("glue-experiment", "--env", "skeleton", "--agent", "skeleton", "--episodes", "3", "--view")
+EXPERIMENT = ("glue-experiment", "--env", "skeleton", "--agent", "skeleton", "--episodes", "3")
 COMPETITION = """\
 trials = 1
 seed_file = "secret.txt"
@@ -25,36 +20,17 @@ command = ["true"]
 """
 
 
-@pytest.fixture(autouse=True)
-def no_display(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No test opens a browser on the desktop of whoever runs it."""
-    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
-        monkeypatch.delenv(name, raising=False)
-
-
 def test_in_a_terminal_the_page_stays_after_the_run_until_ctrl_c(tmp_path: Path) -> None:
-    with watched_terminal() as (writing, seen):
-        command = [BIN / EXPERIMENT[0], *EXPERIMENT[1:], "--out", "out"]
-        with subprocess.Popen(
-            command, cwd=tmp_path, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=writing
-        ) as process:
-            try:
-                for said in (b"until Ctrl-C\r\n", b"?token="):
-                    wait_until(lambda said=said: said in b"".join(seen), said.decode())
-                (url,) = re.findall(r"http://\S+", b"".join(seen).decode())
-                page = Page(process, url)
-                page.log_in()
-                (shown,) = page.stream("topic=runs").next()["runs"].values()
-                page.close()
-                assert (shown["state"], shown["episodes"]) == ("finished", 3)
-                assert page.stop(signal.SIGINT) == 0
-            finally:
-                process.kill()
+    with in_terminal(*EXPERIMENT, "--out", "out", cwd=tmp_path) as (page, seen):
+        wait_until(lambda: b"until Ctrl-C\r\n" in b"".join(seen), "the end of the run")
+        (shown,) = page.stream("topic=runs").next()["runs"].values()
+        assert (shown["state"], shown["episodes"]) == ("finished", 3)
+        assert page.stop() == 0
     assert b"".join(seen).endswith(b"glue-view out\r\n")
 
 
 def test_without_a_terminal_the_page_ends_with_the_run(tmp_path: Path) -> None:
-    done = run(*EXPERIMENT, "--out", "out", cwd=tmp_path)
+    done = run(*EXPERIMENT, "--out", "out", "--view", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "glue-view out" in done.stderr
     assert "until Ctrl-C" not in done.stderr

@@ -1,0 +1,158 @@
+"""Chromium without a window, looking at a page.
+
+Needs Debian's chromium and chromium-driver, and selenium; the stage "the page" of .ci/run installs them.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import pytest
+
+from tests.experiment_runner.view.pages import Page
+
+__all__ = ["Browser", "browsing", "needed"]
+
+_SECONDS = 40.0
+_TABLES = """
+return Object.fromEntries([...document.querySelectorAll("table")].map((table) => [
+  table.caption?.textContent ?? "",
+  [...table.tBodies[0].rows].map((row) => [...row.cells].map((cell) => cell.textContent))]))
+"""
+_Found = TypeVar("_Found")
+
+
+def needed() -> None:
+    """Skip the tests of a module on a machine without a browser."""
+    if not (shutil.which("chromium") and shutil.which("chromedriver")):
+        pytest.skip("needs chromium and chromium-driver", allow_module_level=True)
+    pytest.importorskip("selenium.webdriver", reason="needs selenium")
+
+
+class Browser:
+    """A browser that has opened a page with its token.
+
+    Args:
+        driver: selenium's.
+        page: the server.
+    """
+
+    def __init__(self, driver: Any, page: Page) -> None:
+        self.driver = driver
+        self._page = page
+        driver.get(page.url)
+
+    def go(self, view: str) -> None:
+        """Load the page anew at a view, such as `curves?run=ID`."""
+        self.driver.get("about:blank")
+        self.driver.get(f"http://127.0.0.1:{self._page.port}/#/{view}")
+
+    def run(self, script: str, *arguments: object) -> Any:
+        """Return what a script returns; a promise is waited for."""
+        return self.driver.execute_script(script, *arguments)
+
+    def find(self, selector: str) -> Any:
+        """Return an element when it is there."""
+        return self.wait(lambda: self.driver.find_elements("css selector", selector), selector)[0]
+
+    def button(self, label: str) -> Any:
+        """Return a button when it is there."""
+        return self.wait(lambda: self.driver.find_elements("xpath", f"//button[.='{label}']"), label)[0]
+
+    def wait(self, true: Callable[[], _Found], what: str) -> _Found:
+        """Return the first result of `true()` that is true."""
+        deadline = time.monotonic() + _SECONDS
+        while not (found := true()):
+            assert time.monotonic() < deadline, f"waited in vain for {what}; there is:\n{self.text()}"
+            time.sleep(0.05)
+        return found
+
+    def text(self) -> str:
+        """Return all text that is shown."""
+        return str(self.run("return document.body.innerText"))
+
+    def shows(self, text: str) -> None:
+        """Wait until the page shows a text."""
+        self.wait(lambda: text in self.text(), text)
+
+    def has_table(self, caption: str) -> list[list[str]]:
+        """Wait for a table, and return the cells of its body, row by row."""
+        return self.wait(lambda: self.tables().get(caption), caption) or []
+
+    def tables(self) -> dict[str, list[list[str]]]:
+        """Return the cells of all tables, by caption."""
+        found: dict[str, list[list[str]]] = self.run(_TABLES)
+        return found
+
+    def press(self, *keys: str) -> None:
+        """Press keys, one after the other, wherever the focus is."""
+        from selenium.webdriver import ActionChains
+
+        ActionChains(self.driver).send_keys(*keys).perform()
+
+    def set_size(self, width: int, height: int, scale: float = 1) -> None:
+        """Let the page have so many CSS pixels, and each so many of the screen."""
+        self._devtools(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=scale,
+            mobile=width < 600,
+        )
+
+    def set_dark(self, is_dark: bool) -> None:
+        """Let the system have a dark or a light theme."""
+        feature = {"name": "prefers-color-scheme", "value": "dark" if is_dark else "light"}
+        self._devtools("Emulation.setEmulatedMedia", features=[feature])
+
+    def save_into(self, folder: Path) -> None:
+        """Let downloads go there."""
+        self._devtools("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(folder))
+
+    def screenshot(self) -> bytes:
+        """Return what is shown as a PNG."""
+        return bytes(self.driver.get_screenshot_as_png())
+
+    def errors(self) -> list[str]:
+        """Return what has gone wrong since the last call, by the browser's console."""
+        return [line["message"] for line in self.driver.get_log("browser") if line["level"] == "SEVERE"]
+
+    def asked(self) -> list[str]:
+        """Return what was asked for since the last call, by the browser's own log."""
+        messages = [json.loads(line["message"])["message"] for line in self.driver.get_log("performance")]
+        return [
+            str(one["params"]["request"]["url"])
+            for one in messages
+            if one["method"] == "Network.requestWillBeSent"
+        ]
+
+    def foreign(self) -> list[str]:
+        """Return what was asked of any other host since the last call."""
+        ours = (f"http://127.0.0.1:{self._page.port}/", "data:", "blob:", "about:")
+        return [url for url in self.asked() if not url.startswith(ours)]
+
+    def _devtools(self, command: str, **arguments: object) -> None:
+        self.driver.execute_cdp_cmd(command, arguments)
+
+
+@contextlib.contextmanager
+def browsing(page: Page) -> Iterator[Browser]:
+    """Look at a page with a browser of its own."""
+    from selenium import webdriver
+
+    options = webdriver.ChromeOptions()
+    options.binary_location = shutil.which("chromium")
+    for argument in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
+        options.add_argument(argument)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    driver = webdriver.Chrome(options, webdriver.ChromeService(shutil.which("chromedriver")))
+    try:
+        yield Browser(driver, page)
+    finally:
+        driver.quit()

@@ -1,0 +1,167 @@
+"""Curves in a real browser: drawn, in tables and in files with the server's numbers."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.experiment_runner.view.chromium import Browser, browsing, needed
+from tests.experiment_runner.view.pages import Page, glue_view
+from tests.experiment_runner.view.test_curves import NAME, RETURNS, store_run
+from tests.system.runs import wait_until
+
+needed()
+
+OTHER = '=cmd|"quoted", and a comma'
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    folder = tmp_path_factory.mktemp("runs")
+    store_run(folder / "one")
+    store_run(folder / "other", OTHER, -RETURNS)
+    with glue_view(folder) as page:
+        yield page
+
+
+@pytest.fixture(scope="module")
+def browser(page: Page) -> Iterator[Browser]:
+    with browsing(page) as browser:
+        yield browser
+
+
+@pytest.fixture(scope="module")
+def both(page: Page) -> str:
+    """The query for both runs."""
+    return f"run={page.run_id('one')}&run={page.run_id('other')}"
+
+
+def score(value: float) -> str:
+    return f"{value:,.2f}"
+
+
+def numbers_of(curve: dict[str, Any]) -> Iterator[tuple[float, ...]]:
+    """Yield place, mean, and both ends of the band, for every point of a curve."""
+    return zip(*(curve[key] for key in ("at", "mean", "low", "high")), strict=True)
+
+
+def ink(browser: Browser) -> bytes:
+    """Return the drawing as a PNG."""
+    return bytes(browser.find(".plot canvas").screenshot_as_png)
+
+
+def test_two_runs_are_compared_and_their_tables_hold_the_numbers(
+    browser: Browser, page: Page, both: str
+) -> None:
+    curves = page.ask(f"/api/curves?{both}").json()["curves"]
+    assert [curve["label"] for curve in curves] == [NAME, OTHER]
+    browser.go(f"curves?{both}")
+    for curve in curves:
+        rows = browser.has_table(f"{curve['label']}: running mean")
+        known = {
+            f"{at:,.0f}": [score(mean), f"{score(low)} to {score(high)}"]
+            for at, mean, low, high in zip(
+                *(curve[key] for key in ("at", "mean", "low", "high")), strict=True
+            )
+        }
+        assert len(rows) > 10
+        assert all(known[at] == rest for at, *rest in rows)
+        assert [rows[0][0], rows[-1][0]] == [f"{curve['at'][i]:,.0f}" for i in (0, -1)]
+    assert [row[0] for row in browser.tables()["Results, by setting"]] == [f"● {NAME}", f"▲ {OTHER}"]
+
+
+def test_scales_are_linear_or_logarithmic_and_stand_in_the_address(browser: Browser, both: str) -> None:
+    browser.go(f"curves?{both}")
+    drawings = [ink(browser)]
+    for group, name in ((1, "x"), (2, "y")):
+        browser.find(f".controls fieldset:nth-of-type({group + 1}) button:last-of-type").click()
+        assert f"{name}=log" in browser.driver.current_url
+        drawings.append(ink(browser))
+    assert len(set(drawings)) == 3
+    browser.driver.refresh()
+    assert len(browser.wait(lambda: browser.driver.find_elements("css selector", "canvas"), "curves")) == 1
+    pressed = browser.run(
+        "return [...document.querySelectorAll('[aria-pressed=true]')].map((one) => one.textContent)"
+    )
+    assert pressed == ["episodes", "log", "log"]
+    assert browser.errors() == []
+
+
+def test_pointing_at_a_curve_shows_its_numbers_and_its_single_trials(
+    browser: Browser, page: Page, both: str
+) -> None:
+    first, _ = page.ask(f"/api/curves?{both}").json()["curves"]
+    browser.go(f"curves?{both}")
+    plain = ink(browser)
+    browser.run("document.querySelector('.legend button').focus()")
+    assert ink(browser) != plain
+    browser.find(".plot").send_keys("\ue011")  # Home
+    browser.shows(f"episode {first['at'][0]:,.0f}: ")
+    readout = browser.find(".readout").text
+    assert f"{NAME} {score(first['mean'][0])} ({score(first['low'][0])} to " in readout
+    browser.find(".plot").send_keys("\ue010")  # End
+    browser.shows(f"episode {first['at'][-1]:,.0f}: ")
+
+
+def test_dragging_zooms_and_the_part_stays_until_the_whole_is_wanted(browser: Browser, both: str) -> None:
+    from selenium.webdriver import ActionChains
+
+    browser.go(f"curves?{both}")
+    over = browser.find(".u-over")
+    before = browser.has_table(f"{NAME}: running mean")
+    ActionChains(browser.driver).move_to_element_with_offset(over, -100, 0).click_and_hold().move_by_offset(
+        150, 0
+    ).release().perform()
+    browser.shows("; a part.")
+    caption = f"{NAME}: running mean"
+    browser.wait(lambda: browser.tables()[caption] != before, "a part")
+    after = browser.tables()[caption]
+    assert float(after[0][0]) > float(before[0][0])
+    assert float(after[-1][0]) < float(before[-1][0])
+    browser.button("Whole run").click()
+    browser.wait(lambda: browser.tables()[caption] == before, "the whole run")
+
+
+@pytest.mark.parametrize("over", ["episodes", "steps"])
+def test_csv_holds_exactly_what_the_server_has_computed(
+    browser: Browser, page: Page, both: str, over: str, tmp_path: Path
+) -> None:
+    curves = page.ask(f"/api/curves?{both}&over={over}").json()["curves"]
+    text = saved(browser, f"curves?{both}&over={over}", "CSV", tmp_path / "curves.csv").decode()
+    head, *rows = csv.reader(text.splitlines())
+    assert head == ["setting", over[:-1], "mean", "low", "high"]
+    labels = (NAME, f"'{OTHER}")  # no formula
+    expected = [
+        (label, *numbers)
+        for label, curve in zip(labels, curves, strict=True)
+        for numbers in numbers_of(curve)
+    ]
+    assert [(label, *map(float, numbers)) for label, *numbers in rows] == expected
+
+
+def test_png_is_the_picture_with_its_legend(browser: Browser, both: str, tmp_path: Path) -> None:
+    picture = saved(browser, f"curves?{both}", "PNG", tmp_path / "curves.png")
+    assert picture.startswith(b"\x89PNG\r\n\x1a\n")
+    width, height = (int.from_bytes(picture[at : at + 4], "big") for at in (16, 20))
+    canvas = browser.run("const it = document.querySelector('.plot canvas'); return [it.width, it.height]")
+    assert [width, height] == [canvas[0], canvas[1] + 60]
+    assert len(picture) > 5000
+
+
+def saved(browser: Browser, view: str, button: str, file: Path) -> bytes:
+    """Return what a button of a view saves."""
+    browser.save_into(file.parent)
+    browser.go(view)
+    browser.find(".plot canvas")
+    browser.button(button).click()
+    wait_until(file.exists, file.name)
+    return file.read_bytes()
+
+
+def test_nothing_went_wrong_and_no_other_host_was_asked(browser: Browser) -> None:
+    assert browser.errors() == []
+    assert browser.foreign() == []

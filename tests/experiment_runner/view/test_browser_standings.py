@@ -1,0 +1,113 @@
+"""The standings in a real browser: a competition from its first trial to its places."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.experiment_runner.view.chromium import Browser, browsing, needed
+from tests.experiment_runner.view.contests import MATCHES, TITLE, write_competition
+from tests.experiment_runner.view.pages import in_terminal
+from tests.terminal import run
+
+needed()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("competition")
+    write_competition(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def browser(folder: Path) -> Iterator[Browser]:
+    """Looks at the page of `glue-compete run --view` in a terminal."""
+    command = ("glue-compete", "run", "spring.toml", "--out", "held", "--workers", "2")
+    with in_terminal(*command, cwd=folder) as (page, _):
+        with browsing(page) as browser:
+            yield browser
+        assert page.stop() == 0
+
+
+def number(value: float) -> str:
+    return f"{value:,.2f}"
+
+
+def expected(board: dict[str, Any]) -> dict[str, list[list[str]]]:
+    """Return the tables that a board in JSON comes to."""
+    placed = [one for one in board["entrants"] if one["place"] is not None]
+    return {
+        "Places": [
+            [
+                str(one["place"]),
+                one["name"],
+                number(one["mean_rank"]),
+                number(one["total"]),
+                f"{number(one['low'])} to {number(one['high'])}",
+                str(one["place_by_total"]),
+                *(
+                    f"{number(one['tasks'][task]['score'])} ({one['tasks'][task]['rank']:g})"
+                    for task in board["tasks"]
+                ),
+            ]
+            for one in placed
+        ],
+        "Forfeits": [
+            [one["name"], lost["task"], str(lost["trial"]), lost["reason"]]
+            for one in board["entrants"]
+            for lost in one["forfeits"]
+        ],
+    }
+
+
+def test_standings_come_while_the_competition_goes_on(browser: Browser, folder: Path) -> None:
+    browser.find("tbody th a").click()
+    browser.find("a[href^='#/standings/']").click()
+    browser.shows(f"0 of {MATCHES} trials are over")
+    browser.shows("Nobody has a place yet")
+    (folder / "go").touch()
+    browser.shows(f"{MATCHES} of {MATCHES} trials are over, 0 verified")
+    verified = run("glue-compete", "verify", "held", cwd=folder)
+    assert verified.returncode == 0, verified.stderr
+    browser.shows(f"{MATCHES} verified")
+
+
+def test_standings_are_those_of_glue_compete_board(browser: Browser, folder: Path) -> None:
+    board = json.loads(run("glue-compete", "board", "held", "--format", "json", cwd=folder).stdout)
+    tables = expected(board)
+    assert len(tables["Places"]) == 2
+    assert len(tables["Forfeits"]) == 4
+    assert all("<script>alert(2)</script>" in row[-1] for row in tables["Forfeits"])
+    assert browser.has_table("Places")
+    assert browser.tables() == tables
+    assert browser.find("h1").text == TITLE
+
+
+def test_the_projector_enlarges_them_until_escape(browser: Browser) -> None:
+    def size() -> float:
+        return float(
+            browser.run("return parseFloat(getComputedStyle(document.querySelector('td')).fontSize)")
+        )
+
+    before = size()
+    browser.button("Projector").click()
+    assert size() > 1.3 * before
+    assert not browser.find("header").is_displayed()
+    assert browser.driver.current_url.endswith("?projector=1")
+    browser.driver.refresh()  # as with a link to it
+    assert browser.has_table("Places")
+    assert size() > 1.3 * before
+    browser.press("\ue00c")
+    assert size() == before
+    assert browser.find("header").is_displayed()
+    assert not browser.driver.current_url.endswith("?projector=1")
+
+
+def test_nothing_went_wrong_and_no_other_host_was_asked(browser: Browser) -> None:
+    assert browser.errors() == []
+    assert browser.foreign() == []
