@@ -179,7 +179,11 @@ class WelcomeThief:
                 near, _ = self._listener.accept()
             except OSError:
                 return
-            far = socket.create_connection(self._hub)
+            try:
+                far = socket.create_connection(self._hub)
+            except OSError:  # between two hubs
+                near.close()
+                continue
             self._pairs.append((near, far))
             threading.Thread(target=self._to_hub, args=(near, far), daemon=True).start()
             threading.Thread(target=self._from_hub, args=(near, far), daemon=True).start()
