@@ -11,7 +11,7 @@ from glue.options import Option
 from glue.saves import Saved, pack, pack_generator, unpack, unpack_generator
 from glue.types import Action, Observation
 
-__all__ = ["MinesEnvironment", "SkeletonEnvironment"]
+__all__ = ["MINES_MAP", "MinesEnvironment", "SkeletonEnvironment"]
 
 _LAST_STATE: Final = 20
 _FIRST_STATE: Final = 10
@@ -59,7 +59,7 @@ class SkeletonEnvironment:
             unpack(data, "skeleton", {})
 
 
-_MINES_MAP: Final = (
+MINES_MAP: Final = (
     "S.......*.........",
     "..*..........*....",
     "....**....*.......",
@@ -91,8 +91,8 @@ class MinesEnvironment:
         self._random_start = random_start
         self._own_seed = seed
         self._generator = np.random.default_rng(seed or 0)
-        fields = "".join(_MINES_MAP)
-        self._columns = len(_MINES_MAP[0])
+        fields = "".join(MINES_MAP)
+        self._columns = len(MINES_MAP[0])
         self._free = [field for field, what in enumerate(fields) if what in "S."]
         self._fields = fields
         self._field: int | None = None
@@ -118,7 +118,7 @@ class MinesEnvironment:
             raise SimulatorError("env_step needs env_start first")
         down, right = _DIRECTIONS[_one_int(action, high=3)]
         row, column = divmod(self._field, self._columns)
-        if 0 <= row + down < len(_MINES_MAP) and 0 <= column + right < self._columns:
+        if 0 <= row + down < len(MINES_MAP) and 0 <= column + right < self._columns:
             self._field += down * self._columns + right
         what = self._fields[self._field]
         reward = {"G": _GOAL_REWARD, "*": _MINE_REWARD}.get(what, _STEP_REWARD)
@@ -129,7 +129,7 @@ class MinesEnvironment:
 
     def env_message(self, message: str) -> str:
         if message == "map":
-            return "\n".join(_MINES_MAP)
+            return "\n".join(MINES_MAP)
         return f"unknown message {message!r:.80}; 'map' shows the map"
 
     def env_save(self) -> bytes:

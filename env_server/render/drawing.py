@@ -24,7 +24,21 @@ from glue.types import Observation
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = ["HEIGHT", "WIDTH", "Picture", "draw", "save_gif", "save_png"]
+__all__ = [
+    "CLEAR",
+    "HEIGHT",
+    "MOUNTAINS",
+    "SKY",
+    "WIDTH",
+    "Picture",
+    "cloud",
+    "draw",
+    "pillow",
+    "save_gif",
+    "save_png",
+    "sprite",
+    "tile",
+]
 
 Picture = npt.NDArray[np.uint8]
 """Indices into the palette, shape (height, width); 255 is transparent."""
@@ -32,12 +46,13 @@ Picture = npt.NDArray[np.uint8]
 WIDTH: Final = 320
 HEIGHT: Final = 240
 _TILE: Final = 16
-_CLEAR: Final = 255
-_LETTERS: Final = {letter: place for place, letter in enumerate(PALETTE)} | {".": _CLEAR}
+CLEAR: Final = 255
+_LETTERS: Final = {letter: place for place, letter in enumerate(PALETTE)} | {".": CLEAR}
 _BESIDE: Final = WIDTH / 2 / _TILE  # tiles from the picture's border to Mario
 _FRAME: Final = 4  # hundredths of a second: 25 pictures per second
 _PLANT: Final = 5
-_SKY: Final = "123456"
+SKY: Final = "123456"
+MOUNTAINS: Final = "78"
 _SOLID: Final = "7#"
 _NAMES: Final = {"1": "ledge", "3": "ledge", "b": "brick", "?": "question", "$": "coin"}
 
@@ -91,16 +106,16 @@ def _draw(scene: Scene) -> Picture:
     camera = round(min(max(scene.sprites[0].x - _BESIDE, scene.column), right) * _TILE)
     picture = _background(camera)
     # Plants rise out of pipes, which are therefore drawn over them.
-    for sprite in scene.sprites:
-        if sprite.kind == _PLANT:
-            _draw_sprite(picture, sprite, camera)
+    for shown in scene.sprites:
+        if shown.kind == _PLANT:
+            _draw_sprite(picture, shown, camera)
     for row in range(HEIGHT // _TILE):
         for column in range(len(scene.rows[row])):
             for name in _tiles(scene.rows, row, column):
-                _paste(picture, _tile(name), (scene.column + column) * _TILE - camera, row * _TILE)
-    for sprite in reversed(scene.sprites):
-        if sprite.kind != _PLANT:
-            _draw_sprite(picture, sprite, camera)
+                _paste(picture, tile(name), (scene.column + column) * _TILE - camera, row * _TILE)
+    for shown in reversed(scene.sprites):
+        if shown.kind != _PLANT:
+            _draw_sprite(picture, shown, camera)
     return picture
 
 
@@ -108,15 +123,14 @@ def _background(camera: int) -> Picture:
     """Return sky, clouds and mountains; distant layers move less than the camera."""
     rows = np.arange(HEIGHT)[:, np.newaxis]
     columns = np.arange(WIDTH)
-    sky = np.array([_LETTERS[letter] for letter in _SKY], np.uint8)
+    sky = np.array([_LETTERS[letter] for letter in SKY], np.uint8)
     picture = np.repeat(sky[np.minimum(rows // 28, len(sky) - 1)], WIDTH, axis=1)
-    for letter, top, nearness in (("7", 110, 0.2), ("8", 150, 0.35)):
+    for letter, top, nearness in zip(MOUNTAINS, (110, 150), (0.2, 0.35), strict=True):
         far = columns + camera * nearness
         crest = top - 22 * np.sin(far / 53) - 11 * np.sin(far / 23 + 1)
         picture[rows >= crest] = _LETTERS[letter]
-    cloud = _picture(CLOUD)
     for number, height in enumerate((26, 58, 14, 44)):
-        _paste(picture, cloud, int(130 * number - camera * 0.12) % 520 - 100, height)
+        _paste(picture, cloud(), int(130 * number - camera * 0.12) % 520 - 100, height)
     return picture
 
 
@@ -162,21 +176,22 @@ def _pipe_tile(rows: tuple[str, ...], row: int, column: int) -> str:
     return f"{'mouth' if mouth else 'shaft'} {side}"
 
 
-def _draw_sprite(picture: Picture, sprite: Sprite, camera: int) -> None:
-    if sprite.kind not in SPRITES:
+def _draw_sprite(picture: Picture, shown: Sprite, camera: int) -> None:
+    if shown.kind not in SPRITES:
         return
-    image = _sprite(sprite.kind, sprite.speed_x < 0, sprite.winged)
+    image = sprite(shown.kind, shown.speed_x < 0, shown.winged)
     height, width = image.shape
-    feet = round(HEIGHT + _TILE - sprite.height * _TILE) + 1
-    _paste(picture, image, round(sprite.x * _TILE) - camera - width // 2, feet - height)
+    feet = round(HEIGHT + _TILE - shown.height * _TILE) + 1
+    _paste(picture, image, round(shown.x * _TILE) - camera - width // 2, feet - height)
 
 
 @cache
-def _sprite(kind: int, to_the_left: bool, winged: bool) -> Picture:
+def sprite(kind: int, to_the_left: bool, winged: bool) -> Picture:
+    """Return a picture of Mario or a monster, by its number in observations."""
     image = _picture(SPRITES[kind])
     if winged:
         wing = _picture(WING)
-        space = np.full((image.shape[0] + 4, image.shape[1] + 8), _CLEAR, np.uint8)
+        space = np.full((image.shape[0] + 4, image.shape[1] + 8), CLEAR, np.uint8)
         _paste(space, image, 4, 4)
         _paste(space, wing, 0, max(0, image.shape[0] - 18))
         image = space
@@ -184,8 +199,15 @@ def _sprite(kind: int, to_the_left: bool, winged: bool) -> Picture:
 
 
 @cache
-def _tile(name: str) -> Picture:
+def tile(name: str) -> Picture:
+    """Return a tile of `artwork.TILES`."""
     return _picture(TILES[name])
+
+
+@cache
+def cloud() -> Picture:
+    """Return the picture of a cloud."""
+    return _picture(CLOUD)
 
 
 def _picture(lines: tuple[str, ...]) -> Picture:
@@ -199,16 +221,25 @@ def _paste(picture: Picture, image: Picture, left: int, top: int) -> None:
         return
     place = picture[max(0, top) : top + height, max(0, left) : left + width]
     part = image[max(0, -top) :, max(0, -left) :][: place.shape[0], : place.shape[1]]
-    np.copyto(place, part, where=part != _CLEAR)
+    np.copyto(place, part, where=part != CLEAR)
 
 
-def _image(picture: Picture) -> Image:
+def pillow() -> Any:
+    """Return the module `PIL.Image`.
+
+    Raises:
+        ConfigError: Pillow is missing.
+    """
     try:
         from PIL import Image
     except ImportError:
         raise ConfigError("pictures need Pillow: pip install 'glue-rl[render]'") from None
+    return Image
+
+
+def _image(picture: Picture) -> Image:
     height, width = picture.shape
-    image = Image.frombytes("P", (width, height), picture.tobytes())
+    image: Image = pillow().frombytes("P", (width, height), picture.tobytes())
     image.putpalette([part for color in PALETTE.values() for part in color])
     return image
 

@@ -398,8 +398,12 @@ def _run(
         # Before anything is written, because an address may be in use.
         addresses = stack.enter_context(ExitStack())
         meeting = addresses.enter_context(listening(plan, config.meeting))
-        recording = stack.enter_context(recorded(record))
+        # A recording may be one of the run's own files: then the run's folder has to be there first.
+        inside = record is not None and record.absolute().parent == directory.absolute()
+        recording = None if inside else stack.enter_context(recorded(record))
         store = stack.enter_context(open_run(directory, plan, say=progress.say))
+        if inside:
+            recording = stack.enter_context(recorded(record))
         wait = stack.enter_context(viewed(directory, progress.say)) if view else None
         failed = run_trials(store, replace(config, meeting=meeting), lines or progress, recording)
         addresses.close()  # a player that joins from now on would not be served

@@ -13,7 +13,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
 from experiment_runner.analysis.stats import has_scipy
-from experiment_runner.view import assets, stream
+from experiment_runner.view import assets, episodes, stream
 from experiment_runner.view.catalog import Catalog
 from experiment_runner.view.curves import curves, wanted_by
 from experiment_runner.view.guard import Address, Guard
@@ -23,7 +23,7 @@ from experiment_runner.view.standing import standings_of
 from experiment_runner.view.stream import Pulse
 from experiment_runner.view.summary import run_in_full
 from experiment_runner.view.watching import Watcher
-from glue.errors import ExperimentError
+from glue.errors import GlueError
 
 __all__ = ["page"]
 
@@ -47,8 +47,9 @@ def page(folders: Sequence[Path], address: Address, token: str, pulse: Pulse) ->
         *assets.routes(),
         *stream.routes(pulse, sources),
         *_run_routes(catalog, read),
+        *episodes.routes(catalog, Reader("recordings")),  # which can be long: nobody else waits for them
     ]
-    handlers = {ExperimentError: _cannot_read, KeyError: _unknown, HTTPException: _refused}
+    handlers = {GlueError: _cannot_read, KeyError: _unknown, HTTPException: _refused}
     return Guard(Starlette(routes=routes, exception_handlers=handlers), address, token)
 
 

@@ -1,4 +1,4 @@
-"""The page's own files, read once: no request ever leads to a path on the disk."""
+"""The page's own files, and what games are drawn with, read once: no request leads to a path on the disk."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from pathlib import Path
 from typing import Final
 
 from starlette.requests import Request
-from starlette.responses import Response
+from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
+
+from env_server.render.sheet import colors, places, sheet_png
+from env_server.toys import MINES_MAP
 
 __all__ = ["routes"]
 
@@ -24,11 +27,16 @@ _TYPES: Final[Mapping[str, str]] = {
 
 
 def routes() -> list[BaseRoute]:
-    """Return a route for each file of `static/`, and for the page itself."""
+    """Return a route for each file of `static/`, for the page itself, and for `/api/artwork`.
+
+    The last is JSON: the places in the sprite sheet `/api/artwork.png`, colors, and the map of the mines.
+    """
     found = [path for path in sorted(_FOLDER.rglob("*")) if path.suffix in _TYPES]
-    return [Route("/", _serve(_FOLDER / "index.html"))] + [
-        Route(f"/static/{path.relative_to(_FOLDER).as_posix()}", _serve(path)) for path in found
-    ]
+    return (
+        [Route("/", _serve(_FOLDER / "index.html"))]
+        + [Route(f"/static/{path.relative_to(_FOLDER).as_posix()}", _serve(path)) for path in found]
+        + [Route("/api/artwork", _artwork), Route("/api/artwork.png", _sheet)]
+    )
 
 
 def _serve(path: Path) -> object:
@@ -38,3 +46,11 @@ def _serve(path: Path) -> object:
         return Response(content, media_type=kind)
 
     return endpoint
+
+
+async def _artwork(request: Request) -> Response:
+    return JSONResponse({"places": places(), "colors": colors(), "mines": MINES_MAP})
+
+
+async def _sheet(request: Request) -> Response:
+    return Response(sheet_png(), media_type="image/png")

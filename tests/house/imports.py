@@ -62,7 +62,8 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "experiment_runner/competition/records": ("experiment_runner/store",),
     "experiment_runner/competition": ("experiment_runner/executors", "experiment_runner/competition/records"),
     "experiment_runner/competition/board": ("experiment_runner/competition",),
-    "experiment_runner/view": ("experiment_runner/competition/board",),
+    # The page draws what the games that are installed with it look like.
+    "experiment_runner/view": ("experiment_runner/competition/board", "env_server/render"),
     "experiment_runner/commands": ("experiment_runner/view",),
     "experiment_runner/generalisation": ("experiment_runner/analysis", "env_server/mario"),
     "experiment_runner/paper": (

@@ -1,0 +1,80 @@
+"""Everything that Infinite Mario is drawn with, in one picture: for programs that draw it by themselves.
+
+The picture is made of `env_server.render.artwork`; the page of `glue-view` draws with it in the browser.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from env_server.render.artwork import PALETTE, SPRITES, TILES
+from env_server.render.drawing import CLEAR, MOUNTAINS, SKY, WIDTH, Picture, cloud, pillow, sprite, tile
+
+__all__ = ["Place", "colors", "places", "sheet_png"]
+
+
+class Place(NamedTuple):
+    """Where a part is in the picture, in pixels."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+def places() -> dict[str, Place]:
+    """Return where the parts are: `tile NAME`, `cloud`, and `sprite KIND right` or `left`, and `winged`."""
+    return {name: place for name, (place, _) in _layout().items()}
+
+
+def colors() -> dict[str, list[str]]:
+    """Return the colors of the sky, from the top, and of the mountains, the far ones first: `#rrggbb`."""
+    return {
+        name: ["#{:02x}{:02x}{:02x}".format(*PALETTE[letter]) for letter in letters]
+        for name, letters in (("sky", SKY), ("mountains", MOUNTAINS))
+    }
+
+
+@cache
+def sheet_png() -> bytes:
+    """Return the picture as PNG, what is between the parts being transparent.
+
+    Raises:
+        ConfigError: Pillow is missing.
+    """
+    layout = _layout()
+    height = max(place.top + place.height for place, _ in layout.values())
+    indices = np.full((height, WIDTH), CLEAR, np.uint8)
+    for place, part in layout.values():
+        indices[place.top : place.top + place.height, place.left : place.left + place.width] = part
+    seen = np.zeros((CLEAR + 1, 4), np.uint8)  # what is transparent is black, and so is equal everywhere
+    seen[: len(PALETTE)] = [(*color, 255) for color in PALETTE.values()]
+    file = io.BytesIO()
+    pillow().fromarray(seen[indices]).save(file, "PNG")
+    return file.getvalue()
+
+
+@cache
+def _layout() -> Mapping[str, tuple[Place, Picture]]:
+    """Return all parts and their places: in rows, the tallest first."""
+    parts = {f"tile {name}": tile(name) for name in TILES} | {"cloud": cloud()}
+    for kind in SPRITES:
+        for winged in (False, True):
+            for to_the_left, side in ((False, "right"), (True, "left")):
+                parts[f"sprite {kind} {side}{' winged' if winged else ''}"] = sprite(
+                    kind, to_the_left, winged
+                )
+    layout: dict[str, tuple[Place, Picture]] = {}
+    left = top = row = 0
+    for name, part in sorted(parts.items(), key=lambda item: (-len(item[1]), item[0])):
+        height, width = part.shape
+        if left + width > WIDTH:
+            left, top, row = 0, top + row, 0
+        layout[name] = Place(left, top, width, height), part
+        left, row = left + width, max(row, height)
+    return layout

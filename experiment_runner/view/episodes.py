@@ -1,0 +1,205 @@
+"""The recorded episodes of a run, and one of them in full, for the page to show.
+
+A recording is a file `*.traj` in the run's folder. It may come from anywhere: it is read by
+`glue.trajectory.TrajectoryReader`, which takes memory only within its limits, and what a browser asks for is
+looked up among the files that were found.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import re
+import stat
+import struct
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import BaseRoute, Route
+
+from experiment_runner.view.catalog import Catalog
+from experiment_runner.view.kept import Kept
+from experiment_runner.view.reader import Reader
+from glue.errors import ExperimentError, TaskSpecError
+from glue.taskspec import Bound, Ranges, parse_task_spec
+from glue.trajectory import Episode, TrajectoryError, TrajectoryReader
+from glue.types import Action
+
+__all__ = ["described", "routes"]
+
+_SUFFIX: Final = ".traj"
+_MOST_FILES: Final = 50
+_MOST_EPISODES: Final = 10_000  # of a recording, that are listed
+_MOST_STEPS: Final = 3_000_000  # of a recording, that are read to list it
+_MOST_SENT_STEPS: Final = 100_000  # of an episode
+_MOST_SENT_BYTES: Final = 64 * 2**20
+_MOST_RUNS: Final = 500  # of equal ranges, of a task spec
+_MOST_TEXT: Final = 2000
+
+_EPISODE: Final = re.compile(r"(?:([0-9a-f]{8})-)?([1-9][0-9]{0,8})")
+_LENGTH: Final = struct.Struct("<I")
+_REWARD: Final = struct.Struct("<d")
+
+
+def routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
+    """Return the routes of recordings.
+
+    `/api/recordings/RUN` lists them as JSON. `/api/episodes/RUN/EPISODE` is an episode: the length of a JSON
+    object (uint32, little-endian), the object, and for the start and each step the reward (float64), the
+    action and the observation, both as `glue.types` has them; the start has an empty action.
+    """
+
+    async def recordings(request: Request) -> Response:
+        directory = catalog.entry(request.path_params["run"]).directory
+        return JSONResponse(await read(lambda: [_listed(*item, kept) for item in _found(directory).items()]))
+
+    async def episode(request: Request) -> Response:
+        directory = catalog.entry(request.path_params["run"]).directory
+        wanted = _EPISODE.fullmatch(request.path_params["episode"])
+        if wanted is None:
+            raise HTTPException(404, "there is no such episode")
+        name, number = wanted[1] or "", int(wanted[2])
+        return Response(
+            await read(lambda: _packed(directory, name, number)), media_type="application/octet-stream"
+        )
+
+    kept = Kept()
+    return [
+        Route("/api/recordings/{run}", recordings),
+        Route("/api/episodes/{run}/{episode}", episode),
+    ]
+
+
+def described(task_spec: str) -> dict[str, Any]:
+    """Return as JSON what a task spec says of observations and actions: runs of equal ranges, each with its
+    length, for ints and doubles, and the number of chars. `extra` is its free text."""
+    try:
+        spec = parse_task_spec(task_spec)
+    except TaskSpecError:
+        return {"text": task_spec[:_MOST_TEXT], "extra": ""}
+    spaces = {"observation": spec.observations, "action": spec.actions}
+    return {
+        "text": task_spec[:_MOST_TEXT],
+        "extra": spec.extra[:_MOST_TEXT],
+        **{
+            name: {"ints": _ranges(space.ints), "doubles": _ranges(space.doubles), "chars": space.chars}
+            for name, space in spaces.items()
+        },
+    }
+
+
+def _ranges(ranges: Ranges) -> list[tuple[int, str]]:
+    return [
+        (repeat, f"{_bound(range_.low)} to {_bound(range_.high)}")
+        for repeat, range_ in ranges.runs[:_MOST_RUNS]
+    ]
+
+
+def _bound(bound: Bound) -> str:
+    if bound is None:
+        return "not stated"
+    return "no limit" if math.isinf(bound) else str(bound).removesuffix(".0")
+
+
+def _found(directory: Path) -> dict[str, Path]:
+    """Return the recordings of a run by what names them on the page: nothing for the first."""
+    names = sorted(name for name in _names(directory) if name.endswith(_SUFFIX))
+    files = [directory / name for name in names if _is_file(directory / name)][:_MOST_FILES]
+    return {
+        hashlib.sha256(os.fsencode(path.name)).hexdigest()[:8] if number else "": path
+        for number, path in enumerate(files)
+    }
+
+
+def _names(directory: Path) -> list[str]:
+    try:
+        return os.listdir(directory)
+    except OSError as error:
+        raise ExperimentError(f"cannot read {directory}: {error.strerror}") from None
+
+
+def _is_file(path: Path) -> bool:
+    """Return whether a path leads to a file, and is not a link: a run may come from elsewhere."""
+    try:
+        return stat.S_ISREG(path.lstat().st_mode)
+    except OSError:
+        return False
+
+
+def _listed(name: str, path: Path, kept: Kept) -> dict[str, Any]:
+    try:
+        status = path.lstat()
+    except OSError as error:
+        return {"id": name, "name": _printable(path), "episodes": [], "error": str(error.strerror)}
+    found: dict[str, Any] = kept.get(path, (status.st_mtime_ns, status.st_size), lambda: _episodes(path))
+    return {"id": name, "name": _printable(path), **found}
+
+
+def _episodes(path: Path) -> dict[str, Any]:
+    """Return the episodes of a recording: number of steps, return and ending of each."""
+    found: list[tuple[int, float | str, str]] = []
+    steps = 0
+    more = False
+    error = None
+    try:
+        for episode in TrajectoryReader(path):
+            if len(found) == _MOST_EPISODES or steps > _MOST_STEPS:
+                more = True
+                break
+            steps += len(episode.steps)
+            found.append((len(episode.steps), _number(episode.episode_return), episode.ending.value))
+    except TrajectoryError as wrong:
+        error = str(wrong)
+    return {"episodes": found, "more": more, "error": error}
+
+
+def _packed(directory: Path, name: str, number: int) -> bytes:
+    path = _found(directory).get(name)
+    if path is None:
+        raise HTTPException(404, "there is no such recording")
+    for count, episode in enumerate(TrajectoryReader(path), 1):
+        if count == number:
+            return b"".join(_pieces(path, number, episode))
+    raise HTTPException(404, f"the recording has no episode {number}")
+
+
+def _pieces(path: Path, number: int, episode: Episode) -> Iterator[bytes]:
+    size = len(episode.steps)
+    header: Mapping[str, Any] = {
+        "recording": _printable(path),
+        "episode": number,
+        "steps": size,
+        "ending": episode.ending.value,
+        "environment": episode.run.environment[:_MOST_TEXT],
+        "spec": described(episode.run.task_spec),
+    }
+    encoded = json.dumps(header).encode()
+    yield _LENGTH.pack(len(encoded)) + encoded
+    yield _REWARD.pack(0.0) + Action().body + episode.start.body
+    sent = 0
+    for step in episode.steps:
+        piece = _REWARD.pack(step.reward) + step.action.body + step.observation.body
+        sent += len(piece)
+        if size > _MOST_SENT_STEPS or sent > _MOST_SENT_BYTES:
+            raise ExperimentError(
+                f"episode {number} of {_printable(path)} has {size} steps: the page shows at most "
+                f"{_MOST_SENT_STEPS} steps and {_MOST_SENT_BYTES >> 20} MiB of an episode: use glue-replay"
+            )
+        yield piece
+
+
+def _number(value: float) -> float | str:
+    """Return a number as JSON has it, or a word that JavaScript reads as one that JSON has not."""
+    if math.isfinite(value):
+        return value
+    return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
+
+
+def _printable(path: Path) -> str:
+    return path.name.encode("utf-8", "replace").decode()

@@ -1,0 +1,87 @@
+// The game: the recorded episodes of a run, and one of them played.
+
+import { count, failure, get, h, score, setText, table } from "./dom.js";
+import { play } from "./game/player.js";
+import { Recording } from "./game/recording.js";
+import { Screen } from "./game/screen.js";
+import { listen } from "./stream.js";
+
+const ROWS = 50;
+
+export async function mount(element, { path: [run = "", episode = ""], query }) {
+  const title = h("h1", {}, "Game");
+  const links = h("p", { class: "links" }, h("a", { class: "button", href: `#/run/${encodeURIComponent(run)}` }, "Run"));
+  element.append(title, links);
+  const stops = [listen("runs", (changed, all) => {
+    const name = all.get(run)?.name ?? "There is no such run any more.";
+    setText(title, episode ? `${name}: episode ${episode}` : name);
+  })];
+  if (episode) links.append(h("a", { class: "button", href: `#/game/${encodeURIComponent(run)}` }, "All episodes"));
+  try {
+    if (episode) stops.push(await mountEpisode(element, links, run, episode, query));
+    else await mountList(element, run);
+  } catch (error) {
+    element.append(failure(error));
+  }
+  return () => stops.forEach((stop) => stop());
+}
+
+async function mountEpisode(element, links, run, episode, query) {
+  const response = await fetch(`api/episodes/${encodeURIComponent(run)}/${encodeURIComponent(episode)}`);
+  if (!response.ok) throw new Error((await response.json()).error);
+  const recording = new Recording(await response.arrayBuffer());
+  const screen = await Screen.open(recording.about.spec);
+  const address = (step) => `#/game/${encodeURIComponent(run)}/${encodeURIComponent(episode)}?step=${step}`;
+  const link = h("a", {}, "Link to this moment");
+  const wanted = Number.parseInt(query.get("step") ?? "0", 10) || 0;
+  const moved = (step) => {
+    link.setAttribute("href", address(step));
+    history.replaceState(null, "", address(step));
+  };
+  link.setAttribute("href", address(wanted));
+  links.append(link, h("span", { class: "quiet" }, `${recording.about.recording}, episode ${recording.about.episode}`));
+  element.append(screen.element);
+  const player = play(screen, recording, wanted, moved);
+  screen.below.append(player.element);
+  return () => {
+    player.close();
+    screen.close();
+  };
+}
+
+async function mountList(element, run) {
+  const recordings = await get(`recordings/${encodeURIComponent(run)}`);
+  element.append(h("h2", {}, "Recorded episodes"));
+  if (!recordings.length) {
+    element.append(h("p", { class: "empty" }, "This run has no recording. ",
+      h("code", {}, "glue-experiment --out DIR --record DIR/run.traj"), " makes one: the page shows every file *.traj in the run's folder."));
+  }
+  for (const recording of recordings) element.append(...listed(run, recording));
+}
+
+function listed(run, recording) {
+  const parts = [];
+  if (recording.error) parts.push(failure(recording.error));
+  const episodes = recording.episodes;
+  const box = h("div");
+  const id = (number) => `${recording.id ? `${recording.id}-` : ""}${number}`;
+  const fill = (first) => {
+    const rows = episodes.slice(first, first + ROWS).map(([steps, total, ending], i) => [
+      h("a", { href: `#/game/${encodeURIComponent(run)}/${id(first + i + 1)}` }, `Episode ${count(first + i + 1)}`),
+      score(Number(total)), count(steps), ending === "cutoff" ? "cut off" : ending]);
+    const more = (label, to, isThere) => h("button", { type: "button", disabled: !isThere, onclick: () => fill(to) }, label);
+    box.replaceChildren(table(recording.name, ["episode", "return", "steps", "end"], rows));
+    if (episodes.length > ROWS) {
+      box.append(h("p", { class: "controls" }, more("Earlier", first - ROWS, first > 0), more("Later", first + ROWS, first + ROWS < episodes.length),
+        h("span", { class: "quiet" }, `${count(first + 1)} to ${count(first + rows.length)} of ${count(episodes.length)}`)));
+    }
+  };
+  if (episodes.length) {
+    fill(0);
+    parts.push(box);
+  } else if (!recording.error) {
+    parts.push(h("p", { class: "empty" }, `${recording.name} holds no whole episode yet.`));
+  }
+  if (recording.more) parts.push(h("p", { class: "quiet" }, "It holds more, which are too many for this page: glue-replay shows them."));
+  return parts;
+}

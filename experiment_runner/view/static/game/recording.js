@@ -1,0 +1,40 @@
+// A recorded episode, as the server sends it: see experiment_runner/view/episodes.py.
+
+import { decode, endOf } from "./values.js";
+
+const ENDINGS = { terminal: "terminal", cutoff: "cut off", void: "void: it does not count" };
+
+export class Recording {
+  constructor(buffer) {
+    const view = new DataView(buffer);
+    const size = view.getUint32(0, true);
+    this.about = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, size)));
+    this.length = this.about.steps + 1; // with the start
+    this.rewards = new Float64Array(this.length);
+    this.returns = new Float64Array(this.length);
+    this._view = view;
+    this._starts = new Uint32Array(this.length);
+    let at = 4 + size;
+    let total = 0;
+    for (let i = 0; i < this.length; i++) {
+      this._starts[i] = at;
+      this.rewards[i] = view.getFloat64(at, true);
+      this.returns[i] = total += this.rewards[i];
+      at = endOf(view, endOf(view, at + 8));
+    }
+    if (at !== buffer.byteLength) throw new Error("The recording did not arrive whole.");
+  }
+
+  /** Return a moment: step 0 is the start, which has no action. */
+  moment(step) {
+    const action = decode(this._view, this._starts[step] + 8);
+    return {
+      step,
+      action: step ? action : null,
+      observation: decode(this._view, action.end),
+      reward: this.rewards[step],
+      total: this.returns[step],
+      ending: step === this.length - 1 ? ENDINGS[this.about.ending] ?? "" : "",
+    };
+  }
+}

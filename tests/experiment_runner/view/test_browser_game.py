@@ -1,0 +1,241 @@
+"""The game in a real browser: what stands on the canvas is what glue-replay draws, pixel for pixel."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from env_server.mario.environment import InfiniteMario
+from env_server.render.artwork import PALETTE
+from env_server.render.drawing import draw
+from env_server.toys import MinesEnvironment
+from glue.roles import Environment
+from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
+from glue.types import Action, Observation
+from tests.experiment_runner.view.chromium import Browser, browsing, needed
+from tests.experiment_runner.view.pages import Page, glue_view
+from tests.experiment_runner.view.test_episodes import SPEC
+from tests.experiment_runner.view.test_stream import make_run
+from tests.terminal import run
+
+needed()
+selenium_keys = pytest.importorskip("selenium.webdriver").Keys
+
+STEPS = 60
+RIGHT, DOWN = [1, 1, 1], [1]
+LEVELS = {0: 33, 1: 19, 2: 28}  # a seed for each type, with which Mario gets far and meets many
+Pixels = npt.NDArray[np.uint8]
+
+
+def play(
+    writer: TrajectoryWriter, environment: Environment, name: str, action: list[int], steps: int
+) -> None:
+    writer.run(Run(name, {}, environment.env_init()))
+    writer.start(environment.env_start())
+    for step in range(steps):
+        # A jump needs the button to be let go.
+        pressed = Action(action if (step + 1) % 4 or len(action) == 1 else [1, 0, 1])
+        reward, seen, terminal = environment.env_step(pressed)
+        writer.step(pressed, reward, seen, terminal)
+        if terminal:
+            return
+    writer.cutoff()
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs")
+    for name in ("mario", "toys"):
+        make_run(folder / name).close()
+    with TrajectoryWriter(folder / "mario/run.traj") as writer:
+        for kind, seed in LEVELS.items():
+            mario = InfiniteMario(level_seed=seed, level_type=kind, level_difficulty=3)
+            play(writer, mario, "mario", RIGHT, STEPS)
+    with TrajectoryWriter(folder / "toys/run.traj") as writer:
+        play(writer, MinesEnvironment(), "mines", DOWN, 3)
+        writer.run(Run("strange", {}, SPEC))
+        writer.start(Observation([4, 5], [1 / 3], b"<i>"))
+        writer.step(Action([1], [0.5]), 2.0, Observation([7, 5], [-1e300], b"\x00ab"), True)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(folder: Path) -> Iterator[Page]:
+    with glue_view(folder) as page:
+        yield page
+
+
+@pytest.fixture(scope="module")
+def ids(page: Page) -> dict[str, str]:
+    runs = page.stream("topic=runs").next()["runs"].values()
+    return {run["name"].rpartition("/")[2]: run["id"] for run in runs}
+
+
+@pytest.fixture(scope="module")
+def browser(page: Page) -> Iterator[Browser]:
+    with browsing(page) as browser:
+        yield browser
+
+
+def facts(browser: Browser) -> dict[str, str]:
+    found: dict[str, str] = browser.run(
+        "return Object.fromEntries([...document.querySelectorAll('[data-fact]')]"
+        ".map((one) => [one.dataset.fact, one.textContent]))"
+    )
+    return found
+
+
+def is_at(browser: Browser, step: int) -> None:
+    browser.wait(lambda: facts(browser).get("step") == str(step), f"step {step}")
+
+
+def seek(browser: Browser, step: int) -> None:
+    browser.run(
+        "const slider = document.querySelector('.timeline input'); slider.value = arguments[0];"
+        "slider.dispatchEvent(new Event('input'))",
+        step,
+    )
+    is_at(browser, step)
+
+
+def pixels(browser: Browser) -> Pixels:
+    from PIL import Image
+
+    data = browser.run("return document.querySelector('.screen canvas').toDataURL('image/png')")
+    image = Image.open(io.BytesIO(base64.b64decode(data.partition(",")[2])))
+    return np.asarray(image.convert("RGB"))
+
+
+@pytest.mark.parametrize("step", [0, 17, STEPS])
+def test_the_canvas_is_what_glue_replay_draws(
+    browser: Browser, ids: dict[str, str], folder: Path, tmp_path: Path, step: int
+) -> None:
+    from PIL import Image
+
+    browser.go(f"game/{ids['mario']}/1?step={step}")
+    is_at(browser, step)
+    command = ("glue-replay", folder / "mario/run.traj", "--no-check", "--episode", 1, "--png", "a.png")
+    assert run(*map(str, command), "--steps", str(step), str(step), cwd=tmp_path).returncode == 0
+    expected = np.asarray(Image.open(tmp_path / "a.png").convert("RGB"))[::2, ::2]
+    np.testing.assert_array_equal(pixels(browser), expected)
+
+
+@pytest.mark.parametrize("kind", LEVELS)
+def test_every_kind_of_level_is_drawn_so_at_many_steps(
+    browser: Browser, ids: dict[str, str], folder: Path, kind: int
+) -> None:
+    episode = list(TrajectoryReader(folder / "mario/run.traj"))[kind]
+    colors = np.array(list(PALETTE.values()), np.uint8)
+    browser.go(f"game/{ids['mario']}/{kind + 1}")
+    is_at(browser, 0)
+    total = 0.0
+    for step, done in enumerate(episode.steps, 1):
+        total += done.reward
+        if step % 9 and step != len(episode.steps):
+            continue
+        seek(browser, step)
+        np.testing.assert_array_equal(pixels(browser), colors[draw(done.observation)], f"step {step}")
+        shown = facts(browser)
+        assert shown["action"] == ("right, jump, run" if done.action.ints[1] else "right, run")
+        assert float(shown["reward"].replace(",", "")) == pytest.approx(done.reward, abs=1e-4)
+        assert float(shown["return"].replace(",", "")) == pytest.approx(total, abs=1e-4)
+    assert shown["state"] == {"terminal": "terminal", "cutoff": "cut off"}[episode.ending.value]
+
+
+def test_it_is_played_by_keys(browser: Browser, ids: dict[str, str]) -> None:
+    keys = selenium_keys
+    browser.go(f"game/{ids['mario']}/1?step=5")
+    is_at(browser, 5)
+    for pressed, step in (
+        (keys.ARROW_RIGHT, 6),
+        (keys.ARROW_LEFT, 5),
+        (keys.PAGE_DOWN, 15),
+        (keys.END, STEPS),
+        (keys.ARROW_RIGHT, STEPS),
+        (keys.HOME, 0),
+        (keys.ARROW_LEFT, 0),
+    ):
+        browser.press(pressed)
+        is_at(browser, step)
+    browser.run("document.querySelector('#speed').value = '120'")
+    browser.press(" ")
+    is_at(browser, STEPS)
+    assert browser.find("button.primary").get_attribute("aria-label") == "Play"  # it has stopped by itself
+    browser.press(" ")  # from the start again
+    browser.wait(lambda: facts(browser)["step"] != str(STEPS), "the start")
+    browser.press(" ")
+    assert browser.find("button.primary").get_attribute("aria-label") == "Play"
+
+
+def test_an_address_leads_to_a_moment_and_follows_it(browser: Browser, ids: dict[str, str]) -> None:
+    browser.go(f"game/{ids['mario']}/2?step=8")
+    is_at(browser, 8)
+    browser.press(selenium_keys.ARROW_RIGHT)
+    address = f"#/game/{ids['mario']}/2?step=9"
+    browser.wait(lambda: browser.driver.current_url.endswith(address), address)
+    link = next(one for one in browser.driver.find_elements("css selector", "a") if "moment" in one.text)
+    assert link.get_attribute("href").endswith(address)
+    slider = browser.find(".timeline input")
+    assert slider.get_attribute("aria-valuetext").startswith("step 9 of ")
+    assert slider.accessible_name == "Step"
+
+
+def test_the_list_leads_to_the_episodes(browser: Browser, ids: dict[str, str], folder: Path) -> None:
+    browser.go(f"game/{ids['mario']}")
+    rows = browser.has_table("run.traj")
+    episodes = list(TrajectoryReader(folder / "mario/run.traj"))
+    assert [(row[1], row[2]) for row in rows] == [
+        (f"{one.episode_return:,.2f}", str(len(one.steps))) for one in episodes
+    ]
+    browser.run("[...document.querySelectorAll('td a, th a')].at(-1).click()")
+    is_at(browser, 0)
+    assert facts(browser)["episode"] == str(len(LEVELS))
+
+
+def test_the_mines_are_drawn_with_words_for_the_actions(browser: Browser, ids: dict[str, str]) -> None:
+    browser.go(f"game/{ids['toys']}/1?step=2")
+    is_at(browser, 2)
+    assert facts(browser) == {
+        "episode": "1",
+        "step": "2",
+        "action": "down",
+        "reward": "-1",
+        "return": "-2",
+        "state": "goes on",
+    }
+    canvas = browser.find(".screen canvas")
+    assert canvas.get_attribute("aria-label") == "row 3, column 1 of the mines"
+    first: Any = pixels(browser)
+    browser.press(selenium_keys.ARROW_RIGHT)
+    is_at(browser, 3)
+    assert (pixels(browser) != first).any()
+
+
+def test_any_other_environment_has_a_table_of_its_numbers(browser: Browser, ids: dict[str, str]) -> None:
+    browser.go(f"game/{ids['toys']}/2")
+    assert browser.has_table("Observation") == [
+        ["int 0", "4", "0 to 9"],
+        ["int 1", "5", "0 to 9"],
+        ["double 0", str(1 / 3), "-1 to no limit"],
+        ["chars 0 to 2", "<i>", ""],
+    ]
+    browser.press(selenium_keys.END)
+    is_at(browser, 1)
+    assert [row[1] for row in browser.has_table("Observation")] == ["7", "5", "-1e+300", "·ab"]
+    assert facts(browser)["action"] == "1, 0.5"
+    assert facts(browser)["state"] == "terminal"
+
+
+def test_what_there_is_not_is_said(browser: Browser, ids: dict[str, str]) -> None:
+    assert browser.errors() == []
+    assert browser.foreign() == []
+    browser.go(f"game/{ids['mario']}/9")
+    browser.shows("the recording has no episode 9")
+    assert len(browser.errors()) == 1  # the answer's status
