@@ -169,8 +169,13 @@ class Kernel:
         self._raise_failure()
 
     def reinitialize(self) -> None:
-        """Empty working memory, but for the input; learned values stay."""
+        """Empty working memory, but for the input; learned values stay.
+
+        Soar would update the last operators of substates with the reward that is there.
+        """
+        self.command("rl --set learning off")
         self._agent.InitSoar()
+        self.command("rl --set learning on")
 
     @property
     def cycles(self) -> int:

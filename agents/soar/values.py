@@ -20,6 +20,9 @@ OPERATOR: Final = "operator"
 CONTEXT: Final = "context"
 
 _TEST: Final = re.compile(r"\^(sees|keystroke|context|name)\s+\|?([^\s|)]+)")
+_END: Final = {"name": "end"}
+"""What the rule for the end of an operator tests; its value is 0, and is not learned."""
+
 _VALUE: Final = re.compile(r"\^operator <[\w*-]+> = (-?\d+\.\d+)\)\s*\}\s*$")
 
 
@@ -40,13 +43,15 @@ def learned_values(rules: Iterable[str]) -> dict[Learned, float]:
     values = {}
     for rule in rules:
         tests, value = dict(_TEST.findall(rule)), _VALUE.search(rule)
+        if tests == _END:
+            continue
         if value is None or not tests.keys() & {"sees", "context"}:
             raise SaveError(f"this rule is not of an agent for Mario: {rule!r:.200}")
         if "keystroke" in tests:
             key = Learned(KEYSTROKE, tests["sees"], tests["keystroke"])
-        elif "sees" in tests:
-            key = Learned(OPERATOR, tests["sees"], "")
-        else:
+        elif "context" in tests:
             key = Learned(CONTEXT, tests["context"], tests["name"])
+        else:
+            key = Learned(OPERATOR, tests["sees"], "")
         values[key] = float(value.group(1))
     return values

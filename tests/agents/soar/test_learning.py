@@ -12,6 +12,7 @@ import pytest
 from agents.soar.agents import (
     SoarFlatAgent,
     SoarHierarchicalAgent,
+    SoarHierarchicalFactsAgent,
     SoarHierarchicalInternalAgent,
     SoarHierarchicalProgrammedAgent,
     SoarObjectsCoarseAgent,
@@ -28,25 +29,18 @@ Keys = Sequence[Learned]
 
 
 class Textbook:
-    """SARSA on the sum of values, each kept in two parts as Soar does: the reward, and what comes after it.
-
-    When an FLO ends its substate is gone, and the last keystroke in it learns only the reward; what was
-    expected to come after it stays. The last operator of the top state learns only from the next one.
-    """
+    """SARSA on the sum of values; the last operator of the top state learns only from the next one."""
 
     def __init__(self) -> None:
-        self.rewards: dict[Learned, float] = defaultdict(float)
-        self.futures: dict[Learned, float] = defaultdict(float)
+        self.values: dict[Learned, float] = defaultdict(float)
 
     def value(self, keys: Keys) -> float:
-        return sum(self.rewards[key] + self.futures[key] for key in keys)
+        return sum(self.values[key] for key in keys)
 
-    def update(self, keys: Keys, reward: float, future: float | None) -> None:
-        to_reward = reward - sum(self.rewards[key] for key in keys)
-        to_future = 0.0 if future is None else future - sum(self.futures[key] for key in keys)
+    def update(self, keys: Keys, target: float) -> None:
+        error = target - self.value(keys)
         for key in keys:
-            self.rewards[key] += STEP_SIZE / len(keys) * to_reward
-            self.futures[key] += STEP_SIZE / len(keys) * to_future
+            self.values[key] += STEP_SIZE / len(keys) * error
 
 
 class Watched:
@@ -96,8 +90,12 @@ def goal_reached(before: Watched, now: Memory) -> bool:
     return there != [before.object["type"]]
 
 
-def follow(agent: Any, episodes: int, internal: bool) -> Textbook:
-    """Play, and learn beside the agent from what it chooses."""
+def follow(agent: Any, episodes: int, saves: bool = False) -> Textbook:
+    """Play, and learn beside the agent from what it chooses; `saves` to save the agent after each episode.
+
+    An agent that is saved goes on in a new kernel, from what was saved.
+    """
+    internal = isinstance(agent, SoarHierarchicalInternalAgent)
     book = Textbook()
     game = InfiniteMario()
     agent.agent_seed(2)
@@ -113,13 +111,13 @@ def follow(agent: Any, episodes: int, internal: bool) -> Textbook:
             total += weight * reward
             if before is not None and now.flo == before.flo:
                 earned = -0.01 if internal else reward
-                book.update(klo, earned, DISCOUNT * book.value(now.keystroke_keys))
+                book.update(klo, earned + DISCOUNT * book.value(now.keystroke_keys))
             else:
                 if before is not None and klo:
                     earned = -0.01 + goal_reached(before, now.memory) if internal else reward
-                    book.update(klo, earned, None)
+                    book.update(klo, earned)
                 if now.flo_keys:
-                    book.update(flo, total, weight * DISCOUNT * book.value(now.flo_keys))
+                    book.update(flo, total + weight * DISCOUNT * book.value(now.flo_keys))
                     flo, total, weight = now.flo_keys, 0.0, 1.0
                 else:
                     weight *= DISCOUNT
@@ -131,7 +129,9 @@ def follow(agent: Any, episodes: int, internal: bool) -> Textbook:
             else:
                 action = agent.agent_step(reward, observation)
         if klo:
-            book.update(klo, -0.01 - 10 * (reward < 0) if internal else reward, None)
+            book.update(klo, -0.01 - 10 * (reward < 0) if internal else reward)
+        if saves:
+            agent.agent_save()
     return book
 
 
@@ -146,7 +146,7 @@ def flat(agent: Any, episodes: int) -> Textbook:
         last: Keys = ()
         while not terminal:
             now = Watched(agent).keystroke_keys
-            book.update(last, reward, DISCOUNT * book.value(now))
+            book.update(last, reward + DISCOUNT * book.value(now))
             last = now
             reward, observation, terminal = game.env_step(action)
             if terminal:
@@ -156,27 +156,48 @@ def flat(agent: Any, episodes: int) -> Textbook:
     return book
 
 
-def check(agent: Any, book: Textbook) -> None:
+def check(agent: Any, book: Textbook, within: float = 2e-6) -> None:
     found = learned_values(parse_rules(agent._kernel.value_rules()))
     agent.agent_cleanup()
     expected = {key: book.value([key]) for key in found}
     assert len([value for value in expected.values() if value]) > 50
-    assert book.rewards.keys() == found.keys()
-    assert found == pytest.approx(expected, abs=2e-6)
+    assert book.values.keys() == found.keys()
+    assert found == pytest.approx(expected, abs=within)
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        SoarHierarchicalProgrammedAgent,
-        SoarHierarchicalAgent,
-        SoarHierarchicalInternalAgent,
-        SoarObjectsCoarseAgent,
-    ],
-)
+TWO_LEVELS = [
+    SoarHierarchicalProgrammedAgent,
+    SoarHierarchicalAgent,
+    SoarHierarchicalFactsAgent,
+    SoarHierarchicalInternalAgent,
+    SoarObjectsCoarseAgent,
+]
+
+
+@pytest.mark.parametrize("kind", TWO_LEVELS)
 def test_both_levels_learn_what_the_textbook_says(kind: type[Any]) -> None:
     agent = kind()
-    check(agent, follow(agent, 3, kind is SoarHierarchicalInternalAgent))
+    check(agent, follow(agent, 3))
+
+
+@pytest.mark.parametrize("kind", TWO_LEVELS)
+def test_an_agent_that_is_saved_after_every_episode_learns_the_same(kind: type[Any]) -> None:
+    agent = kind()
+    check(agent, follow(agent, 4, saves=True), within=1e-4)
+
+
+def test_a_cut_off_episode_teaches_nothing_more() -> None:
+    agent, game = SoarHierarchicalAgent(), InfiniteMario()
+    agent.agent_init(game.env_init())
+    action = agent.agent_start(game.env_start())
+    while not Watched(agent).keystroke_keys:
+        reward, observation, _ = game.env_step(action)
+        action = agent.agent_step(reward, observation)
+    agent.agent_step(-5.0, observation)
+    learned = parse_rules(agent._kernel.value_rules())
+    agent.agent_start(game.env_start())
+    assert set(learned) <= set(parse_rules(agent._kernel.value_rules()))
+    agent.agent_cleanup()
 
 
 def test_the_flat_agent_learns_what_the_textbook_says_but_for_the_last_reward() -> None:
