@@ -187,7 +187,8 @@ def test_an_agent_that_is_saved_after_every_episode_learns_the_same(kind: type[A
 
 
 def test_a_cut_off_episode_teaches_nothing_more() -> None:
-    agent, game = SoarHierarchicalAgent(), InfiniteMario()
+    agent: Any = SoarHierarchicalAgent()
+    game = InfiniteMario()
     agent.agent_init(game.env_init())
     action = agent.agent_start(game.env_start())
     while not Watched(agent).keystroke_keys:
