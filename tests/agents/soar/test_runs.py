@@ -18,7 +18,7 @@ pytest.importorskip("soar_sml", reason="agents on the Soar kernel need it: pip i
 
 PLAN = (
     *("--env", "mario", "--env-option", "max_trial_steps=100", "--agent", "soar-hierarchical"),
-    *("--episodes", 40, "--checkpoint-every", 5, "--seed", 3, "--in-process"),
+    *("--episodes", 25, "--checkpoint-every", 5, "--seed", 3, "--in-process"),
 )
 TRIAL = "soar-hierarchical/mario/0"
 
