@@ -12,7 +12,7 @@ PARALLEL := --numprocesses=4 --dist=worksteal
 # The tests start hundreds of processes: each finds its modules compiled, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test proof check compile coverage picture vectors bench clean
+.PHONY: help demo test proof check compile coverage picture screenshots vectors bench clean
 
 help:
 	@echo "make demo   set up, then let an agent learn Infinite Mario, as three processes"
@@ -21,6 +21,7 @@ help:
 	@echo "make check  ruff and mypy alone"
 	@echo "make coverage  which lines and branches the tests reach, in every process that they start"
 	@echo "make picture  draw the folders and who imports whom: docs/images/architecture.svg"
+	@echo "make screenshots  take the pictures of glue-view: docs/images/view-*.png; needs chromium, its driver and selenium"
 	@echo "make vectors  write glue/testing/vectors.json from the examples of docs/protocol.md"
 	@echo "make bench  measure, and write docs/performance.md"
 
@@ -61,6 +62,9 @@ coverage: compile
 
 picture: $(READY)
 	$(BIN)/python -m tests.house.picture
+
+screenshots: $(READY)
+	$(BIN)/python -m tests.experiment_runner.view.screenshots
 
 vectors: $(READY)
 	$(BIN)/python -m tests.glue.testing.vectors

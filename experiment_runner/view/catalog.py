@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 from experiment_runner.lock import lock_holder
 from experiment_runner.plan import REMOTE, RoleSpec
-from experiment_runner.report.overview import overview
+from experiment_runner.report.overview import Overview, overview
 from experiment_runner.store.database import DATABASE_FILES
 from experiment_runner.store.joined import joined_players
 from experiment_runner.store.layout import COMPETITION_FILE, runs_under
@@ -96,8 +96,8 @@ class Catalog:
             return {"state": "damaged", "reason": _printable(str(error)), "path": str(directory)}
         if summary["state"] == "running":
             rate = self._rates.setdefault(run_id, _Rate())
-            rate.add(time.monotonic(), summary["episodes"])
-            left = summary["planned_episodes"] - summary["episodes"]
+            rate.add(time.monotonic(), summary["done"])
+            left = summary["planned"] - summary["done"]
             summary |= {"rate": rate.rate, "seconds_left": left / rate.rate if rate.rate else None}
         else:
             self._rates.pop(run_id, None)
@@ -105,7 +105,7 @@ class Catalog:
 
 
 class _Rate:
-    """Episodes per second, over the last minute that was watched."""
+    """Episodes, or trials of a competition, per second, over the last minute that was watched."""
 
     def __init__(self) -> None:
         self._points: deque[tuple[float, int]] = deque()
@@ -124,19 +124,34 @@ class _Rate:
 
 def _summary(results: Results) -> dict[str, Any]:
     joined = joined_players(results)
-    verdicts = results.verdicts().values()
     specs = [trial.spec for trial in results.trials()]
     agents = [_label(spec.agent, joined.get((spec.id, "agent"))) for spec in specs]
     environments = [_label(spec.environment, joined.get((spec.id, "environment"))) for spec in specs]
-    return {
-        **overview(results).as_json(),
+    run = overview(results)
+    found = {
+        **run.as_json(),
         "path": str(results.directory),
         "agents": _some(agents),
         "environments": _some(environments),
-        "seeds": _some([str(spec.seed) for spec in specs]),
-        "verified": sum(verdict.problem is None for verdict in verdicts),
-        "mismatched": sum(verdict.problem is not None for verdict in verdicts),
         "competition": (results.directory / COMPETITION_FILE).is_file(),
+    }
+    if found["competition"]:
+        return found | _competition(results, run)
+    done, planned = run.episodes
+    return found | {"done": done, "planned": planned, "seeds": _some([str(spec.seed) for spec in specs])}
+
+
+def _competition(results: Results, run: Overview) -> dict[str, Any]:
+    """Return what is different for a competition: its trials count, and its seeds are secret."""
+    verdicts = [verdict.problem for verdict in results.verdicts().values()]
+    over, trials = len(results.outcomes()), run.trials[1]
+    return {
+        "done": over,
+        "planned": trials,
+        "verified": verdicts.count(None),
+        "mismatched": len(verdicts) - verdicts.count(None),
+        # A task of so many steps, or one that is forfeited, never has all episodes of the plan.
+        "state": "finished" if over == trials and run.state == "interrupted" else run.state,
     }
 
 

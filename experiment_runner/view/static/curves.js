@@ -48,8 +48,8 @@ export function mount(element, { query }) {
   const over = (name) => () => { state.over = name; state.span = null; save(); refresh(); };
   const scale = (axis, isLog) => () => { state[axis] = isLog; save(); draw(); };
   const reset = h("button", { type: "button", disabled: true, onclick: () => { state.span = null; refresh(); } }, "Whole run");
-  const box = h("div", { class: "plot", tabindex: "0", role: "img", "aria-describedby": "curve-note",
-    onkeydown: move });
+  const box = h("div", { class: "plot", tabindex: "0", role: "img", "aria-label": "Learning curves",
+    "aria-describedby": "curve-note", hidden: true, onkeydown: move });
   const note = h("p", { id: "curve-note", class: "quiet" });
   const readout = h("p", { class: "readout", role: "status", "aria-live": "polite" });
   const legend = h("ul", { class: "legend" });
@@ -88,6 +88,7 @@ export function mount(element, { query }) {
       plot = null;
       legend.replaceChildren();
       tables.replaceChildren();
+      box.hidden = true;
       setText(note, "Choose one or more runs above.");
       return;
     }
@@ -132,6 +133,7 @@ export function mount(element, { query }) {
     const values = data.curves.flatMap((curve) => curve.mean).filter((value) => value !== null);
     const positive = values.every((value) => value > 0);
     const axis = { stroke: text, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid }, font: "13px system-ui" };
+    box.hidden = !lines.length;
     if (lines.length) {
       plot = new uPlot({
         width: Math.max(box.clientWidth, 280), height: HEIGHT, series, bands,

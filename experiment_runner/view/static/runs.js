@@ -12,20 +12,26 @@ export function badge(state) {
   return h("span", { class: `state ${state}` }, h("span", { "aria-hidden": "true" }, MARKS[state] ?? "", " "), state);
 }
 
-/** Return a bar of how many episodes of a run are done, with the numbers. */
+/** Return a bar of how many episodes of a run, or trials of a competition, are done, with the numbers. */
 export function progress(run) {
-  const done = run.episodes ?? 0;
-  const planned = run.planned_episodes ?? 0;
+  const done = run.done ?? 0;
+  const planned = run.planned ?? 0;
+  const unit = run.competition ? "trials" : "episodes";
   const percent = planned ? Math.floor((100 * done) / planned) : 0;
   return h("div", { class: "progress" },
-    h("progress", { max: planned || 1, value: done, "aria-label": `${percent} % of the episodes` }),
-    h("span", {}, `${count(done)} / ${count(planned)}`));
+    h("progress", { max: planned || 1, value: done, "aria-label": `${percent} % of the ${unit}` }),
+    h("span", {}, `${count(done)} / ${count(planned)}${run.competition ? " trials" : ""}`));
 }
 
 /** Return what is known of the time that a run still takes. */
 export function timeLeft(run) {
   if (run.state !== "running") return "";
   return run.seconds_left === null ? "…" : duration(run.seconds_left);
+}
+
+/** Return some of a list: seeds have up to 19 digits. */
+function few(values) {
+  return values.length <= 3 ? values.join(", ") : `${values.slice(0, 2).join(", ")}, and ${count(values.length - 2)} more`;
 }
 
 export function mount(element, { query }) {
@@ -80,7 +86,7 @@ export function mount(element, { query }) {
     box.checked = chosen.has(run.id);
     const reason = ["failed", "damaged"].includes(run.state) ? h("div", { class: "reason" }, run.reason) : null;
     const cells = [box, link, h("div", {}, badge(run.state), reason), progress(run), timeLeft(run),
-      (run.agents ?? []).join(", "), (run.environments ?? []).join(", "), (run.seeds ?? []).join(", "),
+      (run.agents ?? []).join(", "), (run.environments ?? []).join(", "), few(run.seeds ?? []),
       date(run.started ?? null)];
     return h("tr", { "data-run": run.id }, ...cells.map((cell, i) =>
       h(i === 1 ? "th" : "td", { "data-label": COLUMNS[i], scope: i === 1 ? "row" : null }, cell)));

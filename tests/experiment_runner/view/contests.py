@@ -5,7 +5,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-__all__ = ["ENTRANTS", "MATCHES", "TITLE", "write_competition"]
+from tests.terminal import run
+
+__all__ = ["ENTRANTS", "MATCHES", "TITLE", "hold", "write_competition"]
 
 TITLE = "<script>alert(1)</script> spring"
 ENTRANTS = ("walker", "thrower")
@@ -53,10 +55,21 @@ episodes = 4
 def write_competition(folder: Path) -> Path:
     """Write a competition into a folder, and return its file; its entrants wait for a file `go` there."""
     (folder / "agent.py").write_text(_AGENT)
-    (folder / "secret.txt").write_text("only a test")
+    secret = folder / "secret.txt"
+    secret.touch(0o600)
+    secret.write_text("only a test")
     entrants = [
         f'[entrants.{name}]\ncommand = ["{sys.executable}", "agent.py", "{name}"]\n' for name in ENTRANTS
     ]
     file = folder / "spring.toml"
     file.write_text(_FILE + "".join(entrants))
     return file
+
+
+def hold(folder: Path) -> None:
+    """Hold the competition in a folder, as the run `held`, and verify it."""
+    file = write_competition(folder)
+    (folder / "go").touch()
+    for command in (("run", file.name, "--out", "held", "--workers", "2"), ("verify", "held")):
+        done = run("glue-compete", *command, cwd=folder)
+        assert done.returncode == 0, done.stderr

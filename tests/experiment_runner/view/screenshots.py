@@ -1,0 +1,131 @@
+"""Take pictures of the page for the documentation, with real runs, which take some minutes.
+
+A program: `make screenshots` runs it, and it writes docs/images/view-*.png. It needs what the tests with a
+browser need (`tests.experiment_runner.view.chromium`).
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from subprocess import DEVNULL, Popen
+from typing import Final
+
+from tests.experiment_runner.view.chromium import Browser, browsing
+from tests.experiment_runner.view.pages import Page, glue_view
+from tests.house.imports import ROOT
+from tests.terminal import BIN, run
+
+FOLDER: Final = ROOT / "docs/images"
+
+WIDE: Final = (1180, 760)
+PHONE: Final = (390, 780)
+
+_SWEEP: Final = """\
+episodes = 200
+trials = 4
+seed = 1
+[environments.mines]
+[agents.sarsa]
+step_size = [0.05, 0.5]
+[agents.random]
+"""
+_TOURNAMENT: Final = f"""\
+name = "Spring tournament"
+trials = 2
+seed_file = "secret.txt"
+[tasks.proving]
+env = "mario"
+options = {{ mdp = "proving-1" }}
+steps = 400
+[tasks.unseen]
+env = "mario"
+options = {{ level_difficulty = 0 }}
+steps = 400
+[entrants.runner]
+command = ["{BIN}/glue-agent", "run-right"]
+[entrants.sample]
+command = ["{BIN}/glue-agent", "sample"]
+[entrants.learner]
+command = ["{BIN}/glue-agent", "hierarchical"]
+[entrants.random]
+command = ["{BIN}/glue-agent", "random"]
+[entrants.absent]
+command = ["false"]
+"""
+
+
+def main(folder: Path) -> None:
+    """Make the runs, and write the pictures into a folder."""
+    with tempfile.TemporaryDirectory() as made:
+        top = Path(made)
+        _make(top)
+        with _running(top), glue_view("runs", cwd=top) as page, browsing(page) as browser:
+            for name, picture in _pictures(browser, page):
+                (folder / f"view-{name}.png").write_bytes(picture)
+                print(f"view-{name}.png: {len(picture):,} bytes", flush=True)
+
+
+def _make(top: Path) -> None:
+    (top / "sweep.toml").write_text(_SWEEP)
+    (top / "spring.toml").write_text(_TOURNAMENT)
+    secret = top / "secret.txt"
+    secret.touch(0o600)
+    secret.write_text("these are only pictures")
+    experiment = ("glue-experiment", "--in-process", "--workers", "2", "--out")
+    learning = ("--env", "mario", "--agent", "hierarchical", "--episodes", "100", "--trials", "2")
+    for command in (
+        (*experiment, "runs/step-sizes", "--plan", "sweep.toml"),
+        (*experiment, "runs/mario", *learning),
+        ("glue-compete", "run", "spring.toml", "--out", "runs/spring", "--workers", "2"),
+        ("glue-compete", "verify", "runs/spring"),
+    ):
+        done = run(*command, cwd=top, timeout=600)
+        assert done.returncode == 0, done.stderr
+
+
+@contextmanager
+def _running(top: Path) -> Iterator[None]:
+    """A run that goes on meanwhile."""
+    what = ("--env", "mario", "--agent", "hierarchical-facts", "--episodes", "5000", "--trials", "10")
+    command = (BIN / "glue-experiment", *what, "--in-process", "--out", "runs/ten-trials")
+    with Popen(command, cwd=top, stdout=DEVNULL, stderr=DEVNULL) as process:
+        try:
+            yield
+        finally:
+            process.terminate()
+
+
+def _pictures(browser: Browser, page: Page) -> Iterator[tuple[str, bytes]]:
+    sweep, spring = page.run_id("step-sizes"), page.run_id("spring")
+    browser.set_size(*WIDE)
+    browser.set_dark(False)
+    browser.wait(lambda: browser.find("td[data-label='Time left']").text not in ("", "…"), "the time left")
+    yield "runs", browser.screenshot()
+    browser.go(f"curves?run={sweep}&window=20")
+    browser.has_table("Results, by setting")
+    yield "curves", browser.screenshot()
+    browser.go(f"standings/{spring}")
+    browser.has_table("Places")
+    yield "standings", browser.screenshot()
+    browser.button("Projector").click()
+    yield "projector", browser.screenshot()
+    browser.set_dark(True)
+    browser.go(f"curves?run={page.run_id('mario')}&window=10")
+    browser.has_table("Results, by setting")
+    yield "curves-dark", browser.screenshot()
+    browser.go(f"run/{sweep}")
+    browser.has_table("Trials")
+    yield "run-dark", browser.screenshot()
+    browser.set_dark(False)
+    browser.set_size(*PHONE, scale=2)
+    browser.go("runs")
+    browser.shows("spring")
+    yield "phone", browser.screenshot()
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]) if len(sys.argv) > 1 else FOLDER)

@@ -1,0 +1,132 @@
+"""The page for everybody: axe-core finds nothing serious, a keyboard and a phone are enough."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.experiment_runner.view.chromium import Browser, browsing, needed
+from tests.experiment_runner.view.contests import hold
+from tests.experiment_runner.view.pages import Page, glue_view
+from tests.experiment_runner.view.test_curves import store_run
+from tests.experiment_runner.view.test_stream import make_run
+
+needed()
+
+AXE = Path(os.environ.get("AXE_CORE", "nowhere"))
+"""axe.min.js, which the stage "the page" of .ci/run installs with npm."""
+
+_FAULTS = """
+return axe.run(document, { resultTypes: ["violations"] }).then((found) => found.violations
+  .filter((one) => ["serious", "critical"].includes(one.impact))
+  .map((one) => `${one.id}: ${one.nodes.map((node) => `${node.html} ${node.failureSummary}`).join("; ")}`))
+"""
+TAB, ENTER = "\ue004", "\ue007"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("runs")
+    store_run(folder / "done")
+    make_run(folder / "interrupted").close()
+    (folder / "damaged").mkdir()
+    (folder / "damaged" / "results.sqlite").write_bytes(b"SQLite format 3\0" + b"\xff" * 5000)
+    hold(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(folder: Path) -> Iterator[Page]:
+    with glue_view(folder) as page:
+        yield page
+
+
+@pytest.fixture(scope="module")
+def browser(page: Page) -> Iterator[Browser]:
+    with browsing(page) as browser:
+        yield browser
+
+
+VIEWS = {
+    "runs": "interrupted",
+    "run/{done}": "Versions and machine",
+    "curves": "Choose one or more runs",
+    "curves?run={done}": "Results, by setting",
+    "standings/{held}": "Places",
+    "standings/{held}?projector=1": "Places",
+    "run/nothing": "no such run",
+}
+"""Each view, and what it shows when it is there."""
+
+
+def open_view(browser: Browser, page: Page, view: str) -> None:
+    browser.go(view.format(done=page.run_id("done"), held=page.run_id("held")))
+    browser.shows(VIEWS[view])
+
+
+@pytest.mark.skipif(not AXE.is_file(), reason="needs axe-core: AXE_CORE=.../axe.min.js")
+@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("view", VIEWS)
+def test_axe_finds_nothing_serious(browser: Browser, page: Page, view: str, is_dark: bool) -> None:
+    browser.set_dark(is_dark)
+    open_view(browser, page, view)
+    for summary in browser.driver.find_elements("css selector", "main details:not([open]) > summary"):
+        summary.click()
+    browser.run(AXE.read_text("utf-8"))
+    assert browser.run(_FAULTS) == []
+
+
+@pytest.mark.parametrize("view", VIEWS)
+def test_a_phone_is_wide_enough(browser: Browser, page: Page, view: str) -> None:
+    browser.set_size(360, 740)
+    open_view(browser, page, view)
+    try:
+        widths = browser.run("return [document.documentElement.scrollWidth, innerWidth]")
+        assert widths == [360, 360]
+    finally:
+        browser.set_size(1200, 800)
+
+
+def test_the_keyboard_leads_everywhere_in_the_order_of_the_page(browser: Browser, page: Page) -> None:
+    open_view(browser, page, "runs")
+    browser.press(TAB)
+    assert focused(browser) == "Skip to the content"
+    assert browser.find(".skip").rect["x"] >= 0  # seen once it has the focus
+    browser.press(ENTER, TAB)
+    assert browser.run("return document.activeElement.id") == "search"
+    browser.go("runs")
+    browser.shows("interrupted")
+    reached = []
+    for _ in range(16):
+        browser.press(TAB)
+        reached.append(focused(browser))
+    for label in ("glue-view", "Runs", "Curves", "Switch between light and dark", "compare"):
+        assert any(label in one for one in reached), reached
+    places = browser.run(
+        "const all = [...document.querySelectorAll('a, button, input, select, [tabindex]')];"
+        "return all.map((one) => one.tabIndex)"
+    )
+    assert max(places) == 0  # nothing jumps the queue
+
+
+def test_the_keyboard_switches_the_theme_and_a_reader_hears_what_is_a_state(
+    browser: Browser, page: Page
+) -> None:
+    browser.set_dark(False)
+    open_view(browser, page, "runs")
+    browser.run("document.getElementById('theme').focus()")
+    browser.press(ENTER)
+    assert browser.run("return getComputedStyle(document.documentElement).colorScheme") == "dark"
+    browser.press(ENTER)
+    assert browser.run("return getComputedStyle(document.documentElement).colorScheme") == "light"
+    browser.run("localStorage.clear()")
+    assert browser.find("#connection").get_attribute("role") == "status"
+
+
+def focused(browser: Browser) -> str:
+    """Return the name of what has the focus."""
+    name = "const it = document.activeElement; return it.getAttribute('aria-label') ?? it.innerText"
+    return str(browser.run(name)).strip()
