@@ -16,7 +16,7 @@ import zmq
 from benchmarks.measure import REPEATS, Table
 
 _MODULES = ("hub", "attacks", "legacy", "mario", "gym", "agents", "soar", "experiment", "competition")
-_BY_NAME = ("clients", "memory")
+_BY_NAME = ("clients", "memory", "view")
 """Those that are only measured when they are named: they take long, or have to be built first."""
 _QUIET_LOAD = 0.5
 _NOTES = Path(__file__).parent / "notes.md"

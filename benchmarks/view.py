@@ -1,0 +1,161 @@
+"""What pages that are open cost a run: steps per second with and without them."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import re
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
+from pathlib import Path
+from typing import Final
+
+from benchmarks.measure import REPEATS, Table, count
+from experiment_runner.store.results import Results
+from glue.errors import ExperimentError
+
+__all__ = ["run"]
+
+_PAGES: Final = 20
+_SECONDS: Final = 6.0
+"""Of each measurement."""
+_SETTLE_SECONDS: Final = 1.0
+_REFRESH_SECONDS: Final = 2.0
+"""As static/curves.js has it."""
+_COMMAND: Final = (
+    "--env",
+    "mario",
+    "--agent",
+    "random",
+    "--episodes",
+    "1000000",
+    "--in-process",
+    "--out",
+    "runs/run",
+)
+
+
+def run() -> list[Table]:
+    """Measure a run at full speed with and without pages, in turn."""
+    with tempfile.TemporaryDirectory() as made:
+        folder = Path(made)
+        command = [sys.executable, "-m", "experiment_runner.commands.experiment", *_COMMAND]
+        quiet = subprocess.DEVNULL
+        with subprocess.Popen(command, cwd=folder, stdout=quiet, stderr=quiet) as process:
+            try:
+                alone, watched, fetched = _measure(folder)
+            finally:
+                process.terminate()
+    medians = statistics.median(alone), statistics.median(watched)
+    lost = statistics.median(1 - one / other for one, other in zip(watched, alone, strict=True))
+    return [
+        Table(
+            "Pages that are open",
+            f"`glue-view` with {_PAGES} pages open on a run of the random agent in Infinite Mario, in one "
+            "process at full speed: each takes in the stream, and fetches the curves every "
+            f"{_REFRESH_SECONDS:g} seconds, as the page does. Medians of {REPEATS} measurements of "
+            f"{_SECONDS:g} seconds each, with and without pages in turn; the loss is the median of that of "
+            "each pair (the aim is 5 %). "
+            "`python -m benchmarks view`",
+            ("pages", "steps per second", "lost"),
+            [
+                ("none", count(medians[0]), ""),
+                (f"{_PAGES} ({fetched} curves fetched)", count(medians[1]), f"{100 * lost:.1f} %"),
+            ],
+        )
+    ]
+
+
+def _measure(folder: Path) -> tuple[list[float], list[float], int]:
+    directory = folder / "runs" / "run"
+    while not _has_begun(directory):
+        time.sleep(0.1)
+    alone, watched, fetched = [], [], 0
+    with _served(folder) as (port, cookie):
+        for _ in range(REPEATS):
+            alone.append(_rate(directory))
+            pages = [_Page(port, cookie) for _ in range(_PAGES)]
+            watched.append(_rate(directory))
+            fetched += sum(page.close() for page in pages)
+    return alone, watched, fetched
+
+
+def _has_begun(directory: Path) -> bool:
+    try:
+        return _steps(directory) > 0
+    except ExperimentError:  # it is still being made
+        return False
+
+
+def _rate(directory: Path) -> float:
+    time.sleep(_SETTLE_SECONDS)
+    steps, began = _steps(directory), time.monotonic()
+    time.sleep(_SECONDS)
+    return (_steps(directory) - steps) / (time.monotonic() - began)
+
+
+def _steps(directory: Path) -> int:
+    with Results.open(directory) as results:
+        (trial,) = results.trials()
+        return results.totals(trial.spec.id).steps
+
+
+@contextmanager
+def _served(folder: Path) -> Iterator[tuple[int, str]]:
+    """A `glue-view`: its port, and the cookie that opens it."""
+    command = [sys.executable, "-m", "experiment_runner.view.command", "--port", "0", "--no-browser"]
+    with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            found = re.search(r":(\d+)(/\?token=\S+)", process.stdout.readline())
+            assert found is not None
+            with closing(http.client.HTTPConnection("127.0.0.1", int(found[1]))) as connection:
+                connection.request("GET", found[2])
+                cookie = connection.getresponse().headers["Set-Cookie"].partition(";")[0]
+            yield int(found[1]), cookie
+        finally:
+            process.terminate()
+
+
+class _Page:
+    """A page of the run's curves: what static/stream.js and static/curves.js ask for, and as often."""
+
+    def __init__(self, port: int, cookie: str) -> None:
+        self._port = port
+        self._headers = {"Cookie": cookie}
+        self._fetched = 0
+        self._stream = http.client.HTTPConnection("127.0.0.1", port)
+        self._stream.request("GET", "/api/stream?topic=runs", headers=self._headers)
+        self._events = self._stream.getresponse()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._thread.start()
+
+    def close(self) -> int:
+        """End it; return how often it has fetched the curves."""
+        with suppress(OSError):
+            self._stream.sock.shutdown(2)
+        self._thread.join()
+        return self._fetched
+
+    def _look(self) -> None:
+        last = -_REFRESH_SECONDS
+        with suppress(OSError, ValueError, http.client.HTTPException):
+            while line := self._events.readline():
+                if line.startswith(b"data: ") and time.monotonic() - last >= _REFRESH_SECONDS:
+                    (run_id,) = json.loads(line[6:])["runs"]
+                    last = time.monotonic()
+                    self._fetch(run_id)
+
+    def _fetch(self, run_id: str) -> None:
+        with closing(http.client.HTTPConnection("127.0.0.1", self._port)) as connection:
+            connection.request("GET", f"/api/curves?run={run_id}&window=100", headers=self._headers)
+            answer = connection.getresponse()
+            answer.read()
+            assert answer.status == 200
+            self._fetched += 1
