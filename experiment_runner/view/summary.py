@@ -31,9 +31,9 @@ def run_in_full(directory: Path) -> dict[str, Any]:
         found[name + "_left_out"] = max(0, len(found[name]) - most)
         found[name] = found[name][-most:] if name != "trial_records" else found[name][:most]
     competition = _text(directory / COMPETITION_FILE)
-    if competition:
-        for trial in found["trial_records"]:
-            trial["seed"] = None  # secret, until glue-compete board --reveal
+    for trial in found["trial_records"]:
+        # As text, since JavaScript would round it; of a competition it is secret.
+        trial["seed"] = "secret" if competition else str(trial["seed"])
     return found | {
         "plan": competition or _text(directory / PLAN_FILE),
         "competition": bool(competition),

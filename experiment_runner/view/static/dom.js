@@ -19,7 +19,8 @@ export function setText(element, text) {
 
 /** Return a table inside a box that scrolls; `columns` are names, `rows` lists of cells: text, numbers or nodes. */
 export function table(caption, columns, rows) {
-  const head = h("tr", {}, ...columns.map((name) => h("th", { scope: "col" }, name)));
+  const head = h("tr", {}, ...columns.map((name, i) =>
+    h("th", { scope: "col", class: rows.length && rows.every((row) => isNumber(row[i])) ? "number" : null }, name)));
   const body = rows.map((row) =>
     h("tr", {}, ...row.map((cell, i) =>
       h(i ? "td" : "th", { scope: i ? null : "row", class: isNumber(cell) ? "number" : null }, cell))));
@@ -29,7 +30,7 @@ export function table(caption, columns, rows) {
 }
 
 function isNumber(cell) {
-  return typeof cell === "string" && /^[-+−]?[\d,.]+( to [-+−]?[\d,.]+)?%?$|^-$/.test(cell);
+  return typeof cell === "string" && /^[-+−]?[\d,.]+( (to|\/) [-+−]?[\d,.]+| \([\d.]+\))?%?$|^-$/.test(cell);
 }
 
 const plain = new Intl.NumberFormat("en");

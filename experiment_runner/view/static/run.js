@@ -59,7 +59,7 @@ function draw(run) {
   if (run.reason) parts.push(h("p", { class: run.state === "failed" ? "failure" : "quiet" }, run.reason));
   parts.push(settingsTable(run.settings));
   parts.push(table("Trials", ["trial", "seed", "episodes", "voids", "failure"],
-    run.trial_records.map((trial) => [trial.name, trial.seed === null ? "secret" : String(trial.seed),
+    run.trial_records.map((trial) => [trial.name, trial.seed,
       `${count(trial.episodes)} / ${count(trial.planned_episodes)}`, count(trial.voids), trial.failure ?? ""])));
   if (run.trial_records_left_out) parts.push(h("p", { class: "quiet" }, `and ${count(run.trial_records_left_out)} more`));
   if (run.plan) parts.push(fold("plan", run.competition ? "Competition" : "Plan", h("pre", { tabindex: "0" }, run.plan)));

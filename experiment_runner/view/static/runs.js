@@ -31,7 +31,7 @@ export function timeLeft(run) {
 
 /** Return some of a list: seeds have up to 19 digits. */
 function few(values) {
-  return values.length <= 3 ? values.join(", ") : `${values.slice(0, 2).join(", ")}, and ${count(values.length - 2)} more`;
+  return values.length <= 3 ? values.join(", ") : `${values[0]}, and ${count(values.length - 1)} more`;
 }
 
 export function mount(element, { query }) {

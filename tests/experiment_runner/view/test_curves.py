@@ -27,7 +27,9 @@ STEPS = RNG.integers(1, 50, size=(TRIALS, EPISODES))
 
 def store_run(directory: Path, name: str = NAME, all_returns: Any = RETURNS) -> None:
     agent, environment = RoleSpec(f"{name[1]}.py:A", label=name), RoleSpec("mines", label="mines")
-    specs = [TrialSpec(f"{name[1]}/mines/{i}", agent, environment, EPISODES, 0, i) for i in range(TRIALS)]
+    specs = [
+        TrialSpec(f"{name[1]}/mines/{i}", agent, environment, EPISODES, 0, 2**62 + i) for i in range(TRIALS)
+    ]
     with Store.create(directory, specs, {}) as store:
         for spec, returns, steps in zip(specs, all_returns, STEPS, strict=True):
             for i, (total, length) in enumerate(zip(returns, steps, strict=True)):
