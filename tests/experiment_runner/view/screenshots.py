@@ -24,6 +24,7 @@ FOLDER: Final = ROOT / "docs/images"
 WIDE: Final = (1180, 760)
 PHONE: Final = (390, 780)
 
+_RECORDED: Final = ("glue-experiment", "--env", "mario", "--agent", "sample", "--episodes", "2")
 _SWEEP: Final = """\
 episodes = 200
 trials = 4
@@ -80,6 +81,7 @@ def _make(top: Path) -> None:
     for command in (
         (*experiment, "runs/step-sizes", "--plan", "sweep.toml"),
         (*experiment, "runs/mario", *learning),
+        (*_RECORDED, "--out", "runs/sample", "--record", "runs/sample/run.traj"),
         ("glue-compete", "run", "spring.toml", "--out", "runs/spring", "--workers", "2"),
         ("glue-compete", "verify", "runs/spring"),
     ):
@@ -113,6 +115,10 @@ def _pictures(browser: Browser, page: Page) -> Iterator[tuple[str, bytes]]:
     yield "standings", browser.screenshot()
     browser.button("Projector").click()
     yield "projector", browser.screenshot()
+    browser.go(f"game/{page.run_id('sample')}/1?step=60")
+    browser.find(".view-game canvas")
+    browser.wait(lambda: "coin" in browser.text() or "step" in browser.text(), "the game")
+    yield "game", browser.screenshot()
     browser.set_dark(True)
     browser.go(f"curves?run={page.run_id('mario')}&window=10")
     browser.has_table("Results, by setting")

@@ -13,6 +13,7 @@ from tests.experiment_runner.view.contests import hold
 from tests.experiment_runner.view.pages import Page, glue_view
 from tests.experiment_runner.view.test_curves import store_run
 from tests.experiment_runner.view.test_stream import make_run
+from tests.terminal import run
 
 needed()
 
@@ -35,6 +36,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "damaged").mkdir()
     (folder / "damaged" / "results.sqlite").write_bytes(b"SQLite format 3\0" + b"\xff" * 5000)
     hold(folder)
+    recorded = ("--env", "mines", "--agent", "random", "--episodes", "1", "--out", "played")
+    done = run("glue-experiment", *recorded, "--record", "played/run.traj", cwd=folder)
+    assert done.returncode == 0, done.stderr
     return folder
 
 
@@ -55,6 +59,8 @@ VIEWS = {
     "run/{done}": "Versions and machine",
     "curves": "Choose one or more runs",
     "curves?run={done}": "Results, by setting",
+    "game/{played}": "run.traj",
+    "game/{played}/1?step=1": "All episodes",
     "standings/{held}": "Places",
     "standings/{held}?projector=1": "Places",
     "run/nothing": "no such run",
@@ -63,7 +69,7 @@ VIEWS = {
 
 
 def open_view(browser: Browser, page: Page, view: str) -> None:
-    browser.go(view.format(done=page.run_id("done"), held=page.run_id("held")))
+    browser.go(view.format(**{name: page.run_id(name) for name in ("done", "held", "played")}))
     browser.shows(VIEWS[view])
 
 
