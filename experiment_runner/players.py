@@ -91,7 +91,12 @@ class Meeting:
 
 
 def open_experiment(
-    spec: TrialSpec, meeting: Meeting, say: Say, progress: Callable[[], int], note: Note | None = None
+    spec: TrialSpec,
+    meeting: Meeting,
+    say: Say,
+    progress: Callable[[], int],
+    note: Note | None = None,
+    met: Callable[[str, str], None] | None = None,
 ) -> AbstractContextManager[Experiment]:
     """Connect the players of a trial.
 
@@ -102,6 +107,7 @@ def open_experiment(
         progress: returns how many episodes are done, to detect a player that is killed repeatedly without
             progress; may be called from any thread.
         note: records each player that joins from outside; None to only show it.
+        met: told the URL of the hub, if there is one, and the session's name, for those who look on.
 
     Raises:
         ConfigError: a name, an option or an address is wrong, or an address is in use.
@@ -109,7 +115,7 @@ def open_experiment(
     """
     if meeting.in_process:
         return _in_process(spec, meeting)
-    return _over_hub(spec, meeting, say, progress, note or (lambda kind, text: say(text)))
+    return _over_hub(spec, meeting, say, progress, note or (lambda kind, text: say(text)), met)
 
 
 @contextmanager
@@ -159,7 +165,12 @@ def _in_process(spec: TrialSpec, meeting: Meeting) -> Iterator[Experiment]:
 
 @contextmanager
 def _over_hub(
-    spec: TrialSpec, meeting: Meeting, say: Say, progress: Callable[[], int], note: Note
+    spec: TrialSpec,
+    meeting: Meeting,
+    say: Say,
+    progress: Callable[[], int],
+    note: Note,
+    met: Callable[[str, str], None] | None,
 ) -> Iterator[Experiment]:
     options = meeting.hub
     players = {Role.ENVIRONMENT: spec.environment, Role.AGENT: spec.agent}
@@ -221,6 +232,8 @@ def _over_hub(
             transport=transport,
         )
         stack.enter_context(glue)
+        if met is not None:
+            met(inside, options.session)
         for role, player in named.items():
             arguments = player_command.arguments(
                 role,

@@ -10,6 +10,7 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from functools import partial
 from types import TracebackType
 from typing import Final, Protocol, Self
@@ -19,6 +20,7 @@ from experiment_runner.executors.job import (
     Happened,
     Job,
     Lost,
+    Met,
     Recorded,
     Report,
     Said,
@@ -31,6 +33,7 @@ from experiment_runner.interrupts import Interrupts
 from experiment_runner.plan import TrialSpec
 from experiment_runner.report.progress import Reporter
 from experiment_runner.store.joined import joined_player, trial_name
+from experiment_runner.store.meetings import Meetings, Place
 from experiment_runner.store.store import Store
 from glue.trajectory import TrajectoryWriter
 
@@ -91,6 +94,7 @@ class Dispatcher:
         self._reporter = reporter
         self._make_job = make_job
         self._interrupts = interrupts
+        self._meetings = Meetings(store.directory)
         self._specs = {record.spec.id: record.spec for record in store.trials()}
         self._unstored: list[tuple[str, Recorded]] = []
         self._stored_at = -math.inf
@@ -114,6 +118,7 @@ class Dispatcher:
             try:
                 run_job(self._job(trial), send, interrupts=self._interrupts, recording=recording)
             finally:
+                self._meetings.end(trial.trial_id)
                 self._store_episodes()
 
     def _take_here(self, trial_id: str, report: Report) -> None:
@@ -132,7 +137,7 @@ class Dispatcher:
             StorageError: a report cannot be stored.
             ExperimentError: the executor cannot run anything.
         """
-        with executor, self._interrupts.deferred():
+        with closing(self._meetings), executor, self._interrupts.deferred():
             waiting = deque(trials)
             running: set[str] = set()
             stopped = False
@@ -166,6 +171,11 @@ class Dispatcher:
             if report.checkpoint is not None:
                 self._store_episodes()
             return
+        if isinstance(report, Met):
+            self._meetings.begin(trial_id, Place(report.hub, report.session))
+            return
+        if isinstance(report, (Ended, Lost)):
+            self._meetings.end(trial_id)
         if isinstance(report, Said):
             self._say(trial_id, report.line)
             return

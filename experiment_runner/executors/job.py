@@ -85,6 +85,13 @@ class Happened(NamedTuple):
     text: str
 
 
+class Met(NamedTuple):
+    """The trial is played at the hub of this URL, in this session."""
+
+    hub: str
+    session: str
+
+
 class Said(NamedTuple):
     """A line to show to the user."""
 
@@ -103,7 +110,7 @@ class Lost(NamedTuple):
     why: str
 
 
-Report = Recorded | Voided | Happened | Said | Ended | Lost
+Report = Recorded | Voided | Happened | Met | Said | Ended | Lost
 
 
 def run_job(
@@ -135,7 +142,12 @@ def run_job(
     sender = _Sender(send_alone, job.start.after)
     try:
         with open_experiment(
-            job.spec, job.meeting, lambda line: send_alone(Said(line)), lambda: sender.done, sender.event
+            job.spec,
+            job.meeting,
+            lambda line: send_alone(Said(line)),
+            lambda: sender.done,
+            sender.event,
+            lambda hub, session: send_alone(Met(hub, session)),
         ) as glue:
             run_trial(
                 glue,
@@ -184,7 +196,7 @@ class _Sender:
         self._send(Said(line))
 
 
-_REPORTS: Final = {kind.__name__: kind for kind in (Recorded, Voided, Happened, Said, Ended, Lost)}
+_REPORTS: Final = {kind.__name__: kind for kind in (Recorded, Voided, Happened, Met, Said, Ended, Lost)}
 
 
 def unpacker() -> Any:

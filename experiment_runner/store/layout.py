@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 
 from experiment_runner.lock import LOCK_FILE, RunLock, is_lock
 from experiment_runner.store.database import DATABASE_FILES, holds_run
+from experiment_runner.store.meetings import MEETINGS_FILE
 from glue.errors import ExperimentError
 
 __all__ = [
@@ -106,7 +107,7 @@ def remove_run(directory: Path) -> list[str]:
     try:
         # The database first: without it, what is left if this process is killed does not count as a run.
         competes = (directory / COMPETITION_FILE).is_file()
-        for name in (*DATABASE_FILES, PLAN_FILE, COMPETITION_FILE, ABOUT_FILE, LOCK_FILE):
+        for name in (*DATABASE_FILES, PLAN_FILE, COMPETITION_FILE, ABOUT_FILE, MEETINGS_FILE, LOCK_FILE):
             (directory / name).unlink(missing_ok=True)
         for name in (UNFINISHED, *((RECORDS, LOGS) if competes else ())):
             shutil.rmtree(directory / name, ignore_errors=True)

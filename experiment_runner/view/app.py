@@ -18,6 +18,7 @@ from experiment_runner.view.catalog import Catalog
 from experiment_runner.view.curves import curves, wanted_by
 from experiment_runner.view.guard import Address, Guard
 from experiment_runner.view.kept import Kept
+from experiment_runner.view.live import Live
 from experiment_runner.view.reader import Reader
 from experiment_runner.view.standing import standings_of
 from experiment_runner.view.stream import Pulse
@@ -42,7 +43,10 @@ def page(folders: Sequence[Path], address: Address, token: str, pulse: Pulse) ->
     catalog = Catalog(folders)
     catalog.find()
     read = Reader("reader", has_scipy)  # to import SciPy takes longer than any curve
-    sources: dict[str, stream.Source] = {"runs": Watcher(catalog, pulse).open}
+    sources: dict[str, stream.Source] = {
+        "runs": Watcher(catalog, pulse).open,
+        "live": Live(catalog, pulse).open,
+    }
     routes = [
         *assets.routes(),
         *stream.routes(pulse, sources),

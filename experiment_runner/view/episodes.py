@@ -31,7 +31,7 @@ from glue.taskspec import Bound, Ranges, parse_task_spec
 from glue.trajectory import Episode, TrajectoryError, TrajectoryReader
 from glue.types import Action
 
-__all__ = ["described", "routes"]
+__all__ = ["described", "number", "routes"]
 
 _SUFFIX: Final = ".traj"
 _MOST_FILES: Final = 50
@@ -64,9 +64,9 @@ def routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
         wanted = _EPISODE.fullmatch(request.path_params["episode"])
         if wanted is None:
             raise HTTPException(404, "there is no such episode")
-        name, number = wanted[1] or "", int(wanted[2])
+        name, count = wanted[1] or "", int(wanted[2])
         return Response(
-            await read(lambda: _packed(directory, name, number)), media_type="application/octet-stream"
+            await read(lambda: _packed(directory, name, count)), media_type="application/octet-stream"
         )
 
     kept = Kept()
@@ -112,8 +112,8 @@ def _found(directory: Path) -> dict[str, Path]:
     names = sorted(name for name in _names(directory) if name.endswith(_SUFFIX))
     files = [directory / name for name in names if _is_file(directory / name)][:_MOST_FILES]
     return {
-        hashlib.sha256(os.fsencode(path.name)).hexdigest()[:8] if number else "": path
-        for number, path in enumerate(files)
+        hashlib.sha256(os.fsencode(path.name)).hexdigest()[:8] if place else "": path
+        for place, path in enumerate(files)
     }
 
 
@@ -153,27 +153,27 @@ def _episodes(path: Path) -> dict[str, Any]:
                 more = True
                 break
             steps += len(episode.steps)
-            found.append((len(episode.steps), _number(episode.episode_return), episode.ending.value))
+            found.append((len(episode.steps), number(episode.episode_return), episode.ending.value))
     except TrajectoryError as wrong:
         error = str(wrong)
     return {"episodes": found, "more": more, "error": error}
 
 
-def _packed(directory: Path, name: str, number: int) -> bytes:
+def _packed(directory: Path, name: str, wanted: int) -> bytes:
     path = _found(directory).get(name)
     if path is None:
         raise HTTPException(404, "there is no such recording")
     for count, episode in enumerate(TrajectoryReader(path), 1):
-        if count == number:
-            return b"".join(_pieces(path, number, episode))
-    raise HTTPException(404, f"the recording has no episode {number}")
+        if count == wanted:
+            return b"".join(_pieces(path, count, episode))
+    raise HTTPException(404, f"the recording has no episode {wanted}")
 
 
-def _pieces(path: Path, number: int, episode: Episode) -> Iterator[bytes]:
+def _pieces(path: Path, count: int, episode: Episode) -> Iterator[bytes]:
     size = len(episode.steps)
     header: Mapping[str, Any] = {
         "recording": _printable(path),
-        "episode": number,
+        "episode": count,
         "steps": size,
         "ending": episode.ending.value,
         "environment": episode.run.environment[:_MOST_TEXT],
@@ -188,13 +188,13 @@ def _pieces(path: Path, number: int, episode: Episode) -> Iterator[bytes]:
         sent += len(piece)
         if size > _MOST_SENT_STEPS or sent > _MOST_SENT_BYTES:
             raise ExperimentError(
-                f"episode {number} of {_printable(path)} has {size} steps: the page shows at most "
+                f"episode {count} of {_printable(path)} has {size} steps: the page shows at most "
                 f"{_MOST_SENT_STEPS} steps and {_MOST_SENT_BYTES >> 20} MiB of an episode: use glue-replay"
             )
         yield piece
 
 
-def _number(value: float) -> float | str:
+def number(value: float) -> float | str:
     """Return a number as JSON has it, or a word that JavaScript reads as one that JSON has not."""
     if math.isfinite(value):
         return value

@@ -1,6 +1,7 @@
 // The game: the recorded episodes of a run, and one of them played.
 
 import { count, failure, get, h, score, setText, table } from "./dom.js";
+import { watchLive } from "./game/live.js";
 import { play } from "./game/player.js";
 import { Recording } from "./game/recording.js";
 import { Screen } from "./game/screen.js";
@@ -19,7 +20,10 @@ export async function mount(element, { path: [run = "", episode = ""], query }) 
   if (episode) links.append(h("a", { class: "button", href: `#/game/${encodeURIComponent(run)}` }, "All episodes"));
   try {
     if (episode) stops.push(await mountEpisode(element, links, run, episode, query));
-    else await mountList(element, run);
+    else {
+      stops.push(watchLive(element, run));
+      await mountList(element, run);
+    }
   } catch (error) {
     element.append(failure(error));
   }

@@ -22,6 +22,7 @@ from glue.types import Action, Observation
 from tests.experiment_runner.view.chromium import Browser, browsing, needed
 from tests.experiment_runner.view.pages import Page, glue_view
 from tests.experiment_runner.view.test_episodes import SPEC
+from tests.experiment_runner.view.test_live import playing, started
 from tests.experiment_runner.view.test_stream import make_run
 from tests.terminal import run
 
@@ -239,3 +240,15 @@ def test_what_there_is_not_is_said(browser: Browser, ids: dict[str, str]) -> Non
     browser.go(f"game/{ids['mario']}/9")
     browser.shows("the recording has no episode 9")
     assert len(browser.errors()) == 1  # the answer's status
+
+
+def test_a_trial_in_progress_is_seen(browser: Browser, page: Page, folder: Path) -> None:
+    with playing("--out", "running", cwd=folder):
+        browser.go(f"game/{started(page, page.stream('topic=runs'))}")
+        canvas = browser.find(".live .screen canvas:not([hidden])")
+        browser.wait(lambda: facts(browser).get("action") in ("up", "down", "left", "right"), "a step")
+        seen: set[str] = set()
+        browser.wait(lambda: seen.add(canvas.get_attribute("aria-label")) or len(seen) > 5, "six fields")
+        assert all(" of the mines" in label for label in seen)
+    browser.shows("The run is over")
+    assert browser.errors() == []

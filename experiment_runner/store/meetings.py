@@ -1,0 +1,114 @@
+"""Where the trials of a run that are in progress are played: a file in its directory, for those who look on.
+
+It is written for each trial that has a hub, and removed with the last. A run may come from elsewhere, so what
+stands in it is checked when it is read: a hub is one of this user, or of this machine.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import stat
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+from urllib.parse import urlsplit
+
+from glue.core.config import check_session, check_url
+from glue.errors import ConfigError
+
+__all__ = ["MEETINGS_FILE", "Meetings", "Place", "meetings_in"]
+
+MEETINGS_FILE: Final = "hubs.json"
+_MOST_BYTES: Final = 2**18
+_LOOPBACK: Final = ("127.0.0.1", "::1", "localhost")
+
+
+class Place(NamedTuple):
+    """Where a trial is played: the URL of its hub, and the session's name."""
+
+    hub: str
+    session: str
+
+
+class Meetings:
+    """The file of a run, kept up to date by its only writer. It only helps to look on, so a disk that is full
+    harms nothing.
+
+    Args:
+        directory: the run's.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self._path = directory / MEETINGS_FILE
+        self._places: dict[str, Place] = {}
+        self._write()  # what a process that was killed has left behind
+
+    def begin(self, trial_id: str, place: Place) -> None:
+        """Note where a trial is played."""
+        self._places[trial_id] = place
+        self._write()
+
+    def end(self, trial_id: str) -> None:
+        """Note that it is over."""
+        if self._places.pop(trial_id, None) is not None:
+            self._write()
+
+    def close(self) -> None:
+        """Remove the file."""
+        self._places.clear()
+        self._write()
+
+    def _write(self) -> None:
+        new = self._path.with_name(f".{MEETINGS_FILE}.{os.getpid()}")
+        with suppress(OSError):
+            if not self._places:
+                self._path.unlink(missing_ok=True)
+                return
+            new.unlink(missing_ok=True)
+            file = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            with os.fdopen(file, "w") as opened:
+                json.dump(self._places, opened)
+            new.replace(self._path)
+
+
+def meetings_in(directory: Path) -> dict[str, Place]:
+    """Return where the trials in progress are played, by id, where that is a hub of ours."""
+    try:
+        fields: Any = json.loads(_text(directory / MEETINGS_FILE))
+        places = {str(trial_id): Place(hub, session) for trial_id, (hub, session) in fields.items()}
+    except (ValueError, TypeError, AttributeError, RecursionError):
+        return {}
+    return {trial_id: place for trial_id, place in places.items() if _is_ours(place)}
+
+
+def _text(path: Path) -> bytes:
+    """Return the contents of a file of this user's, and of nobody else."""
+    try:
+        file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:
+        return b""
+    with os.fdopen(file, "rb") as opened:
+        status = os.fstat(file)
+        if not stat.S_ISREG(status.st_mode) or status.st_uid != os.getuid():
+            return b""
+        return opened.read(_MOST_BYTES)
+
+
+def _is_ours(place: Place) -> bool:
+    """Return whether a hub is a socket of this user's, or listens on this machine."""
+    if not (isinstance(place.hub, str) and isinstance(place.session, str)):
+        return False
+    try:
+        check_url(place.hub)
+        check_session(place.session)
+    except ConfigError:
+        return False
+    scheme, _, path = place.hub.partition("://")
+    if scheme == "tcp":
+        return urlsplit(place.hub).hostname in _LOOPBACK
+    try:
+        status = os.lstat(path)
+    except (OSError, ValueError):
+        return False
+    return path.startswith("/") and stat.S_ISSOCK(status.st_mode) and status.st_uid == os.getuid()

@@ -1,0 +1,139 @@
+"""The topics `live:RUN`: a trial in progress, as an observer of its session sees it.
+
+An observer (docs/protocol.md) cannot change anything, and the hub never waits for it. There is one for all
+pages that look at the same trial, and none while nobody does. It asks for one moment after the other, at most
+30 a second, so whatever is played in between is never sent; a page that is slower gets the newest alone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import threading
+import time
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any, Final
+
+from experiment_runner.store.meetings import Place, meetings_in
+from experiment_runner.view.catalog import Catalog
+from experiment_runner.view.episodes import described, number
+from experiment_runner.view.stream import Pulse, Topic
+from glue.client.observer import Answer, Seen, Start, Step, TaskSpecSeen, observe
+from glue.errors import GlueError
+from glue.types import CUT_OFF, Action
+
+__all__ = ["Live"]
+
+_RATE: Final = 30.0  # moments per second
+_LOOK_SECONDS: Final = 0.5  # between looks for a trial in progress
+_WAIT_SECONDS: Final = 5.0  # for a hub to answer
+_MOST_WATCHES: Final = 16
+_MOST_BYTES: Final = 2**18  # of an observation and action
+_MOST_TEXT: Final = 2000
+
+
+class Live:
+    """Opens the topics: `RUN` is a run's first trial in progress, `RUN/TRIAL` that trial.
+
+    A topic has `trials`, the ids of those in progress; `trial`, the one that is shown, if any; `spec`, its
+    task spec; `moment`, the newest; and `answer`, the newest message to the agent with its answer.
+    """
+
+    def __init__(self, catalog: Catalog, pulse: Pulse) -> None:
+        self._catalog = catalog
+        self._pulse = pulse
+        self._watches: dict[str, _Watch] = {}
+
+    @asynccontextmanager
+    async def open(self, argument: str) -> AsyncIterator[Topic]:
+        """Yield a topic; see `experiment_runner.view.stream.Source`."""
+        run, _, trial = argument.partition("/")
+        directory = self._catalog.entry(run).directory
+        watch = self._watches.get(argument)
+        if watch is None:
+            if len(self._watches) >= _MOST_WATCHES:
+                raise KeyError(argument)
+            watch = self._watches[argument] = _Watch(directory, trial, Topic(self._pulse))
+        watch.listeners += 1
+        try:
+            yield watch.topic
+        finally:
+            watch.listeners -= 1
+            if not watch.listeners:
+                del self._watches[argument]
+                watch.over.set()
+
+
+class _Watch:
+    """A thread that looks on, until `over` is set."""
+
+    def __init__(self, directory: Path, trial: str, topic: Topic) -> None:
+        self.topic = topic
+        self.listeners = 0
+        self.over = threading.Event()
+        self._directory = directory
+        self._trial = trial
+        self._loop = asyncio.get_running_loop()
+        threading.Thread(target=self._work, name="observer", daemon=True).start()
+
+    def _work(self) -> None:
+        while not self.over.is_set():
+            places = meetings_in(self._directory)
+            self._put("trials", sorted(places))
+            trial = self._trial or min(places, default="")
+            if trial in places:
+                # It may be over at any time: whether it goes on is seen at the next look.
+                with suppress(GlueError, OSError):
+                    self._watch(trial, places[trial])
+            self._put("trial", None)
+            self.over.wait(_LOOK_SECONDS)
+
+    def _watch(self, trial: str, place: Place) -> None:
+        with observe(
+            place.hub, place.session, name="glue-view", wait=_WAIT_SECONDS, log=lambda line: None
+        ) as observer:
+            self._put("trial", trial)
+            looked = asked = time.monotonic()
+            observer.want(1)
+            while not self.over.is_set():
+                self._show(observer.receive())
+                now = time.monotonic()
+                if now - looked >= _LOOK_SECONDS:
+                    looked = now
+                    self._put("trials", sorted(meetings_in(self._directory)))
+                self.over.wait(max(0.0, asked + 1 / _RATE - now))
+                asked = time.monotonic()
+                observer.want(1)
+
+    def _show(self, seen: Seen | None) -> None:
+        match seen:
+            case TaskSpecSeen(text):
+                self._put("spec", described(text))
+            case Answer(message, answer):
+                self._put("answer", [message[:_MOST_TEXT], answer[:_MOST_TEXT]])
+            case Start(_, observation):
+                self._put("moment", _moment(Step(0, 1, 0.0, 0.0, False, observation, Action())))
+            case Step():
+                self._put("moment", _moment(seen))
+
+    def _put(self, key: str, value: object) -> None:
+        try:
+            self._loop.call_soon_threadsafe(self.topic.put, key, value)
+        except RuntimeError:  # the server has ended
+            self.over.set()
+
+
+def _moment(step: Step) -> dict[str, Any]:
+    """Return a moment as JSON; action and observation are one after the other, in base64."""
+    seen = step.action.body + step.observation.body
+    ending = "cut off" if step.terminal == CUT_OFF else "terminal" if step.terminal else ""
+    return {
+        # RL_num_steps counts the start, and not the last step.
+        "step": step.num_steps if step.terminal else step.num_steps - 1,
+        "reward": number(step.reward),
+        "return": number(step.episode_return),
+        "ending": ending,
+        "seen": base64.b64encode(seen).decode() if len(seen) <= _MOST_BYTES else None,
+    }

@@ -1,0 +1,117 @@
+// A trial in progress, on the same screen as recorded episodes: always the newest moment that there is.
+
+import { count, failure, h, setText } from "../dom.js";
+import { listen } from "../stream.js";
+import { Screen } from "./screen.js";
+import { decode } from "./values.js";
+
+const NO_HUB = "Nobody can look on at what is played now: only trials with a hub on this machine can be seen, so none " +
+  "of --in-process, of a cluster, or of a competition.";
+
+/** Show a run's trials in progress in `element`; returns a function that ends it. */
+export function watchLive(element, run) {
+  const status = h("p", { class: "quiet", role: "status" });
+  const choice = h("select", { id: "trial", onchange: () => follow(choice.value) });
+  const chooser = h("p", { class: "controls", hidden: true }, h("label", { for: "trial" }, "trial"), choice);
+  const place = h("div");
+  const answer = h("dl", { class: "answer" });
+  const section = h("section", { class: "live", hidden: true }, h("h2", {}, "Live"), status, chooser, place, answer);
+  element.append(section);
+  let screen = null;
+  let spec = null;
+  let opening = false;
+  let newest = null;
+  let frame = 0;
+  let ended = false;
+  let done = 0;
+  let running = false;
+  let wanted = "";
+  let stop = null;
+
+  const stopRuns = listen("runs", (changed, all) => {
+    const state = all?.get(run);
+    done = state?.episodes ?? 0;
+    running = state?.state === "running";
+    section.hidden = !running && !screen;
+    if (running && !stop) follow("");
+    else if (!running && stop) {
+      stop();
+      stop = null;
+      setText(status, "The run is over: this was its last moment seen here.");
+    }
+  });
+
+  function follow(trial) {
+    wanted = trial;
+    stop?.();
+    stop = listen(trial ? `live:${run}/${trial}` : `live:${run}`, receive);
+  }
+
+  function receive(changed, all) {
+    if (!all) {
+      setText(status, "The page looks on at as many trials as it can.");
+      return;
+    }
+    const trials = all.get("trials") ?? [];
+    const trial = all.get("trial");
+    if ("trials" in changed) {
+      chooser.hidden = trials.length < 2;
+      choice.replaceChildren(...trials.map((one) => h("option", { value: one, selected: one === (wanted || trial) }, one)));
+    }
+    if (trial) setText(status, `${trial}: the newest of what is played, at most 30 moments a second; the game waits for nobody.`);
+    else if (trials.length) setText(status, "Waiting for the next trial.");
+    else setText(status, NO_HUB);
+    if (changed.answer) {
+      const [message, text] = changed.answer;
+      answer.replaceChildren(h("dt", {}, `the agent's answer to "${message}"`), h("dd", {}, text));
+    }
+    if (all.get("spec")) open(all.get("spec"));
+    if (changed.moment) {
+      newest = changed.moment;
+      frame ||= requestAnimationFrame(draw);
+    }
+  }
+
+  async function open(next) {
+    if (opening || spec === next) return;
+    opening = true;
+    try {
+      const opened = await Screen.open(next);
+      if (ended) {
+        opened.close();
+        return;
+      }
+      screen?.close();
+      [screen, spec] = [opened, next];
+      place.replaceChildren(screen.element);
+      if (newest) draw();
+    } catch (error) {
+      place.replaceChildren(failure(error));
+    } finally {
+      opening = false;
+    }
+  }
+
+  function draw() {
+    frame = 0;
+    if (!screen || !newest) return;
+    const { step, reward, return: total, ending, seen } = newest;
+    if (seen === null) {
+      setText(status, "What the agent sees here is too large to be shown live.");
+      return;
+    }
+    const bytes = Uint8Array.from(atob(seen), (letter) => letter.charCodeAt(0));
+    const view = new DataView(bytes.buffer);
+    const action = decode(view, 0);
+    screen.show({ step, action: step ? action : null, observation: decode(view, action.end), reward: Number(reward),
+      total: Number(total), ending, episode: `after ${count(done)} of the run` });
+  }
+
+  return () => {
+    ended = true;
+    stopRuns();
+    stop?.();
+    cancelAnimationFrame(frame);
+    screen?.close();
+  };
+}
