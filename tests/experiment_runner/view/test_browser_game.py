@@ -248,7 +248,12 @@ def test_a_trial_in_progress_is_seen(browser: Browser, page: Page, folder: Path)
         canvas = browser.find(".live .screen canvas:not([hidden])")
         browser.wait(lambda: facts(browser).get("action") in ("up", "down", "left", "right"), "a step")
         seen: set[str] = set()
-        browser.wait(lambda: seen.add(canvas.get_attribute("aria-label")) or len(seen) > 5, "six fields")
+
+        def many() -> bool:
+            seen.add(canvas.get_attribute("aria-label"))
+            return len(seen) > 5
+
+        browser.wait(many, "six fields")
         assert all(" of the mines" in label for label in seen)
     browser.shows("The run is over")
     assert browser.errors() == []
