@@ -20,9 +20,9 @@ from glue.roles import Environment
 from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation
 from tests.experiment_runner.view.chromium import Browser, browsing, needed
+from tests.experiment_runner.view.game.test_episodes import SPEC
+from tests.experiment_runner.view.game.test_live import playing, started
 from tests.experiment_runner.view.pages import Page, glue_view
-from tests.experiment_runner.view.test_episodes import SPEC
-from tests.experiment_runner.view.test_live import playing, started
 from tests.experiment_runner.view.test_stream import make_run
 from tests.terminal import run
 
