@@ -61,6 +61,7 @@ command = ["false"]
 
 def main(folder: Path) -> None:
     """Make the runs, and write the pictures into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as made:
         top = Path(made)
         _make(top)
