@@ -189,6 +189,7 @@ def save(desk: PlayerDesk) -> None:
     "capabilities",
     "the capability truncate: an episode that is cut off has the terminal 2",
     (Role.ENVIRONMENT,),
+    needs=("calls",),
 )
 def truncate(desk: PlayerDesk) -> None:
     _needs(desk, "truncate")

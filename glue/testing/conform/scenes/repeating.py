@@ -154,6 +154,7 @@ def errors(desk: ExperimentDesk) -> None:
     "capabilities",
     "the terminal 2 says that the episode was cut off, and is told from its end",
     _WHO,
+    needs=("integer-terminal",),
 )
 def truncate(desk: ExperimentDesk) -> None:
     both = SEEN.body + DONE.body
