@@ -10,6 +10,7 @@ from glue.errors import LocalProtocolError
 from glue.options import Option
 from glue.saves import pack_generator, unpack_generator
 from glue.taskspec import Space, parse_task_spec
+from glue.taskspec.draws import Draws
 from glue.types import Action, Observation
 
 __all__ = ["RandomAgent", "SkeletonAgent"]
@@ -26,11 +27,12 @@ class RandomAgent:
         seed: Annotated[int | None, Option("random seed; the experiment's if not given", low=0)] = None,
     ) -> None:
         self._own_seed = seed
-        self._generator = np.random.default_rng(seed or 0)
-        self._actions = Space(stated=False)
+        self._space = Space(stated=False)
+        self._draws = Draws(self._space, np.random.default_rng(seed or 0))
 
     def agent_seed(self, seed: int) -> None:
-        self._generator = np.random.default_rng(seed if self._own_seed is None else self._own_seed)
+        generator = np.random.default_rng(seed if self._own_seed is None else self._own_seed)
+        self._draws = Draws(self._space, generator)
 
     def agent_init(self, task_spec: str) -> None:
         actions = parse_task_spec(task_spec).actions
@@ -38,7 +40,8 @@ class RandomAgent:
             raise LocalProtocolError(
                 f"agent {self.name} needs a task spec that states the actions, not {task_spec!r:.80}"
             )
-        self._actions = actions
+        self._space = actions
+        self._draws = Draws(actions, self._draws.settle())
 
     def agent_start(self, observation: Observation) -> Action:
         return self._act()
@@ -56,13 +59,13 @@ class RandomAgent:
         return f"agent {self.name} answers no messages"
 
     def agent_save(self) -> bytes:
-        return pack_generator(self.name, self._generator)
+        return pack_generator(self.name, self._draws.settle())
 
     def agent_load(self, data: bytes) -> None:
-        self._generator = unpack_generator(data, self.name)
+        self._draws = Draws(self._space, unpack_generator(data, self.name))
 
     def _act(self) -> Action:
-        return Action(*self._actions.sample(self._generator))
+        return Action.from_body(self._draws.draw())
 
 
 class SkeletonAgent(RandomAgent):

@@ -211,11 +211,11 @@ class Space:
             )
         ints = [np.empty(0, np.int64)]
         for repeat, range_ in self.ints.runs:
-            low, high = _window(range_, INT32_MIN, INT32_MAX)
+            low, high = window(range_, INT32_MIN, INT32_MAX)
             ints.append(generator.integers(int(low), int(high), repeat, endpoint=True))
         doubles = [np.empty(0, np.float64)]
         for repeat, range_ in self.doubles.runs:
-            low, high = _window(range_, -_DOUBLE_MAX, _DOUBLE_MAX)
+            low, high = window(range_, -_DOUBLE_MAX, _DOUBLE_MAX)
             share = generator.random(repeat)
             # Not low + (high - low) * share: the difference of two doubles may be infinite.
             doubles.append(np.clip(low * (1 - share) + high * share, low, high))
@@ -251,7 +251,7 @@ def _wrong_counts(expected: tuple[int, int, int], received: tuple[int, int, int]
     )
 
 
-def _window(range_: Range, least: float, largest: float) -> tuple[float, float]:
+def window(range_: Range, least: float, largest: float) -> tuple[float, float]:
     """Return finite ends to draw a number of `range_` from, both from `least` to `largest`."""
     low, high = range_.ends
     if math.isinf(low) and math.isinf(high):
