@@ -16,7 +16,7 @@ from glue.protocol.messages import Kind, Message, Value
 from glue.protocol.wire import clip
 
 if TYPE_CHECKING:
-    from glue.core.session import Peer
+    from glue.core.peer import Peer
 
 __all__ = ["MAX_OBSERVERS", "Observers"]
 

@@ -10,12 +10,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, Protocol
+from typing import Final
 
 from glue.core.calls import skippable, unfit_for_batch, unsupported
 from glue.core.engine import Engine, Instruction
-from glue.core.memory import Memory
 from glue.core.observers import Observers
+from glue.core.peer import Board, Peer
+from glue.core.slow import SlowCalls
 from glue.core.time_bank import TimeBank
 from glue.errors import PeerLost, RemoteProtocolError
 from glue.protocol.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value
@@ -23,89 +24,12 @@ from glue.protocol.steps import Step
 from glue.protocol.wire import clip
 from glue.types import CUT_OFF, Action
 
-__all__ = ["Board", "Peer", "Route", "Session"]
-
-_SLOW_SECONDS: Final = 5.0
-"""Seconds without an answer after which a player is reported as slow."""
-
-_RARER: Final = 6.0
-"""Factor between the times of successive reports: 5 s, 30 s, 180 s, ..."""
+__all__ = ["Session"]
 
 _STEPPED: Final = {Kind.ENV_STEP: Role.ENVIRONMENT, Kind.AGENT_STEP: Role.AGENT}
 
 _LIGHT: Final = 65_536
 """Bytes of bodies that a session may keep unaccounted for: 64 MiB in 1024 sessions."""
-
-
-class Route(Protocol):
-    """A connection over which messages are received and sent."""
-
-    def deliver(self, message: Message) -> bool:
-        """Send `message`; return False, having sent nothing, if the other side is gone or does not read."""
-        ...
-
-    def admits(self, role: Role, session: str) -> bool:
-        """Return whether a peer of this route may join `session` as `role`; see `glue.core.config.Bind`."""
-        ...
-
-
-class Peer:
-    """The program that fills a role, and the route to it.
-
-    `name` is what error messages call it; `label` adds its language and library, for notices and the log.
-    """
-
-    __slots__ = (
-        "capabilities",
-        "confirmed",
-        "instance",
-        "label",
-        "name",
-        "role",
-        "route",
-        "session",
-        "unreachable_since",
-    )
-
-    def __init__(
-        self,
-        session: Session,
-        role: Role,
-        route: Route,
-        instance: bytes,
-        name: str,
-        label: str,
-        capabilities: frozenset[str],
-        confirmed: bool,
-    ) -> None:
-        self.session = session
-        self.role = role
-        self.route = route
-        self.instance = instance
-        self.name = name
-        self.label = label
-        self.capabilities = capabilities
-        self.confirmed = confirmed
-        self.unreachable_since: float | None = None
-
-
-class Board(Protocol):
-    """What a session needs of the hub; see `glue.core.sessions.Switchboard`."""
-
-    memory: Memory
-    log: Callable[[str], None]
-
-    def deliver(self, peer: Peer, message: Message) -> None:
-        """Send `message` to `peer`, or note that it cannot be reached."""
-        ...
-
-    def end(self, session: Session, why: str) -> None:
-        """End a session: say goodbye to all its peers."""
-        ...
-
-    def dismiss(self, player: Peer, why: str) -> None:
-        """Say goodbye to a player that failed, and go on without it; `why` completes a sentence about it."""
-        ...
 
 
 class Session:
@@ -126,10 +50,8 @@ class Session:
         "_reply",
         "_request_seq",
         "_seq",
-        "_slow_after",
+        "_slow",
         "_time",
-        "_watched",
-        "_watched_since",
         "name",
         "observers",
         "peers",
@@ -147,9 +69,7 @@ class Session:
         self._outstanding: Message | None = None
         self._request_seq = 0
         self._reply: Message | None = None
-        self._watched: Message | None = None
-        self._watched_since = 0.0
-        self._slow_after = _SLOW_SECONDS
+        self._slow = SlowCalls()
         self._heavy = False
 
     @property
@@ -266,13 +186,9 @@ class Session:
         asked = self._outstanding
         role = None if asked is None else CALLS[asked.kind].callee
         player = None if role is None else self.peers.get(role)
-        if asked is None or player is None:
-            self._watched = None
-        elif asked is not self._watched:
-            self._watched, self._watched_since, self._slow_after = asked, now, _SLOW_SECONDS
-        elif now - self._watched_since >= self._slow_after:
-            text = f"{player.name} has not answered {asked.kind.name.lower()} for {self._slow_after:.0f} s"
-            self._slow_after *= _RARER
+        seconds = self._slow.overdue(None if player is None else asked, now)
+        if player is not None and asked is not None and seconds is not None:
+            text = f"{player.name} has not answered {asked.kind.name.lower()} for {seconds:.0f} s"
             self._board.log(f"session {self.name!r}: {player.role} {text}")
             self._notify(Event.SLOW, player.role, text)
 

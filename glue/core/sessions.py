@@ -18,7 +18,8 @@ from typing import Final
 from glue.core.config import HubConfig
 from glue.core.memory import Memory
 from glue.core.observers import MAX_OBSERVERS
-from glue.core.session import Peer, Route, Session
+from glue.core.peer import Peer, Route
+from glue.core.session import Session
 from glue.core.time_bank import TimeBank
 from glue.errors import RemoteProtocolError
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role

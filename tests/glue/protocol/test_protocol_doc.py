@@ -14,7 +14,8 @@ from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
 from glue.core.local import local
 from glue.core.sessions import INSTANCE_SIZE, ONE_RUN, Switchboard
 from glue.errors import LocalProtocolError, RemoteProtocolError
-from glue.hub.router import GREETING_SECONDS, MAX_UNSEATED, MAX_UNSENT
+from glue.hub.dealer import MAX_UNSENT
+from glue.hub.router import GREETING_SECONDS, MAX_UNSEATED
 from glue.hub.server import Hub
 from glue.protocol.messages import (
     CALLS,

@@ -11,7 +11,7 @@ import pytest
 
 from glue.client.experiment import connect
 from glue.core.config import HubConfig
-from glue.core.session import Peer
+from glue.core.peer import Peer
 from glue.core.sessions import Route, Switchboard
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.hub.server import Hub
