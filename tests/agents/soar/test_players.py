@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -244,3 +245,21 @@ def test_a_save_of_another_agent_or_with_other_commands_is_refused() -> None:
         with pytest.raises(GlueError):
             agent.agent_load(data)
     assert isinstance(agent.agent_start(mines.env_start()), Action)
+
+
+def test_five_thousand_episodes_leave_nothing_behind() -> None:
+    agent, environment = SoarMinesAgent(), MinesEnvironment()
+    begun(agent, environment)
+    returns(agent, environment, 1000)
+    learned = in_use(agent)
+    returns(agent, environment, 4000)
+
+    assert in_use(agent) == learned
+
+
+def in_use(agent: SoarPlayer) -> tuple[str, ...]:
+    """Return the numbers of rules, of elements of working memory, and of bytes that Soar has allocated."""
+    assert agent._kernel is not None
+    printed = agent._kernel.command("stats") + agent._kernel.command("stats --memory")
+    patterns = (r"(\d+) productions", r"WM size: (\d+) current", r"(\d+) bytes total")
+    return tuple(re.search(pattern, printed)[1] for pattern in patterns)  # type: ignore[index]
