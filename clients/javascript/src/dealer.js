@@ -5,6 +5,7 @@ import net from "node:net";
 import { ConfigError } from "./errors.js";
 import { checkGreeting, COMMAND, frameHead, GREETING, GREETING_SIZE, MessageReader, MORE, READY } from "./zmtp.js";
 
+const CHUNK = 65536;
 const RECONNECT_MS = 100;
 /** How long the last messages may take to leave. */
 const LINGER_MS = 1000;
@@ -80,21 +81,26 @@ export class Dealer {
 
   #connect() {
     const begun = performance.now();
-    const socket = net.connect(this.#options);
+    // Into one buffer: a socket's "data" events allocate 64 KiB for each message.
+    const onread = {
+      buffer: Buffer.allocUnsafeSlow(CHUNK),
+      callback: (/** @type {number} */ size, /** @type {Uint8Array} */ buffer) => {
+        this.silence = 0;
+        if (this.#closed) return true;
+        try {
+          receive(Buffer.from(buffer.subarray(0, size)));
+        } catch (error) {
+          socket.destroy();
+          this.#events.failed(/** @type {Error} */ (error));
+        }
+        return true;
+      },
+    };
+    const socket = net.connect({ ...this.#options, onread });
     this.#socket = socket;
     this.silence = 0;
     const receive = this.#receiver(socket);
     socket.on("connect", () => socket.write(GREETING));
-    socket.on("data", (chunk) => {
-      this.silence = 0;
-      if (this.#closed) return;
-      try {
-        receive(chunk);
-      } catch (error) {
-        socket.destroy();
-        this.#events.failed(/** @type {Error} */ (error));
-      }
-    });
     socket.on("error", () => {}); // "close" follows.
     socket.on("close", () => {
       const broken = this.#ready;
