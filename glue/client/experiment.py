@@ -20,7 +20,7 @@ from glue.client.transport import Transport
 from glue.console import say
 from glue.core.experiment import Experiment
 from glue.errors import GlueError, HubClosed, LocalProtocolError, PeerFailed, PeerLost, Unsupported
-from glue.protocol.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value
+from glue.protocol.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role, Value
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
@@ -86,7 +86,8 @@ class RemoteExperiment(Experiment):
         self._players: set[Role] = set()
         self._loss: str | None = None
         self._given_up: str | None = None
-        names = {session: (name, ())}
+        self._outcome: Mapping[Kind, tuple[Value, ...]] = {}
+        names = {session: (name, (OUTCOME,))}
         self._link = Link(Role.EXPERIMENT, place.hub, names, wait, context, log, transport, place.key)
         self._closed = False
         try:
@@ -159,6 +160,10 @@ class RemoteExperiment(Experiment):
             self._on_notice(event, role, name)
 
     def _call(self, kind: Kind, scalars: tuple[Value, ...] = (), body: Any = None) -> tuple[Any, Any]:
+        known = self._outcome.get(kind)
+        if known is not None:
+            return known, None
+        self._outcome = {}
         link = self._link
         self._seq += 1
         request = Message(kind, self._session, self._seq, scalars, write(body))
@@ -190,7 +195,16 @@ class RemoteExperiment(Experiment):
                     self._answered = True
                     if self._loss is not None and kind in _DEPENDENT:
                         self._settle_loss(kind)
-                    return message.scalars, READ[CALLS[kind].reply.body](message.body)
+                    return self._without_outcome(message), READ[CALLS[kind].reply.body](message.body)
+
+    def _without_outcome(self, reply: Message) -> tuple[Value, ...]:
+        """Return the scalars of a reply; keep return and number of steps of an episode, if it tells them."""
+        scalars = reply.scalars
+        if reply.kind is not Kind.RL_EPISODE or len(scalars) == 1:
+            return scalars
+        terminal, total_reward, num_steps = scalars
+        self._outcome = {Kind.RL_RETURN: (total_reward,), Kind.RL_NUM_STEPS: (num_steps,)}
+        return (terminal,)
 
     def _error(self, message: Message) -> GlueError:
         """Return the exception that an ERROR in answer to a request stands for."""

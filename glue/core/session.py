@@ -19,7 +19,7 @@ from glue.core.peer import Board, Peer
 from glue.core.slow import SlowCalls
 from glue.core.time_bank import TimeBank
 from glue.errors import PeerLost, RemoteProtocolError
-from glue.protocol.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value
+from glue.protocol.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role, Value
 from glue.protocol.steps import Step
 from glue.protocol.wire import clip
 from glue.types import CUT_OFF, Action
@@ -292,6 +292,9 @@ class Session:
         self._outstanding = None
         if type(body) is tuple:
             body = body[0] + body[1]
+        experiment = self.peers.get(Role.EXPERIMENT)
+        if kind is Kind.RL_EPISODE and experiment is not None and OUTCOME in experiment.capabilities:
+            scalars += (self._engine.total_reward, self._engine.num_steps)
         self._answer_experiment(Message(kind, self.name, self._request_seq, scalars, body or b""))
 
     def _call(self, instruction: Instruction) -> None:

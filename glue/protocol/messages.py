@@ -20,6 +20,7 @@ __all__ = [
     "CALLS",
     "CONTROL",
     "OBSERVING",
+    "OUTCOME",
     "PROTOCOL_VERSION",
     "THREE_ROLES",
     "Body",
@@ -37,6 +38,10 @@ PROTOCOL_VERSION: Final = 1
 
 Type = type  # An alias, since `Scalar` has a field `type`.
 Value = None | bool | int | float | str | bytes | tuple[int, ...] | tuple[str, ...]
+
+
+OUTCOME: Final = "outcome"
+"""The capability of an experiment that is told return and number of steps with the end of an episode."""
 
 
 class Role(StrEnum):
@@ -133,12 +138,14 @@ class Scalar(NamedTuple):
 class Shape:
     """What a message carries: scalars in the header, in this order, and a body.
 
+    `more` are scalars that may follow, all of them, where the receiver has the capability for it.
     `plain` holds the types of the scalars if a value of the right type is right, so that one comparison
     checks them all; None if one is optional or has a range of its own.
     """
 
     scalars: tuple[Scalar, ...] = ()
     body: Body = Body.NONE
+    more: tuple[Scalar, ...] = ()
     plain: tuple[type, ...] | None = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -205,6 +212,8 @@ _BLOB = Shape(body=Body.BLOB)
 _REWARD_OBSERVATION = Shape((_REWARD,), Body.OBSERVATION)
 _ENV_STEP_REPLY = Shape((_REWARD, _TERMINAL), Body.OBSERVATION)
 _SEED = Shape((Scalar("seed", int),))
+_RETURN = Scalar("return", float)
+_NUM_STEPS = Scalar("num_steps", int)
 
 _A, _E = Role.AGENT, Role.ENVIRONMENT
 
@@ -230,9 +239,11 @@ CALLS: Final[Mapping[Kind, Call]] = MappingProxyType(
         Kind.RL_INIT: Call(None, Shape((Scalar("seed", int, optional=True),)), _TEXT),
         Kind.RL_START: Call(None, _EMPTY, Shape(body=Body.OBSERVATION_ACTION)),
         Kind.RL_STEP: Call(None, _EMPTY, Shape((_REWARD, _TERMINAL), Body.OBSERVATION_ACTION)),
-        Kind.RL_EPISODE: Call(None, Shape((Scalar("max_steps", int),)), Shape((_TERMINAL,))),
-        Kind.RL_RETURN: Call(None, _EMPTY, Shape((Scalar("return", float),))),
-        Kind.RL_NUM_STEPS: Call(None, _EMPTY, Shape((Scalar("num_steps", int),))),
+        Kind.RL_EPISODE: Call(
+            None, Shape((Scalar("max_steps", int),)), Shape((_TERMINAL,), more=(_RETURN, _NUM_STEPS))
+        ),
+        Kind.RL_RETURN: Call(None, _EMPTY, Shape((_RETURN,))),
+        Kind.RL_NUM_STEPS: Call(None, _EMPTY, Shape((_NUM_STEPS,))),
         Kind.RL_NUM_EPISODES: Call(None, _EMPTY, Shape((Scalar("num_episodes", int),))),
         Kind.RL_AGENT_MESSAGE: Call(None, _TEXT, _TEXT),
         Kind.RL_ENV_MESSAGE: Call(None, _TEXT, _TEXT),
@@ -284,7 +295,7 @@ OBSERVING: Final[Mapping[Kind, Shape]] = MappingProxyType(
         Kind.OBSERVED_INIT: _TEXT,
         Kind.OBSERVED_START: Shape((Scalar("episode", int),), Body.OBSERVATION),
         Kind.OBSERVED_STEP: Shape(
-            (Scalar("episode", int), Scalar("num_steps", int), Scalar("return", float), _REWARD, _TERMINAL),
+            (Scalar("episode", int), _NUM_STEPS, _RETURN, _REWARD, _TERMINAL),
             Body.OBSERVATION_ACTION,
         ),
         Kind.OBSERVED_MESSAGE: Shape((Scalar("message", str),), Body.TEXT),

@@ -156,12 +156,13 @@ def _decode_header(frame: bytes) -> tuple[int, str, int, list[Value]]:
 
 def _coerce_all(kind: Kind, shape: Shape, scalars: list[Value]) -> tuple[Value, ...]:
     """Return the scalars as `shape` has them; those of the hot path need not come here."""
-    if len(scalars) != len(shape.scalars):
+    expected = shape.scalars if len(scalars) == len(shape.scalars) else shape.scalars + shape.more
+    if len(scalars) != len(expected):
         raise RemoteProtocolError(f"{kind.name} has {len(shape.scalars)} scalars; {len(scalars)} received")
     return tuple(
         # A whole number has a range as well as a type.
         value if type(value) is scalar.type is not int else _coerce(kind, scalar, value)
-        for scalar, value in zip(shape.scalars, scalars, strict=True)
+        for scalar, value in zip(expected, scalars, strict=True)
     )
 
 

@@ -46,6 +46,7 @@ _SCENES: Final[Mapping[HubRule, Callable[[Scene], None]]] = {
     HubRule.NUMBERS: play.numbers,
     HubRule.COUNTERS: play.counters,
     HubRule.CUTOFF: play.cutoff,
+    HubRule.OUTCOME: play.outcome,
     HubRule.LAST_ACTION: play.last_action,
     HubRule.MESSAGES: play.messages,
     HubRule.VERSION: play.version,

@@ -5,7 +5,7 @@ Each scene is a function; the rule that it is about is in `glue.testing.hub`.
 
 from __future__ import annotations
 
-from glue.protocol.messages import PROTOCOL_VERSION, THREE_ROLES, ErrorCode, Event, Kind, Role
+from glue.protocol.messages import OUTCOME, PROTOCOL_VERSION, THREE_ROLES, ErrorCode, Event, Kind, Role
 from glue.testing.scripted import Scene, ScriptedPeer, did, number, reward, saw, shown
 from glue.types import Action
 
@@ -120,6 +120,21 @@ def cutoff(scene: Scene) -> None:
         last = 3 if limit == 0 else min(3, limit - 1)
         ended += last == 3
         scene.counted(sum(map(reward, range(1, last + 1))), min(last + 1, 3), ended)
+
+
+def outcome(scene: Scene) -> None:
+    """RL_EPISODE of an experiment with the capability `outcome`, which an older hub does not know."""
+    scene.experiment = scene.peer(Role.EXPERIMENT, OUTCOME)
+    scene.init()
+    for limit, length in ((0, 3), (2, 3)):
+        ended = scene.played(limit, length)
+        message = scene.experiment.expects(Kind.RL_EPISODE, scene.experiment.seq)
+        steps = length if ended else limit
+        told = ended, sum(map(reward, range(1, steps + ended))), steps
+        scene.experiment.check(
+            message.scalars in (told, told[:1]), f"{shown(message)} received, and the outcome is {told}"
+        )
+        scene.counted(*told[1:], 1)
 
 
 def last_action(scene: Scene) -> None:

@@ -39,6 +39,7 @@ class HubRule(StrEnum):
     NUMBERS = "the calls of a session have growing numbers"
     COUNTERS = "return, steps and episodes are counted as RL-Glue counts them"
     CUTOFF = "RL_EPISODE ends at its limit of steps, without AGENT_END, and is not counted"
+    OUTCOME = "RL_EPISODE's reply tells return and steps to an experiment with the capability outcome alone"
     LAST_ACTION = "RL_STEP executes the last action, also past the end of an episode"
     MESSAGES = "messages reach the players at any time, even before RL_INIT, and their answers come back"
     VERSION = "a peer that speaks no version of the hub's is refused with version"

@@ -279,12 +279,16 @@ class Scene:
 
     def episode(self, limit: int, length: int) -> None:
         """Carry out RL_EPISODE; its end is at step `length`."""
+        self.experiment.expects_reply(Kind.RL_EPISODE, self.played(limit, length))
+
+    def played(self, limit: int, length: int) -> bool:
+        """Ask for RL_EPISODE, and answer the players' calls; return whether it reaches its end."""
         self.experiment.ask(Kind.RL_EPISODE, limit)
         self.started()
         last = length if limit == 0 else min(length, limit - 1)
         for step in range(1, last + 1):
             self.stepped(step, step == length)
-        self.experiment.expects_reply(Kind.RL_EPISODE, last == length)
+        return last == length
 
     def started(self) -> None:
         """Answer the players' calls of a start."""

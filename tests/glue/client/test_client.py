@@ -775,6 +775,40 @@ def test_a_player_lost_between_two_verbs_fails_the_next_that_depends_on_it(
     running.result(TIMEOUT)
 
 
+def test_an_outcome_that_was_told_is_not_asked_for_until_the_next_verb(
+    hub: HandHub, lines: list[str]
+) -> None:
+    def program(glue: RemoteExperiment) -> list[Any]:
+        told = [glue.rl_episode(), glue.rl_return(), glue.rl_num_steps(), glue.rl_return()]
+        return [*told, glue.rl_num_episodes(), glue.rl_return(), glue.rl_num_steps()]
+
+    running = experiment(hub, program, lines)
+    request = hub.hear(Kind.RL_EPISODE)
+    hub.say(Kind.RL_EPISODE, request.seq, 2, -3.5, 5)
+    answer_all(hub, REPLIES)
+    assert running.result(TIMEOUT) == [False, -3.5, 5, -3.5, 8, -2.5, 7]
+
+
+def test_an_older_hub_is_asked_for_return_and_steps(hub: HandHub, lines: list[str]) -> None:
+    running = experiment(hub, lambda glue: (glue.rl_episode(), glue.rl_return(), glue.rl_num_steps()), lines)
+    answer_all(hub, REPLIES)
+    assert running.result(TIMEOUT) == (True, -2.5, 7)
+
+
+def test_an_outcome_is_forgotten_when_the_next_episode_fails(hub: HandHub, lines: list[str]) -> None:
+    def program(glue: RemoteExperiment) -> float:
+        glue.rl_episode()
+        with pytest.raises(PeerLost):
+            glue.rl_episode()
+        return glue.rl_return()
+
+    running = experiment(hub, program, lines)
+    hub.say(Kind.RL_EPISODE, hub.hear(Kind.RL_EPISODE).seq, True, -3.5, 5)
+    hub.say(Kind.ERROR, hub.hear(Kind.RL_EPISODE).seq, ErrorCode.PEER_LOST, "it was killed")
+    answer_all(hub, REPLIES)
+    assert running.result(TIMEOUT) == -2.5
+
+
 def test_a_player_lost_before_the_beginning_is_nobodys_loss(hub: HandHub, lines: list[str]) -> None:
     def program(glue: RemoteExperiment) -> None:
         glue.rl_init()

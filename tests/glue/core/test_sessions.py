@@ -588,6 +588,25 @@ def test_a_replacement_is_initialised_and_a_new_episode_goes_on_with_it(
     assert (reply.kind, reply.scalars) == (Kind.RL_EPISODE, (False,))
 
 
+@pytest.mark.parametrize("max_steps", [0, 2])
+@pytest.mark.parametrize("abilities", [(), ("outcome", "of-the-future")])
+def test_an_experiment_that_wants_it_is_told_the_outcome_of_an_episode(
+    abilities: tuple[str, ...], max_steps: int
+) -> None:
+    rig = Rig()
+    rig.hello("a", Role.AGENT)
+    rig.hello("e", Role.ENVIRONMENT)
+    rig.hello("x", Role.EXPERIMENT, abilities=abilities)
+    rig.ask(Kind.RL_EPISODE, 1, max_steps)
+    for route, scalars in (("e", ()), ("a", ()), ("e", (0.5, max_steps == 0)), ("a", ())):
+        rig.answer(route, *scalars)
+    (reply,) = rig.received("x")
+    terminal = max_steps == 0
+    assert reply.scalars == ((terminal, 0.5, 1 if terminal else 2) if abilities else (terminal,))
+    rig.cut("x")
+    assert reply in rig.hello("x2", Role.EXPERIMENT, who="x", abilities=abilities), "the same again"
+
+
 def test_a_replacement_is_seeded_if_it_can_be(rig: Rig) -> None:
     rig.ask(Kind.RL_INIT, 1, 5)
     rig.serve()

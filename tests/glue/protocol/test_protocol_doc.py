@@ -21,6 +21,7 @@ from glue.protocol.messages import (
     CALLS,
     CONTROL,
     OBSERVING,
+    OUTCOME,
     PROTOCOL_VERSION,
     Body,
     ErrorCode,
@@ -158,7 +159,10 @@ BODIES: Final = {
 
 
 def scalars_cell(shape: Shape) -> str:
-    return ", ".join(f"`{scalar.name}` {type_cell(scalar)}" for scalar in shape.scalars) or NOTHING
+    cells = [
+        ", ".join(f"`{scalar.name}` {type_cell(scalar)}" for scalar in s) for s in (shape.scalars, shape.more)
+    ]
+    return f"; with [`{OUTCOME}`](#capabilities) also ".join(filter(None, cells)) or NOTHING
 
 
 def type_cell(scalar: Scalar) -> str:
@@ -255,7 +259,8 @@ def test_table_of_capabilities_is_that_of_the_program() -> None:
 
     documented = {(row[0].strip("`"), name) for row in rows for name in row[1].split(", ")}
     with_calls = {(c.capability, k.name) for k, c in CALLS.items() if c.capability is not None}
-    assert documented == with_calls | {(ONE_RUN, NOTHING), ("truncate", NOTHING), ("batch", NOTHING)}
+    others = (ONE_RUN, OUTCOME, "truncate", "batch")
+    assert documented == with_calls | {(name, NOTHING) for name in others}
 
 
 def test_every_event_of_a_notice_is_named() -> None:

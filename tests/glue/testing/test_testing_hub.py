@@ -168,6 +168,20 @@ class TakesTheLimitForTheEnd(Spoiled):
         return message._replace(scalars=(True,)) if message.kind is Kind.RL_EPISODE else message
 
 
+class TellsTheOutcomeUnasked(Spoiled):
+    def says(self, message: Message) -> Message:
+        if message.kind is not Kind.RL_EPISODE:
+            return message
+        return message._replace(scalars=(message.scalars[0], 0.0, 1))
+
+
+class TellsAnotherOutcome(Spoiled):
+    def says(self, message: Message) -> Message:
+        if message.kind is not Kind.RL_EPISODE or len(message.scalars) == 1:
+            return message
+        return message._replace(scalars=(*message.scalars[:2], 0))
+
+
 class ActsBeforeAnyAction(Spoiled):
     def says(self, message: Message) -> Message:
         if message.kind is Kind.ENV_STEP and message.body == Action().body:
@@ -317,6 +331,8 @@ BROKEN_HUBS: list[tuple[type[Spoiled], HubRule]] = [
     (ReturnsTheLastReward, HubRule.COUNTERS),
     (CountsNoStart, HubRule.COUNTERS),
     (TakesTheLimitForTheEnd, HubRule.CUTOFF),
+    (TellsTheOutcomeUnasked, HubRule.CALLS),
+    (TellsAnotherOutcome, HubRule.OUTCOME),
     (ActsBeforeAnyAction, HubRule.LAST_ACTION),
     (EndsTextsAtAZero, HubRule.MESSAGES),
     (SpeaksEveryVersion, HubRule.VERSION),

@@ -12,6 +12,7 @@ from glue.protocol import zmtp
 from glue.protocol.limits import MAX_BODY, MAX_HEADER
 from glue.protocol.messages import CALLS, CONTROL, OBSERVING, Kind
 from glue.protocol.wire import FROM_HUB, TO_HUB, decode, encode
+from glue.types import CUT_OFF
 from tests.glue.testing.vectors import FILE, body_document, content, tagged
 
 VECTORS: Final = json.loads(FILE.read_text(encoding="utf-8"))
@@ -43,7 +44,7 @@ def test_the_file_is_what_the_program_makes() -> None:
     assert current, "the messages have changed: run `make vectors`"
 
 
-@pytest.mark.parametrize("part", ["messages", "observe", "truncate", "accepted"])
+@pytest.mark.parametrize("part", ["messages", "observe", "truncate", "outcome", "accepted"])
 def test_every_entry_decodes_to_what_it_says(part: str) -> None:
     for entry in VECTORS[part]:
         shapes = shapes_of(entry)
@@ -64,6 +65,7 @@ def test_every_kind_is_there_in_every_direction() -> None:
     assert {kind.name for kind in CONTROL} <= {kind for kind, _ in there}
     assert {Kind[name] for name, _ in there} == set(Kind) - OBSERVING.keys()
     assert {entry["kind"] for entry in VECTORS["observe"]} == {kind.name for kind in OBSERVING}
+    assert [entry["scalars"][0] for entry in VECTORS["outcome"]] == [tagged(True), tagged(CUT_OFF)]
 
 
 def test_everything_to_be_refused_is_refused() -> None:

@@ -80,14 +80,18 @@ def documents() -> Iterator[Document]:
     yield made("reason of 300 bytes", "hub", "peer", goodbye)
 
 
+def section(entry: Document) -> str:
+    """The part of the file that a message belongs to: all but `messages` are not for every client."""
+    if Kind[entry["kind"]] in OBSERVING:
+        return "observe"  # which a client that takes part never meets
+    if len(entry["scalars"]) == 3 and entry["kind"] == "RL_EPISODE":
+        return "outcome"
+    return "truncate" if cuts(entry) else "messages"
+
+
 def cuts(entry: Document) -> bool:
     """Whether a message has the terminal 2, which means more than true to peers that know `truncate`."""
     return tagged(CUT_OFF) in entry["scalars"] and entry["kind"] in ("ENV_STEP", "RL_STEP", "RL_EPISODE")
-
-
-def of_observers(entry: Document) -> bool:
-    """Whether it is a message that a client which takes part never meets."""
-    return Kind[entry["kind"]] in OBSERVING
 
 
 def saw() -> bytes:
@@ -330,10 +334,10 @@ def streams() -> Document:
 
 def content() -> str:
     """The file, as text: one entry a line."""
-    parts = {
-        "messages": [entry for entry in documents() if not cuts(entry) and not of_observers(entry)],
-        "observe": [entry for entry in documents() if of_observers(entry)],
-        "truncate": [entry for entry in documents() if cuts(entry)],
+    parts: dict[str, list[Document]] = {"messages": [], "observe": [], "truncate": [], "outcome": []}
+    for entry in documents():
+        parts[section(entry)].append(entry)
+    parts |= {
         "accepted": list(accepted()),
         "refused": list(refused()),
     }

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Final
 
-from glue.protocol.messages import ErrorCode, Event, Kind, Role
+from glue.protocol.messages import OUTCOME, ErrorCode, Event, Kind, Role
 from glue.protocol.wire import FROM_HUB, encode
 from glue.testing.conform.hub.comparing import same, told
 from glue.testing.conform.hub.desk import LULL, Desk
@@ -178,6 +178,34 @@ def _cut_off(desk: ExperimentDesk, order: Order) -> None:
         desk.took(got)
         raise NotJudged("the client shows a cut-off as an end, as one may that does not know of it")
     desk.matches(expected, got, frames)
+
+
+@RULES.add(
+    "outcome",
+    Tier.COMPLETE,
+    "capabilities",
+    "the capability outcome: the reply to RL_EPISODE has return and number of steps, or not",
+    _WHO,
+)
+def outcome(desk: ExperimentDesk) -> None:
+    if OUTCOME not in desk.capabilities:
+        raise NotJudged(f"the client does not offer {OUTCOME}")
+    older = Order("RL_EPISODE", b"0", scalars=(True,))
+    asked = (Order("RL_RETURN", scalars=(-2.5,)), Order("RL_NUM_STEPS", scalars=(7,)))
+    desk.do(older, *asked)
+    desk.asks(older)
+    told_all = desk.request._replace(scalars=(True, -2.5, 7))
+    desk.send_frames(encode(told_all, FROM_HUB))
+    desk.take(desk.reply(older).expected)
+    for order in asked:
+        exchange = desk.order(order)
+        desk.send_frames(exchange.frames)
+        got, frames = desk.next("what RL_EPISODE's reply told, or a request for it")
+        if got.kind is exchange.expected.kind:
+            desk.took(got)
+            desk.send_frames(desk.reply(order).frames)
+            got, frames = desk.next("what the reply told")
+        desk.matches(desk.reply(order).expected, got, frames)
 
 
 @RULES.add(

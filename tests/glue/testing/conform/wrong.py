@@ -80,6 +80,7 @@ FAULTS: Final[dict[str, dict[str, str]]] = {
         "reads numbers of steps in 32 bits": "counters",
         "goes on after a cut-off": "truncate",
         "shows 2 for an episode that was cut off": "truncate",
+        "offers to be told the outcome, and dies of it": "outcome",
         "counts requests from 0": "numbers",
         "takes any reply for its own": "other-replies",
         "asks ahead of WELCOME": "silent-until-welcomed",
@@ -99,6 +100,11 @@ FAULTS: Final[dict[str, dict[str, str]]] = {
 CODES: Final = {
     "agent": (4, 5, 6, 7, 8, 10, 80, 81, 82),
     "environment": (11, 12, 13, 14, 19, 83, 84, 85),
+}
+OFFERS: Final = {
+    "agent": ["seed", "save"],
+    "environment": ["seed", "save", "truncate"],
+    "experiment": ["outcome"],
 }
 AGENT_NAMES: Final = ("INIT", "START", "STEP", "END", "CLEANUP", "MESSAGE", "SEED", "SAVE", "LOAD")
 ENV_NAMES: Final = ("INIT", "START", "STEP", "CLEANUP", "MESSAGE", "SEED", "SAVE", "LOAD")
@@ -263,7 +269,7 @@ class Client:
         if self.wrong("reconnects with a new instance"):
             self.instance = os.urandom(16)
         role = "environment" if self.wrong("takes another role") else self.role
-        offers = {"agent": ["seed", "save"], "environment": ["seed", "save", "truncate"]}.get(self.role, [])
+        offers = OFFERS[self.role]
         hello = [HELLO, self.session, self.hellos, [1], role, self.instance, "mirror", "a test", offers]
         self.send([msgpack.packb(hello)])
 

@@ -139,6 +139,8 @@ class Asking(Client):
             number = got[0] & 0xFFFFFFFF if self.wrong("reads numbers of steps in 32 bits") else got[0]
             return [], [], str(number).encode()
         if verb == "RL_EPISODE":
+            if len(got) != 1 and self.wrong("offers to be told the outcome, and dies of it"):
+                raise Quit(1)
             told = self.wrong("shows 2 for an episode that was cut off")
             return [int(got[0]) if told else int(bool(got[0]) and self.terminal_of(got[0]) != 2)], [], b""
         if verb == "RL_RETURN":
