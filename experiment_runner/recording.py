@@ -6,10 +6,11 @@ was lost. Episodes that players only repeat to restore their state are not recor
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from experiment_runner.asking import ask
 from experiment_runner.plan import TrialSpec
 from glue.core.engine import role_seed
 from glue.core.experiment import Experiment
@@ -54,12 +55,17 @@ class Recorder:
         writer: writes the recording; an episode is in the file once it has ended.
         spec: the trial.
         glue: the connected experiment.
+        questions: messages that the agent is sent at each start and after each step.
     """
 
-    def __init__(self, writer: TrajectoryWriter, spec: TrialSpec, glue: Experiment) -> None:
+    def __init__(
+        self, writer: TrajectoryWriter, spec: TrialSpec, glue: Experiment, questions: Sequence[str] = ()
+    ) -> None:
         self._writer = writer
         self._spec = spec
         self._glue = glue
+        self._questions = questions
+        self._answers: dict[str, str] = {}
         self._task_spec = ""
         self._goes_on = False
         self._in_run = False
@@ -115,11 +121,14 @@ class Recorder:
     def _episode(self, max_steps: int) -> bool:
         glue, writer = self._glue, self._writer
         observation, action = glue.rl_start()
+        self._answers.clear()
+        self._ask()
         writer.start(observation)
         num_steps = 1
         while max_steps == 0 or num_steps < max_steps:
             reward, observation, terminal, next_action = glue.rl_step()
             cut_off = terminal == CUT_OFF
+            self._ask()
             writer.step(action, reward, observation, bool(terminal) and not cut_off)
             if cut_off:
                 break
@@ -129,3 +138,10 @@ class Recorder:
             num_steps += 1
         writer.cutoff()
         return False
+
+    def _ask(self) -> None:
+        """Note what the agent answers now, where it is not what it has answered before in this episode."""
+        for message, answer in ask(self._glue, self._questions):
+            if self._answers.get(message) != answer:
+                self._answers[message] = answer
+                self._writer.answer(message, answer)

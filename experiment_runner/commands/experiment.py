@@ -192,6 +192,13 @@ _MAX_SEED: Final = 2**63 - 1
     help="Record every step of a single trial in this new file, for glue-replay.",
 )
 @click.option(
+    "--ask",
+    multiple=True,
+    metavar="MESSAGE",
+    help="Send the agent this message after each episode, and each step that --record records, and keep its "
+    "answers for glue-view; repeat it for several.",
+)
+@click.option(
     "--view",
     is_flag=True,
     help="Show the run on a page in the browser, which stays until Ctrl-C; see glue-view.",
@@ -233,6 +240,7 @@ def experiment(
     any_reward: bool,
     checkpoint_every: int,
     record: Path | None,
+    ask: tuple[str, ...],
     view: bool,
     dry_run: bool,
     as_json: bool,
@@ -252,6 +260,7 @@ def experiment(
       glue-experiment --env mines --episodes 100 --legacy-port 4096
       glue-experiment --env mines --episodes 100 --bind tcp://*:4097 --keys keys
       glue-experiment --env mario --agent sample --episodes 10 --record sample.traj
+      glue-experiment --env mario --agent best --episodes 500 --ask best --ask epsilon --view
       glue-experiment --plan sweep.toml --workers 4 --out runs/sweep
       glue-experiment --resume runs/sweep --workers 4
     """
@@ -306,7 +315,7 @@ def experiment(
     )
     _check(options)
     meeting = Meeting(in_process, options, any_reward=any_reward)
-    config = RunConfig(meeting, checkpoint_every, Place(engine), workers, address)
+    config = RunConfig(meeting, checkpoint_every, Place(engine), workers, address, tuple(dict.fromkeys(ask)))
     config.check(plan, recording=record is not None)
     if dry_run:
         click.echo(describe(plan))

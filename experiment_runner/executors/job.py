@@ -21,7 +21,7 @@ from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.players import Meeting, open_experiment
 from experiment_runner.recording import Recorder
 from experiment_runner.store.database import StorageError
-from experiment_runner.store.records import Checkpoint, EpisodeResult
+from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
 from glue.console import show_failure
 from glue.errors import ExperimentError, GlueError, PeerFailed
 from glue.trajectory import TrajectoryWriter
@@ -56,19 +56,22 @@ class Job(NamedTuple):
     meeting           how its players are connected
     start             where it starts
     checkpoint_every  episodes between checkpoints; 0 for none
+    questions         messages that the agent is sent after each episode, and each recorded step
     """
 
     spec: TrialSpec
     meeting: Meeting
     start: Start = BEGINNING
     checkpoint_every: int = 0
+    questions: tuple[str, ...] = ()
 
 
 class Recorded(NamedTuple):
-    """An episode is finished, possibly with a checkpoint after it."""
+    """An episode is finished, possibly with a checkpoint and the agent's answers after it."""
 
     result: EpisodeResult
     checkpoint: Checkpoint | None
+    answers: tuple[Answer, ...] = ()
 
 
 class Voided(NamedTuple):
@@ -157,7 +160,8 @@ def run_job(
                 checkpoint_every=job.checkpoint_every,
                 interrupts=interrupts,
                 any_reward=job.meeting.any_reward,
-                recorder=None if recording is None else Recorder(recording, job.spec, glue),
+                recorder=None if recording is None else Recorder(recording, job.spec, glue, job.questions),
+                questions=job.questions,
             )
     except (StorageError, BrokenPipeError):
         raise
@@ -182,8 +186,10 @@ class _Sender:
         self._send = send
         self.done = done
 
-    def record(self, result: EpisodeResult, checkpoint: Checkpoint | None) -> None:
-        self._send(Recorded(result, checkpoint))
+    def record(
+        self, result: EpisodeResult, checkpoint: Checkpoint | None, answers: tuple[Answer, ...]
+    ) -> None:
+        self._send(Recorded(result, checkpoint, answers))
         self.done = result.episode
 
     def void(self, episode: int, why: str) -> None:
@@ -223,6 +229,7 @@ def encode_job(job: Job) -> bytes:
         job.meeting.in_process,
         job.meeting.any_reward,
         job.checkpoint_every,
+        job.questions,
         job.start.after,
     ]
     return pack([*header, _saved(job.start.checkpoint)])
@@ -230,7 +237,7 @@ def encode_job(job: Job) -> bytes:
 
 def decode_job(value: Any) -> Job:
     """Return the job from an unpacked value of `encode_job`."""
-    trial, in_process, any_reward, checkpoint_every, after, saved = value
+    trial, in_process, any_reward, checkpoint_every, questions, after, saved = value
     fields = json.loads(trial)
     for role in ("agent", "environment"):
         if fields[role] is not None:
@@ -241,6 +248,7 @@ def decode_job(value: Any) -> Job:
         Meeting(in_process, any_reward=any_reward),
         Start(after, checkpoint),
         checkpoint_every,
+        tuple(questions),
     )
 
 
@@ -262,8 +270,9 @@ def decode_report(value: Any) -> Report:
         kind, *fields = value
         report = _REPORTS[kind](*fields)
         if isinstance(report, Recorded):
-            result, saved = fields
-            return Recorded(EpisodeResult(*result), None if saved is None else Checkpoint(*saved))
+            result, saved, answers = fields
+            checkpoint = None if saved is None else Checkpoint(*saved)
+            return Recorded(EpisodeResult(*result), checkpoint, tuple(Answer(*one) for one in answers))
     except (TypeError, ValueError, KeyError) as error:
         raise ExperimentError(f"this is not a report: {value!r:.80}") from error
     return report

@@ -36,6 +36,7 @@ class RunConfig:
         workers: maximum number of concurrent trials, each in its own process. None for one after the other
             in this process, or for the number of processors of a cluster.
         address: address of the Ray cluster; None for the one that Ray finds, or one on this machine.
+        questions: messages that the agent is sent after each episode, and each recorded step.
     """
 
     meeting: Meeting = field(default_factory=Meeting)
@@ -43,6 +44,7 @@ class RunConfig:
     place: Place = Place.LOCAL
     workers: int | None = None
     address: str | None = None
+    questions: tuple[str, ...] = ()
 
     def check(self, plan: Plan, recording: bool = False) -> None:
         """Check that `plan` can be executed like this, and recorded if `recording` is true.
@@ -92,7 +94,7 @@ def run_trials(
     """
 
     def make_job(spec: TrialSpec, start: Start) -> Job:
-        return Job(spec, config.meeting, start, config.checkpoint_every)
+        return Job(spec, config.meeting, start, config.checkpoint_every, config.questions)
 
     reporter.start(store.trials())
     executor = _executor(config)
@@ -110,7 +112,7 @@ def run_trials(
         if again := sum(trial.dropped for trial in remaining(store)):
             have = "1 episode has" if again == 1 else f"{again} episodes have"
             reporter.say(f"{have} no checkpoint after them, and will be run again")
-        flags = shlex.join(_flags(store, config.meeting))
+        flags = shlex.join(_flags(store, config))
         reporter.say(
             f"go on with: glue-experiment --resume {shlex.quote(str(store.directory))} {flags}".rstrip()
         )
@@ -120,9 +122,10 @@ def run_trials(
     return sum(trial.failure is not None for trial in store.trials())
 
 
-def _flags(store: Store, meeting: Meeting) -> list[str]:
-    """Return the options that the run needs again: where players from outside join, and what is accepted."""
-    hub = meeting.hub
+def _flags(store: Store, config: RunConfig) -> list[str]:
+    """Return the options that the run needs again: where players from outside join, what is accepted, and
+    what the agent is asked."""
+    hub = config.meeting.hub
     flags = [f"--bind={url}" for url in hub.bind]
     flags += [f"--legacy-port={port.host}:{port.port or '*'}={port.session}" for port in hub.legacy]
     for option, value in (("hub", hub.hub), ("key", hub.key), ("hub-key", hub.hub_key), ("keys", hub.keys)):
@@ -132,8 +135,9 @@ def _flags(store: Store, meeting: Meeting) -> list[str]:
         flags.append(f"--session={hub.session}")
     if hub.insecure:
         flags.append("--insecure")
-    if meeting.any_reward:
+    if config.meeting.any_reward:
         flags.append("--any-reward")
+    flags += [f"--ask={question}" for question in config.questions]
     if class_files([role for trial in store.trials() for role in (trial.spec.agent, trial.spec.environment)]):
         flags.append("--trust")
     return flags

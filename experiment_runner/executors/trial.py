@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, Protocol
 
+from experiment_runner.asking import ask
 from experiment_runner.interrupts import Interrupts
 from experiment_runner.plan import TrialSpec
 from experiment_runner.recording import Recorder
-from experiment_runner.store.records import Checkpoint, EpisodeResult
+from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
 from glue.core.experiment import Experiment
 from glue.errors import GlueError, PeerLost, Unsupported
 
@@ -23,8 +24,11 @@ __all__ = ["BEGINNING", "Sink", "Start", "run_trial"]
 class Sink(Protocol):
     """Receives the results of a trial. What is given first is stored first."""
 
-    def record(self, result: EpisodeResult, checkpoint: Checkpoint | None) -> None:
-        """Store a finished episode, and the checkpoint after it, if any; perhaps with the next ones."""
+    def record(
+        self, result: EpisodeResult, checkpoint: Checkpoint | None, answers: tuple[Answer, ...]
+    ) -> None:
+        """Store a finished episode, the checkpoint after it, if any, and what the agent answered after it;
+        perhaps with the next ones."""
         ...
 
     def void(self, episode: int, why: str) -> None:
@@ -62,6 +66,7 @@ def run_trial(
     recorder: Recorder | None = None,
     interrupts: Interrupts | None = None,
     any_reward: bool = False,
+    questions: Sequence[str] = (),
 ) -> None:
     """Run the episodes of `spec` after `start`.
 
@@ -82,12 +87,14 @@ def run_trial(
             to not defer it.
         any_reward: whether rewards may be infinite or NaN. If not, an episode whose return is infinite or NaN
             ends the trial; single rewards are checked by `glue`, see `experiment_runner.rewards`.
+        questions: messages that the agent is sent after each episode.
 
     Raises:
         GlueError: the trial cannot continue. What the sink received remains valid.
         KeyboardInterrupt: as `Interrupts.deferred`.
     """
-    _Trial(glue, spec, sink, start, checkpoint_every, recorder, interrupts or Interrupts(), any_reward).run()
+    interrupts = interrupts or Interrupts()
+    _Trial(glue, spec, sink, start, checkpoint_every, recorder, interrupts, any_reward, questions).run()
 
 
 class _Trial:
@@ -101,6 +108,7 @@ class _Trial:
         recorder: Recorder | None,
         interrupts: Interrupts,
         any_reward: bool,
+        questions: Sequence[str],
     ) -> None:
         self._glue = glue
         self._spec = spec
@@ -110,6 +118,7 @@ class _Trial:
         self._recorder = recorder
         self._interrupts = interrupts
         self._any_reward = any_reward
+        self._questions = questions
         self._play = glue.rl_episode if recorder is None else recorder.rl_episode
         self._done = start.after
         self._since: list[EpisodeResult] = []  # the episodes run after `start`, oldest first
@@ -130,6 +139,7 @@ class _Trial:
                     self._make_ready()
                     ready = True
                 result = self._episode(self._done + 1, self._play)
+                answers = ask(self._glue, self._questions)
             except PeerLost as error:
                 self._sink.void(self._done + 1, str(error))
                 # Players that cannot be restored continue as they are; the hub initialises new ones.
@@ -139,7 +149,7 @@ class _Trial:
                 continue
             # Read only once, so that the trial never stops without having taken a checkpoint.
             stopping = self._interrupts.requested
-            ready = self._keep(result, stopping)
+            ready = self._keep(result, answers, stopping)
             if stopping:
                 self._interrupts.check()
 
@@ -193,7 +203,7 @@ class _Trial:
             )
         return EpisodeResult(number, episode_return, steps, terminal, time.perf_counter() - began)
 
-    def _keep(self, result: EpisodeResult, stopping: bool) -> bool:
+    def _keep(self, result: EpisodeResult, answers: tuple[Answer, ...], stopping: bool) -> bool:
         """Store a result, with a checkpoint if one is due; return whether both players are still there."""
         checkpoint, lost = None, False
         due = self._every > 0 and result.episode % self._every == 0
@@ -206,7 +216,7 @@ class _Trial:
             except PeerLost as error:
                 self._sink.event("lost", str(error))
                 lost = True
-        self._sink.record(result, checkpoint)
+        self._sink.record(result, checkpoint, answers)
         self._done = result.episode
         if checkpoint is None:
             if self._can_save:

@@ -164,6 +164,7 @@ def as_object(results: Results) -> dict[str, object]:
         ],
         "voids": [void._asdict() for void in results.voids()],
         "events": [event._asdict() for event in results.events()],
+        "answers": [answered._asdict() for answered in results.newest_answers()],
     }
 
 

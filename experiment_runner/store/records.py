@@ -1,4 +1,4 @@
-"""What a run directory records: episodes, checkpoints, trials, voids and events."""
+"""What a run directory records: episodes, answers, checkpoints, trials, voids and events."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from typing import NamedTuple
 from experiment_runner.plan import TrialSpec
 
 __all__ = [
+    "Answer",
+    "Answered",
     "Checkpoint",
     "EpisodeResult",
     "Event",
@@ -34,6 +36,22 @@ class EpisodeResult(NamedTuple):
     steps: int
     terminal: bool
     wall_time: float
+
+
+class Answer(NamedTuple):
+    """What the agent answered to a message."""
+
+    message: str
+    answer: str
+
+
+class Answered(NamedTuple):
+    """What the agent of a trial answered to a message after an episode."""
+
+    trial_id: str
+    episode: int
+    message: str
+    answer: str
 
 
 @dataclass(frozen=True, slots=True)

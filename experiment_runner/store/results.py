@@ -15,6 +15,7 @@ import numpy.typing as npt
 from experiment_runner.plan import COUNTS, RoleSpec, TrialSpec
 from experiment_runner.store.database import Database, open_to_read, reported
 from experiment_runner.store.records import (
+    Answered,
     Checkpoint,
     EpisodeResult,
     Event,
@@ -172,6 +173,16 @@ class Results:
         self._check(rows, (_NUMBER, _TEXT_OR_NULL, _TEXT, _TEXT), timed=True)
         return [Event(*row) for row in rows]
 
+    def answers(self, trial_id: str) -> list[Answered]:
+        """Return what the agent of a trial answered after its episodes, in their order."""
+        return self._answers("id = ? ORDER BY episode, message", trial_id)
+
+    def newest_answers(self) -> list[Answered]:
+        """Return what the agent of each trial answered last."""
+        return self._answers(
+            "episode = (SELECT max(episode) FROM answers WHERE trial = key) ORDER BY key, message"
+        )
+
     def outcomes(self) -> dict[str, Outcome]:
         """Return how the trials of a competition ended, by id, for those that have."""
         rows = self._query("SELECT id, reason, digest FROM outcomes JOIN trials ON key = trial")
@@ -186,6 +197,14 @@ class Results:
             trial_id: Verdict(digest, problem, math.nan if score is None else score)
             for trial_id, digest, problem, score in rows
         }
+
+    def _answers(self, which: str, *values: object) -> list[Answered]:
+        rows = self._query(
+            f"SELECT id, episode, message, answer FROM answers JOIN trials ON key = trial WHERE {which}",
+            *values,
+        )
+        self._check(rows, (_TEXT, _WHOLE, _TEXT, _TEXT))
+        return [Answered(*row) for row in rows]
 
     def _query(self, statement: str, *values: object) -> list[Any]:
         with reported(f"cannot read {self.directory}"):

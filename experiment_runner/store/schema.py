@@ -73,6 +73,15 @@ MIGRATIONS: tuple[Migration, ...] = (
             problem TEXT,
             score REAL)""",
     ),
+    (
+        # What the agent answered to messages after `episode`.
+        """CREATE TABLE answers (
+            trial INTEGER NOT NULL REFERENCES trials,
+            episode INTEGER NOT NULL,
+            message TEXT NOT NULL,
+            answer TEXT NOT NULL,
+            PRIMARY KEY (trial, episode, message)) WITHOUT ROWID""",
+    ),
 )
 
 

@@ -24,7 +24,7 @@ from experiment_runner.lock import RunLock
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.store.database import Database, holds_run, open_to_write, reported, transaction
 from experiment_runner.store.layout import how_to_go_on, new_run, write_flushed
-from experiment_runner.store.records import Checkpoint, EpisodeResult, Outcome, Verdict
+from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult, Outcome, Verdict
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 
@@ -33,11 +33,14 @@ __all__ = ["Store"]
 _PUT_TRIAL: Final = """INSERT INTO trials (id, agent, environment, episodes, max_steps, seed)
     VALUES (?, ?, ?, ?, ?, ?)"""
 _PUT_EPISODE: Final = "INSERT INTO episodes VALUES (?, ?, ?, ?, ?, ?)"
+_PUT_ANSWER: Final = "INSERT INTO answers VALUES (?, ?, ?, ?)"
 _PUT_CHECKPOINT: Final = "REPLACE INTO checkpoints VALUES (?, ?, ?, ?)"
 _PUT_VOID: Final = "INSERT INTO voids VALUES (?, ?, ?, ?)"
 _PUT_OUTCOME: Final = "REPLACE INTO outcomes VALUES (?, ?, ?)"
 _PUT_VERDICT: Final = "REPLACE INTO verdicts VALUES (?, ?, ?, ?)"
 _PUT_EVENT: Final = "INSERT INTO events VALUES (?, ?, ?, ?)"
+
+_Record = tuple[str, EpisodeResult, Checkpoint | None, tuple[Answer, ...]]
 
 
 class Store(Results):
@@ -124,12 +127,14 @@ class Store(Results):
             ExperimentError: it is not the trial's next episode, or cannot be written. The episodes before
                 it remain recorded.
         """
-        self.record_all([(trial_id, result, checkpoint)])
+        self.record_all([(trial_id, result, checkpoint, ())])
 
-    def record_all(self, records: Sequence[tuple[str, EpisodeResult, Checkpoint | None]]) -> None:
-        """Commit finished episodes, of one trial or of several, all of them or none; as `record`."""
+    def record_all(self, records: Sequence[_Record]) -> None:
+        """Commit finished episodes, of one trial or of several, all of them or none; as `record`, each with
+        what the agent answered after it.
+        """
         done: dict[str, int] = {}
-        for trial_id, result, _ in records:
+        for trial_id, result, *_ in records:
             self._key(trial_id)
             expected = done.get(trial_id, self._done[trial_id]) + 1
             if result.episode != expected:
@@ -139,7 +144,7 @@ class Store(Results):
                 )
             done[trial_id] = expected
         # Flush with each checkpoint: then a power loss costs at most the episodes since.
-        self._flush_commits(any(checkpoint is not None for _, _, checkpoint in records))
+        self._flush_commits(any(checkpoint is not None for _, _, checkpoint, _ in records))
         with (
             reported(
                 _unrecorded(records),
@@ -147,9 +152,11 @@ class Store(Results):
             ),
             transaction(self._connection),
         ):
-            for trial_id, result, checkpoint in records:
+            for trial_id, result, checkpoint, answers in records:
                 key = self._keys[trial_id]
                 self._connection.execute(_PUT_EPISODE, (key, *result))
+                for answer in answers:
+                    self._connection.execute(_PUT_ANSWER, (key, result.episode, *answer))
                 if checkpoint is not None:
                     row = (key, result.episode, checkpoint.agent, checkpoint.environment)
                     self._connection.execute(_PUT_CHECKPOINT, row)
@@ -185,10 +192,10 @@ class Store(Results):
         """
         key = self._key(trial_id)
         with reported(f"cannot write to {self.directory}"), transaction(self._connection):
-            self._connection.execute("DELETE FROM episodes WHERE trial = ? AND episode > ?", (key, episode))
-            self._connection.execute(
-                "DELETE FROM checkpoints WHERE trial = ? AND episode > ?", (key, episode)
-            )
+            for table in ("episodes", "answers", "checkpoints"):
+                self._connection.execute(
+                    f"DELETE FROM {table} WHERE trial = ? AND episode > ?", (key, episode)
+                )
             self._connection.execute("UPDATE trials SET failure = NULL WHERE key = ?", (key,))
             for table in ("outcomes", "verdicts"):
                 self._connection.execute(f"DELETE FROM {table} WHERE trial = ?", (key,))
@@ -205,6 +212,7 @@ class Store(Results):
         # Read before the episodes: in a run under way, it must not include one that is not copied.
         checkpoint = results.checkpoint(trial_id)
         episodes = results.episodes(trial_id)
+        answers = [answered for answered in results.answers(trial_id) if answered.episode <= len(episodes)]
         voids = [void for void in results.voids() if void.trial_id == trial_id]
         events = [event for event in results.events() if event.trial_id == trial_id]
         outcome, verdict = results.outcomes().get(trial_id), results.verdicts().get(trial_id)
@@ -212,6 +220,7 @@ class Store(Results):
         with reported(f"cannot write to {self.directory}"), transaction(self._connection):
             write("UPDATE trials SET failure = ? WHERE key = ?", ((why, key) for why in failures))
             write(_PUT_EPISODE, ((key, *e) for e in episodes))
+            write(_PUT_ANSWER, ((key, a.episode, a.message, a.answer) for a in answers))
             if checkpoint is not None:
                 episode, saved = checkpoint
                 write(_PUT_CHECKPOINT, [(key, episode, saved.agent, saved.environment)])
@@ -242,8 +251,8 @@ class Store(Results):
             self._connection.execute(statement, values)
 
 
-def _unrecorded(records: Sequence[tuple[str, EpisodeResult, Checkpoint | None]]) -> str:
-    trial_id, result, _ = records[0]
+def _unrecorded(records: Sequence[_Record]) -> str:
+    trial_id, result, *_ = records[0]
     first = f"episode {result.episode} of {trial_id} is not recorded"
     return first if len(records) == 1 else f"{first}, nor are {len(records) - 1} after it"
 

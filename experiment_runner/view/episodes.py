@@ -28,7 +28,7 @@ from experiment_runner.view.kept import Kept
 from experiment_runner.view.reader import Reader
 from glue.errors import ExperimentError, TaskSpecError
 from glue.taskspec import Bound, Ranges, parse_task_spec
-from glue.trajectory import Episode, TrajectoryError, TrajectoryReader
+from glue.trajectory import Answer, Episode, TrajectoryError, TrajectoryReader
 from glue.types import Action
 
 __all__ = ["described", "number", "routes"]
@@ -39,8 +39,11 @@ _MOST_EPISODES: Final = 10_000  # of a recording, that are listed
 _MOST_STEPS: Final = 3_000_000  # of a recording, that are read to list it
 _MOST_SENT_STEPS: Final = 100_000  # of an episode
 _MOST_SENT_BYTES: Final = 64 * 2**20
+_MOST_ANSWER_BYTES: Final = 8 * 2**20  # of all that an agent answers in an episode
 _MOST_RUNS: Final = 500  # of equal ranges, of a task spec
 _MOST_TEXT: Final = 2000
+
+_ANSWER_BYTES: Final = 20  # of an answer in JSON, about, apart from its texts
 
 _EPISODE: Final = re.compile(r"(?:([0-9a-f]{8})-)?([1-9][0-9]{0,8})")
 _LENGTH: Final = struct.Struct("<I")
@@ -92,6 +95,18 @@ def described(task_spec: str) -> dict[str, Any]:
             for name, space in spaces.items()
         },
     }
+
+
+def _answers(episode: Episode) -> list[Answer]:
+    """Return what the agent answered, of each answer the beginning; the first ones, if they are too many."""
+    shown: list[Answer] = []
+    room = _MOST_ANSWER_BYTES
+    for step, message, answer in episode.answers:
+        shown.append(Answer(step, message[:_MOST_TEXT], answer[:_MOST_TEXT]))
+        room -= len(shown[-1].message) + len(shown[-1].answer) + _ANSWER_BYTES
+        if room < 0:
+            return shown[:-1]
+    return shown
 
 
 def _ranges(ranges: Ranges) -> list[tuple[int, str]]:
@@ -178,6 +193,7 @@ def _pieces(path: Path, count: int, episode: Episode) -> Iterator[bytes]:
         "ending": episode.ending.value,
         "environment": episode.run.environment[:_MOST_TEXT],
         "spec": described(episode.run.task_spec),
+        "answers": _answers(episode),
     }
     encoded = json.dumps(header).encode()
     yield _LENGTH.pack(len(encoded)) + encoded

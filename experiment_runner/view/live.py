@@ -32,13 +32,14 @@ _WAIT_SECONDS: Final = 5.0  # for a hub to answer
 _MOST_WATCHES: Final = 16
 _MOST_BYTES: Final = 2**18  # of an observation and action
 _MOST_TEXT: Final = 2000
+_MOST_MESSAGES: Final = 50
 
 
 class Live:
     """Opens the topics: `RUN` is a run's first trial in progress, `RUN/TRIAL` that trial.
 
     A topic has `trials`, the ids of those in progress; `trial`, the one that is shown, if any; `spec`, its
-    task spec; `moment`, the newest; and `answer`, the newest message to the agent with its answer.
+    task spec; `moment`, the newest; and `answers`, what the agent answered last, by message.
     """
 
     def __init__(self, catalog: Catalog, pulse: Pulse) -> None:
@@ -75,6 +76,7 @@ class _Watch:
         self.over = threading.Event()
         self._directory = directory
         self._trial = trial
+        self._answers: dict[str, str] = {}
         self._loop = asyncio.get_running_loop()
         threading.Thread(target=self._work, name="observer", daemon=True).start()
 
@@ -95,6 +97,8 @@ class _Watch:
             place.hub, place.session, name="glue-view", wait=_WAIT_SECONDS, log=lambda line: None
         ) as observer:
             self._put("trial", trial)
+            self._answers = {}
+            self._put("answers", None)
             looked = asked = time.monotonic()
             observer.want(1)
             while not self.over.is_set():
@@ -112,7 +116,9 @@ class _Watch:
             case TaskSpecSeen(text):
                 self._put("spec", described(text))
             case Answer(message, answer):
-                self._put("answer", [message[:_MOST_TEXT], answer[:_MOST_TEXT]])
+                if len(self._answers) < _MOST_MESSAGES or message in self._answers:
+                    self._answers = {**self._answers, message[:_MOST_TEXT]: answer[:_MOST_TEXT]}
+                    self._put("answers", [*self._answers.items()])
             case Start(_, observation):
                 self._put("moment", _moment(Step(0, 1, 0.0, 0.0, False, observation, Action())))
             case Step():

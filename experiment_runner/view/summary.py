@@ -14,7 +14,8 @@ from experiment_runner.store.results import Results
 
 __all__ = ["run_in_full"]
 
-_MOST_NOTES: Final = 200  # voids and events, the newest
+_MOST_NOTES: Final = 200  # voids and events, the newest; answers
+_MOST_TEXT: Final = 2000  # of an answer
 _MOST_TRIALS: Final = 1000
 _MOST_BYTES: Final = 2**20  # of a text file
 
@@ -27,9 +28,14 @@ def run_in_full(directory: Path) -> dict[str, Any]:
     """
     with Results.open(directory) as results:
         found: dict[str, Any] = as_object(results)
-    for name, most in (("voids", _MOST_NOTES), ("events", _MOST_NOTES), ("trial_records", _MOST_TRIALS)):
+    for name, most in (("voids", _MOST_NOTES), ("events", _MOST_NOTES)):
         found[name + "_left_out"] = max(0, len(found[name]) - most)
-        found[name] = found[name][-most:] if name != "trial_records" else found[name][:most]
+        found[name] = found[name][-most:]
+    for name, most in (("trial_records", _MOST_TRIALS), ("answers", _MOST_NOTES)):
+        found[name + "_left_out"] = max(0, len(found[name]) - most)
+        found[name] = found[name][:most]
+    for answered in found["answers"]:
+        answered["answer"] = answered["answer"][:_MOST_TEXT]
     competition = _text(directory / COMPETITION_FILE)
     for trial in found["trial_records"]:
         # As text, since JavaScript would round it; of a competition it is secret.

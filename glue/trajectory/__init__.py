@@ -15,7 +15,7 @@ writer that is killed leaves all whole episodes behind.
 
 from glue.trajectory.limits import MAX_BODY, MAX_EPISODE, MAX_STEPS, MAX_TEXT
 from glue.trajectory.reader import TrajectoryReader
-from glue.trajectory.records import MAGIC, Ending, Episode, Run
+from glue.trajectory.records import MAGIC, Answer, Ending, Episode, Run
 from glue.trajectory.steps import Step
 from glue.trajectory.unpacked import TrajectoryError
 from glue.trajectory.writer import TrajectoryWriter
@@ -26,6 +26,7 @@ __all__ = [
     "MAX_EPISODE",
     "MAX_STEPS",
     "MAX_TEXT",
+    "Answer",
     "Ending",
     "Episode",
     "Run",

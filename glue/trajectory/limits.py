@@ -8,6 +8,6 @@ __all__ = ["MAX_BODY", "MAX_EPISODE", "MAX_RUN_SYNTAX", "MAX_STEPS", "MAX_TEXT"]
 
 MAX_BODY: Final = 16 * 2**20  # bytes of one observation or action
 MAX_TEXT: Final = 16 * 2**20  # bytes of one run's JSON, or of one message
-MAX_EPISODE: Final = 256 * 2**20  # bytes of all records of one episode and the messages before it, unpacked
-MAX_STEPS: Final = 1_000_000  # of one episode; and messages before it
+MAX_EPISODE: Final = 256 * 2**20  # bytes of all records of one episode and those before it, unpacked
+MAX_STEPS: Final = 1_000_000  # of one episode; and messages before it, and answers
 MAX_RUN_SYNTAX: Final = 2**16  # characters of a run's JSON without the contents of its texts

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from glue.trajectory import limits
 from glue.trajectory.records import (
+    ANSWER,
     ENDINGS,
     MAGIC,
     MESSAGE,
@@ -19,6 +20,7 @@ from glue.trajectory.records import (
     START,
     STEP,
     TERMINAL_STEP,
+    Answer,
     Episode,
     Run,
     is_plain,
@@ -68,43 +70,59 @@ def _episodes(unpacked: Unpacked) -> Iterator[Episode]:
     """Yield the episodes of one gzip member."""
     run: Run | None = None
     messages: list[str] = []
+    answers: list[Answer] = []
     while not unpacked.at_end():
-        if not messages:
+        if not messages and not answers:
             begin = unpacked.offset
         kind = unpacked.take(1)
         if kind == RUN:
             run = _run_from_json(unpacked)
             messages.clear()
+            answers.clear()
         elif kind == MESSAGE and run is not None:
             messages.append(unpacked.text(limits.MAX_TEXT))
             _check_size(unpacked, begin, len(messages))
+        elif kind == ANSWER and run is not None:
+            answers.append(_answer(unpacked, 0))
+            _check_size(unpacked, begin, len(answers))
         elif kind == START and run is not None:
-            yield _episode(unpacked, run, tuple(messages), begin)
+            yield _episode(unpacked, run, tuple(messages), answers, begin)
             messages.clear()
+            answers = []
         else:
             raise unpacked.malformed(f"a record {kind!r} where none of that kind can stand")
 
 
-def _episode(unpacked: Unpacked, run: Run, messages: tuple[str, ...], begin: int) -> Episode:
-    """Read an episode from its first observation on; `begin` is where it or its first message begins."""
+def _episode(
+    unpacked: Unpacked, run: Run, messages: tuple[str, ...], answers: list[Answer], begin: int
+) -> Episode:
+    """Read an episode from its first observation on; `begin` is where it or what is before it begins."""
     start = Observation.from_body(unpacked.body(limits.MAX_BODY))
     steps = Steps()
-    while (kind := unpacked.take(1)) in (STEP, TERMINAL_STEP):
+    while (kind := unpacked.take(1)) in (STEP, TERMINAL_STEP, ANSWER):
+        if kind == ANSWER:
+            answers.append(_answer(unpacked, len(steps) + 1))
+            _check_size(unpacked, begin, len(answers))
+            continue
         reward = unpacked.take(REWARD.size)
         action, observation = unpacked.body(limits.MAX_BODY), unpacked.body(limits.MAX_BODY)
         steps.append(reward, action, observation, kind == TERMINAL_STEP)
         _check_size(unpacked, begin, len(steps))
         if kind == TERMINAL_STEP:
             break
-    if kind not in ENDINGS:
+    if kind not in ENDINGS or (answers and answers[-1].step > len(steps)):
         raise unpacked.malformed(f"a record {kind!r} inside an episode")
-    return Episode(run, messages, start, steps, ENDINGS[kind])
+    return Episode(run, messages, start, steps, ENDINGS[kind], tuple(answers))
+
+
+def _answer(unpacked: Unpacked, step: int) -> Answer:
+    return Answer(step, unpacked.text(limits.MAX_TEXT), unpacked.text(limits.MAX_TEXT))
 
 
 def _check_size(unpacked: Unpacked, begin: int, count: int) -> None:
     if count > limits.MAX_STEPS or unpacked.offset - begin > limits.MAX_EPISODE:
         raise unpacked.malformed(
-            f"an episode of more than {limits.MAX_STEPS} steps or messages, or of more than "
+            f"an episode of more than {limits.MAX_STEPS} steps, messages or answers, or of more than "
             f"{limits.MAX_EPISODE} bytes"
         )
 

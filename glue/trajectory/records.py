@@ -7,13 +7,14 @@ import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from typing import Final, NamedTuple
 
 from glue.options import Value
 from glue.trajectory.steps import Step
 from glue.types import Observation
 
 __all__ = [
+    "ANSWER",
     "CUTOFF",
     "ENDINGS",
     "LENGTH",
@@ -25,6 +26,7 @@ __all__ = [
     "STEP",
     "TERMINAL_STEP",
     "VOID",
+    "Answer",
     "Ending",
     "Episode",
     "Run",
@@ -33,6 +35,7 @@ __all__ = [
 
 MAGIC: Final = b"GLUETRJ1"
 RUN, MESSAGE, START, STEP, TERMINAL_STEP, CUTOFF, VOID = b"R", b"M", b"O", b"S", b"T", b"C", b"V"
+ANSWER: Final = b"A"
 LENGTH: Final = struct.Struct("<I")
 REWARD: Final = struct.Struct("<d")
 
@@ -67,11 +70,20 @@ class Run:
     state: bytes = b""
 
 
+class Answer(NamedTuple):
+    """What the agent answered to a message at a step: 0 is the start, n the moment after step n."""
+
+    step: int
+    message: str
+    answer: str
+
+
 @dataclass(frozen=True, slots=True)
 class Episode:
     """One episode: the first observation, then its steps.
 
-    `messages` are the texts that the environment was sent since the start of the episode before.
+    `messages` are the texts that the environment was sent since the start of the episode before, `answers`
+    what the agent answered to those that it was sent during this one.
     """
 
     run: Run
@@ -79,6 +91,7 @@ class Episode:
     start: Observation
     steps: Sequence[Step]
     ending: Ending
+    answers: tuple[Answer, ...] = ()
 
     @property
     def episode_return(self) -> float:

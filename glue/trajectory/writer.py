@@ -13,6 +13,7 @@ from typing import Self
 from glue.errors import LocalProtocolError
 from glue.trajectory import limits
 from glue.trajectory.records import (
+    ANSWER,
     CUTOFF,
     LENGTH,
     MAGIC,
@@ -55,6 +56,8 @@ class TrajectoryWriter:
         self._steps = 0
         self._size = 0
         self._messages: list[bytes] = []
+        self._answers: list[bytes] = []
+        self._answered = 0  # in the open episode
         self._write(MAGIC)
         self._flush()
 
@@ -70,6 +73,7 @@ class TrajectoryWriter:
         self.cutoff()
         record = _text_record(RUN, _run_to_json(run))
         self._messages.clear()
+        self._answers.clear()
         self._write(record)
         self._has_run = True
 
@@ -85,6 +89,18 @@ class TrajectoryWriter:
             raise LocalProtocolError(f"more than {limits.MAX_STEPS} messages in a row cannot be recorded")
         self._messages.append(_text_record(MESSAGE, text))
 
+    def answer(self, message: str, answer: str) -> None:
+        """Note what the agent answered to a message at the moment that is noted next, a start or a step.
+
+        Raises:
+            LocalProtocolError: there is no run yet, a text takes more than `MAX_TEXT`, or there are more
+                than `MAX_STEPS` answers in an episode.
+        """
+        self._needs_run()
+        if self._answered + len(self._answers) == limits.MAX_STEPS:
+            raise LocalProtocolError(f"more than {limits.MAX_STEPS} answers in an episode cannot be recorded")
+        self._answers.append(_text_record(ANSWER, message) + _text_record(b"", answer))
+
     def start(self, observation: Observation) -> None:
         """Begin an episode. Cuts off an open one.
 
@@ -93,9 +109,11 @@ class TrajectoryWriter:
         """
         self._needs_run()
         self.cutoff()
-        record = b"".join((*self._messages, START, _body_of(observation)))
+        record = b"".join((*self._messages, *self._answers, START, _body_of(observation)))
         self._messages.clear()
         self._steps = self._size = 0
+        self._answered = len(self._answers)
+        self._answers.clear()
         self._grow(record)
         self._in_episode = True
 
@@ -111,7 +129,10 @@ class TrajectoryWriter:
             raise LocalProtocolError(f"an episode of more than {limits.MAX_STEPS} steps cannot be recorded")
         self._steps += 1
         kind = TERMINAL_STEP if terminal else STEP
-        self._grow(b"".join((kind, REWARD.pack(reward), _body_of(action), _body_of(observation))))
+        fields = (REWARD.pack(reward), _body_of(action), _body_of(observation))
+        self._grow(b"".join((*self._answers, kind, *fields)))
+        self._answered += len(self._answers)
+        self._answers.clear()
         if terminal:
             self._in_episode = False
             self._flush()

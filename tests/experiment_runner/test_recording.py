@@ -23,7 +23,7 @@ from experiment_runner.executors.trial import BEGINNING, Start, run_trial
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.players import Meeting
 from experiment_runner.recording import Recorder, recorded
-from experiment_runner.store.records import Checkpoint, EpisodeResult
+from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results
 from glue.core.experiment import Experiment
 from glue.core.local import LocalExperiment, local
@@ -165,7 +165,9 @@ class Kept:
         self.checkpoints: dict[int, Checkpoint] = {}
         self.voids: list[int] = []
 
-    def record(self, result: EpisodeResult, checkpoint: Checkpoint | None) -> None:
+    def record(
+        self, result: EpisodeResult, checkpoint: Checkpoint | None, answers: tuple[Answer, ...]
+    ) -> None:
         self.results.append(result)
         if checkpoint is not None:
             self.checkpoints[result.episode] = checkpoint

@@ -158,6 +158,48 @@ def test_round_trip(tmp_path_factory: pytest.TempPathFactory, recorded: list[tup
     assert read(path) == expected
 
 
+def test_an_answer_belongs_to_the_moment_that_is_noted_next(tmp_path: Path) -> None:
+    with TrajectoryWriter(tmp_path / "a") as recording:
+        with pytest.raises(LocalProtocolError, match="no run"):
+            recording.answer("values", "1")
+        recording.run(RUN)
+        for episode in range(2):
+            recording.message("level 3")
+            recording.answer("values", f"{episode}")
+            recording.answer("", "ä\n" * 1000)
+            recording.start(observation(0))
+            recording.step(Action(), 1.0, observation(1), False)
+            recording.answer("values", "<script>")
+            recording.step(Action(), 1.0, observation(2), True)
+        recording.answer("values", "of a moment that does not come")
+    first, second = read(tmp_path / "a")
+    assert first.messages == second.messages == ("level 3",)
+    assert first.answers == ((0, "values", "0"), (0, "", "ä\n" * 1000), (2, "values", "<script>"))
+    assert second.answers == ((0, "values", "1"), *first.answers[1:])
+    assert len(second.steps) == 2
+
+
+def test_answers_of_an_episode_are_limited_for_writer_and_reader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with TrajectoryWriter(tmp_path / "a") as recording:
+        recording.run(RUN)
+        for number in range(4):
+            recording.answer("values", "")
+            if number == 0:
+                recording.start(observation(0))
+            elif number == 2:
+                recording.step(Action(), 1.0, observation(1), False)
+        monkeypatch.setattr(limits, "MAX_STEPS", 4)
+        with pytest.raises(LocalProtocolError, match="more than 4 answers"):
+            recording.answer("values", "")
+        recording.step(Action(), 1.0, observation(1), True)
+    assert len(read(tmp_path / "a")[0].answers) == 4
+    monkeypatch.setattr(limits, "MAX_STEPS", 3)
+    with pytest.raises(TrajectoryError, match="more than 3 steps, messages or answers"):
+        read(tmp_path / "a")
+
+
 def test_episode_return_adds_in_order() -> None:
     rewards = [1e16, 1.0, -1e16]
     taken = tuple(Step(Action(), reward, Observation(), False) for reward in rewards)
@@ -334,9 +376,13 @@ def test_limits_hold_while_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 EMPTY = Observation().body
+ANSWER = text_record(b"A", "values") + text_record(b"", "3")
 BROKEN = {
     "start before run": (b"O" + EMPTY, "a record b'O' where"),
     "message before run": (text_record(b"M", "hello"), "a record b'M' where"),
+    "answer before run": (ANSWER, "a record b'A' where"),
+    "answer without a step": (run_record() + b"O" + EMPTY + ANSWER + b"C", "b'C' inside an episode"),
+    "half an answer": (run_record() + text_record(b"A", "values"), "ends inside a record"),
     "step outside": (run_record() + b"S" + b"\0" * 40, "a record b'S' where"),
     "unknown kind": (run_record() + b"?", "a record b'[?]' where"),
     "unknown kind inside": (run_record() + b"O" + EMPTY + b"?", "b'[?]' inside an episode"),
@@ -431,7 +477,7 @@ def test_declared_sizes_and_bombs_take_no_memory(tmp_path: Path, monkeypatch: py
             read(tmp_path / "bomb")
         with pytest.raises(TrajectoryError, match="ends inside a record"):
             read(tmp_path / "claim")
-        with pytest.raises(TrajectoryError, match="steps or messages"):
+        with pytest.raises(TrajectoryError, match="messages or answers"):
             read(tmp_path / "messages")
         assert tracemalloc.get_traced_memory()[1] < 32 * 2**20
     finally:

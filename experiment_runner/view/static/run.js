@@ -64,6 +64,12 @@ function draw(run) {
   if (run.trial_records_left_out) parts.push(h("p", { class: "quiet" }, `and ${count(run.trial_records_left_out)} more`));
   if (run.plan) parts.push(fold("plan", run.competition ? "Competition" : "Plan", h("pre", { tabindex: "0" }, run.plan)));
   parts.push(fold("versions", "Versions and machine", ...about(run)));
+  if (run.answers.length) {
+    parts.push(fold("answers", "What the agents answered last", table("What the agents answered last",
+      ["trial", "after episode", "message", "answer"],
+      run.answers.map((one) => [one.trial_id, count(one.episode), one.message, one.answer]))));
+    if (run.answers_left_out) parts.at(-1).append(h("p", { class: "quiet" }, `and ${count(run.answers_left_out)} more`));
+  }
   if (run.voids.length) {
     parts.push(fold("voids", `Voided attempts (${count(run.voids.length + run.voids_left_out)})`,
       table("Voided attempts", ["time", "trial", "episode", "why"],

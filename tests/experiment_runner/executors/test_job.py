@@ -23,13 +23,14 @@ from experiment_runner.executors.job import (
 from experiment_runner.executors.trial import Start
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.players import Meeting
-from experiment_runner.store.records import Checkpoint, EpisodeResult
+from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
 from glue.errors import ExperimentError
 
 RESULT = EpisodeResult(7, -1.25, 2**40, False, 0.5)
 REPORTS: list[Report] = [
     Recorded(RESULT, None),
     Recorded(EpisodeResult(8, math.inf, 1, True, 0.0), Checkpoint(b"\0agent", b"")),
+    Recorded(RESULT, None, (Answer("values", "ä\n"), Answer("", ""))),
     Voided(9, "the agent was lost"),
     Happened("lost", "why ☂"),
     Said("a line"),
@@ -50,7 +51,7 @@ def test_reports_arrive_as_they_were_sent_however_the_stream_is_cut() -> None:
 def test_job_arrives_as_it_was_sent() -> None:
     agent = RoleSpec("sarsa", {"step_size": 0.1, "episodes": 2**70, "greedy": True, "file": "ä"}, "mine")
     spec = TrialSpec("mine/mines/0", agent, RoleSpec("mines"), 12, 30, 2**63 - 1)
-    job = Job(spec, Meeting(True, any_reward=True), Start(5, Checkpoint(b"a", b"e")), 4)
+    job = Job(spec, Meeting(True, any_reward=True), Start(5, Checkpoint(b"a", b"e")), 4, ("values", ""))
     assert list(map(decode_job, unpack(encode_job(job)))) == [job]
 
 

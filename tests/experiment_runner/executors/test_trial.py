@@ -15,7 +15,7 @@ from env_server.toys import MinesEnvironment
 from experiment_runner.executors.trial import Start, run_trial
 from experiment_runner.interrupts import Interrupts
 from experiment_runner.plan import TrialSpec
-from experiment_runner.store.records import Checkpoint, EpisodeResult
+from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
 from glue.core.experiment import Experiment
 from glue.core.local import LocalExperiment, local
 from glue.errors import GlueError, PeerFailed, PeerLost
@@ -36,7 +36,9 @@ class Kept:
         self.events: list[str] = []
         self.said: list[str] = []
 
-    def record(self, result: EpisodeResult, checkpoint: Checkpoint | None) -> None:
+    def record(
+        self, result: EpisodeResult, checkpoint: Checkpoint | None, answers: tuple[Answer, ...]
+    ) -> None:
         assert result.episode == len(self.results) + 1
         self.results.append(result)
         if checkpoint is not None:

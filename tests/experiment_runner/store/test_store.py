@@ -624,10 +624,10 @@ def test_run_in_a_read_only_directory_is_read_but_not_written(open_folder: Path,
 def test_episodes_recorded_together_are_all_recorded_or_none(store: Store) -> None:
     right, wrong = (EpisodeResult(number, 1.0, 2, True, 0.5) for number in (1, 3))
     with pytest.raises(ExperimentError, match=r"episode 3 .* where episode 2 was expected"):
-        store.record_all([(FIRST, right, None), (FIRST, wrong, None)])
+        store.record_all([(FIRST, right, None, ()), (FIRST, wrong, None, ())])
     assert store.episodes(FIRST) == []
     assert store.done(FIRST) == 0
     second = right._replace(episode=2)
-    store.record_all([(FIRST, right, None), (FIRST, second, Checkpoint(b"agent", b"environment"))])
+    store.record_all([(FIRST, right, None, ()), (FIRST, second, Checkpoint(b"agent", b"environment"), ())])
     assert store.episodes(FIRST) == [right, second]
     assert store.checkpoint(FIRST) == (2, Checkpoint(b"agent", b"environment"))

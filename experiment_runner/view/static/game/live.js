@@ -14,13 +14,13 @@ export function watchLive(element, run) {
   const choice = h("select", { id: "trial", onchange: () => follow(choice.value) });
   const chooser = h("p", { class: "controls", hidden: true }, h("label", { for: "trial" }, "trial"), choice);
   const place = h("div");
-  const answer = h("dl", { class: "answer" });
-  const section = h("section", { class: "live", hidden: true }, h("h2", {}, "Live"), status, chooser, place, answer);
+  const section = h("section", { class: "live", hidden: true }, h("h2", {}, "Live"), status, chooser, place);
   element.append(section);
   let screen = null;
   let spec = null;
   let opening = false;
   let newest = null;
+  let answers = [];
   let frame = 0;
   let ended = false;
   let done = 0;
@@ -61,13 +61,10 @@ export function watchLive(element, run) {
     if (trial) setText(status, `${trial}: the newest of what is played, at most 30 moments a second; the game waits for nobody.`);
     else if (trials.length) setText(status, "Waiting for the next trial.");
     else setText(status, NO_HUB);
-    if (changed.answer) {
-      const [message, text] = changed.answer;
-      answer.replaceChildren(h("dt", {}, `the agent's answer to "${message}"`), h("dd", {}, text));
-    }
+    answers = all.get("answers") ?? [];
     if (all.get("spec")) open(all.get("spec"));
-    if (changed.moment) {
-      newest = changed.moment;
+    if (changed.moment || changed.answers) {
+      newest = changed.moment ?? newest;
       frame ||= requestAnimationFrame(draw);
     }
   }
@@ -104,7 +101,7 @@ export function watchLive(element, run) {
     const view = new DataView(bytes.buffer);
     const action = decode(view, 0);
     screen.show({ step, action: step ? action : null, observation: decode(view, action.end), reward: Number(reward),
-      total: Number(total), ending, episode: `after ${count(done)} of the run` });
+      total: Number(total), ending, answers, episode: `after ${count(done)} of the run` });
   }
 
   return () => {

@@ -22,7 +22,18 @@ export class Recording {
       this.returns[i] = total += this.rewards[i];
       at = endOf(view, endOf(view, at + 8));
     }
+    this._answered = this.about.answers ?? []; // [step, message, answer], in the order of the steps
     if (at !== buffer.byteLength) throw new Error("The recording did not arrive whole.");
+  }
+
+  /** Return what the agent has answered up to a step: pairs of message and answer. */
+  answers(step) {
+    const found = new Map();
+    for (const [at, message, answer] of this._answered) {
+      if (at > step) break;
+      found.set(message, answer);
+    }
+    return [...found];
   }
 
   /** Return a moment: step 0 is the start, which has no action. */
@@ -34,6 +45,7 @@ export class Recording {
       observation: decode(this._view, action.end),
       reward: this.rewards[step],
       total: this.returns[step],
+      answers: this.answers(step),
       ending: step === this.length - 1 ? ENDINGS[this.about.ending] ?? "" : "",
     };
   }

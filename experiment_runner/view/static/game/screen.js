@@ -27,6 +27,7 @@ export class Screen {
     this._art = art;
     this._moment = null;
     this._names = null;
+    this._messages = "";
     this._canvas = h("canvas", { role: "img", hidden: true });
     this._note = h("p", { class: "quiet" });
     this._facts = {};
@@ -35,7 +36,9 @@ export class Screen {
       return [h("dt", {}, name), this._facts[name]];
     });
     this._numbers = h("details", { class: "numbers", ontoggle: () => this._count() }, h("summary", {}, "Observation in numbers"));
-    this.beside = h("div", { class: "beside" }, h("dl", {}, ...facts));
+    this._answers = h("dl");
+    this._asked = h("div", { class: "answers", hidden: true }, h("h2", {}, "The agent's answers"), this._answers);
+    this.beside = h("div", { class: "beside" }, h("dl", {}, ...facts), this._asked);
     this.below = h("div", { class: "below" });
     this.element = h("div", { class: "screen" }, h("figure", {}, this._canvas, this._note), this.beside,
       this.below, this._numbers);
@@ -54,7 +57,7 @@ export class Screen {
     }
   }
 
-  /** Show a moment: its `step`, `action` (or null), `observation`, `reward`, `total` and `ending`. */
+  /** Show a moment: its `step`, `action` (or null), `observation`, `reward`, `total`, `ending` and `answers`. */
   show(moment) {
     this._moment = moment;
     this._draw(moment.observation);
@@ -65,7 +68,20 @@ export class Screen {
     setText(this._facts.reward, step ? plain.format(reward) : "none yet");
     setText(this._facts.return, plain.format(total));
     setText(this._facts.state, ending || "goes on");
+    this._answer(moment.answers ?? []);
     this._count();
+  }
+
+  /** Show what the agent has answered: pairs of message and answer, both of which may be anything. */
+  _answer(answers) {
+    const messages = answers.map(([message]) => message).join("\n");
+    if (messages !== this._messages) {
+      this._messages = messages;
+      this._asked.hidden = !answers.length;
+      this._answers.replaceChildren(...answers.flatMap(([message]) =>
+        [h("dt", {}, message), h("dd", { "data-answer": message, tabindex: "0" })]));
+    }
+    answers.forEach(([, answer], i) => setText(this._answers.children[2 * i + 1], answer));
   }
 
   /** Return an action in words. */
