@@ -124,7 +124,8 @@ async def _events(
                 first, spoke = False, time.monotonic()
                 await asyncio.sleep(_LEAST_SECONDS)
             elif time.monotonic() - spoke >= _HEARTBEAT_SECONDS:
-                yield ":\n\n"  # so that both ends notice when the other is gone
+                # So that both ends notice when the other is gone; of a comment scripts are not told.
+                yield "data: {}\n\n"
                 spoke = time.monotonic()
             change = seen
             if pulse.change == seen:

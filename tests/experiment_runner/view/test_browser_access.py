@@ -10,6 +10,7 @@ import pytest
 
 from tests.experiment_runner.view.chromium import Browser, browsing, needed
 from tests.experiment_runner.view.contests import hold
+from tests.experiment_runner.view.game.test_live import playing, started
 from tests.experiment_runner.view.pages import Page, glue_view
 from tests.experiment_runner.view.test_curves import store_run
 from tests.experiment_runner.view.test_stream import make_run
@@ -37,7 +38,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "damaged" / "results.sqlite").write_bytes(b"SQLite format 3\0" + b"\xff" * 5000)
     hold(folder)
     recorded = ("--env", "mines", "--agent", "random", "--episodes", "1", "--out", "played")
-    done = run("glue-experiment", *recorded, "--record", "played/run.traj", cwd=folder)
+    asked = ("--record", "played/run.traj", "--ask", "values")
+    done = run("glue-experiment", *recorded, *asked, cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder
 
@@ -83,6 +85,17 @@ def test_axe_finds_nothing_serious(browser: Browser, page: Page, view: str, is_d
         summary.click()
     browser.run(AXE.read_text("utf-8"))
     assert browser.run(_FAULTS) == []
+
+
+@pytest.mark.skipif(not AXE.is_file(), reason="needs axe-core: AXE_CORE=.../axe.min.js")
+def test_axe_finds_nothing_serious_in_a_live_game(browser: Browser, page: Page, folder: Path) -> None:
+    with playing("--out", "live", "--ask", "values", cwd=folder):
+        browser.go(f"game/{started(page, page.stream('topic=runs'))}")
+        browser.find("[data-answer]")
+        browser.run(AXE.read_text("utf-8"))
+        for is_dark in (False, True):
+            browser.set_dark(is_dark)
+            assert browser.run(_FAULTS) == []
 
 
 @pytest.mark.parametrize("view", VIEWS)

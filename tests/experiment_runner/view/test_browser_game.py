@@ -30,6 +30,7 @@ needed()
 selenium_keys = pytest.importorskip("selenium.webdriver").Keys
 
 STEPS = 60
+HOSTILE = "<script>alert(1)</script>"
 RIGHT, DOWN = [1, 1, 1], [1]
 LEVELS = {0: 33, 1: 19, 2: 28}  # a seed for each type, with which Mario gets far and meets many
 Pixels = npt.NDArray[np.uint8]
@@ -62,8 +63,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with TrajectoryWriter(folder / "toys/run.traj") as writer:
         play(writer, MinesEnvironment(), "mines", DOWN, 3)
         writer.run(Run("strange", {}, SPEC))
-        writer.start(Observation([4, 5], [1 / 3], b"<i>"))
-        writer.step(Action([1], [0.5]), 2.0, Observation([7, 5], [-1e300], b"\x00ab"), True)
+        for step in range(4):
+            if step != 2:
+                writer.answer(HOSTILE, f"{HOSTILE} {step}")
+            if step == 1:
+                writer.answer("epsilon", "0.5\n" * 99)
+            if step == 0:
+                writer.start(Observation([4, 5], [1 / 3], b"<i>"))
+            else:
+                writer.step(Action([1], [0.5]), 2.0, Observation([7, 5], [-1e300], b"\x00ab"), step == 3)
     return folder
 
 
@@ -89,6 +97,15 @@ def facts(browser: Browser) -> dict[str, str]:
     found: dict[str, str] = browser.run(
         "return Object.fromEntries([...document.querySelectorAll('[data-fact]')]"
         ".map((one) => [one.dataset.fact, one.textContent]))"
+    )
+    return found
+
+
+def answers(browser: Browser) -> dict[str, str]:
+    """Return what stands beside the game of the agent's answers, by message."""
+    found: dict[str, str] = browser.run(
+        "return Object.fromEntries([...document.querySelectorAll('[data-answer]')]"
+        ".map((one) => [one.previousElementSibling.textContent, one.textContent]))"
     )
     return found
 
@@ -228,10 +245,25 @@ def test_any_other_environment_has_a_table_of_its_numbers(browser: Browser, ids:
         ["chars 0 to 2", "<i>", ""],
     ]
     browser.press(selenium_keys.END)
-    is_at(browser, 1)
+    is_at(browser, 3)
     assert [row[1] for row in browser.has_table("Observation")] == ["7", "5", "-1e+300", "·ab"]
     assert facts(browser)["action"] == "1, 0.5"
     assert facts(browser)["state"] == "terminal"
+
+
+def test_beside_a_moment_stands_what_the_agent_answered_there(browser: Browser, ids: dict[str, str]) -> None:
+    for step, newest, others in (
+        (0, 0, {}),
+        (2, 1, {"epsilon": "0.5\n" * 99}),
+        (3, 3, {"epsilon": "0.5\n" * 99}),
+    ):
+        browser.go(f"game/{ids['toys']}/2?step={step}")
+        is_at(browser, step)
+        assert answers(browser) == {HOSTILE: f"{HOSTILE} {newest}", **others}
+    browser.go(f"game/{ids['toys']}/1")
+    is_at(browser, 0)
+    assert answers(browser) == {}
+    assert browser.run("return document.querySelector('.answers').hidden")
 
 
 def test_what_there_is_not_is_said(browser: Browser, ids: dict[str, str]) -> None:
@@ -243,7 +275,7 @@ def test_what_there_is_not_is_said(browser: Browser, ids: dict[str, str]) -> Non
 
 
 def test_a_trial_in_progress_is_seen(browser: Browser, page: Page, folder: Path) -> None:
-    with playing("--out", "running", cwd=folder):
+    with playing("--out", "running", "--ask", HOSTILE, cwd=folder):
         browser.go(f"game/{started(page, page.stream('topic=runs'))}")
         canvas = browser.find(".live .screen canvas:not([hidden])")
         browser.wait(lambda: facts(browser).get("action") in ("up", "down", "left", "right"), "a step")
@@ -255,5 +287,11 @@ def test_a_trial_in_progress_is_seen(browser: Browser, page: Page, folder: Path)
 
         browser.wait(many, "six fields")
         assert all(" of the mines" in label for label in seen)
+        browser.wait(lambda: HOSTILE in answers(browser), "an answer")
+        browser.go(f"run/{page.run_id('running')}")
+        ((trial, _, message, answer),) = browser.has_table("What the agents answered last")
+        assert (trial, message, answer) == ("random/mines/0", HOSTILE, "agent random answers no messages")
+        browser.go(f"game/{page.run_id('running')}")
+        browser.find(".live .screen canvas:not([hidden])")
     browser.shows("The run is over")
     assert browser.errors() == []
