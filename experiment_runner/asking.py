@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, NamedTuple
 
-from experiment_runner.store.records import Answer
 from glue.core.experiment import Experiment
 
-__all__ = ["MAX_ANSWER", "ask"]
+__all__ = ["MAX_ANSWER", "Answer", "ask"]
 
 MAX_ANSWER: Final = 10_000
 """Characters that are kept of an answer."""
+
+
+class Answer(NamedTuple):
+    """What the agent answered to a message."""
+
+    message: str
+    answer: str
 
 
 def ask(glue: Experiment, messages: Sequence[str]) -> tuple[Answer, ...]:

@@ -15,13 +15,14 @@ from typing import Any, Final, NamedTuple
 
 import msgpack
 
+from experiment_runner.asking import Answer
 from experiment_runner.executors.trial import BEGINNING, Start, run_trial
 from experiment_runner.interrupts import Interrupts
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.players import Meeting, open_experiment
 from experiment_runner.recording import Recorder
 from experiment_runner.store.database import StorageError
-from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
+from experiment_runner.store.records import Checkpoint, EpisodeResult
 from glue.console import show_failure
 from glue.errors import ExperimentError, GlueError, PeerFailed
 from glue.trajectory import TrajectoryWriter

@@ -10,11 +10,11 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, Protocol
 
-from experiment_runner.asking import ask
+from experiment_runner.asking import Answer, ask
 from experiment_runner.interrupts import Interrupts
 from experiment_runner.plan import TrialSpec
 from experiment_runner.recording import Recorder
-from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
+from experiment_runner.store.records import Checkpoint, EpisodeResult
 from glue.core.experiment import Experiment
 from glue.errors import GlueError, PeerLost, Unsupported
 

@@ -8,7 +8,6 @@ from typing import NamedTuple
 from experiment_runner.plan import TrialSpec
 
 __all__ = [
-    "Answer",
     "Answered",
     "Checkpoint",
     "EpisodeResult",
@@ -36,13 +35,6 @@ class EpisodeResult(NamedTuple):
     steps: int
     terminal: bool
     wall_time: float
-
-
-class Answer(NamedTuple):
-    """What the agent answered to a message."""
-
-    message: str
-    answer: str
 
 
 class Answered(NamedTuple):

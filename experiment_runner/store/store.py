@@ -20,11 +20,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, Self
 
+from experiment_runner.asking import Answer
 from experiment_runner.lock import RunLock
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.store.database import Database, holds_run, open_to_write, reported, transaction
 from experiment_runner.store.layout import how_to_go_on, new_run, write_flushed
-from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult, Outcome, Verdict
+from experiment_runner.store.records import Checkpoint, EpisodeResult, Outcome, Verdict
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 

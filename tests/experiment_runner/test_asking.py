@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from experiment_runner.asking import MAX_ANSWER
+from experiment_runner.asking import MAX_ANSWER, Answer
 from experiment_runner.commands.experiment import experiment
 from experiment_runner.executors.trial import run_trial
 from experiment_runner.plan import TrialSpec
 from experiment_runner.store.merge import merge
-from experiment_runner.store.records import Answer, Answered, Checkpoint, EpisodeResult
+from experiment_runner.store.records import Answered, Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.core.experiment import Experiment

@@ -17,13 +17,14 @@ from agents.baselines import RandomAgent
 from agents.tabular import SarsaAgent
 from env_server.replay.episodes import build_environment, open_recording, replayed_moments
 from env_server.toys import MinesEnvironment
+from experiment_runner.asking import Answer
 from experiment_runner.commands.experiment import experiment
 from experiment_runner.executors.job import Ended, Job, Report, run_job
 from experiment_runner.executors.trial import BEGINNING, Start, run_trial
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.players import Meeting
 from experiment_runner.recording import Recorder, recorded
-from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
+from experiment_runner.store.records import Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results
 from glue.core.experiment import Experiment
 from glue.core.local import LocalExperiment, local

@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from experiment_runner.asking import Answer
 from experiment_runner.executors.job import (
     Ended,
     Happened,
@@ -23,7 +24,7 @@ from experiment_runner.executors.job import (
 from experiment_runner.executors.trial import Start
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.players import Meeting
-from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
+from experiment_runner.store.records import Checkpoint, EpisodeResult
 from glue.errors import ExperimentError
 
 RESULT = EpisodeResult(7, -1.25, 2**40, False, 0.5)

@@ -12,10 +12,11 @@ import pytest
 from agents.baselines import RandomAgent
 from agents.tabular import SarsaAgent
 from env_server.toys import MinesEnvironment
+from experiment_runner.asking import Answer
 from experiment_runner.executors.trial import Start, run_trial
 from experiment_runner.interrupts import Interrupts
 from experiment_runner.plan import TrialSpec
-from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
+from experiment_runner.store.records import Checkpoint, EpisodeResult
 from glue.core.experiment import Experiment
 from glue.core.local import LocalExperiment, local
 from glue.errors import GlueError, PeerFailed, PeerLost

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import base64
+import os
+import signal
 import statistics
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +17,7 @@ from tests.experiment_runner.view.chromium import Browser, browsing, needed
 from tests.experiment_runner.view.game.test_live import playing, started, until
 from tests.experiment_runner.view.pages import Page, glue_view
 from tests.experiment_runner.view.test_stream import make_run
-from tests.system.runs import start
+from tests.system.runs import children, start
 
 needed()
 
@@ -152,6 +154,11 @@ new MutationObserver(() => window.drawn++).observe(cell, { childList: true });
 """
 
 
+def signal_all(pids: list[int], number: int) -> None:
+    for pid in pids:
+        os.kill(pid, number)
+
+
 def test_a_browser_that_is_slow_misses_moments_and_nobody_waits_for_it(
     browser: Browser, page: Page, tmp_path: Path
 ) -> None:
@@ -165,14 +172,14 @@ def test_a_browser_that_is_slow_misses_moments_and_nobody_waits_for_it(
         browser.go(f"game/{run}")
         browser.wait(newest, "a moment")
         browser.run(_COUNT)
-        for command in ("Debugger.enable", "Debugger.pause"):  # from now on it takes in nothing
-            browser.driver.execute_cdp_cmd(command, {})
+        drawing = children(browser.driver.service.process.pid, "--type=renderer")
+        signal_all(drawing, signal.SIGSTOP)  # from now on it takes in nothing
         stream, seen = page.stream(f"topic=live:{run}"), list[int]()
         while len(seen) < 150:
             body = base64.b64decode(until(stream, f"live:{run}", "moment", {})["seen"])
             seen.append(Observation.from_body(body[body_size(body) :]).ints[0])
         assert sorted(set(seen)) == seen  # others are shown what is newest, and go on
-        browser.driver.execute_cdp_cmd("Debugger.resume", {})
+        signal_all(drawing, signal.SIGCONT)
         browser.wait(lambda: newest() > seen[-1], "the newest moment")
         assert browser.run("return window.drawn") < len(seen)
     assert browser.errors() == []
