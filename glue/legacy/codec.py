@@ -31,22 +31,19 @@ Source: RL-Glue core 3.04, RL_network.c; rl-glue-ext, Java codec, Network.java.
 from __future__ import annotations
 
 import struct
-from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from enum import IntEnum
 from typing import Final, NamedTuple
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
+from glue.legacy.bodies import BODIES, MAX_STRING, too_short, until_zero
 from glue.protocol.messages import CALLS, Body, Call, Kind, Role, Shape, Value
-from glue.types import body_size
 
 __all__ = [
     "FROM_AGENT",
     "FROM_ENVIRONMENT",
     "FROM_EXPERIMENT",
     "HANDSHAKE",
-    "MAX_COUNT",
-    "MAX_STRING",
     "SURPLUS",
     "TO_AGENT",
     "TO_ENVIRONMENT",
@@ -59,19 +56,10 @@ __all__ = [
     "encode",
 ]
 
-MAX_COUNT: Final = 1_000_000
-"""Maximum of ints, doubles or chars in one abstract type; the original's own limit."""
-
-MAX_STRING: Final = 1_000_000
-"""Maximum size of a text, in bytes. The original had no limit."""
-
 SURPLUS: Final = 65_536
 """Maximum number of bytes in a payload beyond the longest content of its kind."""
 
 _HEADER: Final = struct.Struct(">iI")
-_COUNT: Final = struct.Struct(">I")
-_THEIR_COUNTS: Final = struct.Struct(">3I")
-_OUR_COUNTS: Final = struct.Struct("<4I")
 _KINDS_OF_2: Final = frozenset((9, 15, 16, 17, 18, 28, 29, 30, 31, 32))
 
 
@@ -173,11 +161,11 @@ class Decoder:
         del buffer[:end]
         try:
             scalars, offset = _read_scalars(layout, payload)
-            body, offset = _BODY_FORMS[layout.body].read(payload, offset)
+            body, offset = BODIES[layout.body].read(payload, offset)
         except RemoteProtocolError as error:
             raise RemoteProtocolError(f"{layout.kind.name}: {error}") from None
         if layout.body is Body.TEXT:
-            body = _until_zero(body if offset < size else self._with_overhang(body))
+            body = until_zero(body if offset < size else self._with_overhang(body))
         return Frame(layout.kind, scalars, body)
 
     def _with_overhang(self, text: bytes) -> bytes:
@@ -188,7 +176,7 @@ class Decoder:
         return text + self._take_overhang()
 
     def _take_overhang(self) -> bytes:
-        overhang = _until_zero(bytes(self._buffer[: self._overhang]))
+        overhang = until_zero(bytes(self._buffer[: self._overhang]))
         del self._buffer[: len(overhang)]
         # A zero byte begins a frame: no more can hang over.
         self._overhang = 0 if self._buffer else self._overhang - len(overhang)
@@ -207,7 +195,7 @@ def encode(frame: Frame, vocabulary: Vocabulary) -> bytes:
     if layout is None:
         raise LocalProtocolError(_unknown(kind, vocabulary))
     try:
-        payload = layout.scalars.pack(*reversed(scalars)) + _BODY_FORMS[layout.body].write(body)
+        payload = layout.scalars.pack(*reversed(scalars)) + BODIES[layout.body].write(body)
     except (struct.error, LocalProtocolError, RemoteProtocolError) as error:
         raise LocalProtocolError(f"{layout.kind.name} cannot be sent: {error}") from None
     return _HEADER.pack(kind, len(payload)) + payload
@@ -222,122 +210,11 @@ def _unknown(kind: int, vocabulary: Vocabulary) -> str:
 def _read_scalars(layout: Layout, payload: bytes) -> tuple[tuple[Value, ...], int]:
     packer = layout.scalars
     if len(payload) < packer.size:
-        raise _short(packer.size, payload, 0)
+        raise too_short(packer.size, payload, 0)
     values = reversed(packer.unpack_from(payload))
     return tuple([of_type(value) for of_type, value in zip(layout.types, values, strict=True)]), packer.size
 
 
-def _read_text(payload: bytes, offset: int) -> tuple[bytes, int]:
-    start = offset + _COUNT.size
-    if start > len(payload):
-        raise _short(_COUNT.size, payload, offset)
-    (count,) = _COUNT.unpack_from(payload, offset)
-    if count > MAX_STRING:
-        raise RemoteProtocolError(f"a text has at most {MAX_STRING} bytes; {count} are announced")
-    if start + count > len(payload):
-        raise _short(count, payload, start)
-    return payload[start : start + count], start + count
-
-
-def _write_text(text: bytes) -> bytes:
-    text = _until_zero(text)
-    if len(text) > MAX_STRING:
-        raise LocalProtocolError(f"a text has at most {MAX_STRING} bytes; this one has {len(text)}")
-    return _COUNT.pack(len(text)) + text
-
-
-def _until_zero(text: bytes) -> bytes:
-    return text.partition(b"\0")[0]
-
-
-def _read_type(payload: bytes, offset: int) -> tuple[bytes, int]:
-    at_ints = offset + _THEIR_COUNTS.size
-    if at_ints > len(payload):
-        raise _short(_THEIR_COUNTS.size, payload, offset)
-    ints, doubles, chars = counts = _THEIR_COUNTS.unpack_from(payload, offset)
-    if max(counts) > MAX_COUNT:
-        raise RemoteProtocolError(_too_many(ints, doubles, chars))
-    at_doubles = at_ints + 4 * ints
-    at_chars = at_doubles + 8 * doubles
-    end = at_chars + chars
-    if end > len(payload):
-        raise _short(end - at_ints, payload, at_ints)
-    body = (
-        _OUR_COUNTS.pack(ints, doubles, chars, 0),
-        _reversed("q", payload[at_doubles:at_chars]),
-        _reversed("i", payload[at_ints:at_doubles]),
-        payload[at_chars:end],
-    )
-    return b"".join(body), end
-
-
-def _write_type(body: bytes) -> bytes:
-    size = body_size(body)
-    if size != len(body):
-        raise LocalProtocolError(f"an abstract type of {size} bytes by its counts has {len(body)}")
-    ints, doubles, chars, _ = _OUR_COUNTS.unpack_from(body)
-    if max(ints, doubles, chars) > MAX_COUNT:
-        raise LocalProtocolError(_too_many(ints, doubles, chars))
-    at_ints = _OUR_COUNTS.size + 8 * doubles
-    at_chars = at_ints + 4 * ints
-    payload = (
-        _THEIR_COUNTS.pack(ints, doubles, chars),
-        _reversed("i", body[at_ints:at_chars]),
-        _reversed("q", body[_OUR_COUNTS.size : at_ints]),
-        body[at_chars:],
-    )
-    return b"".join(payload)
-
-
-def _read_two_types(payload: bytes, offset: int) -> tuple[bytes, int]:
-    observation, offset = _read_type(payload, offset)
-    action, offset = _read_type(payload, offset)
-    return observation + action, offset
-
-
-def _write_two_types(body: bytes) -> bytes:
-    size = body_size(body)
-    return _write_type(body[:size]) + _write_type(body[size:])
-
-
-def _reversed(typecode: str, run: bytes) -> bytes:
-    """Return `run` with the bytes of each 4-byte ("i") or 8-byte ("q") number reversed."""
-    # An array is twice as fast as NumPy for the few numbers of most observations.
-    numbers = array(typecode)
-    numbers.frombytes(run)
-    numbers.byteswap()
-    return numbers.tobytes()
-
-
-def _too_many(ints: int, doubles: int, chars: int) -> str:
-    return (
-        f"an original program takes at most {MAX_COUNT} of each in an abstract type; "
-        f"received {ints} ints, {doubles} doubles, {chars} chars"
-    )
-
-
-def _short(needed: int, payload: bytes, offset: int) -> RemoteProtocolError:
-    left = len(payload) - offset
-    return RemoteProtocolError(f"{needed} more bytes were expected at byte {offset}; {left} are left")
-
-
-class _BodyForm(NamedTuple):
-    """How a body is read from a payload at an offset, and written, and how long it can be there."""
-
-    read: Callable[[bytes, int], tuple[bytes, int]]
-    write: Callable[[bytes], bytes]
-    largest: int
-
-
-_LARGEST_TYPE: Final = _THEIR_COUNTS.size + (4 + 8 + 1) * MAX_COUNT
-_TYPE: Final = _BodyForm(_read_type, _write_type, _LARGEST_TYPE)
-_BODY_FORMS: Final[Mapping[Body, _BodyForm]] = {
-    Body.NONE: _BodyForm(lambda _, offset: (b"", offset), lambda _: b"", 0),
-    Body.OBSERVATION: _TYPE,
-    Body.ACTION: _TYPE,
-    Body.OBSERVATION_ACTION: _BodyForm(_read_two_types, _write_two_types, 2 * _LARGEST_TYPE),
-    Body.TEXT: _BodyForm(_read_text, _write_text, _COUNT.size + MAX_STRING),
-}
 _SCALAR_FORMS: Final = {
     "reward": "d",
     "terminal": "i",
@@ -351,7 +228,7 @@ _SCALAR_FORMS: Final = {
 def _layout(kind: Kind | Control, shape: Shape) -> Layout:
     scalars = [scalar for scalar in shape.scalars if not scalar.optional]
     packer = struct.Struct(">" + "".join(_SCALAR_FORMS[scalar.name] for scalar in reversed(scalars)))
-    limit = packer.size + _BODY_FORMS[shape.body].largest + SURPLUS
+    limit = packer.size + BODIES[shape.body].largest + SURPLUS
     return Layout(kind, packer, tuple(scalar.type for scalar in scalars), shape.body, limit)
 
 

@@ -14,13 +14,12 @@ from hypothesis import HealthCheck, assume, example, given, settings
 from hypothesis import strategies as st
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
+from glue.legacy.bodies import MAX_COUNT, MAX_STRING
 from glue.legacy.codec import (
     FROM_AGENT,
     FROM_ENVIRONMENT,
     FROM_EXPERIMENT,
     HANDSHAKE,
-    MAX_COUNT,
-    MAX_STRING,
     SURPLUS,
     TO_AGENT,
     TO_ENVIRONMENT,

@@ -13,7 +13,7 @@ import pytest
 from experiment_runner.commands.experiment import experiment
 from glue.errors import Unsupported
 from glue.hub.command import hub
-from glue.legacy import codec, pending
+from glue.legacy import bodies, codec, pending
 from glue.legacy.experiment import READ_AHEAD
 from tests.system.legacy.legacy_client import STYLES, Connection, Id, Numbers, serve_agent
 from tests.system.legacy.legacy_programs import FiveStepEnvironment, MirrorAgent, SkeletonAgent
@@ -37,8 +37,8 @@ def test_an_example_is_understood(example: str) -> None:
 @pytest.mark.parametrize(
     ("what", "limit"),
     [
-        ("ints, doubles, chars", codec.MAX_COUNT),
-        ("a task spec or message", codec.MAX_STRING),
+        ("ints, doubles, chars", bodies.MAX_COUNT),
+        ("a task spec or message", bodies.MAX_STRING),
         ("bytes in a payload beyond", codec.SURPLUS),
         ("requests that an experiment sends ahead", READ_AHEAD),
         ("connections without a role", pending.MAX_PENDING),
