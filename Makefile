@@ -12,11 +12,11 @@ PARALLEL := --numprocesses=4 --dist=worksteal
 # The tests start hundreds of processes: each finds its modules compiled, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test proof check compile coverage picture screenshots vectors bench clean
+.PHONY: help demo test pytest proof check compile coverage picture screenshots vectors bench clean
 
 help:
 	@echo "make demo   set up, then let an agent learn Infinite Mario, as three processes"
-	@echo "make test   set up, then run every check (ruff, mypy, pytest)"
+	@echo "make test   set up, then run every check: ruff and mypy, and beside them pytest"
 	@echo "make proof  run the tests that prove more the longer they run, for minutes instead of seconds"
 	@echo "make check  ruff and mypy alone"
 	@echo "make coverage  which lines and branches the tests reach, in every process that they start"
@@ -47,8 +47,10 @@ check: $(READY)
 compile: $(READY)
 	$(BIN)/python -m tests.compile
 
-test:
-	$(MAKE) --jobs=2 check compile
+test: $(READY)
+	$(MAKE) --jobs=2 check pytest
+
+pytest: compile
 	$(BIN)/python -m pytest $(PARALLEL)
 
 proof: compile

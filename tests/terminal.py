@@ -6,7 +6,6 @@ import os
 import pty
 import re
 import subprocess
-import sys
 import termios
 import threading
 from collections.abc import Iterator
@@ -14,12 +13,23 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-BIN: Final = Path(sys.executable).parent
+from tests.forked import BIN, run
+
+__all__ = [
+    "BIN",
+    "Terminal",
+    "drawings",
+    "run",
+    "run_anew",
+    "run_in_terminal",
+    "watched_terminal",
+]
+
 _ESCAPE: Final = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
-def run(*command: str, cwd: Path, timeout: float = 120) -> subprocess.CompletedProcess[str]:
-    """Run one of our commands as a script would, without a terminal."""
+def run_anew(*command: str, cwd: Path, timeout: float = 120) -> subprocess.CompletedProcess[str]:
+    """As `tests.forked.run`, but with all imports: for tests of how a command starts."""
     return subprocess.run(
         [BIN / command[0], *command[1:]],
         cwd=cwd,

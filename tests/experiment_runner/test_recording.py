@@ -33,6 +33,7 @@ from glue.protocol.messages import Kind
 from glue.roles import Agent, Environment
 from glue.trajectory import Ending, Episode, TrajectoryError, TrajectoryReader, TrajectoryWriter
 from glue.types import Observation
+from tests import forked
 from tests.system.runs import contents, start, wait_until
 
 MINES: Final = RoleSpec("mines", {"random_start": True})
@@ -43,7 +44,6 @@ PLAYERS: Final = {  # environment, agent, step limit that cuts off some episodes
     "mario": ("sample", 120),
 }
 COMMAND: Final = ("--env", "mines", "--agent", "random", "--max-steps", "9", "--in-process")
-REPLAY: Final = "from env_server.replay.command import main; main()"
 
 
 @pytest.fixture(autouse=True)
@@ -57,8 +57,7 @@ def invoke(*arguments: object) -> Result:
 
 def replay(*arguments: object) -> subprocess.CompletedProcess[str]:
     """Run glue-replay in a process of its own."""
-    words = [sys.executable, "-c", REPLAY, *map(str, arguments)]
-    return subprocess.run(words, capture_output=True, text=True, timeout=120, check=False)
+    return forked.run("glue-replay", *map(str, arguments), cwd=Path())
 
 
 def episodes(path: Path) -> list[Episode]:

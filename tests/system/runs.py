@@ -10,8 +10,9 @@ from pathlib import Path
 
 from experiment_runner.store.records import Checkpoint
 from experiment_runner.store.results import Results
+from tests import forked
 
-__all__ = ["COMMAND", "alive", "children", "contents", "run", "start", "wait_until"]
+__all__ = ["COMMAND", "Contents", "alive", "children", "contents", "run", "start", "wait_until"]
 
 COMMAND = [sys.executable, "-m", "experiment_runner.commands.experiment"]
 _SECONDS = 60.0
@@ -31,8 +32,7 @@ def start(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
 
 def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run `glue-experiment` to its end."""
-    command = [*COMMAND, *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=_SECONDS)
+    return forked.run("glue-experiment", *map(str, arguments), cwd=cwd, timeout=_SECONDS)
 
 
 Contents = dict[str, tuple[list[tuple[int, float, int, bool]], tuple[int, Checkpoint] | None]]

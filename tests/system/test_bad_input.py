@@ -636,7 +636,7 @@ def test_a_player_that_answers_everything_with_the_largest_body(hub: Target) -> 
         experiment.join("experiment")
         while experiment.receive().kind is not Kind.NOTICE:
             pass
-        for seq in range(1, 6):
+        for seq in (1, 2):
             experiment.say(Kind.RL_AGENT_START, seq, body=Observation().body)
             agent.say(Kind.AGENT_START, agent.receive().seq, body=huge)
             assert experiment.receive().body == huge

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from glue import __version__
-from tests.terminal import BIN, Terminal, run
+from tests.terminal import BIN, Terminal, run, run_anew
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = sorted(
@@ -134,7 +134,7 @@ def test_command_has_help_with_examples_a_version_and_a_place_in_the_readme(
     command: str, tmp_path: Path
 ) -> None:
     shown = run(command, "--help", cwd=tmp_path)
-    assert shown.returncode == 0
+    assert shown.returncode == 0, shown.stderr
     assert "Example" in shown.stdout
     assert __version__ in run(command, "--version", cwd=tmp_path).stdout
     assert f"`{command}`" in (ROOT / "README.md").read_text(encoding="utf-8")
@@ -408,7 +408,7 @@ def test_file_in_the_working_directory_takes_no_modules_place(
     common = ("--episodes", "2", "--max-steps", "20")
     players = ("--env", "mine.py:Endless", "--agent", agent)
     for topology in ([], ["--in-process"], ["--workers", "1"]):
-        shown = run("glue-experiment", *common, *players, *topology, cwd=shadowed)
+        shown = run_anew("glue-experiment", *common, *players, *topology, cwd=shadowed)
         assert shown.returncode == 0, shown.stderr
     experiment = Terminal("glue-experiment", *common, "--bind", hub, cwd=shadowed)
     terminals += [experiment, Terminal("glue-env", "mine.py:Endless", "--hub", hub, cwd=shadowed)]

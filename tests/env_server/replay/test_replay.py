@@ -36,6 +36,8 @@ from glue.options import Value
 from glue.roles import Environment
 from glue.trajectory import Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation
+from tests import forked
+from tests.forked import BIN
 
 GOLDEN = Path(__file__).parents[2] / "golden" / "mario"
 RIGHT = Action([1, 0, 1])
@@ -457,13 +459,9 @@ def test_level_out_of_bounds_is_refused_with_the_bound(tmp_path: Path) -> None:
         replay(path)
 
 
-PROGRAM = "from env_server.replay.command import main; main()"
-
-
-def command(*arguments: object, **more: Any) -> subprocess.CompletedProcess[str]:
+def command(*arguments: object) -> subprocess.CompletedProcess[str]:
     """Run glue-replay in a process of its own."""
-    words = [sys.executable, "-c", PROGRAM, *map(str, arguments)]
-    return subprocess.run(words, capture_output=True, text=True, timeout=120, check=False, **more)
+    return forked.run("glue-replay", *map(str, arguments), cwd=Path())
 
 
 def test_command_compares_and_counts(tmp_path: Path) -> None:
@@ -555,7 +553,7 @@ def test_command_writes_pictures(tmp_path: Path) -> None:
 def test_command_draws_in_a_terminal_at_its_speed(tmp_path: Path) -> None:
     path = write_golden(tmp_path / "a", golden_lines("variants.jsonl.gz", 2))
     looking, drawing = pty.openpty()
-    words = [sys.executable, "-c", PROGRAM, str(path), "--episode", "2", "--steps", "2", "4", "--speed", "50"]
+    words = [str(BIN / "glue-replay"), str(path), "--episode", "2", "--steps", "2", "4", "--speed", "50"]
     environment = os.environ | {"TERM": "xterm", "NO_COLOR": "1"}
     process = subprocess.Popen(words, stdout=drawing, stdin=drawing, env=environment)
     os.close(drawing)

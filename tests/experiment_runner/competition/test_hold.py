@@ -25,9 +25,9 @@ from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.verify import verify
 from experiment_runner.lock import LOCK_FILE, RunLock
 from experiment_runner.store.store import Store
+from tests import forked
+from tests.forked import BIN
 from tests.proof import FULL, size
-from tests.terminal import BIN
-from tests.terminal import run as terminal_run
 
 pytestmark = pytest.mark.slow
 
@@ -80,13 +80,8 @@ episodes = 4
 
 def compete(folder: Path, *arguments: str, secret: str = "xyzzy") -> subprocess.CompletedProcess[str]:
     """Run `glue-compete` in a folder."""
-    return subprocess.run(
-        [str(BIN / "glue-compete"), *arguments],
-        cwd=folder,
-        env={**os.environ, "SECRET": secret},
-        capture_output=True,
-        text=True,
-        timeout=200,
+    return forked.run(
+        "glue-compete", *arguments, cwd=folder, env={**os.environ, "SECRET": secret}, timeout=200
     )
 
 
@@ -274,14 +269,14 @@ def test_runs_are_shown_and_removed_but_not_merged(run: Path) -> None:
 
 def results(run: Path, command: str, *options: str) -> subprocess.CompletedProcess[str]:
     """Run `glue-results` on a run."""
-    return terminal_run("glue-results", command, str(run), *options, cwd=run.parent)
+    return forked.run("glue-results", command, str(run), *options, cwd=run.parent)
 
 
 @pytest.mark.proof
 def test_random_changes_of_a_record_are_found(run: Path) -> None:
     chance = random.Random(1)
     paths = [record_path(run, trial) for trial in ("walk/mines/0", "crash/mines/1", "walk/walk/1")]
-    for change in range(size(24, 100)):
+    for change in range(size(6, 100)):
         path = paths[change % len(paths)]
         whole = path.read_bytes()
         place = chance.randrange(len(whole))

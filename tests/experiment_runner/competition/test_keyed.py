@@ -25,8 +25,8 @@ from glue.client.players import serve_agent
 from glue.core.config import TimeLimits
 from glue.errors import GlueError
 from glue.keys.certificates import write_pair
+from tests import forked
 from tests.experiment_runner.competition.players import SECRET, Walker, competition
-from tests.terminal import BIN
 
 _FILE = """\
 name = "spring"
@@ -63,9 +63,7 @@ def free_port() -> int:
 
 
 def compete(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [str(BIN / "glue-compete"), *arguments], cwd=folder, capture_output=True, text=True, timeout=120
-    )
+    return forked.run("glue-compete", *arguments, cwd=folder)
 
 
 @pytest.mark.slow

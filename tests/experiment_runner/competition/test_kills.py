@@ -18,17 +18,17 @@ from tests.system.runs import alive, children, wait_until
 KILLS = int(os.environ.get("GLUE_KILLS", "2"))
 """How often the organiser is killed; `.ci/run` says 20."""
 
-LONGEST_LIFE = 3.0
+TRIALS, LONGEST_LIFE = (1, 2.0) if KILLS <= 2 else (2, 3.0)
 
 COMPETE = [sys.executable, "-m", "experiment_runner.competition.command"]
 
-FILE = """\
+FILE = f"""\
 name = "spring"
-trials = 2
+trials = {TRIALS}
 seed_file = "secret.txt"
 [tasks.mines]
 env = "mines"
-options = { random_start = true }
+options = {{ random_start = true }}
 steps = 3000
 [tasks.walk]
 env = "skeleton"

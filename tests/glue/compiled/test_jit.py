@@ -66,23 +66,14 @@ def run(program: Path, factor: int = 2, environment: Mapping[str, str] = Mapping
     return done.stderr
 
 
-def test_compiling_is_said_once(program: Path) -> None:
+def test_compiling_is_said_once_for_each_state_of_the_code(program: Path) -> None:
     said = run(program)
     assert said.startswith("compiling the rules, this once ... done in ")
     assert len(said.splitlines()) == 1
-    assert run(program) == ""
-
-
-def test_a_changed_rule_in_another_module_is_compiled_again(program: Path) -> None:
-    run(program)
-    assert "compiling" in run(program, factor=3)
-    assert run(program, factor=3) == ""
-
-
-def test_bounds_check_has_code_of_its_own(program: Path) -> None:
-    run(program)
     assert "compiling" in run(program, environment={"NUMBA_BOUNDSCHECK": "1"})
     assert run(program) == ""
+    assert "compiling" in run(program, factor=3)  # a rule in another module is changed
+    assert run(program, factor=3) == ""
 
 
 def test_without_a_folder_to_write_to_it_still_runs(program: Path, tmp_path: Path) -> None:

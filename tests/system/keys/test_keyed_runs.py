@@ -25,6 +25,7 @@ from glue.core.config import Bind, HubConfig
 from glue.errors import GlueError
 from glue.hub.server import Hub
 from glue.keys.allowed import read_keys
+from tests import forked
 from tests.keyed import KeyFolder
 from tests.system.keys.handshakes import keyed_hub, run
 from tests.system.peer import TIMEOUT
@@ -89,8 +90,7 @@ def test_mutated_handshakes_open_nothing_and_disturb_nobody(tmp_path: Path) -> N
 
 
 def glue_keys(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from glue.keys.command import main; main()", *arguments]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=TIMEOUT)
+    return forked.run("glue-keys", *arguments, cwd=cwd, timeout=TIMEOUT)
 
 
 def test_a_key_from_its_making_to_its_end(tmp_path: Path) -> None:

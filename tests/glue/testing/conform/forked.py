@@ -1,9 +1,7 @@
-"""Clients to judge, forked from a process that has imported everything: each starts in no time."""
+"""Clients to judge, forked from a process that has imported everything."""
 
 from __future__ import annotations
 
-import multiprocessing
-import os
 import tempfile
 from collections.abc import Callable
 from multiprocessing.context import ForkServerProcess
@@ -13,12 +11,8 @@ from typing import Any
 from glue.protocol.messages import Role
 from glue.testing.conform.hub.clients import Start, is_awake
 from glue.testing.mirror import run_mirror
+from tests.forked import SERVER, redirect
 from tests.glue.testing.conform.wrong import run
-
-_SERVER = multiprocessing.get_context("forkserver")
-_SERVER.set_forkserver_preload(
-    ["tests.glue.testing.conform.forked", "tests.glue.testing.conform.wrong_experiment"]
-)
 
 
 class Forked:
@@ -27,8 +21,8 @@ class Forked:
     def __init__(self, run: Callable[..., int], *arguments: Any) -> None:
         self._folder = tempfile.TemporaryDirectory()
         self._printed = Path(self._folder.name) / "printed"
-        self._process: ForkServerProcess = _SERVER.Process(
-            target=_main, args=(str(self._printed), run, arguments), daemon=True
+        self._process: ForkServerProcess = SERVER.Process(
+            target=_main, args=(self._printed, run, arguments), daemon=True
         )
         self._process.start()
 
@@ -48,10 +42,9 @@ class Forked:
         return is_awake(self._process.pid)
 
 
-def _main(printed: str, run: Callable[..., int], arguments: tuple[Any, ...]) -> None:
-    output = os.open(printed, os.O_CREAT | os.O_WRONLY | os.O_APPEND)
-    os.dup2(output, 1)
-    os.dup2(output, 2)
+def _main(printed: Path, run: Callable[..., int], arguments: tuple[Any, ...]) -> None:
+    for descriptor in (1, 2):
+        redirect(descriptor, printed)
     raise SystemExit(run(*arguments))
 
 

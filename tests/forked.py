@@ -1,0 +1,82 @@
+"""Processes that are forked from one which has imported everything: each starts in no time.
+
+Most of the time of a short command goes into imports, and the tests run hundreds of them. What is to be
+proved of a command's start needs `tests.terminal.run_anew`.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import runpy
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+__all__ = ["BIN", "SERVER", "redirect", "run"]
+
+BIN: Final = Path(sys.executable).parent
+
+SERVER: Final = multiprocessing.get_context("forkserver")
+SERVER.set_forkserver_preload(
+    [
+        "agents.mario.sample",
+        "agents.mohan2010.flat",
+        "agents.mohan2010.hierarchical",
+        "agents.tabular",
+        "env_server.command",
+        "env_server.mario.environment",
+        "env_server.replay.command",
+        "env_server.toys",
+        "experiment_runner.commands.experiment",
+        "experiment_runner.commands.results",
+        "experiment_runner.competition.board.forms",
+        "experiment_runner.competition.command",
+        "experiment_runner.competition.organiser",
+        "experiment_runner.executors.run",
+        "experiment_runner.players",
+        "experiment_runner.recording",
+        "experiment_runner.report.tables",
+        "tests.forked",
+        "tests.glue.testing.conform.forked",
+        "tests.glue.testing.conform.wrong_experiment",
+    ]
+)
+
+
+def run(
+    *command: str, cwd: Path, env: Mapping[str, str] | None = None, timeout: float = 120
+) -> subprocess.CompletedProcess[str]:
+    """Run one of our commands to its end, as a script would; `env` is that of `subprocess.run`."""
+    with tempfile.TemporaryDirectory() as folder:
+        printed = [Path(folder) / name for name in ("stdout", "stderr")]
+        arguments = (command, cwd, dict(os.environ if env is None else env), printed)
+        process = SERVER.Process(target=_main, args=arguments)
+        process.start()
+        process.join(timeout)
+        status = process.exitcode
+        if status is None:
+            process.kill()
+            process.join()
+            raise subprocess.TimeoutExpired(command, timeout)
+        return subprocess.CompletedProcess(command, status, *(path.read_text("utf-8") for path in printed))
+
+
+def redirect(descriptor: int, path: Path) -> None:
+    """Let what this process writes to `descriptor` be appended to a file."""
+    opened = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_APPEND)
+    os.dup2(opened, descriptor)
+    os.close(opened)
+
+
+def _main(command: Sequence[str], cwd: Path, env: Mapping[str, str], printed: Sequence[Path]) -> None:
+    for stream, path in zip((sys.stdout, sys.stderr), printed, strict=True):
+        redirect(stream.fileno(), path)
+    os.environ.clear()
+    os.environ.update(env)
+    os.chdir(cwd)
+    sys.argv = [str(BIN / command[0]), *command[1:]]
+    runpy.run_path(sys.argv[0], run_name="__main__")
