@@ -1,11 +1,10 @@
-"""Steps per second: three programs, beside the original and what others use, and many sessions on one hub."""
+"""Steps per second of three programs, beside the original and what others use."""
 
 from __future__ import annotations
 
 import os
 import tempfile
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 
@@ -13,7 +12,6 @@ from benchmarks.measure import Rate, Table, count, rate, rates, ratio
 from benchmarks.original import SERVER, compiler, original_programs, original_server, through_the_gateway
 from benchmarks.peers import async_vector_env, dm_env_rpc_stream, installed
 from benchmarks.players import SIZES, Still, Walk, serving
-from benchmarks.previous import CHECKOUT, previous_sessions
 from benchmarks.raw import socket_round_trips, zmq_round_trips
 from glue.client.experiment import connect
 from glue.client.libzmq import new_pair
@@ -26,16 +24,11 @@ from glue.hub.server import Hub
 from glue.keys.certificates import write_pair
 from glue.protocol.messages import Role
 
-__all__ = ["run", "three_processes"]
+__all__ = ["listening", "run", "three_processes"]
 
 _STEPS = 5000
 _ACTION_SIZE = 20
-_SESSIONS = (1, 64, 256, 1024)
-_COMPARED = 64
-_EACH = 100
-"""Steps of an episode where there are many sessions."""
-_MAX_SEATS = HubConfig().max_seats
-_SMALL, _MARIO = SIZES
+_, _MARIO = SIZES
 _VECTOR_ENV = "Gymnasium's AsyncVectorEnv, one environment"
 _DM_ENV_RPC = "dm_env_rpc"
 _VERBS = {"episode": "RL_EPISODE", "step": "RL_STEP"}
@@ -44,8 +37,8 @@ Measure = Callable[[], Rate]
 
 
 def run() -> list[Table]:
-    """Measure everything about the hub."""
-    return [*_three_programs(), _sizes(), _sessions()]
+    """Measure three programs."""
+    return [*_three_programs(), _sizes()]
 
 
 def _three_programs() -> list[Table]:
@@ -98,7 +91,7 @@ def _ratios(results: dict[str, Rate]) -> Table:
     return Table(
         "Ratios",
         "Of steps per second, each with what it is compared with in the same run; the numbers behind them "
-        "are in the next table. `python -m benchmarks hub`; RLGLUE_C names the original RL-Glue.",
+        "are in the next table. The original RL-Glue is measured if RLGLUE_C names it.",
         ("three programs, a step of Infinite Mario's size", "ratio", "aim"),
         rows,
     )
@@ -135,39 +128,6 @@ def _sizes() -> Table:
     )
 
 
-def _sessions() -> Table:
-    rows = []
-    with ExitStack() as stack:
-        measures, memories = [], []
-        for number in _SESSIONS:
-            before = _resident()
-            measures.append(stack.enter_context(_many_sessions(number)))
-            memories.append((_resident() - before) / number / 1024)
-        if CHECKOUT is not None:
-            measures.append(stack.enter_context(previous_sessions(_COMPARED)))
-        results = rates(measures)
-    if CHECKOUT is not None:
-        previous = results.pop().per_second
-        now = results[_SESSIONS.index(_COMPARED)].per_second
-        rows.append((f"{_COMPARED}, the previous version", count(previous), ratio(previous / now), ""))
-    for number, result, memory in zip(_SESSIONS, results, memories, strict=True):
-        share = ratio(result.per_second / results[_SESSIONS.index(_COMPARED)].per_second)
-        rows.append((f"{number:,}", count(result.per_second), share, f"{memory:.0f} KiB"))
-    return Table(
-        "Many sessions on one hub",
-        f"All over tcp, in episodes of {_EACH} steps: one process serves every agent, one every environment "
-        f"(two each beyond {_MAX_SEATS}), one is hub and experiments. "
-        "Memory is what the last one grew by, its threads included (the aim is less than 64 KiB). The aim "
-        f"for {_COMPARED} is 1.3 times the previous version, whose checkout GLUE_PREVIOUS names.",
-        ("sessions", "steps per second in all", f"of {_COMPARED}", "memory a session"),
-        rows,
-    )
-
-
-def _resident() -> int:
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
-
-
 def _measure(glue: Experiment, verb: str, pids: list[int]) -> Measure:
     glue.rl_init()
 
@@ -197,7 +157,7 @@ def three_processes() -> Iterator[Measure]:
 @contextmanager
 def _three(size: str, transport: str, verb: str) -> Iterator[Measure]:
     with ExitStack() as stack:
-        hub = stack.enter_context(_hub(transport))
+        hub = stack.enter_context(listening(transport))
         url = hub.endpoints[0]
         pids = [stack.enter_context(serving(role, size, url)) for role in ("environment", "agent")]
         yield _measure(stack.enter_context(connect(url, "0", transport=InsideTransport(hub))), verb, pids)
@@ -235,26 +195,9 @@ def _original(
 
 
 @contextmanager
-def _hub(transport: str) -> Iterator[Hub]:
+def listening(transport: str) -> Iterator[Hub]:
+    """Give a hub of this process, with an address of that transport."""
     with tempfile.TemporaryDirectory() as folder:
         address = f"ipc://{folder}/hub" if transport == "ipc" else "tcp://127.0.0.1:*"
         with Hub(HubConfig(bind=(address,), max_sessions=2048)).in_background() as hub:
             yield hub
-
-
-@contextmanager
-def _many_sessions(number: int) -> Iterator[Measure]:
-    with ExitStack() as stack:
-        hub = stack.enter_context(_hub("tcp"))
-        url = hub.endpoints[0]
-        pids = [
-            stack.enter_context(serving(role, _SMALL, url, range(start, min(start + _MAX_SEATS, number))))
-            for start in range(0, number, _MAX_SEATS)
-            for role in ("environment", "agent")
-        ]
-        glues = [stack.enter_context(connect(url, str(i))) for i in range(number)]
-        pool = stack.enter_context(ThreadPoolExecutor(number))
-        list(pool.map(lambda glue: glue.rl_init(), glues))
-        yield lambda: rate(
-            lambda: list(pool.map(lambda glue: glue.rl_episode(_EACH), glues)), number * _EACH, pids
-        )

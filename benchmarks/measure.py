@@ -32,8 +32,9 @@ class Table:
     columns: Sequence[str]
     rows: Sequence[Sequence[str]]
 
-    def __str__(self) -> str:
-        lines = [f"## {self.title}", "", self.about, ""]
+    def text(self, source: str) -> str:
+        """Return the table in Markdown; `source` says how it was measured."""
+        lines = [f"## {self.title}", "", f"{self.about} {source}", ""]
         lines.append("| " + " | ".join(self.columns) + " |")
         lines.append("| --- |" + " ---: |" * (len(self.columns) - 1))
         lines += ["| " + " | ".join(row) + " |" for row in self.rows]

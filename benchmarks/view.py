@@ -61,8 +61,7 @@ def run() -> list[Table]:
             "process at full speed: each takes in the stream, and fetches the curves every "
             f"{_REFRESH_SECONDS:g} seconds, as the page does. Medians of {REPEATS} measurements of "
             f"{_SECONDS:g} seconds each, with and without pages in turn; the loss is the median of that of "
-            "each pair (the aim is 5 %). "
-            "`python -m benchmarks view`",
+            "each pair (the aim is 5 %). The pages share the processors with run and server.",
             ("pages", "steps per second", "lost"),
             [
                 ("none", count(medians[0]), ""),

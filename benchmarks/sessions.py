@@ -1,0 +1,80 @@
+"""Steps per second of many sessions on one hub, beside the previous version."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from benchmarks.hub import Measure, listening
+from benchmarks.measure import Table, count, rate, rates, ratio
+from benchmarks.players import SIZES, serving
+from benchmarks.previous import CHECKOUT, previous_sessions
+from glue.client.experiment import connect
+from glue.core.config import HubConfig
+
+__all__ = ["run"]
+
+_SESSIONS = (1, 64, 256, 1024)
+_COMPARED = 64
+_EACH = 100
+"""Steps of an episode."""
+_MAX_SEATS = HubConfig().max_seats
+_SMALL, _ = SIZES
+
+
+def run() -> list[Table]:
+    """Measure sessions that all play at once."""
+    rows = []
+    with ExitStack() as stack:
+        measures, memories = [], []
+        for number in _SESSIONS:
+            before = _resident()
+            measures.append(stack.enter_context(_many_sessions(number)))
+            memories.append((_resident() - before) / number / 1024)
+        if CHECKOUT is not None:
+            measures.append(stack.enter_context(previous_sessions(_COMPARED)))
+        results = rates(measures)
+    if CHECKOUT is not None:
+        previous = results.pop().per_second
+        now = results[_SESSIONS.index(_COMPARED)].per_second
+        rows.append((f"{_COMPARED}, the previous version", count(previous), ratio(previous / now), ""))
+    for number, result, memory in zip(_SESSIONS, results, memories, strict=True):
+        share = ratio(result.per_second / results[_SESSIONS.index(_COMPARED)].per_second)
+        rows.append((f"{number:,}", count(result.per_second), share, f"{memory:.0f} KiB"))
+    return [
+        Table(
+            "Many sessions on one hub",
+            f"All over tcp, in episodes of {_EACH} steps: one process serves every agent, one every "
+            f"environment (two each beyond {_MAX_SEATS}), one is hub and experiments. Memory is what the "
+            "last one grew by, its threads included (the aim is less than 64 KiB). The aim for "
+            f"{_COMPARED} is 1.3 times the previous version, whose checkout GLUE_PREVIOUS names; that for "
+            f"1,024 is 1.00 of {_COMPARED}.",
+            ("sessions", "steps per second in all", f"of {_COMPARED}", "memory a session"),
+            rows,
+        )
+    ]
+
+
+def _resident() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
+
+
+@contextmanager
+def _many_sessions(number: int) -> Iterator[Measure]:
+    with ExitStack() as stack:
+        hub = stack.enter_context(listening("tcp"))
+        url = hub.endpoints[0]
+        pids = [
+            stack.enter_context(serving(role, _SMALL, url, range(start, min(start + _MAX_SEATS, number))))
+            for start in range(0, number, _MAX_SEATS)
+            for role in ("environment", "agent")
+        ]
+        glues = [stack.enter_context(connect(url, str(i))) for i in range(number)]
+        pool = stack.enter_context(ThreadPoolExecutor(number))
+        list(pool.map(lambda glue: glue.rl_init(), glues))
+        yield lambda: rate(
+            lambda: list(pool.map(lambda glue: glue.rl_episode(_EACH), glues)), number * _EACH, pids
+        )
