@@ -10,14 +10,14 @@ for its port connects as soon as it is open, and exits when it is closed again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
 
 from experiment_runner import player_command
 from experiment_runner.children import KeptAlive, Say
+from experiment_runner.hints import Hints
 from experiment_runner.plan import Plan, TrialSpec
 from experiment_runner.rewards import FiniteRewards, WatchedRewards
 from experiment_runner.scratch import SOCKET, scratch_folder
@@ -30,15 +30,12 @@ from glue.hub.inside import InsideTransport
 from glue.hub.listener import OpenAddress, open_address
 from glue.hub.renewal import renewed_on_hangup
 from glue.hub.server import Hub
-from glue.keys.allowed import HUB, read_keys
-from glue.keys.certificates import PUBLIC, SECRET
+from glue.keys.allowed import read_keys
 from glue.legacy.gateway import Gateway, open_legacy_port
-from glue.players.loading import construct, example, find
+from glue.players.loading import construct, find
 from glue.protocol.messages import Event, Role
 
 __all__ = ["HubOptions", "Meeting", "Note", "listening", "open_experiment"]
-
-_COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
 
 Note = Callable[[str, str], None]
 """Records and shows an event: its kind, which is one word, and a line of text."""
@@ -178,8 +175,8 @@ def _over_hub(
     expected = frozenset(players.keys() - named.keys())
     public = options.hub or ""
     ports: tuple[LegacyPort, ...] = ()
+    warnings: list[str] = []
     present: dict[Role, str] = {}
-    warnings: list[str] = []  # to be shown once
 
     def notice(event: str, role: str, name: str) -> None:
         line = f"{role} {name} {event}"
@@ -189,14 +186,7 @@ def _over_hub(
         elif Role(role) in expected:
             note("joined", line)
         if Role(role) in expected and event == Event.LOST:
-            tell_missing(frozenset({Role(role)}))
-
-    def tell_missing(missing: frozenset[Role]) -> None:
-        nonlocal warnings
-        say(_missing(missing, named, public, options, ports))
-        for line in warnings:
-            say(line)
-        warnings = []
+            hints.show(frozenset({Role(role)}))
 
     with ExitStack() as stack:
         # Entered first, so left last: the children exit after our hub has said goodbye to them.
@@ -217,10 +207,11 @@ def _over_hub(
             stack.enter_context(hub.in_background())
             pairs = zip(binds, hub.endpoints[1:], strict=True)
             warnings = [f"{bind.warning}listening on {endpoint}" for bind, endpoint in pairs if bind.warning]
-            public = _from_outside(hub.endpoints[1]) if binds else inside
+            public = hub.endpoints[1] if binds else inside
             transport: InsideTransport | None = InsideTransport(hub)
         else:
             inside, transport = options.hub, None
+        hints = Hints(say, public, options.session, named.keys(), ports, options.keys, warnings)
         glue = connect(
             inside,
             options.session,
@@ -247,7 +238,7 @@ def _over_hub(
             )
             children.start(f"{role} {player.label}", player_command.MODULE, arguments, glue.give_up)
         try:
-            glue.wait_for_players(tell_missing)
+            glue.wait_for_players(hints.show)
             if Role.ENVIRONMENT in expected and not meeting.any_reward:
                 yield WatchedRewards(glue, lambda: present[Role.ENVIRONMENT])
             else:
@@ -255,34 +246,3 @@ def _over_hub(
         except KeyboardInterrupt:
             children.hurry()
             raise
-
-
-def _from_outside(endpoint: str) -> str:
-    """Return the URL at which others reach our hub; a wildcard becomes the placeholder HOST."""
-    for everywhere in ("tcp://0.0.0.0:", "tcp://[::]:"):
-        if endpoint.startswith(everywhere):
-            return "tcp://HOST:" + endpoint.removeprefix(everywhere)
-    return endpoint
-
-
-def _missing(
-    missing: frozenset[Role],
-    named: Mapping[Role, object],
-    hub: str,
-    options: HubOptions,
-    ports: Sequence[LegacyPort],
-) -> str:
-    session = options.session
-    legacy = [f"{port.host}:{port.port}" for port in ports if port.session == session]
-    lines = []
-    for role in sorted(missing):
-        if role in named:
-            lines.append(f"waiting for the {role} to start")
-        else:
-            where = "" if hub == DEFAULT_HUB else f" --hub {hub}"
-            where += "" if session == DEFAULT_SESSION else f" --session {session}"
-            if options.keys is not None:
-                where += f" --key THEIRS{SECRET} --hub-key {options.keys / HUB}{PUBLIC}"
-            line = f"waiting for an {role}; in another terminal: {_COMMANDS[role]} {example(role)}{where}"
-            lines.append(f"{line}; or an original one on {' or '.join(legacy)}" if legacy else line)
-    return "\n".join(lines)

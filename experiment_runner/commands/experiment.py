@@ -393,7 +393,7 @@ def _new_directory(name: str) -> Path:
 def _run(
     directory: Path, plan: Plan, config: RunConfig, record: Path | None, as_json: bool, view: bool
 ) -> int:
-    from experiment_runner.executors.resume import open_run
+    from experiment_runner.executors.resume import kept_if_begun, open_run
     from experiment_runner.executors.run import run_trials
     from experiment_runner.players import listening
     from experiment_runner.recording import recorded
@@ -403,7 +403,7 @@ def _run(
     progress = Progress()
     lines = JsonLines(progress) if as_json else None
     began = time.monotonic()
-    with ExitStack() as stack:
+    with kept_if_begun(directory, say), ExitStack() as stack:
         # Before anything is written, because an address may be in use.
         addresses = stack.enter_context(ExitStack())
         meeting = addresses.enter_context(listening(plan, config.meeting))

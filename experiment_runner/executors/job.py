@@ -24,7 +24,7 @@ from experiment_runner.recording import Recorder
 from experiment_runner.store.database import StorageError
 from experiment_runner.store.records import Checkpoint, EpisodeResult
 from glue.console import show_failure
-from glue.errors import ExperimentError, GlueError, PeerFailed
+from glue.errors import ConfigError, ExperimentError, GlueError, HubUnreachable, PeerFailed, Refused
 from glue.trajectory import TrajectoryWriter
 
 __all__ = [
@@ -135,6 +135,8 @@ def run_job(
     Raises:
         StorageError: from `send`, when a report cannot be stored.
         BrokenPipeError: from `send`, when its output is no longer read.
+        ConfigError, HubUnreachable, Refused: the running hub that the players are to meet at cannot be found,
+            does not answer or does not let us in. The trial has not failed: it can continue another time.
     """
     lock = threading.Lock()  # the threads that watch players report, too
 
@@ -167,6 +169,8 @@ def run_job(
     except (StorageError, BrokenPipeError):
         raise
     except GlueError as error:
+        if job.meeting.hub.hub is not None and isinstance(error, ConfigError | HubUnreachable | Refused):
+            raise
         if isinstance(error, PeerFailed) and not isinstance(error.__cause__, GlueError | None):
             show_failure(error.__cause__)
         failure = str(error)

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,12 +18,27 @@ from experiment_runner.plan import Plan, absolute, differences
 from experiment_runner.plan_file import dump_plan, load_plan
 from experiment_runner.provenance import about, program
 from experiment_runner.store.database import holds_run, reported
-from experiment_runner.store.layout import ABOUT_FILE, COMPETITION_FILE, PLAN_FILE
+from experiment_runner.store.layout import (
+    ABOUT_FILE,
+    COMPETITION_FILE,
+    PLAN_FILE,
+    how_to_go_on,
+    remove_run,
+)
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
-from glue.errors import ExperimentError
+from glue.errors import ConfigError, ExperimentError, HubUnreachable, Refused
 
-__all__ = ["Remaining", "create_run", "go_back", "open_run", "recorded_plan", "remaining", "resume_run"]
+__all__ = [
+    "Remaining",
+    "create_run",
+    "go_back",
+    "kept_if_begun",
+    "open_run",
+    "recorded_plan",
+    "remaining",
+    "resume_run",
+]
 
 
 class Remaining(NamedTuple):
@@ -114,6 +130,31 @@ def open_run(
         if trial.after or trial.dropped:
             say(f"{trial.trial_id} {trial.course}")
     return store
+
+
+@contextmanager
+def kept_if_begun(directory: Path, say: Callable[[str], None]) -> Iterator[None]:
+    """Remove a run that is new in this block if its hub did not let it in before anything was recorded.
+
+    Args:
+        directory: of the run, which is closed when the block ends.
+        say: shows a line that tells how to continue a run that is kept.
+    """
+    with reported(f"cannot open {directory}"):
+        was_there, had_folder = holds_run(directory), directory.exists()
+    try:
+        yield
+    except (ConfigError, HubUnreachable, Refused):
+        if holds_run(directory):
+            with Results.open(directory) as results:
+                begun = any(trial.done or trial.voids for trial in results.trials())
+            if begun or was_there:
+                say(f"nothing is lost: {how_to_go_on(directory)}")
+            else:
+                remove_run(directory)
+                if had_folder:
+                    directory.mkdir(exist_ok=True)
+        raise
 
 
 def recorded_plan(directory: Path) -> Plan:

@@ -22,7 +22,7 @@ from experiment_runner.analysis.stats import (
     mean_of_last,
 )
 from experiment_runner.lock import lock_holder
-from experiment_runner.report.tables import format_table, one_line
+from experiment_runner.report.tables import format_table, one_line, wrap
 from experiment_runner.store.joined import trial_names
 from experiment_runner.store.output import finite
 from experiment_runner.store.records import TrialRecord
@@ -119,22 +119,24 @@ def as_text(results: Results, width: int | None = None) -> str:
         ExperimentError: the run cannot be read.
     """
     run = overview(results)
-    lines = [f"{run.directory}: {run.state}" + (f" ({run.reason})" if run.state == "running" else "")]
+    header = [f"{run.directory}: {run.state}" + (f" ({run.reason})" if run.state == "running" else "")]
     if run.started is not None:
-        lines.append(f"started  {_date(run.started)}")
+        header.append(f"started  {_date(run.started)}")
     programs = ", then ".join(_programs(results))
     if programs:
-        lines.append(f"program  {one_line(programs)}")
+        header.append(f"program  {one_line(programs)}")
     rows = [_cells(numbers) for numbers in setting_numbers(collect([results]))]
-    lines += ["", format_table(_SETTING_COLUMNS, rows, width=width), "", *_legend(width or _LEGEND_WIDTH)]
+    table = ["", format_table(_SETTING_COLUMNS, rows, width=width), "", *_legend(width or _LEGEND_WIDTH)]
+    notes = []
     if not has_scipy():
-        lines.append("(intervals and IQM need SciPy: pip install 'glue-rl[plot]')")
+        notes.append("(intervals and IQM need SciPy: pip install 'glue-rl[plot]')")
     names = trial_names(results)
     failed = [trial for trial in results.trials() if trial.failure is not None]
-    notes = [f"failed: {names[trial.spec.id]}: {trial.failure}" for trial in failed]
+    notes += [f"failed: {names[trial.spec.id]}: {trial.failure}" for trial in failed]
     notes += [f"void: episode {v.episode} of {names[v.trial_id]}: {v.why}" for v in results.voids()]
     notes += [f"{e.kind}: {names[e.trial_id]}: {e.text}" for e in results.events() if e.trial_id]
-    return "\n".join([*lines, *map(one_line, notes)])
+    notes = [wrap(one_line(note), width) for note in notes]
+    return "\n".join([*(wrap(line, width) for line in header), *table, *notes])
 
 
 def as_object(results: Results) -> dict[str, object]:

@@ -13,7 +13,7 @@ from experiment_runner.store.joined import trial_names
 from experiment_runner.store.records import Totals
 from experiment_runner.store.results import Results
 
-__all__ = ["counted", "format_table", "one_line", "summarize", "tabulate", "terminal_width"]
+__all__ = ["counted", "format_table", "one_line", "summarize", "tabulate", "terminal_width", "wrap"]
 
 _LAST: Final = 100
 _COLUMNS: Final = ("trial", "episodes", "steps", "mean return", f"mean of last {_LAST}", "cut off", "void")
@@ -68,7 +68,7 @@ def _line(row: Sequence[str], widths: Sequence[int], prose: bool) -> str:
     parts += [cell.rjust(width) for cell, width in zip(numbers, widths[1:], strict=False)]
     if prose:
         indent = sum(widths[:-1]) + len(_GAP) * (len(widths) - 1)
-        parts.append(_wrap(row[-1], widths[-1]).replace("\n", "\n" + " " * indent))
+        parts.append(wrap(row[-1], widths[-1]).replace("\n", "\n" + " " * indent))
     return _GAP.join(parts).rstrip()
 
 
@@ -79,12 +79,15 @@ def _paragraph(header: Sequence[str], row: Sequence[str], width: int) -> str:
         if not cell:
             continue
         indent = len(_GAP) + name + len(_GAP)
-        text = _wrap(cell, max(width - indent, 1)).replace("\n", "\n" + " " * indent)
+        text = wrap(cell, max(width - indent, 1)).replace("\n", "\n" + " " * indent)
         lines.append(f"{_GAP}{label.ljust(name)}{_GAP}{text}".rstrip())
     return "\n".join(lines)
 
 
-def _wrap(text: str, width: int) -> str:
+def wrap(text: str, width: int | None) -> str:
+    """Return a text in lines of at most `width` characters, None for any, broken between words alone."""
+    if width is None:
+        return text
     return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False)
 
 
@@ -111,7 +114,8 @@ def tabulate(results: Results, seconds: float, width: int | None = None) -> str:
         if record.failure is not None and len(trials) > 1:
             failures.append(f"failed: {names[record.spec.id]}: {record.failure}")
     lines = [format_table(_COLUMNS, rows, width=width), "", *failures]
-    return "\n".join([*lines, f"{seconds:.1f} s; results in {results.directory}"])
+    lines.append(f"{seconds:.1f} s; results in {results.directory}")
+    return "\n".join([lines[0], *(wrap(line, width) for line in lines[1:])])
 
 
 def summarize(results: Results, seconds: float) -> dict[str, object]:

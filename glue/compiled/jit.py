@@ -10,7 +10,6 @@ whose file system is read-only. With NUMBA_DISABLE_JIT=1 both return the functio
 from __future__ import annotations
 
 import hashlib
-import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -21,6 +20,8 @@ from typing import Any, TypeVar, cast
 import numba
 from numba.core import config, event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
+
+from glue.console import say
 
 __all__ = ["announce_compilation", "entry", "jit"]
 
@@ -44,7 +45,7 @@ def entry(function: Function) -> Function:
 
 @contextmanager
 def announce_compilation(what: str) -> Iterator[None]:
-    """Print `compiling WHAT, this once ...` to stderr if an entry called in this block is compiled."""
+    """Print to stderr that WHAT is compiled, and how long it took, if an entry called in this block is."""
     listener = _Announcement(what)
     with event.install_listener("numba:compile", listener):
         yield
@@ -52,7 +53,7 @@ def announce_compilation(what: str) -> Iterator[None]:
 
 
 class _Announcement(event.Listener):
-    """One line that begins with the first compilation and ends after the last."""
+    """A line before the first compilation and one after the last: other programs write in between."""
 
     def __init__(self, what: str) -> None:
         self._what = what
@@ -61,14 +62,14 @@ class _Announcement(event.Listener):
     def on_start(self, event: object) -> None:
         if self._began is None:
             self._began = time.perf_counter()
-            print(f"compiling {self._what}, this once ...", end=" ", file=sys.stderr, flush=True)
+            say(f"compiling {self._what}, this once ...")
 
     def on_end(self, event: object) -> None:
         pass
 
     def finish(self) -> None:
         if self._began is not None:
-            print(f"done in {time.perf_counter() - self._began:.0f} s", file=sys.stderr, flush=True)
+            say(f"compiled {self._what} in {time.perf_counter() - self._began:.0f} s")
 
 
 _given, _in_tree, *_others = cast("list[Any]", CompileResultCacheImpl._locator_classes)

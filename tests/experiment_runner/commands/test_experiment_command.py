@@ -11,7 +11,7 @@ from experiment_runner.commands.experiment import experiment
 from experiment_runner.plan_file import load_plan
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
-from glue.errors import ConfigError, ExperimentError
+from glue.errors import ConfigError, ExperimentError, HubUnreachable
 
 PLAN = """episodes = 3
 max_steps = 20
@@ -149,6 +149,40 @@ def test_failed_trial_makes_the_exit_code_and_is_explained() -> None:
 )
 def test_invalid_command_is_refused(arguments: tuple[str, ...], message: str) -> None:
     assert message in refused(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--hub", "ipc:///nowhere/hub", "--wait", "0.1"), "no hub has answered"),
+        (("--hub", "tcp://nowhere.invalid:4097"), "cannot find the host 'nowhere.invalid'"),
+        (("--hub", "tcp://127.0.0.1:4097", "--key", "nobody", "--hub-key", "nobody"), "no file nobody"),
+    ],
+    ids=["silent", "unknown", "key"],
+)
+def test_run_whose_hub_cannot_be_joined_leaves_nothing_behind(
+    arguments: tuple[str, ...], message: str
+) -> None:
+    result = invoke("--episodes", "3", *arguments, "--out", "run", "--record", "run/it.traj")
+    assert message in str(result.exception)
+    assert not Path("run").exists()
+    Path("mine").mkdir()
+    invoke("--episodes", "3", *arguments, "--out", "mine")
+    invoke("--episodes", "3", *arguments)
+    assert sorted(map(str, Path().rglob("*"))) == ["mine", "plan.toml", "runs"]
+
+
+def test_run_whose_hub_is_gone_stays_as_it_is() -> None:
+    assert invoke(*MINES, "--episodes", "1", "--out", "run").return_value == 0
+    with Store.open(Path("run")) as store:
+        store.rewind(store.trials()[0].spec.id, 0)
+    with Results.open(Path("run")) as results:
+        before = results.trials()
+    result = invoke("--resume", "run", "--hub", "ipc:///nowhere/hub", "--wait", "0.1")
+    assert isinstance(result.exception, HubUnreachable)
+    assert "nothing is lost: continue with --resume run" in result.stderr
+    with Results.open(Path("run")) as results:
+        assert results.trials() == before
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import pytest
 
 from experiment_runner.executors.resume import create_run
 from experiment_runner.plan import Plan, RoleSweep
+from experiment_runner.report.overview import as_text
 from experiment_runner.report.tables import format_table, summarize, tabulate
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.store import Store
@@ -132,3 +133,17 @@ def test_memory_does_not_grow_with_the_episodes(store: Store) -> None:
         assert tracemalloc.get_traced_memory()[1] < 200_000  # bytes
     finally:
         tracemalloc.stop()
+
+
+def test_no_word_of_a_run_is_broken_on_a_narrow_terminal(tmp_path: Path) -> None:
+    why = "no hub has answered at tcp://127.0.0.1:4097 for 10 s: start one, or check the address"
+    with create_run(tmp_path / "run", PLAN) as store:
+        store.record_failure(FIRST, why)
+        texts = [(as_text(store), as_text(store, 30)), (tabulate(store, 1), tabulate(store, 1, 30))]
+    for wide, narrow in texts:
+        assert why in wide
+        assert why.split() in [
+            narrow.split()[at : at + len(why.split())] for at in range(len(narrow.split()))
+        ]
+        longest = [line for line in narrow.splitlines() if len(line) > 30]
+        assert all(len(line.split()) == 1 for line in longest), longest
