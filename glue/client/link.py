@@ -188,6 +188,8 @@ class Link:
                 self._greet()
             return None
         if kind is Kind.WELCOME and session in self._names:
+            if session in self._welcomed:
+                return None  # It answers no HELLO: nothing is to be sent again.
             self._welcome(message)
         return message
 

@@ -670,6 +670,20 @@ def test_a_request_is_repeated_after_a_reconnect(hub: HandHub, lines: list[str])
     assert running.result(TIMEOUT) == 5
 
 
+def test_a_welcome_that_answers_no_hello_repeats_no_request_and_forgets_nothing(
+    hub: HandHub, lines: list[str]
+) -> None:
+    running = experiment(hub, lambda glue: (glue.rl_num_steps(), glue.rl_num_steps()), lines)
+    request = hub.hear(Kind.RL_NUM_STEPS)
+    hub.say(Kind.WELCOME, 1, 1, True, HEARTBEAT, 10.0, 10_000)
+    hub.say(Kind.RL_NUM_STEPS, request.seq, 5)
+    following = hub.hear(Kind.RL_NUM_STEPS)
+    assert following.seq == request.seq + 1, "the first was not sent again"
+    hub.say(Kind.WELCOME, 1, 1, False, HEARTBEAT, 10.0, 10_000)
+    hub.say(Kind.RL_NUM_STEPS, following.seq, 6)
+    assert running.result(TIMEOUT) == (5, 6)
+
+
 def test_a_hub_that_does_not_know_the_experiment_any_more_ends_it(hub: HandHub, lines: list[str]) -> None:
     running = experiment(hub, lambda glue: (glue.rl_init(), glue.rl_step()), lines)
     hub.say(Kind.RL_INIT, hub.hear(Kind.RL_INIT).seq)
