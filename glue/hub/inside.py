@@ -40,29 +40,26 @@ class InsideTransport:
     def send_message(self, message: Message) -> bool:
         """Hand the hub a message; return False if the hub is ending."""
         loop = self._hub.loop
-        loop.take()
-        try:
+        loop.ask()
+        with loop.mutex:
             if loop.stopping is not None:
                 return False
             self._hub.switchboard.receive(self, message, time.monotonic())
             return True
-        finally:
-            loop.give()
 
     def receive_message(self, max_body: int) -> Message | None:
         """Return the next message; None if none is received in time."""
         loop, received = self._hub.loop, self._received
-        loop.take()
+        loop.ask()
         try:
-            until = time.monotonic() + self._wait
-            while not received and loop.stopping is None and (left := until - time.monotonic()) > 0:
-                loop.turn(left)
+            with loop.mutex:
+                until = time.monotonic() + self._wait
+                while not received and loop.stopping is None and (left := until - time.monotonic()) > 0:
+                    loop.turn(left)
         except BaseException:
             # The loop was interrupted in the middle of something.
             self._hub.stop("the experiment was interrupted in the middle of a verb")
             raise
-        finally:
-            loop.give()
         if not received and loop.stopping is not None:
             self._hub.join(self._wait)  # it says goodbye as it ends
         return received.popleft() if received else None

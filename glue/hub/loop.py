@@ -61,6 +61,9 @@ class Loop:
     Attributes:
         log: as given.
         stopping: why it ends or has ended; None as long as it goes on.
+        mutex: held by the thread that takes a turn. Other threads than the one in `run` call `ask` and then
+            take turns in `with loop.mutex:`. No other form is safe from Ctrl-C, which may be raised after any
+            call, also after one that has acquired a lock.
     """
 
     def __init__(self, every: float, log: Callable[[str], None]) -> None:
@@ -77,9 +80,8 @@ class Loop:
         self._expecting = False
         self._misses = 0
         self._without_look = 0
-        self._mutex = threading.Lock()  # held by the thread that takes a turn
-        self._taken = False  # lately, by another thread than the one in `run`
-        self._times_given = 0
+        self.mutex = threading.Lock()
+        self._times_asked = 0
         self._wake, self._waker = socket.socketpair()
         self._wake.setblocking(False)
         self._waker.setblocking(False)
@@ -112,28 +114,21 @@ class Loop:
 
     def run(self) -> None:
         """Take turns until `stop`, but for the time in which other threads take the loop."""
+        times_asked = 0
         while self.stopping is None:
-            if self._taken:
-                times = self._times_given
+            taken = self.mutex.locked()
+            with self.mutex:
+                asked, times_asked = self._times_asked != times_asked, self._times_asked
+                if not (taken or asked):
+                    self.turn()
+            if taken or asked:
                 time.sleep(_GRACE_SECONDS)
-                self._taken = self._times_given != times
-            else:
-                with self._mutex:
-                    if not self._taken:
-                        self.turn()
 
-    def take(self) -> None:
-        """Take the loop over from the thread in `run`; then this thread may take turns, until `give`."""
-        if not self._mutex.acquire(blocking=False):
-            self._taken = True
+    def ask(self) -> None:
+        """Let the thread in `run` release `mutex`; it then waits a moment: to ask again soon is cheap."""
+        self._times_asked += 1
+        if self.mutex.locked():
             self._wake_up()
-            self._mutex.acquire()
-        self._taken = True
-
-    def give(self) -> None:
-        """Give the loop back. The thread in `run` waits a moment, so that to take it again soon is cheap."""
-        self._times_given += 1
-        self._mutex.release()
 
     def turn(self, seconds: float = math.inf) -> None:
         """Wait up to `seconds` until there is something to do, and do it.

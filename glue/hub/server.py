@@ -101,11 +101,9 @@ class Hub:
 
     def close(self) -> None:
         """Say goodbye to every peer, and stop listening. A running hub is ended by `stop` instead."""
-        self.loop.take()  # an experiment inside may be in the middle of a turn
-        try:
+        self.loop.ask()  # an experiment inside may be in the middle of a turn
+        with self.loop.mutex:
             self._closing.close()
-        finally:
-            self.loop.give()
 
     def __enter__(self) -> Self:
         return self

@@ -156,8 +156,8 @@ export class Link {
 
   /** @param {number | bigint} seq @param {any[]} scalars */
   #welcome(seq, [version, resumed, heartbeat, timeout, maxBody]) {
-    // The answer to an earlier HELLO says nothing of the hub at the other end of this connection.
-    if (seq !== this.greeted) return;
+    // The answer to an earlier HELLO says nothing of the hub at the other end, a second one nothing new.
+    if (seq !== this.greeted || this.welcomed) return;
     if (version !== 1) throw new ProtocolError(`version ${version} was chosen, and only 1 was offered`);
     this.maxBody = Math.min(Number(maxBody), MAX_BODY);
     this.#heartbeatMs = 1000 * Math.min(Math.max(heartbeat, 0.01), 60);

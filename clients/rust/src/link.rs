@@ -171,8 +171,8 @@ impl<'a> Link<'a> {
     }
 
     fn welcome(&mut self, message: Message) -> Result<Option<Message>, Error> {
-        // The answer to an earlier HELLO says nothing of the hub at the other end of this connection.
-        if message.seq != self.greeted {
+        // The answer to an earlier HELLO says nothing of the hub at the other end, a second one nothing new.
+        if message.seq != self.greeted || self.welcomed {
             return Ok(None);
         }
         if message.int(0) != 1 {

@@ -38,8 +38,7 @@ class Experiment:
                 _, resumed, *_ = values
                 if not resumed and self.answered:
                     sys.exit("the hub is another one; the experiment is lost")
-                if self.connection.welcomed:
-                    self.connection.send(*request)
+                self.connection.send(*request)
             elif answered in (REFUSE, GOODBYE):
                 sys.exit(f"the hub says: {values[-1]}")
             elif answered == NOTICE:

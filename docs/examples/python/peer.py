@@ -80,7 +80,9 @@ class Connection:
                     if self.welcomed:
                         self._greet()
                     continue
-                if kind == WELCOME and seq == self._hellos:
+                if kind == WELCOME:
+                    if self.welcomed or seq != self._hellos:
+                        continue
                     self.welcomed = True
                 return frames, kind, seq, scalars
             elif self.welcomed:

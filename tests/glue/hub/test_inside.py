@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Iterator
+from types import FrameType
 
 import pytest
 
@@ -13,8 +15,11 @@ from glue.core.config import HubConfig
 from glue.core.experiment import Experiment
 from glue.core.local import local
 from glue.errors import HubClosed
+from glue.hub import inside as inside_hub
+from glue.hub import loop
 from glue.hub.inside import InsideTransport
 from glue.hub.server import Hub
+from glue.protocol.messages import Kind, Message
 from tests.players import ChainAgent, ChainEnvironment
 
 TIMEOUT = 10.0
@@ -92,3 +97,45 @@ def test_an_interrupted_verb_ends_the_hub(hub: Hub, monkeypatch: pytest.MonkeyPa
                 glue.rl_init()
         with pytest.raises(HubClosed, match="interrupted"):
             glue.rl_num_steps()
+
+
+class Interrupting:
+    """Raises KeyboardInterrupt at one of the places of a hub's loop where Python may act on Ctrl-C.
+
+    Those are the beginning of a function and the moment after a call.
+    """
+
+    def __init__(self, countdown: int) -> None:
+        self.countdown = countdown
+
+    def __call__(self, frame: FrameType, event: str, argument: object) -> None:
+        if event != "c_call" and frame.f_code.co_filename in (loop.__file__, inside_hub.__file__):
+            self.countdown -= 1
+            if self.countdown == 0:
+                sys.setprofile(None)
+                raise KeyboardInterrupt
+
+
+def test_a_verb_that_is_interrupted_anywhere_leaves_the_loop_to_others() -> None:
+    """Otherwise the hub could never close, and Ctrl-C would end nothing."""
+    places = 0
+    finished = False
+    while not finished:
+        places += 1
+        hub = Hub(HubConfig())
+        transport = InsideTransport(hub)
+        transport.wait_at_most(0.001)
+        sys.setprofile(Interrupting(places))
+        try:
+            transport.send_message(Message(Kind.HEARTBEAT, "default", 0))
+            transport.receive_message(100)
+            finished = True
+        except KeyboardInterrupt:
+            pass
+        finally:
+            sys.setprofile(None)
+        held = not hub.loop.mutex.acquire(blocking=False)
+        hub.loop.mutex.release()
+        hub.close()
+        assert not held, f"at place {places}"
+    assert places > 10

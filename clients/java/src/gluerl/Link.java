@@ -140,8 +140,8 @@ final class Link {
     }
 
     private boolean welcome(Message message) {
-        // The answer to an earlier HELLO says nothing of the hub at the other end of this connection.
-        if (message.seq() != greeted) {
+        // The answer to an earlier HELLO says nothing of the hub at the other end, a second one nothing new.
+        if (message.seq() != greeted || welcomed) {
             return false;
         }
         if (message.integer(0) != 1) {

@@ -38,6 +38,7 @@ def silent_until_welcomed(desk: ExperimentDesk) -> None:
     desk.nothing("between HELLO and WELCOME")
     desk.welcome()
     desk.resume()
+    desk.welcome()
     desk.nothing("more: a request is sent once over each connection")
 
 

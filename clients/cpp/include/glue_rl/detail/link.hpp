@@ -146,8 +146,8 @@ class Link {
   }
 
   std::optional<Message> welcome(const Message& message) {
-    // The answer to an earlier HELLO says nothing of the hub at the other end of this connection.
-    if (message.seq != greeted_) return std::nullopt;
+    // The answer to an earlier HELLO says nothing of the hub at the other end, a second one nothing new.
+    if (message.seq != greeted_ || welcomed_) return std::nullopt;
     if (message.ints[0] != 1) throw ProtocolError("a version was chosen that was not offered");
     const double seconds = message.floats[0];
     heartbeat_ = Milliseconds(static_cast<int>(1000 * (seconds > 0.01 ? std::min(seconds, 60.0) : 0.01)));
