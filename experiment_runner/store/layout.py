@@ -145,10 +145,9 @@ def write_flushed(path: Path, text: str) -> None:
 
 def _check_free(directory: Path) -> None:
     if holds_run(directory):
-        raise ExperimentError(
-            f"{directory} holds a run: continue it with --resume {directory}, "
-            "or choose another directory with --out"
-        )
+        # One that was merged from others cannot be continued, and a competition in its own way.
+        hint = f"continue it with --resume {directory}, or " if (directory / PLAN_FILE).exists() else ""
+        raise ExperimentError(f"{directory} holds a run: {hint}choose another directory with --out")
     for path in directory.iterdir():
         if path.name not in (LOCK_FILE, UNFINISHED):
             raise _taken(directory, path.name)

@@ -363,6 +363,12 @@ def test_runs_of_different_plans_merge_under_their_names(tmp_path: Path) -> None
     assert "b/random" not in call("show", tmp_path / "ab").split("setting")[0]
 
 
+def test_merged_run_without_a_plan_is_not_said_to_go_on(tmp_path: Path, run: Path) -> None:
+    (run / "plan.toml").unlink()
+    with pytest.raises(ExperimentError, match="holds a run: choose another directory with --out"):
+        call("merge", run, run, "--out", run)
+
+
 def test_runs_that_contradict_each_other_do_not_merge(tmp_path: Path) -> None:
     make(tmp_path / "a", [4, 4, 4, 4])
     make(tmp_path / "b", [2, 0, 0, 0])
