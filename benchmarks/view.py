@@ -1,4 +1,4 @@
-"""What pages that are open cost a run: steps per second with and without them."""
+"""What pages that are open cost a run, and one that looks on at a game: steps per second with and without."""
 
 from __future__ import annotations
 
@@ -28,53 +28,80 @@ _SECONDS: Final = 6.0
 _SETTLE_SECONDS: Final = 1.0
 _REFRESH_SECONDS: Final = 2.0
 """As static/curves.js has it."""
-_COMMAND: Final = (
-    "--env",
-    "mario",
-    "--agent",
-    "random",
-    "--episodes",
-    "1000000",
-    "--in-process",
-    "--out",
-    "runs/run",
-)
+_GAME_SECONDS: Final = 3.0
+_COMMAND: Final = ("--env", "mario", "--agent", "random", "--episodes", "1000000", "--out", "runs/run")
 
 
 def run() -> list[Table]:
     """Measure a run at full speed with and without pages, in turn."""
-    with tempfile.TemporaryDirectory() as made:
-        folder = Path(made)
-        command = [sys.executable, "-m", "experiment_runner.commands.experiment", *_COMMAND]
-        quiet = subprocess.DEVNULL
-        with subprocess.Popen(command, cwd=folder, stdout=quiet, stderr=quiet) as process:
-            try:
-                alone, watched, fetched = _measure(folder)
-            finally:
-                process.terminate()
+    return [_pages(), _game()]
+
+
+def _pages() -> Table:
+    with _running("--in-process") as folder:
+        alone, watched, fetched = _measure(folder)
     medians = statistics.median(alone), statistics.median(watched)
     lost = statistics.median(1 - one / other for one, other in zip(watched, alone, strict=True))
-    return [
-        Table(
-            "Pages that are open",
-            f"`glue-view` with {_PAGES} pages open on a run of the random agent in Infinite Mario, in one "
-            "process at full speed: each takes in the stream, and fetches the curves every "
-            f"{_REFRESH_SECONDS:g} seconds, as the page does. Medians of {REPEATS} measurements of "
-            f"{_SECONDS:g} seconds each, with and without pages in turn; the loss is the median of that of "
-            "each pair (the aim is 5 %). The pages share the processors with run and server.",
-            ("pages", "steps per second", "lost"),
-            [
-                ("none", count(medians[0]), ""),
-                (f"{_PAGES} ({fetched} curves fetched)", count(medians[1]), f"{100 * lost:.1f} %"),
-            ],
-        )
-    ]
+    return Table(
+        "Pages that are open",
+        f"`glue-view` with {_PAGES} pages open on a run of the random agent in Infinite Mario, in one "
+        "process at full speed: each takes in the stream, and fetches the curves every "
+        f"{_REFRESH_SECONDS:g} seconds, as the page does. Medians of {REPEATS} measurements of "
+        f"{_SECONDS:g} seconds each, with and without pages in turn; the loss is the median of that of "
+        "each pair (the aim is 5 %). The pages share the processors with run and server.",
+        ("pages", "steps per second", "lost"),
+        [
+            ("none", count(medians[0]), ""),
+            (f"{_PAGES} ({fetched} curves fetched)", count(medians[1]), f"{100 * lost:.1f} %"),
+        ],
+    )
+
+
+def _game() -> Table:
+    """Measure a run at a hub: without a server, with one whose pages show no game, and with one that does."""
+    rates: list[tuple[float, float, float]] = []
+    with _running() as folder:
+        directory = folder / "runs" / "run"
+        for _ in range(REPEATS):
+            alone = _rate(directory, _GAME_SECONDS)
+            with _served(folder) as (port, cookie):
+                unseen = _rate(directory, _GAME_SECONDS)
+                page = _Page(port, cookie, f"live:{_run_id(port, cookie)}")
+                rates.append((alone, unseen, _rate(directory, _GAME_SECONDS)))
+                page.close()
+    medians = [statistics.median(column) for column in zip(*rates, strict=True)]
+    lost = [statistics.median(1 - one[i] / one[0] for one in rates) for i in (1, 2)]
+    return Table(
+        "A game that is looked at",
+        "The random agent in Infinite Mario as three processes with a hub, at full speed. Who looks on is "
+        f"shown at most 30 moments a second. Medians of {REPEATS} measurements of {_GAME_SECONDS:g} seconds "
+        "each, in turn; the loss is the median of that of each turn (the aim is 2 % where nobody looks).",
+        ("who looks on", "steps per second", "lost"),
+        [
+            ("nobody, and no page is served", count(medians[0]), ""),
+            ("nobody", count(medians[1]), f"{100 * lost[0]:.1f} %"),
+            ("a page", count(medians[2]), f"{100 * lost[1]:.1f} %"),
+        ],
+    )
+
+
+@contextmanager
+def _running(*options: str) -> Iterator[Path]:
+    """Yield a folder in which a run goes on."""
+    with tempfile.TemporaryDirectory() as made:
+        command = [sys.executable, "-m", "experiment_runner.commands.experiment", *_COMMAND, *options]
+        quiet = subprocess.DEVNULL
+        with subprocess.Popen(command, cwd=made, stdout=quiet, stderr=quiet) as process:
+            try:
+                while not _has_begun(Path(made) / "runs" / "run"):
+                    time.sleep(0.1)
+                yield Path(made)
+            finally:
+                process.terminate()
 
 
 def _measure(folder: Path) -> tuple[list[float], list[float], int]:
     directory = folder / "runs" / "run"
-    while not _has_begun(directory):
-        time.sleep(0.1)
     alone, watched, fetched = [], [], 0
     with _served(folder) as (port, cookie):
         for _ in range(REPEATS):
@@ -92,10 +119,10 @@ def _has_begun(directory: Path) -> bool:
         return False
 
 
-def _rate(directory: Path) -> float:
+def _rate(directory: Path, seconds: float = _SECONDS) -> float:
     time.sleep(_SETTLE_SECONDS)
     steps, began = _steps(directory), time.monotonic()
-    time.sleep(_SECONDS)
+    time.sleep(seconds)
     return (_steps(directory) - steps) / (time.monotonic() - began)
 
 
@@ -122,15 +149,26 @@ def _served(folder: Path) -> Iterator[tuple[int, str]]:
             process.terminate()
 
 
-class _Page:
-    """A page of the run's curves: what static/stream.js and static/curves.js ask for, and as often."""
+def _run_id(port: int, cookie: str) -> str:
+    with closing(http.client.HTTPConnection("127.0.0.1", port)) as connection:
+        connection.request("GET", "/api/stream?topic=runs", headers={"Cookie": cookie})
+        events = connection.getresponse()
+        while not (line := events.readline()).startswith(b"data: "):
+            pass
+        (found,) = json.loads(line[6:])["runs"]
+        return str(found)
 
-    def __init__(self, port: int, cookie: str) -> None:
+
+class _Page:
+    """A page of the run's curves: what static/stream.js and static/curves.js ask for, and as often; or a page
+    of its game."""
+
+    def __init__(self, port: int, cookie: str, topic: str = "runs") -> None:
         self._port = port
         self._headers = {"Cookie": cookie}
         self._fetched = 0
         self._stream = http.client.HTTPConnection("127.0.0.1", port)
-        self._stream.request("GET", "/api/stream?topic=runs", headers=self._headers)
+        self._stream.request("GET", f"/api/stream?topic={topic}", headers=self._headers)
         self._events = self._stream.getresponse()
         self._thread = threading.Thread(target=self._look, daemon=True)
         self._thread.start()
@@ -146,7 +184,7 @@ class _Page:
         last = -_REFRESH_SECONDS
         with suppress(OSError, ValueError, http.client.HTTPException):
             while line := self._events.readline():
-                if line.startswith(b"data: ") and time.monotonic() - last >= _REFRESH_SECONDS:
+                if line.startswith(b'data: {"runs"') and time.monotonic() - last >= _REFRESH_SECONDS:
                     (run_id,) = json.loads(line[6:])["runs"]
                     last = time.monotonic()
                     self._fetch(run_id)

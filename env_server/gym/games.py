@@ -21,6 +21,7 @@ from env_server.mario.sim.step import act, begin
 from env_server.mario.threads import Threads
 from glue.compiled.jit import announce_compilation, entry, jit
 from glue.compiled.records import Array, Flag, Int, Real, Word, layout
+from glue.compiled.turns import Gate, begin_turn, end_turn
 from glue.errors import ConfigError
 from glue.types import Observation
 
@@ -130,8 +131,8 @@ class Games:
         finals = count if mode == SAME_STEP else 0
         self.final_cells: Bytes = np.zeros((finals, shape.bytes), np.uint8)
         self.final_reals: Reals = np.zeros((finals, shape.reals), np.float32)
-        self._all_act = np.full(count, _ACT, np.int8)
-        self._no_buttons = np.zeros((count, 3), np.int64)
+        self._orders = np.zeros(count, np.int8)
+        self._buttons = np.zeros((count, 3), np.int64)
         self._threads = Threads(threads, count)
         self._load()
 
@@ -151,21 +152,23 @@ class Games:
 
     def reset(self, which: npt.NDArray[np.bool_]) -> None:
         """Begin an episode in the games that `which`, shape (N,), chooses."""
-        self._run(np.where(which, _BEGIN, _LEAVE).astype(np.int8), self._no_buttons, self.cells, self.reals)
+        self._orders[:] = np.where(which, _BEGIN, _LEAVE)
+        self._run()
 
-    def step(self, buttons: npt.NDArray[np.int64], cells: Bytes, reals: Reals) -> int:
-        """Carry out an action in every game, and write what is shown to `cells` and `reals` as well.
+    def step(self, buttons: npt.NDArray[np.int64]) -> int:
+        """Carry out an action in every game.
 
         Args:
             buttons: shape (N, 3): direction -1 to 1, jump and run 0 or 1.
-            cells, reals: of the shapes of the attributes; the attributes themselves will do.
 
         Returns:
             -1, or the first game that has no episode to step in: then no game was stepped.
         """
         unready = int(_first_unready(self.lanes, self._setup))
         if unready < 0:
-            self._run(self._all_act, buttons, cells, reals)
+            self._orders[:] = _ACT
+            self._buttons[:] = buttons
+            self._run()
         return unready
 
     def observation(self, i: int) -> Observation:
@@ -173,17 +176,16 @@ class Games:
         body = np.zeros(BODY_SIZE, np.uint8)
         return Observation.from_body(body[: _body(self.worlds[i : i + 1], body)].tobytes())
 
-    def _run(
-        self, orders: npt.NDArray[np.int8], buttons: npt.NDArray[np.int64], cells: Bytes, reals: Reals
-    ) -> None:
-        shown = (self.cells, self.reals, cells, reals, self.final_cells, self.final_reals)
-        self._threads.run(_advance, self.worlds, self.lanes, self._setup, orders, buttons, *shown)
+    def _run(self) -> None:
+        told = (self._orders, self._buttons)
+        shown = (self.cells, self.reals, self.final_cells, self.final_reals)
+        self._threads.run(_advance, self.worlds, self.lanes, self._setup, *told, *shown)
 
     def _load(self) -> None:
         """Load the compiled rules, or compile them and say so."""
         with announce_compilation("Infinite Mario for Gymnasium"):
             _first_unready(self.lanes[:0], self._setup)
-            self._run(np.zeros(len(self), np.int8), self._no_buttons, self.cells, self.reals)
+            self._run()
             # An observation is asked for by `render` alone, which may compile when it comes to that.
 
 
@@ -222,6 +224,8 @@ def _first_unready(lanes: Array, setups: Array) -> int:
 
 @entry
 def _advance(
+    gate: Gate,
+    worker: int,
     worlds: Worlds,
     lanes: Array,
     setups: Array,
@@ -229,44 +233,43 @@ def _advance(
     buttons: npt.NDArray[np.int64],
     cells: Bytes,
     reals: Reals,
-    shown_cells: Bytes,
-    shown_reals: Reals,
     final_cells: Bytes,
     final_reals: Reals,
     first: int,
     last: int,
 ) -> None:
-    """Do as ordered in the games from `first` up to `last`.
+    """Do as ordered in the games from `first` up to `last`, whenever it is their turn.
 
     One function for all that can happen to a game, because the rules are compiled into each that calls them.
     """
     setup: Setup = setups[0]
-    for i in range(first, last):
-        if orders[i] == _LEAVE:
-            continue
-        world: World = worlds[i]
-        lane: Lane = lanes[i]
-        begins = orders[i] == _BEGIN or (lane.over and setup.mode == NEXT_STEP)
-        if begins:
-            lane.reward = 0.0
-            lane.terminated = False
-            lane.truncated = False
-        else:
-            _act(world, lane, setup, buttons[i])
-            if lane.over and setup.mode == SAME_STEP:
-                if not lane.terminated:
-                    write_view(world, setup.view_number, cells[i], reals[i])
-                final_cells[i] = cells[i]
-                final_reals[i] = reals[i]
-                lane.final_info[:] = lane.info
-                begins = True
-        if begins:
-            _begin(world, lane, setup)
-        # The observation of a terminal step is the one before it, as in the original.
-        if begins or not lane.terminated:
-            write_view(world, setup.view_number, cells[i], reals[i])
-        shown_cells[i] = cells[i]
-        shown_reals[i] = reals[i]
+    while begin_turn(gate, worker):
+        for i in range(first, last):
+            if orders[i] == _LEAVE:
+                continue
+            world: World = worlds[i]
+            lane: Lane = lanes[i]
+            begins = orders[i] == _BEGIN or (lane.over and setup.mode == NEXT_STEP)
+            if begins:
+                lane.reward = 0.0
+                lane.terminated = False
+                lane.truncated = False
+            else:
+                _act(world, lane, setup, buttons[i])
+                if lane.over and setup.mode == SAME_STEP:
+                    if not lane.terminated:
+                        write_view(world, setup.view_number, cells[i], reals[i])
+                    final_cells[i] = cells[i]
+                    final_reals[i] = reals[i]
+                    lane.final_info[:] = lane.info
+                    begins = True
+            if begins:
+                _begin(world, lane, setup)
+            # The observation of a terminal step is the one before it, as in the original.
+            if begins or not lane.terminated:
+                write_view(world, setup.view_number, cells[i], reals[i])
+        if end_turn(gate, worker):
+            return
 
 
 @jit

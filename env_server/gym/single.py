@@ -97,7 +97,7 @@ class InfiniteMarioEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         """
         buttons = read_action(self._action, action)
         games = self._games
-        if games.step(buttons, games.cells, games.reals) >= 0:
+        if games.step(buttons) >= 0:
             raise SimulatorError("a step needs an episode: call reset first, and again after each end")
         self._show()
         lane = games.lanes[0]

@@ -118,9 +118,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
                 generator = self.np_random if one is None else np_random(one)[0]
                 games.seed(int(i), int(generator.integers(2**63)))
         games.reset(which)
-        if self._copy:
-            return unpack(self._view, games.cells.copy(), games.reals.copy()), self._infos(which)
-        return unpack(self._view, games.cells, games.reals), self._infos(which)
+        return self._observations(), self._infos(which)
 
     def step(
         self, actions: Any
@@ -133,10 +131,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         """
         games = self._games
         buttons = read_actions(self._action, actions, self.num_envs)
-        cells, reals = games.cells, games.reals
-        if self._copy:
-            cells, reals = np.empty_like(cells), np.empty_like(reals)
-        unready = games.step(buttons, cells, reals)
+        unready = games.step(buttons)
         if unready >= 0:
             raise SimulatorError(f"game {unready} has no episode to step in: reset it first")
         lanes = games.lanes
@@ -147,7 +142,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
             if over.any():
                 infos = self._final(over)
         infos.update(self._infos(np.ones(self.num_envs, np.bool_)))
-        return unpack(self._view, cells, reals), lanes["reward"].copy(), terminated, truncated, infos
+        return self._observations(), lanes["reward"].copy(), terminated, truncated, infos
 
     def render(self) -> tuple[Any, ...] | None:
         """Return what the render mode shows of each game."""
@@ -160,6 +155,12 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
     def close_extras(self, **_: Any) -> None:
         """End the threads."""
         self._games.close()
+
+    def _observations(self) -> Any:
+        cells, reals = self._games.cells, self._games.reals
+        if self._copy:
+            cells, reals = cells.copy(), reals.copy()
+        return unpack(self._view, cells, reals)
 
     def _mask(self, options: dict[str, Any] | None) -> npt.NDArray[np.bool_]:
         mask = (options or {}).get("reset_mask")

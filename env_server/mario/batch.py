@@ -23,6 +23,7 @@ from env_server.mario.parameters import Parameters
 from env_server.mario.sim.state import WORLD, World, Worlds
 from env_server.mario.threads import Threads
 from glue.compiled.jit import announce_compilation, entry
+from glue.compiled.turns import CALLER, Gate, begin_turn, end_turn
 from glue.errors import SimulatorError
 from glue.types import Observation
 
@@ -46,6 +47,9 @@ class Batch:
             task.write_to(self._worlds[i])
         self._bodies = np.zeros((len(tasks), BODY_SIZE), np.uint8)
         self._sizes = np.zeros(len(tasks), np.int64)
+        self._actions = np.zeros((len(tasks), 3), np.int64)
+        self._rewards = np.zeros(len(tasks))
+        self._ended = np.zeros(len(tasks), np.bool_)
         worth_it = min(os.cpu_count() or 1, len(tasks) // _GAMES_PER_THREAD)
         workers = max(1, worth_it if threads is None else threads)
         self._threads = Threads(workers, len(tasks))
@@ -83,11 +87,10 @@ class Batch:
         Raises:
             SimulatorError: an action is out of bounds, or a game has no episode being played.
         """
-        actions = self._checked(actions)
-        rewards = np.empty(len(self))
-        ended = np.empty(len(self), np.bool_)
-        self._threads.run(_step_range, self._worlds, actions, rewards, ended, self._sizes, self._bodies)
-        return rewards, ended
+        self._actions[:] = self._checked(actions)
+        outcome = (self._rewards, self._ended, self._sizes, self._bodies)
+        self._threads.run(_step_range, self._worlds, self._actions, *outcome)
+        return self._rewards.copy(), self._ended.copy()
 
     def observation(self, i: int) -> Observation:
         """Return the last observation of game `i`."""
@@ -99,7 +102,7 @@ class Batch:
             start_first(np.zeros(1, WORLD), np.zeros(BODY_SIZE, np.uint8))
             _first_wrong(self._worlds[:0], _NO_ACTIONS)
             nothing = (_NO_ACTIONS, np.empty(0), np.empty(0, np.bool_), self._sizes, self._bodies)
-            _step_range(self._worlds, *nothing, 0, 0)
+            _step_range(np.zeros(1, np.int64), CALLER, self._worlds, *nothing, 0, 0)
 
     def _checked(self, actions: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
         if actions.shape != (len(self), 3):
@@ -130,6 +133,8 @@ def _first_wrong(worlds: Worlds, actions: npt.NDArray[np.int64]) -> int:
 
 @entry
 def _step_range(
+    gate: Gate,
+    worker: int,
     worlds: Worlds,
     actions: npt.NDArray[np.int64],
     rewards: npt.NDArray[np.float64],
@@ -139,11 +144,14 @@ def _step_range(
     first: int,
     last: int,
 ) -> None:
-    """Carry out an action in the games from `first` up to `last`."""
-    for i in range(first, last):
-        world: World = worlds[i]
-        reward, size = step_world(world, actions[i, 0], actions[i, 1], actions[i, 2], bodies[i])
-        rewards[i] = reward
-        ended[i] = size == 0
-        if size > 0:
-            sizes[i] = size
+    """Carry out an action in the games from `first` up to `last`, whenever it is their turn."""
+    while begin_turn(gate, worker):
+        for i in range(first, last):
+            world: World = worlds[i]
+            reward, size = step_world(world, actions[i, 0], actions[i, 1], actions[i, 2], bodies[i])
+            rewards[i] = reward
+            ended[i] = size == 0
+            if size > 0:
+                sizes[i] = size
+        if end_turn(gate, worker):
+            return

@@ -25,7 +25,7 @@ HOMES: Mapping[str, Sequence[str]] = {
     "zmq": ["glue/client/libzmq.py"],
     "nacl": ["glue/protocol/curve.py"],
     "msgpack": ["glue/protocol/*", "experiment_runner/executors/job.py"],
-    "numba": ["glue/compiled/jit.py"],
+    "numba": ["glue/compiled/jit.py", "glue/compiled/turns.py"],
     "docker": ["experiment_runner/competition/containers.py"],
     "requests": ["experiment_runner/competition/containers.py"],
     "click": ["*command.py", "*/commands/*", "glue/commands.py", "glue/players/naming.py"],

@@ -24,7 +24,8 @@ FOLDER: Final = ROOT / "docs/images"
 WIDE: Final = (1180, 760)
 PHONE: Final = (390, 780)
 
-_RECORDED: Final = ("glue-experiment", "--env", "mario", "--agent", "sample", "--episodes", "2")
+_RECORDED: Final = ("glue-experiment", "--env", "mario", "--agent", "hierarchical", "--episodes", "2")
+_ASKED: Final = ("--ask", "values", "--ask", "epsilon")
 _SWEEP: Final = """\
 episodes = 200
 trials = 4
@@ -82,7 +83,7 @@ def _make(top: Path) -> None:
     for command in (
         (*experiment, "runs/step-sizes", "--plan", "sweep.toml"),
         (*experiment, "runs/mario", *learning),
-        (*_RECORDED, "--out", "runs/sample", "--record", "runs/sample/run.traj"),
+        (*_RECORDED, *_ASKED, "--out", "runs/recorded", "--record", "runs/recorded/run.traj"),
         ("glue-compete", "run", "spring.toml", "--out", "runs/spring", "--workers", "2"),
         ("glue-compete", "verify", "runs/spring"),
     ):
@@ -115,7 +116,7 @@ def _pictures(browser: Browser, page: Page) -> Iterator[tuple[str, bytes]]:
     browser.has_table("Places")
     browser.button("Projector").click()
     yield "projector", browser.screenshot()
-    browser.go(f"game/{page.run_id('sample')}/1?step=60")
+    browser.go(f"game/{page.run_id('recorded')}/1?step=60")
     browser.find(".view-game canvas")
     browser.wait(lambda: "coin" in browser.text() or "step" in browser.text(), "the game")
     yield "game", browser.screenshot()

@@ -1,0 +1,94 @@
+"""Turns that compiled code takes in several threads: one calls, lets its workers go, and waits for them.
+
+    while begin_turn(gate, worker):
+        ...  # its share of the work
+        if end_turn(gate, worker):
+            return
+
+A worker stays in its loop from one call to the next, without the interpreter's lock: to wake a thread of
+Python's for each call takes longer than many calls do. Whoever waits looks for a moment, and then sleeps
+until the other posts a POSIX semaphore.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from numba.core import config, types
+
+from glue.compiled.jit import jit
+
+__all__ = ["CALLER", "Gate", "begin_turn", "end", "end_turn", "let_go", "make_gate"]
+
+CALLER: Final = -1
+"""In the place of a worker's number: who calls."""
+
+Gate = npt.NDArray[np.int64]
+"""For each worker the addresses of two semaphores, `go` and `done`, and at the end whether all is over."""
+
+_SEMAPHORE_BYTES: Final = 128  # at most; and each has cache lines of its own
+_LOOKS: Final = 10_000  # some 50 microseconds: as long as Python needs between two calls
+
+_post = types.ExternalFunction("sem_post", types.int32(types.uintp))
+_wait = types.ExternalFunction("sem_wait", types.int32(types.uintp))
+_trywait = types.ExternalFunction("sem_trywait", types.int32(types.uintp))
+
+
+def make_gate(workers: int) -> tuple[Gate, npt.NDArray[np.uint8]] | None:
+    """Return a gate, and the memory that has to live as long; None where there are no such semaphores."""
+    library = ctypes.CDLL(None)
+    if config.DISABLE_JIT or not hasattr(library, "sem_init"):  # type: ignore[attr-defined]
+        return None
+    memory = np.zeros((2 * workers + 1) * _SEMAPHORE_BYTES, np.uint8)
+    first = -(-memory.ctypes.data // _SEMAPHORE_BYTES) * _SEMAPHORE_BYTES
+    gate = np.zeros(2 * workers + 1, np.int64)
+    gate[:-1] = first + np.arange(2 * workers) * _SEMAPHORE_BYTES
+    if any(library.sem_init(ctypes.c_void_p(int(address)), 0, 0) for address in gate[:-1]):
+        return None
+    return gate, memory
+
+
+def let_go(gate: Gate, worker: int) -> None:
+    """Tell the caller, from Python, that a worker is done with its turn."""
+    ctypes.CDLL(None).sem_post(ctypes.c_void_p(int(gate[2 * worker + 1])))
+
+
+def end(gate: Gate) -> None:
+    """Let all workers leave their loops."""
+    gate[-1] = 1
+    for address in gate[:-1:2]:
+        ctypes.CDLL(None).sem_post(ctypes.c_void_p(int(address)))
+
+
+@jit
+def begin_turn(gate: Gate, worker: int) -> bool:
+    """Let all workers go, as the caller; or wait for that, as a worker. False: all is over."""
+    if worker < 0:
+        for other in range(len(gate) // 2):
+            _post(np.uintp(gate[2 * other]))
+        return True
+    _await(gate[2 * worker])
+    return bool(gate[-1] == 0)
+
+
+@jit
+def end_turn(gate: Gate, worker: int) -> bool:
+    """Wait for all workers, as the caller, and return True; or tell the caller, as a worker."""
+    if worker < 0:
+        for other in range(len(gate) // 2):
+            _await(gate[2 * other + 1])
+        return True
+    _post(np.uintp(gate[2 * worker + 1]))
+    return False
+
+
+@jit
+def _await(semaphore: int) -> None:
+    for _ in range(_LOOKS):
+        if _trywait(np.uintp(semaphore)) == 0:
+            return
+    while _wait(np.uintp(semaphore)) != 0:  # a signal came
+        pass
