@@ -64,6 +64,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
+        self.closed = True  # until there is something to close: Gymnasium 1.0 closes what was never made
         for name, number in (("num_envs", num_envs), ("num_threads", num_threads)):
             if not isinstance(number, int) or number < 1:
                 raise ConfigError(f"{name} must be at least 1, not {number!r:.80}")
@@ -94,6 +95,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         self._action = action
         self._copy = copy
         self._mode = mode
+        self.closed = False
 
     def reset(
         self,

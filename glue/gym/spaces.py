@@ -150,7 +150,10 @@ def _shape(described: Any) -> tuple[int, ...]:
 
 def _read_discrete(described: Any, reader: _Reader) -> SpaceLike:
     low, high = reader.take(INT, ()).astype(np.int64).tolist()
-    return spaces.Discrete(high - low + 1, start=low, dtype=_integers(described))
+    dtype = _integers(described)
+    # Gymnasium 1.0 has no other.
+    other: dict[str, Any] = {} if dtype == np.int64 else {"dtype": dtype}
+    return spaces.Discrete(high - low + 1, start=low, **other)
 
 
 def _read_multi_discrete(described: Any, reader: _Reader) -> SpaceLike:
