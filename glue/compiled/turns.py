@@ -13,7 +13,7 @@ until the other posts a POSIX semaphore.
 from __future__ import annotations
 
 import ctypes
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -32,9 +32,14 @@ Gate = npt.NDArray[np.int64]
 _SEMAPHORE_BYTES: Final = 128  # at most; and each has cache lines of its own
 _LOOKS: Final = 10_000  # some 50 microseconds: as long as Python needs between two calls
 
-_post = types.ExternalFunction("sem_post", types.int32(types.uintp))
-_wait = types.ExternalFunction("sem_wait", types.int32(types.uintp))
-_trywait = types.ExternalFunction("sem_trywait", types.int32(types.uintp))
+
+def _semaphore_function(name: str) -> Any:
+    return types.ExternalFunction(name, types.int32(types.uintp))
+
+
+_post = _semaphore_function("sem_post")
+_wait = _semaphore_function("sem_wait")
+_trywait = _semaphore_function("sem_trywait")
 
 
 def make_gate(workers: int) -> tuple[Gate, npt.NDArray[np.uint8]] | None:
