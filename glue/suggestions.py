@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable
+from difflib import SequenceMatcher
 from typing import Final
 
 __all__ = ["did_you_mean"]
 
 _MAX_NEAR: Final = 3
+_NEAR: Final = 0.6
 _MAX_LISTED: Final = 30
 
 
@@ -19,10 +20,17 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     empty if nothing is known.
     """
     known = list(known)
-    near = difflib.get_close_matches(word, known, n=_MAX_NEAR)
-    if near:
+    likeness = {other: _likeness(word, other) for other in known}
+    near = sorted((other for other in known if likeness[other] >= _NEAR), key=lambda other: -likeness[other])
+    if near := near[:_MAX_NEAR]:
         return f"; did you mean {' or '.join(near)}?"
     if not known:
         return ""
     listed = known if len(known) <= _MAX_LISTED else [*known[:_MAX_LISTED], "..."]
     return f"; choose from {', '.join(listed)}"
+
+
+def _likeness(word: str, other: str) -> float:
+    """Return from 0 to 1. Letters that changed places are sometimes seen from behind alone: srasa and sarsa."""
+    there, back = SequenceMatcher(None, word, other), SequenceMatcher(None, word[::-1], other[::-1])
+    return max(there.ratio(), back.ratio())

@@ -116,9 +116,9 @@ def find(role: Role, name: str) -> type:
         return adapted
     source, _, attribute = name.rpartition(":")
     if not source or not attribute:
+        meant = _classes_in_file(name) or did_you_mean(name, names(role))
         raise ConfigError(
-            f"no {role} is called {name!r}{did_you_mean(name, names(role))} "
-            "(your own is named module:Class or path/to/file.py:Class)"
+            f"no {role} is called {name!r}{meant} (your own is named module:Class or path/to/file.py:Class)"
         )
     if source.endswith(".py"):
         module = _import_file(Path(source))
@@ -126,6 +126,16 @@ def find(role: Role, name: str) -> type:
         _look_in(Path.cwd())
         module = _import(source)
     return _class_of(module, attribute, source)
+
+
+def _classes_in_file(name: str) -> str:
+    """Return what to suggest for the name of a file without a class; empty if there is no such file."""
+    path = Path(f"{name.removesuffix('.py')}.py")
+    try:
+        classes = list(_docstrings(path))
+    except (OSError, SyntaxError, ValueError):
+        return ""
+    return f"; did you mean {' or '.join(f'{path}:{found}' for found in classes)}?" if classes else ""
 
 
 def _installed(role: Role) -> dict[str, EntryPoint]:
@@ -136,7 +146,12 @@ def _class_docstrings(module: str) -> dict[str, str]:
     spec = _spec(module)
     if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
         return {}
-    body = ast.parse(Path(spec.origin).read_bytes()).body
+    return _docstrings(Path(spec.origin))
+
+
+def _docstrings(path: Path) -> dict[str, str]:
+    """Return the docstring of each class in a file, which is not executed."""
+    body = ast.parse(path.read_bytes()).body
     return {node.name: ast.get_docstring(node) or "" for node in body if isinstance(node, ast.ClassDef)}
 
 
