@@ -31,6 +31,6 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def _likeness(word: str, other: str) -> float:
-    """Return from 0 to 1. Letters that changed places are sometimes seen from behind alone: srasa and sarsa."""
+    """Return from 0 to 1. That letters changed places, as in srasa, is sometimes seen from behind alone."""
     there, back = SequenceMatcher(None, word, other), SequenceMatcher(None, word[::-1], other[::-1])
     return max(there.ratio(), back.ratio())
