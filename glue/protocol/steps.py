@@ -58,6 +58,10 @@ class _Layout(NamedTuple):
     head: int
 
 
+_struct: Final = lru_cache(struct.Struct)
+"""One for all sessions: many sessions are as fast as their formats fit into the processor's caches."""
+
+
 @lru_cache(maxsize=4096)
 def step_formats(kind: Kind, session: str) -> tuple[StepFormat, StepFormat]:
     """Return the formats of the request and of the reply of ENV_STEP or AGENT_STEP in a session."""
@@ -99,7 +103,7 @@ class StepFormat:
             numbers = letter + _SCALARS[self._scalars]
             size = len(self.lead) + len(first) + struct.calcsize(">" + numbers)
             start = bytes((_MORE, size)) + self.lead + first
-            short, long = (struct.Struct(f">{len(start)}s{numbers}{frame}") for frame in ("BB", "BQ"))
+            short, long = (_struct(f">{len(start)}s{numbers}{frame}") for frame in ("BB", "BQ"))
             layout = _Layout(start, short, long, 2 + size)
             self._by_bits += [layout] * (bits + 1 - len(self._by_bits))
             for byte in first or range(2**_MAX_FIXED):
