@@ -223,7 +223,7 @@ def _over_hub(
             transport=transport,
         )
         stack.enter_context(glue)
-        if met is not None:
+        if met is not None and options.key is None:  # nobody looks on without a key of their own
             met(inside, options.session)
         for role, player in named.items():
             arguments = player_command.arguments(

@@ -182,7 +182,8 @@ def test_a_browser_that_is_slow_misses_moments_and_nobody_waits_for_it(
         signal_all(drawing, signal.SIGCONT)
         browser.wait(lambda: newest() > seen[-1], "the newest moment")
         assert browser.run("return window.drawn") < len(seen)
-    assert browser.errors() == []
+        assert browser.errors() == []
+        assert page.stop() == 130  # with a browser and a stream that look on
 
 
 _HIDE = """

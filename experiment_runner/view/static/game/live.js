@@ -6,7 +6,7 @@ import { Screen } from "./screen.js";
 import { decode } from "./values.js";
 
 const NO_HUB = "Nobody can look on at what is played now: only trials with a hub on this machine can be seen, so none " +
-  "of --in-process, of a cluster, or of a competition.";
+  "of --in-process, of a cluster, of a competition, or at a hub that asks for a key.";
 
 /** Show a run's trials in progress in `element`; returns a function that ends it. */
 export function watchLive(element, run) {
