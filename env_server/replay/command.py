@@ -191,8 +191,10 @@ def _save(shown: Sequence[Observation], speed: float, gif: Path | None, png: Pat
         raise ConfigError("the episode has no such steps")
     if gif:
         save_gif(gif, shown, speed)
+        say(f"wrote {gif}")
     if png:
         save_png(png, shown[0])
+        say(f"wrote {png}")
 
 
 def main() -> None:

@@ -102,6 +102,11 @@ def generalise(
         return
     if agent_name is None:
         raise click.UsageError("name the agent with --agent, or results with --table")
+    if out is not None:  # before hours of playing
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"cannot write {out}: {error.strerror}") from None
     sets = [resolve_levels(levels, None, None) for levels in (train, test)]
     factory = find(Role.AGENT, agent_name)
     trials = []
@@ -121,8 +126,8 @@ def generalise(
         "trials": trials,
     }
     if out is not None:
-        out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(json.dumps(document) + "\n", encoding="utf-8")
+        say(f"wrote {out}")
     print(table([document]))
 
 

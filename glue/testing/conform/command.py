@@ -10,6 +10,7 @@ import click
 
 from glue import __version__
 from glue.commands import run
+from glue.console import say
 from glue.errors import ConfigError
 from glue.protocol.messages import THREE_ROLES, Role
 from glue.testing.conform.hub.clients import TRANSPORTS, starter
@@ -102,6 +103,7 @@ def conform(
         click.echo(summary(verdicts))
     if card is not None:
         card.write_text(scorecard(Role(role), command, verdicts), encoding="utf-8")
+        say(f"wrote {card}")
     return 0 if all(reached(verdicts).values()) else _FAILED
 
 

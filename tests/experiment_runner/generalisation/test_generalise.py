@@ -150,6 +150,7 @@ def test_command_plays_writes_and_shows(tmp_path: Path, monkeypatch: pytest.Monk
     given = ["--agent", "random", "--agent-option", "seed={seed}", "--seed", "4", "--seed", "5"]
     first = CliRunner().invoke(generalise, [*given, "--out", str(out)], catch_exceptions=False)
     assert first.exit_code == 0, first.output
+    assert f"wrote {out}" in first.output
     result = json.loads(out.read_text())
     assert [trial["seed"] for trial in result["trials"]] == [4, 5]
     assert [len(trial["test"]) for trial in result["trials"]] == [4, 4]
@@ -158,6 +159,13 @@ def test_command_plays_writes_and_shows(tmp_path: Path, monkeypatch: pytest.Monk
     assert shown.output.count("| random | 2 |") == 2
     again = CliRunner().invoke(generalise, given, catch_exceptions=False)
     assert table([result]) in again.output, "the same seeds, the same scores"
+
+
+def test_file_that_cannot_be_written_is_refused_before_anything_is_played(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    result = CliRunner().invoke(generalise, ["--agent", "random", "--out", str(tmp_path / "file" / "a.json")])
+    assert isinstance(result.exception, ConfigError)
+    assert "cannot write" in str(result.exception)
 
 
 def test_what_is_no_result_is_refused(tmp_path: Path) -> None:

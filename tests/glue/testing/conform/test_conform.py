@@ -91,6 +91,7 @@ def test_the_command_prints_json_and_writes_a_scorecard(tmp_path: Path) -> None:
     assert {rule["name"] for rule in found["rules"] if rule["outcome"] == "passed"} == plays
     assert all(f"| [{name}](docs/protocol.md#" in card.read_text() for name in plays)
     assert "| plays | yes |" in card.read_text()
+    assert f"wrote {card}" in done.stderr
 
 
 def test_a_client_that_does_not_connect_is_said_to() -> None:
