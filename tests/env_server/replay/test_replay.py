@@ -544,7 +544,7 @@ def test_command_writes_pictures(tmp_path: Path) -> None:
     gif, png = tmp_path / "a.gif", tmp_path / "a.png"
     done = command(GOLDEN / "variants.jsonl.gz", "--episode", 2, "--steps", 3, 8, "--gif", gif, "--png", png)
     assert done.returncode == 0, done.stderr
-    assert done.stderr.splitlines() == [f"wrote {gif}", f"wrote {png}"]
+    assert done.stderr.splitlines()[-2:] == [f"wrote {gif}", f"wrote {png}"]
     with Image.open(gif) as image:
         assert getattr(image, "n_frames", 1) > 5
     with Image.open(png) as image:
