@@ -5,6 +5,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 DEMO   := runs/demo
 READY  := $(VENV)/.ready
+FOUND  := $(VENV)/.found
 
 # Twice as many as two cores, as they often wait; each begins with its share of the tests, and takes over from others.
 PARALLEL := --numprocesses=4 --dist=worksteal
@@ -43,8 +44,13 @@ check: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Simulator and agents, once; else both processes of the tests would compile them at the same time.
-compile: $(READY)
+# Once, for all processes of the tests, each of which would otherwise compile what the tests import.
+$(FOUND): $(READY)
+	$(BIN)/python -m pytest --collect-only --quiet > /dev/null
+	@touch $(FOUND)
+
+# Simulator and agents, once; else several processes of the tests would compile them at the same time.
+compile: $(FOUND)
 	$(BIN)/python -m tests.compile
 
 test: $(READY)

@@ -13,10 +13,11 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
+from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Final
 
-__all__ = ["BIN", "SERVER", "redirect", "run"]
+__all__ = ["BIN", "SERVER", "redirect", "run", "start"]
 
 BIN: Final = Path(sys.executable).parent
 
@@ -53,9 +54,7 @@ def run(
     """Run one of our commands to its end, as a script would; `env` is that of `subprocess.run`."""
     with tempfile.TemporaryDirectory() as folder:
         printed = [Path(folder) / name for name in ("stdout", "stderr")]
-        arguments = (command, cwd, dict(os.environ if env is None else env), printed)
-        process = SERVER.Process(target=_main, args=arguments)
-        process.start()
+        process = start(*command, cwd=cwd, env=env, printed=printed)
         process.join(timeout)
         status = process.exitcode
         if status is None:
@@ -63,6 +62,16 @@ def run(
             process.join()
             raise subprocess.TimeoutExpired(command, timeout)
         return subprocess.CompletedProcess(command, status, *(path.read_text("utf-8") for path in printed))
+
+
+def start(
+    *command: str, cwd: Path, env: Mapping[str, str] | None = None, printed: Sequence[Path]
+) -> ForkServerProcess:
+    """Start one of our commands; its standard output and its errors are appended to two files."""
+    arguments = (command, cwd, dict(os.environ if env is None else env), printed)
+    process = SERVER.Process(target=_main, args=arguments)
+    process.start()
+    return process
 
 
 def redirect(descriptor: int, path: Path) -> None:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import pty
 import re
+import signal
 import subprocess
+import tempfile
 import termios
 import threading
 from collections.abc import Iterator
@@ -13,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from tests.forked import BIN, run
+from tests.forked import BIN, run, start
 
 __all__ = [
     "BIN",
@@ -44,25 +46,21 @@ class Terminal:
     """One of our commands while it runs: what it says, on either stream, can be waited for."""
 
     def __init__(self, *command: str, cwd: Path) -> None:
-        self.process = subprocess.Popen(
-            [BIN / command[0], *command[1:]],
-            cwd=cwd,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
+        self._folder = tempfile.TemporaryDirectory()
+        self._pipe = Path(self._folder.name) / "pipe"
+        os.mkfifo(self._pipe)
+        self.process = start(*command, cwd=cwd, printed=[self._pipe, self._pipe])
         self.lines: list[str] = []
         self._news = threading.Condition()
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
     def _read(self) -> None:
-        assert self.process.stdout is not None
-        for line in self.process.stdout:
-            with self._news:
-                self.lines.append(line.rstrip("\n"))
-                self._news.notify_all()
+        with self._pipe.open(encoding="utf-8") as printed:
+            for line in printed:
+                with self._news:
+                    self.lines.append(line.rstrip("\n"))
+                    self._news.notify_all()
 
     def wait_for(self, pattern: str) -> re.Match[str]:
         with self._news:
@@ -74,19 +72,23 @@ class Terminal:
     def _find(self, pattern: str) -> re.Match[str] | None:
         return next((match for line in self.lines if (match := re.search(pattern, line))), None)
 
+    def send_signal(self, number: signal.Signals) -> None:
+        assert self.process.pid is not None
+        os.kill(self.process.pid, number)
+
     def end(self) -> int:
         """Wait for the command to end by itself; return its status."""
-        status = self.process.wait(120)
+        self.process.join(120)
+        status = self.process.exitcode
+        assert status is not None, self.lines
         self._reader.join()
         return status
 
     def close(self) -> None:
-        if self.process.poll() is None:
-            self.process.kill()
-        self.process.wait()
+        self.process.kill()
+        self.process.join()
         self._reader.join()
-        assert self.process.stdout is not None
-        self.process.stdout.close()
+        self._folder.cleanup()
 
 
 def run_in_terminal(*command: str, cwd: Path, columns: int = 80) -> tuple[int, str]:

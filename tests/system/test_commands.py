@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -120,7 +121,7 @@ def test_interrupt_of_a_player_that_waits_is_one_word(
     terminal = Terminal(command, *ENDLESS_COMMANDS[command], cwd=tmp_path)
     terminals.append(terminal)
     terminal.wait_for("no hub answers at ipc:///nowhere/hub")
-    os.kill(terminal.process.pid, signal.SIGINT)
+    terminal.send_signal(signal.SIGINT)
     assert terminal.end() == 130
     assert [line for line in terminal.lines if line][1:] == ["interrupted"]
 
@@ -402,18 +403,20 @@ def shadowed(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("agent", ["random", "mine.py:Patient", "mine:Patient"])
-def test_file_in_the_working_directory_takes_no_modules_place(
-    agent: str, shadowed: Path, hub: str, terminals: list[Terminal]
-) -> None:
+def test_file_in_the_working_directory_takes_no_modules_place(agent: str, shadowed: Path, hub: str) -> None:
     common = ("--episodes", "2", "--max-steps", "20")
     players = ("--env", "mine.py:Endless", "--agent", agent)
     for topology in ([], ["--in-process"], ["--workers", "1"]):
         shown = run_anew("glue-experiment", *common, *players, *topology, cwd=shadowed)
         assert shown.returncode == 0, shown.stderr
-    experiment = Terminal("glue-experiment", *common, "--bind", hub, cwd=shadowed)
-    terminals += [experiment, Terminal("glue-env", "mine.py:Endless", "--hub", hub, cwd=shadowed)]
-    terminals.append(Terminal("glue-agent", agent, "--hub", hub, cwd=shadowed))
-    assert [terminal.end() for terminal in terminals] == [0, 0, 0], [t.lines for t in terminals]
+    commands = (
+        ("glue-experiment", *common, "--bind", hub),
+        ("glue-env", "mine.py:Endless", "--hub", hub),
+        ("glue-agent", agent, "--hub", hub),
+    )
+    with ThreadPoolExecutor(3) as pool:
+        for ended in pool.map(lambda command: run_anew(*command, cwd=shadowed), commands):
+            assert ended.returncode == 0, ended.stderr
 
 
 def test_environment_variables_set_options(
@@ -585,7 +588,7 @@ def test_hub_that_is_stopped_tells_its_peers(
     terminals += [stopped, agent, environment]
     stopped.wait_for("agent .* joined")
     stopped.wait_for("environment .* joined")
-    os.kill(stopped.process.pid, number)
+    stopped.send_signal(number)
     assert stopped.end() == status
     assert (agent.end(), environment.end()) == (0, 0)
     agent.wait_for(f"goodbye: .*{number.name}")
@@ -602,7 +605,7 @@ def test_experiment_that_is_stopped_keeps_what_it_reported(
     )
     terminals.append(experiment)
     experiment.wait_for('"episode": 20,')
-    os.kill(experiment.process.pid, number)
+    experiment.send_signal(number)
     assert experiment.end() == status
     reported = sum(line.startswith('{"trial"') for line in experiment.lines)
     exported = run("glue-results", "export", "run", "--format", "csv", cwd=tmp_path)

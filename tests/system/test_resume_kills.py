@@ -19,7 +19,7 @@ from tests.system.runs import alive, children, contents, start, wait_until
 
 PLAN = [
     *("--env", "mines", "--env-option", "random_start=true", "--agent", "sarsa"),
-    *("--episodes", size(600, 8_000), "--max-steps", 30, "--trials", 4, "--seed", 11),
+    *("--episodes", size(600, 6_000), "--max-steps", 30, "--trials", 4, "--seed", 11),
 ]
 KILLS = size(4, 24)
 VICTIMS = (

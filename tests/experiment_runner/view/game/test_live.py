@@ -32,7 +32,7 @@ def playing(*options: str, cwd: Path) -> Iterator[None]:
     command = ("glue-experiment", "--env", "mines", "--agent", "random", "--episodes", "1000000")
     with contextlib.closing(Terminal(*command, *options, cwd=cwd)) as running:
         yield
-        running.process.send_signal(signal.SIGINT)
+        running.send_signal(signal.SIGINT)
         assert running.end() == 130
 
 
