@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +22,7 @@ from env_server.mario.observation import BODY_SIZE
 from env_server.mario.parameters import Parameters
 from env_server.mario.sim.state import WORLD, World, Worlds
 from env_server.mario.threads import Threads
+from glue.closing import Closing
 from glue.compiled.jit import announce_compilation, entry
 from glue.compiled.turns import CALLER, Gate, begin_turn, end_turn
 from glue.errors import SimulatorError
@@ -33,7 +34,7 @@ _GAMES_PER_THREAD: Final = 128  # to wake a thread for fewer costs more than it 
 _NO_ACTIONS: Final = np.zeros((0, 3), np.int64)
 
 
-class Batch:
+class Batch(Closing):
     """N games. Close it at the end, or use it in a `with` statement, because it has threads.
 
     Args:
@@ -57,12 +58,6 @@ class Batch:
 
     def __len__(self) -> int:
         return len(self._worlds)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def close(self) -> None:
         """End the threads."""

@@ -6,7 +6,6 @@ import json
 import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, Self
 
 import numpy as np
@@ -25,6 +24,7 @@ from experiment_runner.store.records import (
     Verdict,
     Void,
 )
+from glue.closing import Closing
 from glue.errors import ExperimentError
 
 __all__ = ["Results"]
@@ -39,7 +39,7 @@ _BYTES: Final[_Types] = (bytes,)
 _LAST_SECOND: Final = 253_402_300_799  # of the year 9999, the last that a date can have
 
 
-class Results:
+class Results(Closing):
     """Reads a run directory, also while it is written to. A context manager that closes it.
 
     A run may come from anyone, so everything read is checked. Every method raises `ExperimentError` when
@@ -63,14 +63,6 @@ class Results:
     def close(self) -> None:
         """Close the files."""
         self._database.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def trials(self) -> list[TrialRecord]:
         """Return the record of every trial, in the order of the plan."""

@@ -15,11 +15,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, NamedTuple
 
 from glue.client.link import Link, Log
 from glue.client.place import Place, find_place
+from glue.closing import Closing
 from glue.console import say
 from glue.protocol.messages import Kind, Message, Role
 from glue.types import Action, Observation, body_size
@@ -96,7 +96,7 @@ def observe(
     return Observer(find_place(hub, session, key, hub_key), name, wait, log)
 
 
-class Observer:
+class Observer(Closing):
     """A connection that is shown what happens in a session; iterate over it. Made by `observe`.
 
     Attributes:
@@ -158,14 +158,6 @@ class Observer:
     def close(self) -> None:
         """Leave."""
         self._link.close("has seen enough")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _ask(self) -> None:
         if self._wanted:

@@ -7,9 +7,9 @@ runs in one process or in three.
 from __future__ import annotations
 
 import operator
-from types import TracebackType
-from typing import Any, NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
+from glue.closing import Closing
 from glue.errors import LocalProtocolError
 from glue.protocol.messages import Kind, Value
 from glue.types import CUT_OFF, Action, Observation
@@ -39,7 +39,7 @@ class StepResult(NamedTuple):
     action: Action
 
 
-class Experiment:
+class Experiment(Closing):
     """RL-Glue's verbs. Their meaning, corner by corner, is in docs/protocol.md.
 
     Every verb may raise:
@@ -56,14 +56,6 @@ class Experiment:
 
     def close(self) -> None:
         """Leave. RL_cleanup is not implied."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def rl_init(self, seed: int | None = None) -> str:
         """Initialise the environment, then the agent; counters go to zero. Return the task spec.

@@ -20,9 +20,9 @@ import stat
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
+from glue.closing import Closing
 from glue.errors import ConfigError
 from glue.hub.loop import READ, Loop
 from glue.sockets.options import unix_address
@@ -36,7 +36,7 @@ _BACKLOG: Final = 1024
 """Connections that the system accepts before we do; Java programs try hundreds of times a second."""
 
 
-class OpenAddress:
+class OpenAddress(Closing):
     """A socket that listens, until it is closed.
 
     Attributes:
@@ -69,14 +69,6 @@ class OpenAddress:
         if isinstance(path, str) and is_left_over(path):
             with suppress(OSError):
                 os.unlink(path)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def open_address(url: str, option: str = "--bind") -> OpenAddress:

@@ -13,9 +13,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
+from glue.closing import Closing
 from glue.core.config import HubConfig
 from glue.core.keys import Keys
 from glue.core.sessions import Route, Switchboard
@@ -32,7 +32,7 @@ __all__ = ["Hub"]
 _NONE: Final[Mapping[str, OpenAddress]] = {}
 
 
-class Hub:
+class Hub(Closing):
     """A hub, listening from the moment it is made until it is closed.
 
     It closes when `run` ends; one that is never run is closed by `close`, or as a context manager.
@@ -104,14 +104,6 @@ class Hub:
         self.loop.ask()  # an experiment inside may be in the middle of a turn
         with self.loop.mutex:
             self._closing.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def wait(self) -> None:
         """Wait until a hub in the background ends.

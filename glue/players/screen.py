@@ -11,9 +11,9 @@ import os
 import time
 from collections.abc import Callable
 from importlib.metadata import entry_points
-from types import TracebackType
-from typing import Final, Self, TextIO
+from typing import Final, TextIO
 
+from glue.closing import Closing
 from glue.roles import Environment
 from glue.types import Observation
 
@@ -52,7 +52,7 @@ def has_color(stream: TextIO) -> bool:
     return stream.isatty() and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
-class TerminalScreen:
+class TerminalScreen(Closing):
     """Draw observations in a terminal, each over the last; draw nothing if the stream is not a terminal.
 
     Args:
@@ -106,14 +106,6 @@ class TerminalScreen:
             self._stream.flush()
         self._shown = False
         self._next = -math.inf
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _draw(
         self, observation: Observation, reward: float, step: int, episode_return: float, title: str

@@ -7,9 +7,8 @@ import os
 import zlib
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
+from glue.closing import Closing
 from glue.errors import LocalProtocolError
 from glue.trajectory import limits
 from glue.trajectory.records import (
@@ -33,7 +32,7 @@ from glue.types import AbstractType, Action, Observation
 __all__ = ["TrajectoryWriter"]
 
 
-class TrajectoryWriter:
+class TrajectoryWriter(Closing):
     """Write a new file, record by record; every episode that ended is on disk.
 
     Use it as a context manager, or call `close`.
@@ -152,14 +151,6 @@ class TrajectoryWriter:
         self.void()
         self._store(self._pack.flush())
         self._shut()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _needs_run(self) -> None:
         if not self._has_run:

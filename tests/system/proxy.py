@@ -135,12 +135,16 @@ class Proxy:
 
 
 class WelcomeThief:
-    """Passes bytes on to a hub and back, and loses exactly the WELCOMEs that it is told to.
+    """Passes bytes on to a hub and back; cuts its connections, and loses WELCOMEs, when it is told to.
+
+    Attributes:
+        cuts: how many connections were cut.
 
     A WELCOME is lost as it is in life: the hub has sent it, and the connection ends before it arrives.
     """
 
     def __init__(self) -> None:
+        self.cuts = 0
         self._hub = ("", 0)
         self._left = 0
         self._listener = socket.create_server(("127.0.0.1", 0))
@@ -155,7 +159,7 @@ class WelcomeThief:
         self._listener.shutdown(socket.SHUT_RDWR)
         self._thread.join()
         self._listener.close()
-        self._cut()
+        self.cut()
 
     def before(self, hub: str) -> str:
         """Lead to `hub`; return the URL to connect to instead."""
@@ -167,11 +171,17 @@ class WelcomeThief:
         """Whether everything was lost that was to be lost."""
         return self._left == 0
 
+    def cut(self) -> None:
+        """Cut what is connected now; new connections are let through."""
+        while self._pairs:
+            self.cuts += 1
+            _end(*self._pairs.pop())
+
     def lead_to(self, hub: str, lose: int = 0) -> None:
         """Cut the connections; lead new ones to `hub`, whose first `lose` WELCOMEs are lost."""
         host, _, port = hub.removeprefix("tcp://").rpartition(":")
         self._hub, self._left = (host, int(port)), lose
-        self._cut()
+        self.cut()
 
     def _accept(self) -> None:
         while True:
@@ -209,10 +219,6 @@ class WelcomeThief:
                     return
                 near.sendall(head + frame)
         _end(near, far)
-
-    def _cut(self) -> None:
-        while self._pairs:
-            _end(*self._pairs.pop())
 
 
 def _exactly(stream: BinaryIO, size: int) -> bytes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import socket
 import subprocess
 import sys
 import threading
@@ -150,25 +149,24 @@ def test_agent_reads_all_three_runs_and_the_rewards(agent: Agent) -> None:
 
 
 def test_agent_survives_a_connection_that_is_cut_again_and_again(agent: Agent) -> None:
-    cutter = Cutter()
-    with cutter, table_for(agent, SkeletonEnvironment(), cutter.before) as glue:
+    with WelcomeThief() as proxy, table_for(agent, SkeletonEnvironment(), proxy.before) as glue:
         glue.rl_init()
         returns = []
         for _ in range(3):
             start = glue.rl_start()
-            cutter.cut()
+            proxy.cut()
             states = [int(start.observation.ints[0])]
             while not (step := glue.rl_step()).terminal:
                 states.append(int(step.observation.ints[0]))
                 if step.observation.ints[0] == 15:
-                    cutter.cut()
+                    proxy.cut()
             assert states == list(range(10, 20))
             returns.append(glue.rl_return())
         said = glue.rl_agent_message("did you notice?")
 
     assert returns == [1.0, 1.0, 1.0]
     assert said.startswith("3 episodes, 3 in all")
-    assert cutter.cuts >= 6
+    assert proxy.cuts >= 6
 
 
 def test_agent_forgets_another_hub_although_welcomes_of_the_next_are_lost(agent: Agent) -> None:
@@ -210,55 +208,3 @@ def test_environment_agent_and_experiment_that_know_only_the_document_play_toget
     assert task_spec.startswith("VERSION RL-Glue-3.0")
     assert episodes == [f"episode {n}: return 1, 10 steps, ended" for n in (1, 2, 3)]
     assert said.startswith("3 episodes, 3 in all")
-
-
-class Cutter:
-    """Stands between a peer and the hub, and cuts their connection when told to."""
-
-    def __init__(self) -> None:
-        self.cuts = 0
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self._pairs: list[tuple[socket.socket, socket.socket]] = []
-        self._hub = ("", 0)
-
-    def __enter__(self) -> Cutter:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._listener.shutdown(socket.SHUT_RDWR)
-        self._listener.close()
-        self.cut()
-
-    def before(self, hub: str) -> str:
-        """Stand before `hub`; return the URL to connect to instead."""
-        host, _, port = hub.removeprefix("tcp://").rpartition(":")
-        self._hub = (host, int(port))
-        threading.Thread(target=self._accept, daemon=True).start()
-        return f"tcp://127.0.0.1:{self._listener.getsockname()[1]}"
-
-    def cut(self) -> None:
-        """Cut what is connected now; new connections are let through."""
-        while self._pairs:
-            self.cuts += 1
-            for end in self._pairs.pop():
-                end.shutdown(socket.SHUT_RDWR)
-                end.close()
-
-    def _accept(self) -> None:
-        while True:
-            try:
-                near, _ = self._listener.accept()
-            except OSError:
-                return
-            far = socket.create_connection(self._hub)
-            self._pairs.append((near, far))
-            for source, target in ((near, far), (far, near)):
-                threading.Thread(target=self._pump, args=(source, target), daemon=True).start()
-
-    @staticmethod
-    def _pump(source: socket.socket, target: socket.socket) -> None:
-        try:
-            while data := source.recv(65536):
-                target.sendall(data)
-        except OSError:
-            return

@@ -29,14 +29,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
-from types import TracebackType
-from typing import Any, BinaryIO, Final, Self
+from typing import Any, BinaryIO, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from experiment_runner.store.database import reported
 from experiment_runner.store.layout import RECORDS
+from glue.closing import Closing
 from glue.errors import ExperimentError
 
 __all__ = [
@@ -165,7 +165,7 @@ def header(trial_id: str) -> bytes:
     return _MAGIC + _frame(json.dumps({"trial": trial_id, "version": _VERSION}).encode())
 
 
-class RecordFile:
+class RecordFile(Closing):
     """A record that is being written.
 
     Args:
@@ -209,14 +209,6 @@ class RecordFile:
     def close(self) -> None:
         """Close the file as it is."""
         self._file.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def record_path(directory: Path, trial_id: str) -> Path:
