@@ -1,165 +1,37 @@
 """Tiles and sprites as objects, and the relations that make an object matter to Mario.
 
-Objects are monsters (every sprite that is not Mario, items too), coins, question blocks and pits.
-Distances are object minus Mario: in tiles, y up, for coins, questions and pits; for monsters in
-cells of a grid, positions being rounded towards zero before they are subtracted.
-Source: Mohan (2010), sections 5 and 6; thresholds from the author's Soar agents of 2010 and 2012.
+Source: Mohan (2010), sections 5 and 6.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated, Final
-
-import numpy as np
-import numpy.typing as npt
-
+from agents.mario.monsters import find_monsters, recognise_monsters
 from agents.mario.observation import (
     BLANK,
     COIN,
     COLUMNS,
     FINISH,
-    FIREBALL,
     LEDGE,
-    MAX_SPRITES,
     OUTSIDE,
-    PIPE,
-    PLANT,
     QUESTION,
     ROWS,
     SOLID,
     Screen,
-    Sprite,
     read,
     tile,
 )
+from agents.mario.scene import A_COIN, A_PIT, A_QUESTION, Scene, Senses, add
 from glue.compiled.jit import jit
-from glue.compiled.records import Array, Flag, Int
 
 __all__ = [
-    "AWAY",
-    "A_COIN",
-    "A_MONSTER",
-    "A_PIT",
-    "A_QUESTION",
-    "MAX_OBJECTS",
-    "NO_MOTION",
-    "STATIONARY",
-    "THREATS_2010",
-    "THREATS_2012",
-    "TOWARDS",
-    "VERTICAL",
-    "Object",
-    "Platform",
-    "Scene",
-    "Senses",
-    "absolute_motion",
     "coin_is_reachable",
-    "forget_monsters",
-    "is_threat",
     "look",
     "pit_is_dangerous",
     "platform_is_reachable",
     "question_is_reachable",
-    "relative_motion",
-    "set_senses",
     "tile_above",
     "via_platform",
-]  # fmt: skip
-
-A_MONSTER: Final = 0
-A_QUESTION: Final = 1
-A_COIN: Final = 2
-A_PIT: Final = 3
-
-THREATS_2010: Final = (-3, 4, -6, 5)
-"""Where a monster is a threat: left, right, below, above, in tiles; the author's agents of 2010."""
-THREATS_2012: Final = (-4, 6, -2, 5)
-"""The same in the author's agent of 2012."""
-
-STATIONARY: Final = 0
-VERTICAL: Final = 1
-TOWARDS: Final = 2
-AWAY: Final = 3
-NO_MOTION: Final = 4
-"""Moving sideways in Mario's own column: neither towards him nor away."""
-
-MAX_OBJECTS: Final = MAX_SPRITES + ROWS * COLUMNS + COLUMNS
-_MAX_PLATFORMS: Final = ROWS * COLUMNS // 2
-
-
-class Senses:
-    """What differs in perception between the agents.
-
-    grid             cells per tile of the distances to monsters
-    threat_*         a monster is a threat when threat_left <= dx < threat_right tiles and
-                     threat_below <= dy < threat_above tiles
-    absolute_motion  whether a monster's motion is the signs of its speeds, or relative to Mario
-    via_platforms    whether what lies above a reachable platform is reachable
-    """
-
-    grid: Int
-    threat_left: Int
-    threat_right: Int
-    threat_below: Int
-    threat_above: Int
-    absolute_motion: Flag
-    via_platforms: Flag
-
-
-class Object:
-    """Something that an operator may act on.
-
-    id       identifies it among its kind for as long as it exists: column * 16 + row of a coin or
-             question, the first column of a pit, a unique number of a monster
-    type     sprite kind of a monster, otherwise 0
-    related  whether it is a threat, reachable, or dangerous
-    """
-
-    kind: Int
-    id: Int
-    type: Int
-    dx: Int
-    dy: Int
-    motion: Int
-    related: Flag
-
-
-class Platform:
-    """A run of ledge tiles in one row with blanks on both sides; both ends are its own columns."""
-
-    start: Int
-    end: Int
-    row: Int
-
-
-class Scene:
-    """An observation as objects. The fields about monsters persist from step to step."""
-
-    screen: Annotated[Screen, Screen]
-    count: Int
-    objects: Annotated[Sequence[Object], Object, MAX_OBJECTS]
-    platform_count: Int
-    platforms: Annotated[Sequence[Platform], Platform, _MAX_PLATFORMS]
-    monster_count: Int
-    monster_types: Annotated[npt.NDArray[np.int64], np.int64, MAX_SPRITES]
-    monster_ids: Annotated[npt.NDArray[np.int64], np.int64, MAX_SPRITES]
-    next_id: Int
-
-
-def set_senses(
-    senses: Array,
-    grid: int,
-    threats: tuple[int, int, int, int],
-    absolute_motion: bool = False,
-    via_platforms: bool = False,
-) -> None:
-    """Fill in how an agent perceives; see `Senses`."""
-    senses["grid"] = grid
-    for side, tiles in zip(("left", "right", "below", "above"), threats, strict=True):
-        senses[f"threat_{side}"] = tiles
-    senses["absolute_motion"] = absolute_motion
-    senses["via_platforms"] = via_platforms
+]
 
 
 @jit
@@ -172,8 +44,8 @@ def look(scene: Scene, senses: Senses, body: bytes) -> bool:
     if not read(body, screen):
         return False
     scene.count = 0
-    _recognise_monsters(scene)
-    _find_monsters(scene, senses)
+    recognise_monsters(scene)
+    find_monsters(scene, senses)
     if senses.via_platforms:
         _find_platforms(scene)
     else:
@@ -181,118 +53,6 @@ def look(scene: Scene, senses: Senses, body: bytes) -> bool:
     _find_coins_and_questions(scene)
     _find_pits(scene)
     return True
-
-
-@jit
-def forget_monsters(scene: Scene) -> None:
-    """Begin an episode: no monster is known."""
-    scene.monster_count = 0
-
-
-@jit
-def _add(scene: Scene, kind: int, identity: int, dx: int, dy: int) -> Object:
-    found = scene.objects[scene.count]
-    scene.count += 1
-    found.kind = kind
-    found.id = identity
-    found.type = 0
-    found.dx = dx
-    found.dy = dy
-    found.motion = 0
-    found.related = True
-    return found
-
-
-# Monsters
-
-
-@jit
-def _recognise_monsters(scene: Scene) -> None:
-    """Give every monster its id: that of the monster last seen at its position in the list, if of its type.
-
-    From the first position where the type differs, all are new.
-    """
-    screen = scene.screen
-    known = 0
-    while (
-        known < screen.count
-        and known < scene.monster_count
-        and screen.sprites[known].kind == scene.monster_types[known]
-    ):
-        known += 1
-    for i in range(known, screen.count):
-        scene.monster_types[i] = screen.sprites[i].kind
-        scene.monster_ids[i] = scene.next_id
-        scene.next_id += 1
-    scene.monster_count = screen.count
-
-
-@jit
-def _find_monsters(scene: Scene, senses: Senses) -> None:
-    screen = scene.screen
-    for i in range(screen.count):
-        sprite = screen.sprites[i]
-        dx = _cell(sprite.x, senses.grid) - _cell(screen.mario.x, senses.grid)
-        dy = _cell(sprite.y, senses.grid) - _cell(screen.mario.y, senses.grid)
-        monster = _add(scene, A_MONSTER, scene.monster_ids[i], dx, dy)
-        monster.type = sprite.kind
-        monster.related = is_threat(sprite.kind, dx, dy, senses) and not _is_in_pipe(sprite, screen)
-        if senses.absolute_motion:
-            monster.motion = absolute_motion(sprite.speed_x, sprite.speed_y)
-        else:
-            monster.motion = relative_motion(dx, sprite.speed_x, sprite.speed_y)
-
-
-@jit
-def _cell(position: float, grid: int) -> int:
-    return int(position * grid)
-
-
-@jit
-def is_threat(sprite_kind: int, dx: int, dy: int, senses: Senses) -> bool:
-    """Return whether a monster at a distance of (dx, dy) cells is near enough to be dealt with."""
-    return (
-        sprite_kind != FIREBALL
-        and senses.threat_left * senses.grid <= dx < senses.threat_right * senses.grid
-        and senses.threat_below * senses.grid <= dy < senses.threat_above * senses.grid
-    )
-
-
-@jit
-def _is_in_pipe(sprite: Sprite, screen: Screen) -> bool:
-    """Return whether a sprite is a piranha plant that has withdrawn below the rim of its pipe."""
-    if sprite.kind != PLANT:
-        return False
-    for row in range(ROWS):
-        for column in range(screen.camera, screen.camera + COLUMNS):
-            if column < sprite.x <= column + 1 and sprite.y < row and _is_pipe_corner(screen, column, row):
-                return True
-    return False
-
-
-@jit
-def _is_pipe_corner(screen: Screen, column: int, row: int) -> bool:
-    return (
-        tile(screen, column, row) == PIPE
-        and tile(screen, column - 1, row) == BLANK
-        and tile(screen, column, row + 1) == BLANK
-    )
-
-
-@jit
-def relative_motion(dx: int, speed_x: float, speed_y: float) -> int:
-    """Return a monster's motion as Mario sees it: STATIONARY, VERTICAL, TOWARDS, AWAY or NO_MOTION."""
-    if speed_x == 0.0:
-        return STATIONARY if speed_y == 0.0 else VERTICAL
-    if dx == 0:
-        return NO_MOTION
-    return AWAY if (dx > 0) == (speed_x > 0.0) else TOWARDS
-
-
-@jit
-def absolute_motion(speed_x: float, speed_y: float) -> int:
-    """Return the signs of a monster's two speeds as one of nine numbers."""
-    return 3 * (1 + int(speed_x > 0.0) - int(speed_x < 0.0)) + 1 + int(speed_y > 0.0) - int(speed_y < 0.0)
 
 
 # Coins, questions, platforms
@@ -310,7 +70,7 @@ def _find_coins_and_questions(scene: Scene) -> None:
                 dy = row - screen.row
                 near = coin_is_reachable(dx, dy) if seen == COIN else question_is_reachable(dx, dy)
                 if near or via_platform(scene, column, row):
-                    _add(scene, A_COIN if seen == COIN else A_QUESTION, column * ROWS + row, dx, dy)
+                    add(scene, A_COIN if seen == COIN else A_QUESTION, column * ROWS + row, dx, dy)
 
 
 @jit
@@ -389,7 +149,7 @@ def _find_pits(scene: Scene) -> None:
                 first = screen.camera + start
                 last = screen.camera + k - 1
                 if pit_is_dangerous(first - screen.column, last - screen.column):
-                    _add(scene, A_PIT, first, first - screen.column, 0)
+                    add(scene, A_PIT, first, first - screen.column, 0)
             start = 0
 
 

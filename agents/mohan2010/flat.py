@@ -15,8 +15,11 @@ from typing import Annotated, ClassVar, Final
 import numpy as np
 
 from agents import sarsa
-from agents.mario import objects, observation
+from agents.mario import observation
+from agents.mario.monsters import THREATS_2010, forget_monsters
+from agents.mario.objects import look
 from agents.mario.options import Discount, Epsilon, Reduction, Seed, StepSize
+from agents.mario.scene import Scene, Senses, set_senses
 from agents.mohan2010 import features, klo
 from agents.mohan2010.learner import FULL, MALFORMED, Grid, Learning, MarioLearner
 from agents.policy import epsilon_greedy
@@ -40,10 +43,10 @@ _OBJECTS: Final = 2
 class Memory:
     """The working memory of a flat agent: how it perceives, and the last action."""
 
-    senses: Annotated[objects.Senses, objects.Senses]
+    senses: Annotated[Senses, Senses]
     representation: Int
     terminal_update: Flag
-    scene: Annotated[objects.Scene, objects.Scene]
+    scene: Annotated[Scene, Scene]
     last: Annotated[Taken, Taken]
     # scratch space
     states: Annotated[Keys, np.uint64, features.WINDOW]
@@ -82,14 +85,14 @@ def end(learners: Array, table: Array, memories: Array, reward: float) -> None:
 
 @jit
 def _forget(memory: Memory) -> None:
-    objects.forget_monsters(memory.scene)
+    forget_monsters(memory.scene)
     memory.last.count = 0
 
 
 @jit
 def _perceive(memory: Memory, body: bytes) -> bool:
     if memory.representation == _OBJECTS:
-        return objects.look(memory.scene, memory.senses, body)
+        return look(memory.scene, memory.senses, body)
     return observation.read(body, memory.scene.screen)
 
 
@@ -182,5 +185,5 @@ class ObjectsFlatAgent(TilesAgent):
 
     def _new_memory(self) -> Array:
         memories = super()._new_memory()
-        objects.set_senses(memories["senses"], self._grid, objects.THREATS_2010)
+        set_senses(memories["senses"], self._grid, THREATS_2010)
         return memories

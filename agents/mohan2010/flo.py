@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.keys import extend, feature
-from agents.mario.objects import A_COIN, A_MONSTER, A_PIT, A_QUESTION, Object, Scene
 from agents.mario.observation import COIN, OUTSIDE, QUESTION, ROWS, tile
+from agents.mario.scene import A_COIN, A_MONSTER, A_PIT, A_QUESTION, Object, Scene
 from glue.compiled.jit import jit
 
 __all__ = [

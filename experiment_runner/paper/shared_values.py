@@ -16,8 +16,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agents.keys import extend, feature
-from agents.mario import objects
 from agents.mario.actions import LEFT, RIGHT, STAY, action_number
+from agents.mario.monsters import absolute_motion
+from agents.mario.scene import A_COIN, A_MONSTER, A_QUESTION, AWAY, NO_MOTION, STATIONARY, TOWARDS, VERTICAL
 from agents.mohan2010 import flo
 from agents.soar.mario_link import SPRITES
 from agents.soar.rules import parse_rules
@@ -45,13 +46,13 @@ _OPERATORS: Final = {
     "search-question": flo.SEARCH_QUESTION,
     "grab-coin": flo.GRAB_COIN,
 }
-_TILES: Final = {"coin": objects.A_COIN, "question": objects.A_QUESTION}
+_TILES: Final = {"coin": A_COIN, "question": A_QUESTION}
 _MOTIONS: Final = {
-    "stationary": objects.STATIONARY,
-    "vertical": objects.VERTICAL,
-    "towards": objects.TOWARDS,
-    "away": objects.AWAY,
-    "none": objects.NO_MOTION,
+    "stationary": STATIONARY,
+    "vertical": VERTICAL,
+    "towards": TOWARDS,
+    "away": AWAY,
+    "none": NO_MOTION,
 }
 _SIGNS: Final = {"left": -1, "down": -1, "not": 0, "right": 1, "up": 1}
 
@@ -168,7 +169,7 @@ def _key_of(learned: Learned) -> np.uint64:
     if learned.kind == CONTEXT:
         words = learned.seen.split("-")  # threat-yes-coin-no-question-yes
         present = [name for name, answer in zip(words[::2], words[1::2], strict=True) if answer == "yes"]
-        kinds = {"threat": objects.A_MONSTER, **_TILES}
+        kinds = {"threat": A_MONSTER, **_TILES}
         bits = sum(1 << kinds[name] for name in present)
         return _row(flo.CONTEXT, _OPERATORS[learned.chosen], bits)
     parts = learned.seen.split("*")
@@ -177,7 +178,7 @@ def _key_of(learned: Learned) -> np.uint64:
         thing = (_TILES[parts[0]], 0, dx, dy, 0)
         size = parts[3:]
     else:
-        thing = (objects.A_MONSTER, _KINDS[parts[0]], dx, dy, _motion(parts[3]))
+        thing = (A_MONSTER, _KINDS[parts[0]], dx, dy, _motion(parts[3]))
         size = parts[4:]
     if learned.kind == OPERATOR:
         return _row(flo.FLO_LEVEL, *thing)
@@ -199,4 +200,4 @@ def _motion(text: str) -> int:
     if text in _MOTIONS:
         return _MOTIONS[text]
     across, up = (_SIGNS[sign] for sign in text.split("-"))
-    return objects.absolute_motion(float(across), float(up))
+    return absolute_motion(float(across), float(up))
