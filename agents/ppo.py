@@ -152,7 +152,7 @@ def _improve(
     rewards: np.ndarray,
     over: np.ndarray,
 ) -> None:
-    """Change the policy by what was seen, shape (LENGTH, GAMES, FEATURES), and what came of it."""
+    """Change the policy by what was seen, shape (LENGTH, GAMES, FEATURES), and the results."""
     advantages, later = np.empty_like(rewards), np.zeros(GAMES, np.float32)
     for t in reversed(range(LENGTH)):
         goes_on = 1 - over[t]

@@ -25,7 +25,7 @@ Say = Callable[[str], None]
 """Shows a line of text."""
 
 FAREWELL_SECONDS: Final = 3.0
-"""How long a child may take to exit when it has been told to."""
+"""Seconds that a child may take to exit after it was asked to."""
 
 HURRIED_SECONDS: Final = 0.2
 """The same after Ctrl-C."""
@@ -52,7 +52,7 @@ def start(module: str, arguments: Sequence[str], pass_fds: Sequence[int] = ()) -
 
 
 def end(process: subprocess.Popen[bytes], seconds: float = FAREWELL_SECONDS) -> None:
-    """Wait for a child that has been told to exit; after `seconds` terminate it, then kill it."""
+    """Wait for a child that was asked to exit; after `seconds` terminate it, then kill it."""
     for insist in (process.terminate, process.kill):
         try:
             process.wait(seconds)

@@ -93,7 +93,7 @@ def serve(
     except PeerFailed as failure:
         if failure.__cause__ is None:
             raise
-        sys.exit(1)  # the hub was told why, and our parent says it
+        sys.exit(1)  # the hub has received the reason, and our parent prints it
     except KeyboardInterrupt:
         sys.exit(EXIT_TERMINATED)  # in silence: our parent ended us, and says why
 

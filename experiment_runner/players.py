@@ -104,7 +104,7 @@ def open_experiment(
         progress: returns how many episodes are done, to detect a player that is killed repeatedly without
             progress; may be called from any thread.
         note: records each player that joins from outside; None to only show it.
-        met: told the URL of the hub, if there is one, and the session's name, for those who look on.
+        met: takes the URL of the hub, or None, and the session's name; for observers.
 
     Raises:
         ConfigError: a name, an option or an address is wrong, or an address is in use.

@@ -1,4 +1,4 @@
-"""What to suggest for a word that is unknown: the near misses, or what there is to choose from."""
+"""What to suggest for a word that is unknown: the near misses, or all the choices."""
 
 from __future__ import annotations
 

@@ -118,7 +118,7 @@ class Outcome(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What came of replaying the record of a trial.
+    """The result of replaying the record of a trial.
 
     digest   SHA-256 of the record that was replayed
     problem  what did not match; None if everything did

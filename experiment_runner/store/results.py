@@ -182,7 +182,7 @@ class Results(Closing):
         return {trial_id: Outcome(reason, digest) for trial_id, reason, digest in rows}
 
     def verdicts(self) -> dict[str, Verdict]:
-        """Return what came of replaying the trials of a competition, by id, for those that were."""
+        """Return the results of replaying trials of a competition, by id, as far as they were replayed."""
         rows = self._query("SELECT id, digest, problem, score FROM verdicts JOIN trials ON key = trial")
         self._check(rows, (_TEXT, _BYTES, _TEXT_OR_NULL, _NUMBER_OR_NULL))
         return {

@@ -65,7 +65,7 @@ MIGRATIONS: tuple[Migration, ...] = (
             trial INTEGER PRIMARY KEY REFERENCES trials,
             reason TEXT,
             digest BLOB NOT NULL)""",
-        # What came of replaying a record. digest: as above, of the record that was replayed;
+        # The result of replaying a record. digest: as above, of the record that was replayed;
         # problem: what did not match, NULL if everything did; SQLite has no NaN, so such a score is NULL.
         """CREATE TABLE verdicts (
             trial INTEGER PRIMARY KEY REFERENCES trials,

@@ -182,7 +182,7 @@ class Store(Results):
         self._execute(_PUT_OUTCOME, self._key(trial_id), *outcome)
 
     def record_verdict(self, trial_id: str, verdict: Verdict) -> None:
-        """Commit what came of replaying a trial, in place of an earlier verdict."""
+        """Commit the result of replaying a trial, in place of an earlier one."""
         self._execute(_PUT_VERDICT, self._key(trial_id), *verdict)
 
     def rewind(self, trial_id: str, episode: int) -> None:

@@ -91,7 +91,7 @@ def wanted_by(directories: Sequence[Path], query: Any) -> Wanted:
     """Return what the query of a request asks for.
 
     Raises:
-        ExperimentError: it asks for what there is not.
+        ExperimentError: it asks for something that does not exist.
     """
     try:
         window = int(query.get("window", "100"))

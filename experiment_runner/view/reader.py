@@ -41,7 +41,7 @@ class Reader:
                 continue
             try:
                 result = function()
-            except BaseException as error:  # whatever it is, the caller is told
+            except BaseException as error:  # of any kind: it is raised in the caller
                 future.set_exception(error)
             else:
                 future.set_result(result)

@@ -124,7 +124,7 @@ async def _events(
                 first, spoke = False, time.monotonic()
                 await asyncio.sleep(_LEAST_SECONDS)
             elif time.monotonic() - spoke >= _HEARTBEAT_SECONDS:
-                # So that both ends notice when the other is gone; of a comment scripts are not told.
+                # So that both ends notice when the other is gone; scripts do not see a comment.
                 yield "data: {}\n\n"
                 spoke = time.monotonic()
             change = seen

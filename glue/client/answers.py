@@ -93,7 +93,7 @@ class Player:
     def answer_step(self, call: Step, link: Link) -> tuple[StepFormat, Step] | None:
         """Answer a step: return the answer, to be sent along with those of other sessions.
 
-        If the step is repeated, or outdated, what there is to send is sent, and None returned.
+        If the step is repeated, or outdated, the reply is sent here, if there is one, and None returned.
         """
         kind, session = self._step, self._session
         message = Message(kind, session, *call)

@@ -100,7 +100,7 @@ class Observer(Closing):
     """A connection that is shown what happens in a session; iterate over it. Made by `observe`.
 
     Attributes:
-        missed: number of moments that were not wanted, or not read in time, as far as is known.
+        missed: number of moments that were not requested, or not read in time, as far as is known.
     """
 
     def __init__(self, place: Place, name: str, wait: float | None, log: Log) -> None:
@@ -135,7 +135,7 @@ class Observer(Closing):
         if message is None:
             return None
         if message.kind is Kind.WELCOME:
-            # Over a new connection the hub counts anew, and knows nothing of what was wanted.
+            # Over a new connection the hub counts anew, and does not know what was requested.
             self._number = 0
             self._ask()
             return None

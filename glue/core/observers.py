@@ -2,7 +2,7 @@
 
 An observer asks for a number of moments, and is shown the next ones; all others are missed. So whoever looks
 thirty times a second costs the session thirty messages a second, however fast it plays. What cannot be sent
-at once, because the observer has not read what came before, is missed, too: nothing is kept for it.
+at once, because the observer has not read the previous ones, is missed, too: nothing is kept for it.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ class Observers:
 
     Args:
         session: the session's name.
-        send: sends a message to an observer; returns False if it is gone or has not read what came before.
+        send: sends a message to an observer; returns False if it is gone or has not read the previous ones.
     """
 
     def __init__(self, session: str, send: Callable[[Peer, Message], bool]) -> None:
         self._session = session
         self._send = send
         self._views: dict[Peer, _View] = {}
-        self._episode = 0  # begun since the first observer came
+        self._episode = 0  # begun since the first observer joined
 
     @property
     def peers(self) -> list[Peer]:
@@ -53,7 +53,7 @@ class Observers:
         return list(self._views)
 
     def join(self, peer: Peer, engine: Engine) -> None:
-        """Let `peer` look on; it is told the task spec, if there is one."""
+        """Let `peer` look on; it is sent the task spec, if there is one."""
         self._views[peer] = _View()
         self._tell_spec(engine)
 
@@ -73,7 +73,7 @@ class Observers:
             self._show(Kind.OBSERVED_STEP, (*counters, *scalars), body, call.body)
         elif kind is Kind.ENV_START:
             self._episode += 1
-            self._tell_spec(engine)  # to those who could not be told before
+            self._tell_spec(engine)  # to those to whom it could not be sent before
             self._show(Kind.OBSERVED_START, (self._episode,), body)
         elif kind is Kind.ENV_INIT:
             for view in self._views.values():

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from glue.errors import ConfigError
 
-# First of all, as it needs Gymnasium itself: whoever lacks either is told what brings both.
+# First of all, as it needs Gymnasium itself: the message names the extra that installs both.
 try:
     import stable_baselines3
     from stable_baselines3.common.vec_env import VecEnv

@@ -71,7 +71,7 @@ class Connection:
 
     @property
     def events(self) -> int:
-        """What there is to wait for."""
+        """The events to wait for."""
         return (READ if self._reading else FAILURE) | (WRITE if self._unsent or self._later else FAILURE)
 
     @property

@@ -65,7 +65,7 @@ class Dealer:
             connection.send(request.encode(seq, scalars, body))
             self._router.expect()
         elif kind in OBSERVING and connection.unsent:
-            return False  # an observer that has not read what came before misses this
+            return False  # an observer that has not read the previous messages misses this one
         else:
             self.send_joined()
             connection.send(zmtp.encode(encode(message, FROM_HUB)))

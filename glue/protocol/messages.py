@@ -41,7 +41,7 @@ Value = None | bool | int | float | str | bytes | tuple[int, ...] | tuple[str, .
 
 
 OUTCOME: Final = "outcome"
-"""The capability of an experiment that is told return and number of steps with the end of an episode."""
+"""The capability of an experiment that accepts return and number of steps with the end of an episode."""
 
 
 class Role(StrEnum):

@@ -20,7 +20,7 @@ _AT_ONCE: Final = 1024
 """How many numbers are drawn at once, at most."""
 
 _WORD: Final = 4
-"""Bytes of the numbers that `Generator.bytes` is made of; it draws one even where no bytes are wanted."""
+"""Bytes of the numbers that `Generator.bytes` is made of; it draws one even where no bytes are requested."""
 
 
 class Draws:

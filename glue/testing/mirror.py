@@ -180,7 +180,7 @@ _CODES: Final[dict[type[GlueError], str]] = {
 def carry_out(
     glue: Experiment, verb: str, argument: bytes, reward: float, order: Observation, notices: list[str]
 ) -> Action:
-    """Carry out one order; return what came of it."""
+    """Carry out one order; return its result."""
     text = argument.decode("utf-8", "surrogateescape")
     ints, doubles = order.ints, order.doubles
     match verb:

@@ -230,7 +230,7 @@ def read_parts(path: Path, trial_id: str) -> Iterator[Part]:
     """Yield the parts of a trial's record; at most one is in memory.
 
     Raises:
-        RecordError: it is not the record of this trial, or is damaged; what came before is intact.
+        RecordError: it is not the record of this trial, or is damaged; what precedes the damage is intact.
         StorageError: it cannot be read.
     """
     with reported(f"cannot read {path}"), path.open("rb") as file:

@@ -19,7 +19,7 @@ __all__ = ["Outcome", "Verdict", "judge", "rules_of"]
 
 
 class Outcome(StrEnum):
-    """What came of a rule."""
+    """Whether a rule was kept."""
 
     PASSED = "passed"
     FAILED = "failed"
@@ -28,14 +28,14 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came of one rule over one transport.
+    """The verdict on one rule over one transport.
 
     Attributes:
         rule: the rule.
         transport: `tcp` or `ipc`.
-        outcome: what came of it.
+        outcome: whether it was kept.
         expected: what should have come, if it failed; else why it was not judged.
-        received: what came instead.
+        received: what was received instead.
         frames: the bytes of that, in hex.
     """
 

@@ -11,13 +11,13 @@ from glue.protocol.wire import TO_HUB, encode
 from glue.testing.scripted import shown
 from glue.types import AbstractType, body_size
 
-__all__ = ["difference", "same", "told"]
+__all__ = ["described", "difference", "same"]
 
 _SHOWN: Final = 300
 """Characters of a message that a verdict shows."""
 
 
-def told(message: Message) -> str:
+def described(message: Message) -> str:
     """Return a message as a verdict shows it."""
     text = shown(message)
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}... ({len(message.body)} bytes)"

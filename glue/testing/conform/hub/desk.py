@@ -16,7 +16,7 @@ from glue.protocol import zmtp
 from glue.protocol.messages import PROTOCOL_VERSION, Kind, Message, Role, Value
 from glue.protocol.wire import FROM_HUB, TO_HUB, UnknownKind, decode, encode
 from glue.testing.conform.hub.clients import Client, Start
-from glue.testing.conform.hub.comparing import difference, same, told
+from glue.testing.conform.hub.comparing import described, difference, same
 from glue.testing.conform.hub.rules import Broken, NotJudged
 from glue.testing.conform.hub.wire import Gone, Listener, Wire
 
@@ -58,7 +58,7 @@ class Desk(ABC):
         self.session = ""
         self.hellos = 0  # over the connection that there is
         self.instances: list[bytes] = []  # of each program that was started
-        self.instance = b""  # of the HELLO that came last
+        self.instance = b""  # of the last HELLO
         self.capabilities: tuple[Value, ...] = ()
         self._start = start
         self._client: Client | None = None
@@ -165,7 +165,7 @@ class Desk(ABC):
         self.hellos = 0
         hello, frames = self.next("HELLO")
         if hello.kind is not Kind.HELLO or hello.session != self.session:
-            raise Broken(f"HELLO in session {self.session!r}", told(hello), frames)
+            raise Broken(f"HELLO in session {self.session!r}", described(hello), frames)
         return self._greeted(hello)
 
     def welcome(
@@ -196,7 +196,7 @@ class Desk(ABC):
         """Expect another HELLO over the same connection, and answer it."""
         hello, frames = self.next("HELLO", again=True)
         if hello.kind is not Kind.HELLO:
-            raise Broken("HELLO over the same connection", told(hello), frames)
+            raise Broken("HELLO over the same connection", described(hello), frames)
         self.welcome()
 
     def cut(self, reset: bool = False) -> None:
@@ -276,11 +276,11 @@ class Desk(ABC):
                 return
             message = self.decoded(frames, f"nothing {why}")
             if message.kind is not Kind.HEARTBEAT:
-                raise Broken(f"nothing {why}", told(message), frames)
+                raise Broken(f"nothing {why}", described(message), frames)
 
     def take(self, expected: Message) -> Sequence[bytes]:
         """Receive the next message, which must be as expected; return its frames."""
-        got, frames = self.next(told(expected))
+        got, frames = self.next(described(expected))
         self.matches(expected, got, frames)
         return frames
 
@@ -288,7 +288,7 @@ class Desk(ABC):
         """Check that a message is as expected, and note it."""
         wanted = self.numbered(expected, got)
         if not same(wanted, got):
-            raise Broken(told(wanted), f"{told(got)}{difference(wanted, frames)}", frames)
+            raise Broken(described(wanted), f"{described(got)}{difference(wanted, frames)}", frames)
         self.took(got)
 
     # --- Exchanges ------------------------------------------------------------------------------------
@@ -323,7 +323,7 @@ class Desk(ABC):
 
     @abstractmethod
     def took(self, message: Message) -> None:
-        """Note a message that came as expected."""
+        """Note a message that was as expected."""
 
     def exchange(self) -> None:
         """Go through the next exchange."""

@@ -29,7 +29,7 @@ _NOTHING: Final = Observation()
 
 @dataclass(frozen=True)
 class Order:
-    """What the experiment is told to do, and what the kit replies to the request that it then makes."""
+    """What the experiment is asked to do, and what the kit replies to the request that it then makes."""
 
     verb: str
     argument: bytes = b""
@@ -110,7 +110,7 @@ class ExperimentDesk(Desk):
         return Exchange(encode(reply, FROM_HUB), self.showing(_asked(order)[1]))
 
     def showing(self, shown: AbstractType) -> Message:
-        """Return the request with which the mirror shows what came of a verb."""
+        """Return the request with which the mirror shows the result of a verb."""
         return Message(Kind.RL_ENV_STEP, self.session, 0, (), shown.body)
 
     def do(self, *orders: Order) -> None:

@@ -29,8 +29,8 @@ class Broken(GlueError):
 
     Attributes:
         expected: what should have come.
-        received: what came instead.
-        frames: the bytes in which it came.
+        received: what was received instead.
+        frames: its bytes.
     """
 
     def __init__(self, expected: str, received: str, frames: Sequence[bytes] = ()) -> None:

@@ -106,7 +106,7 @@ class Wire:
         self._socket = connected
         self._decoder = zmtp.Decoder(zmtp.ROUTER, _MAX_FRAME)
         self._raw = b""  # what was received in the handshake
-        self._early: list[bytes] | None = None  # a message that came along with READY
+        self._early: list[bytes] | None = None  # a message received along with READY
         self._heard = b""  # what was received of late
 
     def greet(self, wait: float, hold: float = 0.0) -> None:
@@ -174,7 +174,7 @@ class Wire:
 
         Raises:
             Gone: the client ended the connection.
-            Broken: what came is not ZMTP.
+            Broken: what was received is not ZMTP.
         """
         deadline = time.monotonic() + wait
         if self._early is not None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from glue.protocol.messages import ErrorCode, Event, Kind, Role
-from glue.testing.conform.hub.comparing import told
+from glue.testing.conform.hub.comparing import described
 from glue.testing.conform.hub.desk import LULL
 from glue.testing.conform.hub.player import SHOWN, PlayerDesk
 from glue.testing.conform.hub.rules import PLAYERS, Broken, NotJudged, Rules, Tier
@@ -142,7 +142,7 @@ def unknown_kind(desk: PlayerDesk) -> None:
 def _error(desk: PlayerDesk, code: ErrorCode) -> str:
     got, frames = desk.next(f"ERROR {desk.seq} {code}")
     if (got.kind, got.session, got.seq) != (Kind.ERROR, desk.session, desk.seq) or got.scalars[0] != code:
-        raise Broken(f"ERROR {desk.seq} {code!s}", told(got), frames)
+        raise Broken(f"ERROR {desk.seq} {code!s}", described(got), frames)
     return str(got.scalars[1])
 
 
@@ -214,7 +214,7 @@ def broken_text(desk: PlayerDesk) -> None:
         desk.send(desk.kinds["MESSAGE"], seq=desk.seq, body=text)
         got, frames = desk.next("an answer or an ERROR")
         if got.kind not in (Kind.ERROR, desk.kinds["MESSAGE"]) or got.seq != desk.seq:
-            raise Broken(f"{desk.kinds['MESSAGE'].name} {desk.seq}, or ERROR", told(got), frames)
+            raise Broken(f"{desk.kinds['MESSAGE'].name} {desk.seq}, or ERROR", described(got), frames)
         if got.kind is Kind.ERROR and _left(desk):
             return
     desk.steps(SHOWN)
@@ -237,7 +237,7 @@ def max_body(desk: PlayerDesk) -> None:
     desk.send_frames(exchange.frames)
     got, frames = desk.next("ERROR exception")
     if got.kind is not Kind.ERROR or got.scalars[0] != ErrorCode.EXCEPTION or got.seq != desk.seq:
-        raise Broken(f"ERROR {desk.seq} exception, since {limit} bytes are allowed", told(got), frames)
+        raise Broken(f"ERROR {desk.seq} exception, since {limit} bytes are allowed", described(got), frames)
     if not _left(desk):
         desk.cut()
         desk.reconnect()

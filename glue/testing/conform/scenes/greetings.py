@@ -6,7 +6,7 @@ from typing import Final
 
 from glue.protocol.messages import PROTOCOL_VERSION, ErrorCode, Kind
 from glue.protocol.wire import TO_HUB, encode
-from glue.testing.conform.hub.comparing import told
+from glue.testing.conform.hub.comparing import described
 from glue.testing.conform.hub.desk import LULL, Desk
 from glue.testing.conform.hub.rules import EVERYONE, Broken, Rules, Tier
 from glue.testing.conform.hub.wire import Gone
@@ -47,13 +47,13 @@ def hello(desk: Desk) -> None:
     versions, role, instance, name, codec, _ = greeted.scalars
     frames = encode(greeted, TO_HUB)
     if not isinstance(versions, tuple) or PROTOCOL_VERSION not in versions:
-        raise Broken(f"HELLO with the version {PROTOCOL_VERSION}", told(greeted), frames)
+        raise Broken(f"HELLO with the version {PROTOCOL_VERSION}", described(greeted), frames)
     if role != desk.role:
-        raise Broken(f"HELLO with the role {desk.role!s}", told(greeted), frames)
+        raise Broken(f"HELLO with the role {desk.role!s}", described(greeted), frames)
     if not isinstance(instance, bytes) or len(instance) != 16 or len(set(instance)) < 3:
-        raise Broken("HELLO with an instance of 16 random bytes", told(greeted), frames)
+        raise Broken("HELLO with an instance of 16 random bytes", described(greeted), frames)
     if not name or not codec:
-        raise Broken("HELLO with a name and a codec", told(greeted), frames)
+        raise Broken("HELLO with a name and a codec", described(greeted), frames)
     desk.nothing("after HELLO, until it is answered")
     desk.welcome(resumed=False)
     desk.begin()

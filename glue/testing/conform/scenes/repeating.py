@@ -1,4 +1,4 @@
-"""Scenes of how an experiment holds on to its requests, whatever else it is told."""
+"""Scenes of an experiment that keeps to its requests, whatever else it receives."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from glue.protocol.messages import OUTCOME, ErrorCode, Event, Kind, Role
 from glue.protocol.wire import FROM_HUB, encode
-from glue.testing.conform.hub.comparing import same, told
+from glue.testing.conform.hub.comparing import described, same
 from glue.testing.conform.hub.desk import LULL, Desk
 from glue.testing.conform.hub.experiment import DONE, SEEN, ExperimentDesk, Order
 from glue.testing.conform.hub.rules import Broken, NotJudged, Rules, Tier
@@ -56,7 +56,9 @@ def numbers(desk: ExperimentDesk) -> None:
     desk.welcome(resumed=False)
     desk.begin()
     if desk.request.seq != 1:
-        raise Broken("a first request with the number 1", told(desk.request), encode(desk.request, FROM_HUB))
+        raise Broken(
+            "a first request with the number 1", described(desk.request), encode(desk.request, FROM_HUB)
+        )
     desk.episode()
 
 
@@ -129,7 +131,7 @@ def _notices(desk: ExperimentDesk) -> list[str]:
     desk.send_frames(desk.ordering("notices"))
     got, frames = desk.next("RL_ENV_STEP with the notices as chars")
     if got.kind is not Kind.RL_ENV_STEP:
-        raise Broken("RL_ENV_STEP with the notices as chars", told(got), frames)
+        raise Broken("RL_ENV_STEP with the notices as chars", described(got), frames)
     desk.took(got)
     return Action.from_body(got.body).chars.decode(errors="replace").splitlines()
 
@@ -153,7 +155,7 @@ def errors(desk: ExperimentDesk) -> None:
     "truncate",
     Tier.COMPLETE,
     "capabilities",
-    "the terminal 2 says that the episode was cut off, and is told from its end",
+    "the terminal 2 says that the episode was truncated, not terminated",
     _WHO,
     needs=("integer-terminal",),
 )
@@ -171,9 +173,9 @@ def truncate(desk: ExperimentDesk) -> None:
 
 
 def _cut_off(desk: ExperimentDesk, order: Order) -> None:
-    """Expect that what came of an order shows a cut-off; who knows of none shows an end."""
+    """Expect that the result of an order shows a truncation; a client without them shows an end."""
     expected = desk.reply(order).expected
-    got, frames = desk.next(told(expected))
+    got, frames = desk.next(described(expected))
     end = replace(order, scalars=(*order.scalars[:-1], True))
     if same(desk.numbered(desk.reply(end).expected, got), got):
         desk.took(got)
@@ -201,11 +203,11 @@ def outcome(desk: ExperimentDesk) -> None:
     for order in asked:
         exchange = desk.order(order)
         desk.send_frames(exchange.frames)
-        got, frames = desk.next("what RL_EPISODE's reply told, or a request for it")
+        got, frames = desk.next("the numbers of RL_EPISODE's reply, or a request for them")
         if got.kind is exchange.expected.kind:
             desk.took(got)
             desk.send_frames(desk.reply(order).frames)
-            got, frames = desk.next("what the reply told")
+            got, frames = desk.next("the numbers of the reply")
         desk.matches(desk.reply(order).expected, got, frames)
 
 
@@ -238,7 +240,7 @@ def broken_text(desk: ExperimentDesk) -> None:
         desk.send(Kind.RL_AGENT_MESSAGE, seq=desk.request.seq, body=text)
         got, frames = desk.next("RL_ENV_STEP")
         if got.kind is not Kind.RL_ENV_STEP:
-            raise Broken("RL_ENV_STEP with some text", told(got), frames)
+            raise Broken("RL_ENV_STEP with some text", described(got), frames)
         desk.took(got)
     desk.do(Order("RL_RETURN", scalars=(1.0,)))
 
@@ -289,7 +291,7 @@ def _gives_up(desk: ExperimentDesk, what: str, wrong: Any) -> None:
     if frames is not None:
         got = desk.decoded(frames)
         if wrong(got):
-            raise Broken(f"that {what} is not sent", told(got), frames)
+            raise Broken(f"that {what} is not sent", described(got), frames)
     desk.drop()
 
 
@@ -299,7 +301,7 @@ def end(desk: ExperimentDesk) -> None:
     desk.send_frames(desk.ordering("end"))
     got, frames = desk.next("GOODBYE")
     if got.kind is not Kind.GOODBYE:
-        raise Broken("GOODBYE", told(got), frames)
+        raise Broken("GOODBYE", described(got), frames)
     desk.cut()
     code = desk.client.wait(desk.wait)
     if code != 0:

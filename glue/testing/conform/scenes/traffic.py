@@ -7,7 +7,7 @@ from typing import Final
 from glue.protocol import zmtp
 from glue.protocol.messages import Kind, Message
 from glue.protocol.wire import FROM_HUB, encode
-from glue.testing.conform.hub.comparing import told
+from glue.testing.conform.hub.comparing import described
 from glue.testing.conform.hub.desk import LULL, Desk
 from glue.testing.conform.hub.rules import EVERYONE, Broken, NotJudged, Rules, Tier
 from glue.testing.conform.hub.wire import Gone
@@ -111,7 +111,7 @@ def silence(desk: Desk) -> None:
         raise Broken(expected, "nothing")
     got = desk.decoded(frames, expected)
     if (got.kind, got.session) != (Kind.HEARTBEAT, desk.session):
-        raise Broken(expected, told(got), frames)
+        raise Broken(expected, described(got), frames)
     desk.cut()
     desk.reconnect()
     desk.exchange()
@@ -177,7 +177,7 @@ def malformed(desk: Desk) -> None:
             desk.cut()
         got = None if frames is None else desk.decoded(frames)
         if got is not None and got.kind is exchange.expected.kind:
-            raise Broken(f"no answer to {name}", told(got), frames or ())
+            raise Broken(f"no answer to {name}", described(got), frames or ())
         if got is not None:
             desk.cut()  # It reported an error, or said GOODBYE.
         _orderly(desk, f"after {name}")
