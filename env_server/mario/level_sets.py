@@ -52,7 +52,7 @@ def resolve_levels(levels: str | None, num_levels: int | None, start_level: int 
     """Return the numbers of the levels that a set's name, or a number of levels and the first one, stand for.
 
     Returns:
-        None if nothing is given: there is one level, that of the task.
+        None if none of them is given: there is one level, that of the task.
 
     Raises:
         ConfigError: the set is unknown, both forms are given, or a number is out of range.

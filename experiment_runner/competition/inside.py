@@ -44,7 +44,7 @@ class InsideEnvironment:
 
     Attributes:
         refusal: why the environment refused the agent's last action; None if it did not.
-        failure: what the environment itself did wrong; None if nothing.
+        failure: the environment's own error; None if it made none.
         steps: how many were carried out.
         in_episode: whether an episode has begun that the environment has not ended.
         cut_off: whether it has cut off the episode that it ended last.

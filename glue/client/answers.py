@@ -116,7 +116,7 @@ class Players:
 
     Attributes:
         names: for each session, the name to show to people, and the capabilities offered.
-        asked: whoever was called last.
+        asked: the player called last.
     """
 
     def __init__(self, role: Role, players: Mapping[str, Agent] | Mapping[str, Environment]) -> None:

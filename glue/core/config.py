@@ -83,7 +83,7 @@ class Bind:
         url: where to listen: `tcp://host:port` or `ipc://path`; `tcp://host:*` takes any free port.
         roles: the roles that are open there; all by default.
         sessions: the sessions that are open there; None for all.
-        keys: who gets in there, by CURVE; None for everybody who reaches it, without encryption. A key opens
+        keys: who may join there, by CURVE; None for everybody who reaches it, unencrypted. A key opens
             what both its permit and this address open.
 
     Raises:

@@ -309,7 +309,7 @@ class Decoder:
             raise RemoteProtocolError(f"a frame of {size} bytes was received; {limit} are allowed")
 
     def _shake_hands(self, mechanism: Mechanism, command: bytes) -> bytes:
-        """Act on a command of a mechanism's handshake; return what is to be said to it."""
+        """Act on a command of a mechanism's handshake; return the reply."""
         if command.startswith(b"\x05ERROR"):
             self._obey(command)
         answer, metadata = mechanism.answer(command, _METADATA[self._own])
@@ -325,7 +325,7 @@ class Decoder:
         return _COMMAND if flags == _ENCRYPTED_COMMAND else flags, payload
 
     def _obey(self, command: bytes) -> bytes:
-        """Act on a command; return what is to be said to it, if anything."""
+        """Act on a command; return the reply, which may be empty."""
         end = command[0] + 1 if command else 0
         name, data = command[1:end], command[end:]
         if name == b"PING":

@@ -92,7 +92,7 @@ def _verified_score(
         GlueError: the record cannot be read, or the environment cannot be made.
     """
     if sha256 != outcome.digest:
-        # Found in any case; what is wrong in it is said as exactly as possible.
+        # Found in any case; the report is as exact as possible.
         for _ in read_parts(path, spec.id):
             pass
         raise RecordError(f"{path} is not the record that was finished: bytes in it were changed")
