@@ -6,6 +6,7 @@ of each are its constructor's, see `glue.options`, and those that all have.
 
 from __future__ import annotations
 
+import inspect
 import shlex
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
@@ -134,7 +135,8 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
         reason = serve(players, _hub, key=_key, hub_key=_hub_key, wait=_wait, log=log)
         log(f"the hub said goodbye: {reason}")
 
-    summary = (factory.__doc__ or f"The {role} {name}.").strip()
+    # The parameters are listed as options.
+    summary = inspect.cleandoc(factory.__doc__ or f"The {role} {name}.").partition("\n\nArgs:")[0]
     common = [
         click.Option(
             ["--hub", "_hub"],

@@ -161,6 +161,30 @@ def test_help_of_a_player_has_an_example_for_the_experiment_too(player: str, tmp
     assert run("glue-experiment", *example[1].split(), *other, "--dry-run", cwd=tmp_path).returncode == 0
 
 
+def test_help_of_a_player_has_the_parameters_as_options_alone(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(_DOCUMENTED, encoding="utf-8")
+    shown = run("glue-agent", "mine.py:Documented", "--help", cwd=tmp_path).stdout
+    assert "Walks about." in shown
+    assert "--speed" in shown
+    assert "Args:" not in shown
+
+
+_DOCUMENTED = """
+class Documented:
+    '''Walks about.
+
+    Args:
+        speed: in steps.
+    '''
+
+    def __init__(self, *, speed: int = 1):
+        pass
+
+    def agent_init(self, task_spec):
+        pass
+"""
+
+
 def test_three_terminals_run_an_experiment(tmp_path: Path, hub: str, terminals: list[Terminal]) -> None:
     experiment = Terminal(
         *("glue-experiment", "--episodes", "20", "--bind", hub, "--out", "run"),
