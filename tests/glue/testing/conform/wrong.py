@@ -327,8 +327,9 @@ class Client:
                 raise Quit(1)
             return True
         if kind == WELCOME:
-            if seq == self.hellos:
-                self.welcomed = True
+            if self.welcomed or seq != self.hellos:
+                return True  # it answers no HELLO
+            self.welcomed = True
             _, resumed, self.heartbeat, _, max_body = scalars
             self.max_body = 2**24 if self.wrong("ignores WELCOME's limits") else max_body
             self.was_welcomed(bool(resumed))
