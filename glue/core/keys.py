@@ -43,7 +43,7 @@ class Keys:
         permits: what may be joined with which public key; with any other key nothing.
 
     Raises:
-        ConfigError: a key has not 32 bytes.
+        ConfigError: a key does not have 32 bytes.
     """
 
     secret: bytes = field(repr=False)

@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from glue.core.config import DEFAULT_HUB, Bind, HubConfig, LegacyPort, check_session, check_url
+from glue.core.keys import Keys, Permit
 from glue.errors import ConfigError
 from glue.protocol.messages import Role
 from glue.protocol.wire import MAX_BODY, MAX_NAME
@@ -139,3 +140,10 @@ def test_an_address_at_which_no_peer_could_join_is_an_error(closed: dict[str, An
 def test_an_address_with_roles_is_checked_as_any_other() -> None:
     with pytest.raises(ConfigError, match="can be reached from other machines"):
         HubConfig(bind=(Bind("tcp://*:4097", frozenset({Role.AGENT})),))
+
+
+def test_a_key_has_32_bytes() -> None:
+    permit = Permit("carol", frozenset(Role), None)
+    for secret, client in ((bytes(31), bytes(32)), (bytes(32), bytes(33))):
+        with pytest.raises(ConfigError, match="a key has 32 bytes"):
+            Keys(secret, {client: permit})

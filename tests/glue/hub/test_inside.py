@@ -55,6 +55,14 @@ def test_it_plays_as_in_one_process(hub: Hub) -> None:
         assert play(glue) == play(expected)
 
 
+def test_it_plays_where_there_is_no_epoll(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr("select.epoll")  # as on macOS
+    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)).in_background() as hub:
+        serve_chain(hub)
+        with inside(hub) as glue, local(ChainAgent(), ChainEnvironment()) as expected:
+            assert play(glue) == play(expected)
+
+
 def test_the_hub_serves_others_while_the_experiment_does_something_else(hub: Hub) -> None:
     with inside(hub) as glue:
         assert glue.rl_num_steps() == 0
