@@ -21,7 +21,7 @@ from tests.proof import size
 from tests.system.proxy import Proxy
 
 SESSIONS = 8
-EPISODES, CUTS = size((12, 12), (400, 500))
+EPISODES, CUTS = size((12, 12), (200, 250))
 
 
 @pytest.fixture
