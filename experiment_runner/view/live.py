@@ -106,7 +106,10 @@ class _Watch:
                 now = time.monotonic()
                 if now - looked >= _LOOK_SECONDS:
                     looked = now
-                    self._put("trials", sorted(meetings_in(self._directory)))
+                    places = meetings_in(self._directory)
+                    self._put("trials", sorted(places))
+                    if places.get(trial) != place or not observer.connected:
+                        return  # a hub that was killed says no goodbye
                 self.over.wait(max(0.0, asked + 1 / _RATE - now))
                 asked = time.monotonic()
                 observer.want(1)

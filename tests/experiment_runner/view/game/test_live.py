@@ -84,6 +84,19 @@ def test_a_page_sees_what_is_played_and_the_run_does_not_change(page: Page, tmp_
         known |= stream.next().get(topic) or {}
 
 
+def test_a_run_that_was_killed_is_not_shown_as_going_on(page: Page, tmp_path: Path) -> None:
+    command = ("glue-experiment", "--env", "mines", "--agent", "random", "--episodes", "1000000")
+    with contextlib.closing(Terminal(*command, "--out", "a", cwd=tmp_path)) as running:
+        topic = f"live:{started(page, page.stream('topic=runs'))}"
+        stream, known = page.stream(f"topic={topic}"), dict[str, Any]()
+        until(stream, topic, "moment", known)
+        assert known["trial"] is not None
+        running.send_signal(signal.SIGKILL)
+        running.end()
+    while known["trial"] is not None:
+        known |= stream.next().get(topic) or {}
+
+
 def test_nothing_is_named_where_there_is_no_hub(page: Page, tmp_path: Path) -> None:
     with playing("--out", "a", "--in-process", cwd=tmp_path):
         run_id = started(page, page.stream("topic=runs"))
