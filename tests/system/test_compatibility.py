@@ -144,7 +144,7 @@ def test_todays_peers_answer_the_first_hub_to_the_byte(context: Context, sockets
                 first = msgpack.packb([kind, session, seq, *scalars])
                 ends[event.role].send_multipart([routes[event.role], first, *event.frames[1:]])
                 continue
-            frames = [Kind.HEARTBEAT]
+            frames: list[Any] = [Kind.HEARTBEAT]
             while frames[0] == Kind.HEARTBEAT:
                 routes[event.role], *received = ends[event.role].recv_multipart()
                 frames = header(received)
