@@ -30,7 +30,8 @@ Gate = npt.NDArray[np.int64]
 """For each worker the addresses of two semaphores, `go` and `done`, and at the end whether all is over."""
 
 _SEMAPHORE_BYTES: Final = 128  # at most; and each has cache lines of its own
-_LOOKS: Final = 10_000  # some 50 microseconds: as long as Python needs between two calls
+_LOOKS: Final = 60_000
+"""Some 300 microseconds: Python needs up to 150 between two calls, and to wake takes about 100."""
 
 
 def _semaphore_function(name: str) -> Any:
