@@ -80,6 +80,11 @@ class Link:
         self._started = self._received = time.monotonic()
         self._silent = False
 
+    @property
+    def connected(self) -> bool:
+        """Whether there is a connection to a hub, as far as `receive` has noticed."""
+        return self._transport.connected
+
     def ready(self, session: str) -> bool:
         """Return whether the hub has welcomed us in `session` over the connection that was greeted last.
 

@@ -121,12 +121,12 @@ class Observer(Closing):
     @property
     def connected(self) -> bool:
         """Whether the hub has let it in; False from the loss of a connection until it is let in again."""
-        return self._link.ready(self._session)
+        return self._link.connected and self._link.ready(self._session)
 
     def want(self, moments: int) -> None:
         """Ask to be shown the next `moments` moments, whatever was asked before."""
         self._wanted = moments
-        if self.connected:
+        if self._link.ready(self._session):
             self._ask()
 
     def receive(self) -> Seen | None:
