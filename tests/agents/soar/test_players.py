@@ -19,26 +19,11 @@ from glue.errors import ConfigError, GlueError, SaveError
 from glue.roles import Environment
 from glue.saves import Saved, pack, unpack
 from glue.types import Action, Observation
+from tests.agents.soar.example import UP
 
 pytest.importorskip("soar_sml", reason="agents on the Soar kernel need it: pip install 'glue-rl[soar]'")
 
 SKELETON = SkeletonEnvironment().env_init()
-
-UP = """
-sp {up*propose
-   (state <s> ^superstate nil ^io.input-link.step <n>)
--->
-   (<s> ^operator <o> +)
-   (<o> ^name up ^step <n>)
-}
-sp {up*apply
-   (state <s> ^operator <o> ^io.output-link <out>)
-   (<o> ^name up ^step <n>)
--->
-   (<out> ^action <a>)
-   (<a> ^int-1 1 ^step <n>)
-}
-"""
 
 Write = Callable[[str], SoarAgent]
 

@@ -12,6 +12,7 @@ import pytest
 
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
+from tests.agents.soar.example import UP
 from tests.system.runs import children, contents, run, start, wait_until
 
 pytest.importorskip("soar_sml", reason="agents on the Soar kernel need it: pip install 'glue-rl[soar]'")
@@ -72,20 +73,8 @@ def test_a_trial_whose_production_fails_is_recorded_with_the_reason_and_the_rest
     tmp_path: Path,
 ) -> None:
     (tmp_path / "halting.soar").write_text(
-        """
-sp {up*propose
-   (state <s> ^superstate nil ^io.input-link.step <n>)
--->
-   (<s> ^operator <o> +)
-   (<o> ^name up ^step <n>)
-}
-sp {up*apply
-   (state <s> ^operator <o> ^io.output-link <out>)
-   (<o> ^name up ^step <n>)
--->
-   (<out> ^action <a>)
-   (<a> ^int-1 1 ^step <n>)
-}
+        UP
+        + """
 sp {halt*in-the-third-episode
    (state <s> ^superstate nil ^io.input-link.step > 25)
 -->

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,8 +10,8 @@ from experiment_runner.analysis.settings import collect
 from experiment_runner.report.overview import setting_numbers
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
-from tests.experiment_runner.view.chromium import Browser, browsing, needed
-from tests.experiment_runner.view.pages import Page, glue_view
+from tests.experiment_runner.view.chromium import Browser, needed
+from tests.experiment_runner.view.pages import Page
 from tests.experiment_runner.view.test_curves import NAME, store_run
 from tests.experiment_runner.view.test_stream import make_run
 
@@ -24,18 +23,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     store_run(folder / "named")
     return folder
-
-
-@pytest.fixture(scope="module")
-def page(folder: Path) -> Iterator[Page]:
-    with glue_view(folder) as page:
-        yield page
-
-
-@pytest.fixture(scope="module")
-def browser(page: Page) -> Iterator[Browser]:
-    with browsing(page) as browser:
-        yield browser
 
 
 def test_the_list_follows_a_run(browser: Browser, folder: Path) -> None:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from tests.experiment_runner.view.chromium import Browser, browsing, needed
+from tests.experiment_runner.view.chromium import Browser, needed
 from tests.experiment_runner.view.contests import hold
 from tests.experiment_runner.view.game.test_live import playing, started
-from tests.experiment_runner.view.pages import Page, glue_view
+from tests.experiment_runner.view.pages import Page
 from tests.experiment_runner.view.test_curves import store_run
 from tests.experiment_runner.view.test_stream import make_run
 from tests.terminal import run
@@ -42,18 +41,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = run("glue-experiment", *recorded, *asked, cwd=folder)
     assert done.returncode == 0, done.stderr
     return folder
-
-
-@pytest.fixture(scope="module")
-def page(folder: Path) -> Iterator[Page]:
-    with glue_view(folder) as page:
-        yield page
-
-
-@pytest.fixture(scope="module")
-def browser(page: Page) -> Iterator[Browser]:
-    with browsing(page) as browser:
-        yield browser
 
 
 VIEWS = {

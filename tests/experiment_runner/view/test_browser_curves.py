@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from tests.experiment_runner.view.chromium import Browser, browsing, needed
-from tests.experiment_runner.view.pages import Page, glue_view
+from tests.experiment_runner.view.chromium import Browser, needed
+from tests.experiment_runner.view.pages import Page
 from tests.experiment_runner.view.test_curves import NAME, RETURNS, store_run
 from tests.system.runs import wait_until
 
@@ -20,18 +20,11 @@ OTHER = '=cmd|"quoted", and a comma'
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     store_run(folder / "one")
     store_run(folder / "other", OTHER, -RETURNS)
-    with glue_view(folder) as page:
-        yield page
-
-
-@pytest.fixture(scope="module")
-def browser(page: Page) -> Iterator[Browser]:
-    with browsing(page) as browser:
-        yield browser
+    return folder
 
 
 @pytest.fixture(scope="module")

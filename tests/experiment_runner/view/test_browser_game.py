@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +18,10 @@ from env_server.toys import MinesEnvironment
 from glue.roles import Environment
 from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation
-from tests.experiment_runner.view.chromium import Browser, browsing, needed
+from tests.experiment_runner.view.chromium import Browser, needed
 from tests.experiment_runner.view.game.test_episodes import SPEC
 from tests.experiment_runner.view.game.test_live import playing, started
-from tests.experiment_runner.view.pages import Page, glue_view
+from tests.experiment_runner.view.pages import Page
 from tests.experiment_runner.view.test_stream import make_run
 from tests.terminal import run
 
@@ -76,21 +75,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def page(folder: Path) -> Iterator[Page]:
-    with glue_view(folder) as page:
-        yield page
-
-
-@pytest.fixture(scope="module")
 def ids(page: Page) -> dict[str, str]:
     runs = page.stream("topic=runs").next()["runs"].values()
     return {run["name"].rpartition("/")[2]: run["id"] for run in runs}
-
-
-@pytest.fixture(scope="module")
-def browser(page: Page) -> Iterator[Browser]:
-    with browsing(page) as browser:
-        yield browser
 
 
 def facts(browser: Browser) -> dict[str, str]:

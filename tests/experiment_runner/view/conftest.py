@@ -1,0 +1,24 @@
+"""What tests in a browser share: `glue-view` on a module's folder of runs, and a browser that looks at it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.experiment_runner.view.chromium import Browser, browsing
+from tests.experiment_runner.view.pages import Page, glue_view
+
+
+@pytest.fixture(scope="module")
+def page(folder: Path) -> Iterator[Page]:
+    """The server of the runs in the module's own fixture `folder`."""
+    with glue_view(folder) as page:
+        yield page
+
+
+@pytest.fixture(scope="module")
+def browser(page: Page) -> Iterator[Browser]:
+    with browsing(page) as browser:
+        yield browser
