@@ -93,7 +93,11 @@ class Proxy:
         if not self._open:
             near.close()
             return
-        far = socket.create_connection(("127.0.0.1", self._target))
+        try:
+            far = socket.create_connection(("127.0.0.1", self._target))
+        except OSError:  # the hub has ended
+            near.close()
+            return
         for one, other in ((near, far), (far, near)):
             one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._partner[one] = other
@@ -102,14 +106,17 @@ class Proxy:
     def _pass_on(self, source: socket.socket) -> None:
         try:
             data = source.recv(4096)
-            passed = data[: self._until_cut] if self._left else data
+        except OSError:
+            self._close(source)
+            return
+        if not data:
+            self._end(source)
+            return
+        passed = data[: self._until_cut] if self._left else data
+        with suppress(OSError):  # nobody reads this way any more; what comes the other way is passed on
             for at in range(0, len(passed), self._piece):
                 self._partner[source].sendall(passed[at : at + self._piece])
-        except OSError:
-            data = b""
-        if not data:
-            self._close(source)
-        elif self._left:
+        if self._left:
             self._until_cut -= len(data)
             if self._until_cut <= 0:
                 self._cut()
@@ -117,6 +124,17 @@ class Proxy:
                 self._left -= 1
                 if not self._left:
                     self.finished.set()
+
+    def _end(self, source: socket.socket) -> None:
+        """Pass on that a side sends no more; what was sent before still arrives, as over a cable."""
+        self._selector.unregister(source)
+        partner = self._partner[source]
+        with suppress(OSError):
+            partner.shutdown(socket.SHUT_WR)
+        if partner not in self._selector.get_map():
+            for each in (source, partner):
+                del self._partner[each]
+                each.close()
 
     def _draw(self) -> int:
         return self._lengths.randint(1, 6000)
@@ -128,7 +146,8 @@ class Proxy:
 
     def _close(self, one: socket.socket) -> None:
         for each in (one, self._partner[one]):
-            self._selector.unregister(each)
+            if each in self._selector.get_map():
+                self._selector.unregister(each)
             del self._partner[each]
             each.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ABORT)
             each.close()
