@@ -9,12 +9,12 @@ from agents.mario.sample import SampleAgent
 from agents.mohan2010.flat import TilesAgent
 from agents.mohan2010.hierarchical import HierarchicalAgent
 from env_server.gym import InfiniteMarioEnv
-from env_server.mario.batch import Batch
+from env_server.mario.batch_environment import InfiniteMarioBatch
 from env_server.mario.environment import InfiniteMario
 
 if __name__ == "__main__":
     environment = InfiniteMario(max_trial_steps=1)
-    Batch([environment.parameters]).close()
+    InfiniteMarioBatch(environment, 1).env_init()
     InfiniteMarioEnv().close()
     for agent in (HierarchicalAgent(), TilesAgent(), SampleAgent()):
         agent.agent_init(environment.env_init())

@@ -35,10 +35,9 @@ INFOS: Final = ("timeout", "goal", "level_seed", "level_type", "level_difficulty
 """What an info says, in this order: whether the step limit or the goal ended the episode, and the level."""
 _MAX_STEPS: Final = 2**31 - 1
 
-# What a call can order of a game.
-_LEAVE: Final = 0
-_ACT: Final = 1
-_BEGIN: Final = 2
+# What a call can order of a game: an action, by its number, or one of these.
+_BEGIN: Final = -1
+_LEAVE: Final = -2
 
 Bytes = npt.NDArray[np.uint8]
 Reals = npt.NDArray[np.float32]
@@ -132,7 +131,6 @@ class Games:
         self.final_cells: Bytes = np.zeros((finals, shape.bytes), np.uint8)
         self.final_reals: Reals = np.zeros((finals, shape.reals), np.float32)
         self._orders = np.zeros(count, np.int8)
-        self._buttons = np.zeros((count, 3), np.int64)
         self._threads = Threads(threads, count)
         self._load()
 
@@ -155,21 +153,21 @@ class Games:
         self._orders[:] = np.where(which, _BEGIN, _LEAVE)
         self._run()
 
-    def step(self, buttons: npt.NDArray[np.int64]) -> int:
+    def step(self, actions: npt.NDArray[np.int64], choices: npt.NDArray[np.int64]) -> int:
         """Carry out an action in every game.
 
         Args:
-            buttons: shape (N, 3): direction -1 to 1, jump and run 0 or 1.
+            actions: shape (N, K): direction, jump and run, or their number; see `env_server.gym.spaces`.
+            choices: how many there are of each, shape (K,).
 
         Returns:
-            -1, or the first game that has no episode to step in: then no game was stepped.
+            -1; or `i`, if game `i` has no episode to step in, or `N + i`, if it has no such action. Then no
+            game was stepped.
         """
-        unready = int(_first_unready(self.lanes, self._setup))
-        if unready < 0:
-            self._orders[:] = _ACT
-            self._buttons[:] = buttons
+        refused = int(_order(actions, choices, self.lanes, self._setup, self._orders))
+        if refused < 0:
             self._run()
-        return unready
+        return refused
 
     def observation(self, i: int) -> Observation:
         """Return game `i` as an RL-Glue agent would see it now."""
@@ -177,14 +175,14 @@ class Games:
         return Observation.from_body(body[: _body(self.worlds[i : i + 1], body)].tobytes())
 
     def _run(self) -> None:
-        told = (self._orders, self._buttons)
         shown = (self.cells, self.reals, self.final_cells, self.final_reals)
-        self._threads.run(_advance, self.worlds, self.lanes, self._setup, *told, *shown)
+        self._threads.run(_advance, self.worlds, self.lanes, self._setup, self._orders, *shown)
 
     def _load(self) -> None:
         """Load the compiled rules, or compile them and say so."""
         with announce_compilation("Infinite Mario for Gymnasium"):
-            _first_unready(self.lanes[:0], self._setup)
+            none = np.zeros((0, 1), np.int64), np.zeros(1, np.int64)
+            _order(*none, self.lanes[:0], self._setup, self._orders)
             self._run()
             # An observation is asked for by `render` alone, which may compile when it comes to that.
 
@@ -212,13 +210,25 @@ def _begin(world: World, lane: Lane, setup: Setup) -> None:
 
 
 @entry
-def _first_unready(lanes: Array, setups: Array) -> int:
-    """Return the first game in which no step can be made, or -1."""
+def _order(
+    actions: npt.NDArray[np.int64],
+    choices: npt.NDArray[np.int64],
+    lanes: Array,
+    setups: Array,
+    orders: npt.NDArray[np.int8],
+) -> int:
+    """Order a step of every game, or return why not; see `Games.step`."""
     setup: Setup = setups[0]
     for i in range(len(lanes)):
         lane: Lane = lanes[i]
         if not lane.begun or (lane.over and setup.mode == DISABLED):
             return i
+        number = 0
+        for j in range(len(choices)):
+            if not 0 <= actions[i, j] < choices[j]:
+                return len(lanes) + i
+            number = number * choices[j] + actions[i, j]
+        orders[i] = number
     return -1
 
 
@@ -230,7 +240,6 @@ def _advance(
     lanes: Array,
     setups: Array,
     orders: npt.NDArray[np.int8],
-    buttons: npt.NDArray[np.int64],
     cells: Bytes,
     reals: Reals,
     final_cells: Bytes,
@@ -255,7 +264,7 @@ def _advance(
                 lane.terminated = False
                 lane.truncated = False
             else:
-                _act(world, lane, setup, buttons[i])
+                _act(world, lane, setup, orders[i])
                 if lane.over and setup.mode == SAME_STEP:
                     if not lane.terminated:
                         write_view(world, setup.view_number, cells[i], reals[i])
@@ -273,9 +282,9 @@ def _advance(
 
 
 @jit
-def _act(world: World, lane: Lane, setup: Setup, buttons: npt.NDArray[np.int64]) -> None:
+def _act(world: World, lane: Lane, setup: Setup, action: int) -> None:
     was_dying = world.death_timer > 0
-    lane.terminated = not act(world, buttons[0], buttons[1], buttons[2])
+    lane.terminated = not act(world, action // 4 - 1, action // 2 % 2, action % 2)
     if lane.terminated:
         lane.reward = terminal_reward(world)
         lane.info[1] = world.win_timer > 0

@@ -11,7 +11,14 @@ import numpy.typing as npt
 
 from env_server.gym.games import DISABLED, INFOS, Games
 from env_server.gym.rendering import FPS, RENDER_MODES, Renderer, usable_modes
-from env_server.gym.spaces import action_space, observation_space, read_action, unpack
+from env_server.gym.spaces import (
+    CHOICES,
+    action_space,
+    observation_space,
+    read_actions,
+    unpack,
+    what_is_wrong_with,
+)
 from glue.errors import SimulatorError
 
 __all__ = ["GameState", "InfiniteMarioEnv"]
@@ -95,10 +102,13 @@ class InfiniteMarioEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         Raises:
             SimulatorError: the action is not in the space, or there is no episode to step in.
         """
-        buttons = read_action(self._action, action)
         games = self._games
-        if games.step(buttons) >= 0:
+        rows = read_actions(self._action, action, 0)
+        refused = games.step(rows, CHOICES[self._action])
+        if refused == 0:
             raise SimulatorError("a step needs an episode: call reset first, and again after each end")
+        if refused > 0:
+            raise SimulatorError(what_is_wrong_with(self._action, rows[0]))
         self._show()
         lane = games.lanes[0]
         return self._observation(), float(lane["reward"]), bool(lane["terminated"]), False, self._info()

@@ -27,14 +27,11 @@ from env_server.mario.observation import COLUMNS_SHOWN, ROWS_SHOWN
 from env_server.mario.sim.state import ACTORS
 from glue.errors import ConfigError, SimulatorError
 
-__all__ = ["action_space", "observation_space", "read_action", "read_actions", "unpack"]
+__all__ = ["CHOICES", "action_space", "observation_space", "read_actions", "unpack", "what_is_wrong_with"]
 
 _WINDOW: Final = (ROWS_SHOWN, COLUMNS_SHOWN)
-_CHOICES: Final = np.array([3, 2, 2])
-_BUTTONS: Final = np.array([(d, j, r) for d in (-1, 0, 1) for j in (0, 1) for r in (0, 1)], np.int64)
-"""Direction, jump and run of each action of the discrete space, shape (12, 3)."""
-_ROW_OF: Final = np.array([4, 2, 1])
-"""What direction, jump and run count for in the number of that action."""
+CHOICES: Final = {"buttons": np.array([3, 2, 2]), "discrete": np.array([12])}
+"""How many there are of direction, jump and run; and of their numbers, 4 * direction + 2 * jump + run."""
 
 
 def observation_space(view: str) -> spaces.Space[Any]:
@@ -62,11 +59,10 @@ def action_space(action: str) -> spaces.Space[Any]:
     Raises:
         ConfigError: there is no such space.
     """
-    if action == "buttons":
-        return spaces.MultiDiscrete(_CHOICES)
-    if action == "discrete":
-        return spaces.Discrete(len(_BUTTONS))
-    raise ConfigError(f"action is one of buttons, discrete, not {action!r:.80}")
+    if action not in CHOICES:
+        raise ConfigError(f"action is one of {', '.join(CHOICES)}, not {action!r:.80}")
+    choices = CHOICES[action]
+    return spaces.MultiDiscrete(choices) if action == "buttons" else spaces.Discrete(int(choices[0]))
 
 
 def unpack(view: str, cells: Cells, reals: Reals) -> Any:
@@ -89,39 +85,30 @@ def unpack(view: str, cells: Cells, reals: Reals) -> Any:
     }
 
 
-def read_action(action: str, given: object) -> npt.NDArray[np.int64]:
-    """Return the buttons of one action, shape (1, 3).
-
-    Raises:
-        SimulatorError: it is not in the space.
-    """
-    return _read(action, given, "an action", ())
-
-
 def read_actions(action: str, given: object, count: int) -> npt.NDArray[np.int64]:
-    """Return the buttons of `count` actions, shape (count, 3): direction -1 to 1, jump and run 0 or 1.
+    """Return `count` actions as rows, shape (count, 3) or (count, 1); their numbers are still to be checked.
+
+    Args:
+        action: the name of their space.
+        given: one action, or an array of as many.
+        count: how many there are; 0 for one that is not in an array.
 
     Raises:
-        SimulatorError: one is not in the space.
+        SimulatorError: they are of another shape or type.
     """
-    return _read(action, given, f"{count} action{'s' * (count > 1)}", (count,))
-
-
-def _read(action: str, given: object, expected: str, games: tuple[int, ...]) -> npt.NDArray[np.int64]:
     actions = np.asarray(given)
-    shape, limits = ((*games, 3), _CHOICES) if action == "buttons" else (games, len(_BUTTONS))
+    shape = (count,) * (count > 0) + (3,) * (action == "buttons")
     if actions.shape != shape or actions.dtype.kind not in "iu":
+        expected = "an action" if not count else f"{count} action{'s' * (count > 1)}"
         one = "MultiDiscrete([3, 2, 2])" if action == "buttons" else "Discrete(12)"
         raise SimulatorError(
             f"expected {expected} of {one}, integers of shape {shape}; "
             f"received shape {actions.shape} of {actions.dtype}: {given!r:.80}"
         )
-    wrong = (actions < 0) | (actions >= limits)
-    if wrong.any():
-        ranges = "direction 0 to 2, jump and run 0 or 1" if action == "buttons" else "0 to 11"
-        place = tuple(np.argwhere(wrong)[0][: len(games)].tolist())
-        whose = f" for game {place[0]}" if games else ""
-        raise SimulatorError(f"an action is {ranges}; received {actions[place].tolist()}{whose}")
-    rows = actions.astype(np.int64) @ _ROW_OF if action == "buttons" else actions
-    buttons: npt.NDArray[np.int64] = _BUTTONS[rows.reshape(-1)]
-    return buttons
+    return actions.astype(np.int64, copy=False).reshape(count or 1, -1)
+
+
+def what_is_wrong_with(action: str, row: npt.NDArray[np.int64]) -> str:
+    """Return what to say of a row of `read_actions` that is not in the space."""
+    ranges = "direction 0 to 2, jump and run 0 or 1" if action == "buttons" else "0 to 11"
+    return f"an action is {ranges}; received {row.tolist() if action == 'buttons' else int(row[0])}"

@@ -13,7 +13,14 @@ from gymnasium.vector.utils import batch_space
 
 from env_server.gym.games import DISABLED, INFOS, NEXT_STEP, SAME_STEP, Games
 from env_server.gym.rendering import FPS, RENDER_MODES, Renderer
-from env_server.gym.spaces import action_space, observation_space, read_actions, unpack
+from env_server.gym.spaces import (
+    CHOICES,
+    action_space,
+    observation_space,
+    read_actions,
+    unpack,
+    what_is_wrong_with,
+)
 from glue.errors import ConfigError, SimulatorError
 from glue.gym.modes import AutoresetMode, read_mode
 
@@ -25,6 +32,7 @@ _MODES = {
     AutoresetMode.DISABLED: DISABLED,
 }
 _FLAGS = 2  # the first of INFOS are true or false
+_KEYS: Final = (*INFOS, *(f"_{name}" for name in INFOS))
 
 
 _METADATA: Final = {"render_modes": [*RENDER_MODES[:2]], "render_fps": FPS}
@@ -120,7 +128,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
                 generator = self.np_random if one is None else np_random(one)[0]
                 games.seed(int(i), int(generator.integers(2**63)))
         games.reset(which)
-        return self._observations(), self._infos(which)
+        return self._observations(), _columns(games.lanes["info"], which)
 
     def step(
         self, actions: Any
@@ -131,11 +139,14 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
             SimulatorError: an action is not in the space, or a game has no episode to step in; then no game
                 was stepped.
         """
-        games = self._games
-        buttons = read_actions(self._action, actions, self.num_envs)
-        unready = games.step(buttons)
-        if unready >= 0:
-            raise SimulatorError(f"game {unready} has no episode to step in: reset it first")
+        games, count = self._games, self.num_envs
+        rows = read_actions(self._action, actions, count)
+        refused = games.step(rows, CHOICES[self._action])
+        if refused >= count:
+            game = refused - count
+            raise SimulatorError(f"{what_is_wrong_with(self._action, rows[game])} for game {game}")
+        if refused >= 0:
+            raise SimulatorError(f"game {refused} has no episode to step in: reset it first")
         lanes = games.lanes
         terminated, truncated = lanes["terminated"].copy(), lanes["truncated"].copy()
         infos: dict[str, Any] = {}
@@ -143,7 +154,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
             over = terminated | truncated
             if over.any():
                 infos = self._final(over)
-        infos.update(self._infos(np.ones(self.num_envs, np.bool_)))
+        infos |= _columns(lanes["info"])
         return self._observations(), lanes["reward"].copy(), terminated, truncated, infos
 
     def render(self) -> tuple[Any, ...] | None:
@@ -186,9 +197,6 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
             raise ConfigError(f"expected a seed for each of {self.num_envs} games; received {len(seed)}")
         return [*seed]
 
-    def _infos(self, which: npt.NDArray[np.bool_]) -> dict[str, Any]:
-        return _columns(self._games.lanes["info"], which)
-
     def _final(self, over: npt.NDArray[np.bool_]) -> dict[str, Any]:
         """Return what Gymnasium says of episodes that are over, when the next ones have begun already."""
         games = self._games
@@ -199,11 +207,17 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         return {"final_obs": last, "_final_obs": over, "final_info": final_info, "_final_info": over.copy()}
 
 
-def _columns(infos: npt.NDArray[np.int64], which: npt.NDArray[np.bool_]) -> dict[str, Any]:
-    """Return rows of infos as Gymnasium's vector environments do: by name, each with a mask."""
-    found: dict[str, Any] = {}
-    for number, name in enumerate(INFOS):
-        column = np.where(which, infos[:, number], 0)
-        found[name] = column.astype(np.bool_) if number < _FLAGS else column
-        found[f"_{name}"] = which.copy()
-    return found
+def _columns(infos: npt.NDArray[np.int64], which: npt.NDArray[np.bool_] | None = None) -> dict[str, Any]:
+    """Return rows of infos as Gymnasium's vector environments do: by name, each with a mask.
+
+    Args:
+        infos: of all games, shape (N, 5).
+        which: the mask, shape (N,), of those that have something to say; None for all.
+    """
+    numbers = infos.T.copy()
+    masks = np.ones(numbers.shape, np.bool_)
+    if which is not None:
+        masks[:] = which
+        numbers *= which
+    columns = [*numbers[:_FLAGS].astype(np.bool_), *numbers[_FLAGS:]]
+    return dict(zip(_KEYS, [*columns, *masks], strict=True))

@@ -40,13 +40,15 @@ class Batch(Closing):
     Args:
         tasks: one task per game; N is how many there are.
         threads: how many cores to use; by default as many as are useful.
+
+    Attributes:
+        bodies: each game's last observation as the body of an abstract type, shape (N, BODY_SIZE), uint8.
     """
 
     def __init__(self, tasks: Sequence[Parameters], *, threads: int | None = None) -> None:
         self._worlds: Worlds = np.zeros(len(tasks), WORLD)
-        for i, task in enumerate(tasks):
-            task.write_to(self._worlds[i])
-        self._bodies = np.zeros((len(tasks), BODY_SIZE), np.uint8)
+        self.set_tasks(tasks)
+        self.bodies = np.zeros((len(tasks), BODY_SIZE), np.uint8)
         self._sizes = np.zeros(len(tasks), np.int64)
         self._actions = np.zeros((len(tasks), 3), np.int64)
         self._rewards = np.zeros(len(tasks))
@@ -63,11 +65,16 @@ class Batch(Closing):
         """End the threads."""
         self._threads.close()
 
+    def set_tasks(self, tasks: Sequence[Parameters]) -> None:
+        """Let each game play another task from its next episode on."""
+        for world, task in zip(self._worlds, tasks, strict=True):
+            task.write_to(world)
+
     def start(self, which: npt.NDArray[np.bool_] | None = None) -> None:
         """Begin an episode in every game, or in those where `which`, shape (N,), is true."""
         chosen = range(len(self)) if which is None else np.flatnonzero(which)
         for i in chosen:
-            self._sizes[i] = start_first(self._worlds[i : i + 1], self._bodies[i])
+            self._sizes[i] = start_first(self._worlds[i : i + 1], self.bodies[i])
 
     def step(self, actions: npt.NDArray[np.integer]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.bool_]]:
         """Carry out one action in every game.
@@ -83,20 +90,20 @@ class Batch(Closing):
             SimulatorError: an action is out of bounds, or a game has no episode being played.
         """
         self._actions[:] = self._checked(actions)
-        outcome = (self._rewards, self._ended, self._sizes, self._bodies)
+        outcome = (self._rewards, self._ended, self._sizes, self.bodies)
         self._threads.run(_step_range, self._worlds, self._actions, *outcome)
         return self._rewards.copy(), self._ended.copy()
 
     def observation(self, i: int) -> Observation:
         """Return the last observation of game `i`."""
-        return Observation.from_body(self._bodies[i, : self._sizes[i]].tobytes())
+        return Observation.from_body(self.bodies[i, : self._sizes[i]].tobytes())
 
     def _load(self) -> None:
         """Load the compiled rules, or compile them and say so."""
         with announce_compilation("Infinite Mario"):
             start_first(np.zeros(1, WORLD), np.zeros(BODY_SIZE, np.uint8))
             _first_wrong(self._worlds[:0], _NO_ACTIONS)
-            nothing = (_NO_ACTIONS, np.empty(0), np.empty(0, np.bool_), self._sizes, self._bodies)
+            nothing = (_NO_ACTIONS, np.empty(0), np.empty(0, np.bool_), self._sizes, self.bodies)
             _step_range(np.zeros(1, np.int64), CALLER, self._worlds, *nothing, 0, 0)
 
     def _checked(self, actions: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:

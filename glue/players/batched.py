@@ -1,8 +1,13 @@
-"""Several environments as one, whose session holds them all: `glue-env NAME --batch 64`."""
+"""Several environments as one, whose session holds them all: `glue-env NAME --batch 64`.
+
+An environment whose name stands in the entry-point group `glue.batches` too has a class of its own for many
+games, which takes the environment and the number of games.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from importlib.metadata import entry_points
 
 import numpy as np
 
@@ -11,7 +16,24 @@ from glue.errors import ConfigError
 from glue.roles import Environment, SeedableEnvironment, TruncatingEnvironment, offers
 from glue.types import CUT_OFF, Action, Observation
 
-__all__ = ["BatchedEnvironments"]
+__all__ = ["BatchedEnvironments", "make_batch"]
+
+
+def make_batch(name: str, make: Callable[[], Environment], games: int) -> Environment:
+    """Return many games of the environment called `name` as one.
+
+    Args:
+        name: as for `glue.make`.
+        make: makes one environment.
+        games: how many games, at least one.
+
+    Raises:
+        ConfigError: so many do not fit.
+    """
+    for point in entry_points(group="glue.batches", name=name):
+        batch: Environment = point.load()(make(), games)
+        return batch
+    return BatchedEnvironments([make() for _ in range(games)])
 
 
 class BatchedEnvironments:

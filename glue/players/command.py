@@ -11,6 +11,7 @@ import shlex
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import click
@@ -117,17 +118,14 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
         **options: Value | None,
     ) -> None:
         from glue.client.players import serve_agent, serve_environment
-        from glue.players.batched import BatchedEnvironments
+        from glue.players.batched import make_batch
 
         added = options.pop(extra_name)
         given = {key: value for key, value in options.items() if value is not None}
-        players = {one: construct(factory, given) for one in _session}
-        if _batch is not None:
-            others = range(_batch - 1)
-            players = {
-                one: BatchedEnvironments([first, *(construct(factory, given) for _ in others)])
-                for one, first in players.items()
-            }
+        make = partial(construct, factory, given)
+        players: dict[str, Any] = {
+            one: make() if _batch is None else make_batch(name, make, _batch) for one in _session
+        }
         if added:
             players = {one: extra.apply(player, added) for one, player in players.items()}
         log = _ignore if _quiet else say

@@ -1,0 +1,180 @@
+"""Many games of Infinite Mario as one RL-Glue environment: `glue-env mario --batch 64`.
+
+The name of this class stands in the entry-point group `glue.batches`: so `glue.players.batched` finds it. All
+games are stepped in one compiled call, and their observations gathered into one message by another. Each game
+is, to the byte, what an `InfiniteMario` of its own would be; the message is described in `glue.batches`.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from env_server.mario.batch import Batch
+from env_server.mario.environment import InfiniteMario
+from env_server.mario.observation import BODY_SIZE
+from glue.batches import Ragged, batch_task_spec, pack_actions, unpack_actions
+from glue.compiled.jit import announce_compilation, entry
+from glue.errors import ConfigError, SimulatorError
+from glue.protocol.limits import MAX_BODY
+from glue.types import PREFIX_SIZE, Action, Observation
+
+__all__ = ["InfiniteMarioBatch"]
+
+_ACTION_INTS: Final = 3
+_BESIDE: Final = 24
+"""Bytes of a game in a message beside its observation: its reward, terminal and counts."""
+_MAX_GAMES: Final = MAX_BODY // 400
+"""No observation is smaller than that."""
+
+
+class InfiniteMarioBatch:
+    """`games` games with the options of one environment; a game that is over begins its next episode at once.
+
+    A batch never ends: the experiment limits its steps. Nothing in the game is random, so there is no seed.
+
+    Args:
+        environment: what each game is like. It answers the messages.
+        games: how many.
+
+    Raises:
+        ConfigError: so many do not fit into a message.
+    """
+
+    def __init__(self, environment: InfiniteMario, games: int) -> None:
+        if not 1 <= games <= _MAX_GAMES:
+            raise ConfigError(f"a batch of Infinite Mario has 1 to {_MAX_GAMES} games, not {games}")
+        self.__wrapped__ = environment
+        self._games = games
+        self._batch: Batch | None = None
+        self._message = np.empty(games * (BODY_SIZE + _BESIDE) + 8, np.uint8)
+        counts = np.tile(np.array([_ACTION_INTS, 0, 0], np.int32), (games, 1))
+        still = Ragged(counts, np.zeros(counts.size, np.int32), np.empty(0), np.empty(0, np.uint8))
+        self._head = pack_actions(still).body[: -4 * counts.size]
+
+    def env_batch(self) -> int:
+        """Return how many games there are."""
+        return self._games
+
+    def env_init(self) -> str:
+        """Make fresh games; return the task spec of all."""
+        task_spec = self.__wrapped__.env_init()
+        self._close()
+        with announce_compilation("Infinite Mario"):
+            self._batch = Batch([self.__wrapped__.parameters] * self._games)
+            _gather(self._batch.bodies, np.zeros(self._games), np.zeros(self._games, np.bool_), self._message)
+        return batch_task_spec(self._games, task_spec)
+
+    def env_start(self) -> Observation:
+        """Build the level of each game anew, and return the first observations.
+
+        Raises:
+            SimulatorError: env_init was not called yet.
+        """
+        batch = self._playing()
+        batch.start()
+        return self._shown(batch, np.zeros(self._games), np.zeros(self._games, np.bool_))
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        """Hold the buttons of each game's action for five ticks.
+
+        Returns:
+            The sum of the rewards, the batch, and False.
+
+        Raises:
+            RemoteProtocolError: these are not the actions of so many games.
+            SimulatorError: an action is out of bounds or misshapen, or there is no episode to step in. No
+                game was stepped then.
+        """
+        batch = self._playing()
+        rewards, ended = batch.step(self._buttons(action))
+        if ended.any():
+            batch.start(ended)
+        return float(rewards.sum()), self._shown(batch, rewards, ended), False
+
+    def env_cleanup(self) -> None:
+        """Release the games, and any level that a message asked for."""
+        self._close()
+        self.__wrapped__.env_cleanup()
+
+    def env_message(self, message: str) -> str:
+        """Answer as each of the games would; a level that is asked for is that of all."""
+        before = self.__wrapped__.parameters
+        answer = self.__wrapped__.env_message(message)
+        task = self.__wrapped__.parameters
+        if self._batch is not None and task is not before:
+            self._batch.set_tasks([task] * self._games)
+        return answer
+
+    def _playing(self) -> Batch:
+        if self._batch is None:
+            raise SimulatorError("there are no games yet: call env_init first")
+        return self._batch
+
+    def _close(self) -> None:
+        if self._batch is not None:
+            self._batch.close()
+            self._batch = None
+
+    def _buttons(self, action: Action) -> npt.NDArray[np.int32]:
+        # All of a good message but the buttons themselves is known before it arrives.
+        if action.body.startswith(self._head):
+            return action.ints[-_ACTION_INTS * self._games :].reshape(-1, _ACTION_INTS)
+        for game, one in enumerate(unpack_actions(action, self._games).values(Action)):
+            try:
+                InfiniteMario.buttons_of(one)
+            except SimulatorError as error:
+                raise SimulatorError(f"game {game}: {error}") from None
+        raise AssertionError("actions of the right shape begin otherwise")
+
+    def _shown(
+        self, batch: Batch, rewards: npt.NDArray[np.float64], ended: npt.NDArray[np.bool_]
+    ) -> Observation:
+        size = _gather(batch.bodies, rewards, ended, self._message)
+        return Observation.from_body(self._message[:size].tobytes())
+
+
+@entry
+def _gather(
+    bodies: npt.NDArray[np.uint8],
+    rewards: npt.NDArray[np.float64],
+    ended: npt.NDArray[np.bool_],
+    message: npt.NDArray[np.uint8],
+) -> int:
+    """Write the rewards, ends and observations of all games as the body of a batch; return its length."""
+    games = len(bodies)
+    ints, doubles, chars = 1 + 4 * games, games, 0
+    for i in range(games):
+        counts = bodies[i].view(np.int32)
+        ints += counts[0]
+        doubles += counts[1]
+        chars += counts[2]
+    words, reals = message.view(np.int32), message.view(np.float64)
+    words[0], words[1], words[2], words[3] = ints, doubles, chars, 0
+    # Where the next number of each kind goes, counted in numbers of its size.
+    real = PREFIX_SIZE // 8
+    word = PREFIX_SIZE // 4 + 2 * doubles
+    char = 4 * (word + ints)
+    reals[real : real + games] = rewards
+    words[word] = games
+    words[word + 1 : word + 1 + games] = ended
+    for kind in range(3):
+        for i in range(games):
+            words[word + 1 + games * (1 + kind) + i] = bodies[i].view(np.int32)[kind]
+    real += games
+    word += 1 + 4 * games
+    for i in range(games):
+        body = bodies[i]
+        own_words = body.view(np.int32)
+        own_ints, own_doubles, own_chars = own_words[0], own_words[1], own_words[2]
+        at = PREFIX_SIZE // 4 + 2 * own_doubles
+        reals[real : real + own_doubles] = body.view(np.float64)[PREFIX_SIZE // 8 : at // 2]
+        words[word : word + own_ints] = own_words[at : at + own_ints]
+        at = 4 * (at + own_ints)
+        message[char : char + own_chars] = body[at : at + own_chars]
+        real += own_doubles
+        word += own_ints
+        char += own_chars
+    return char
