@@ -156,6 +156,7 @@ class Players:
                     if time.monotonic() >= until or len(answer[1][2]) > _LARGE:
                         link.send_steps(answers)
                         answers.clear()
+                        until = time.monotonic() + _TOGETHER_SECONDS
         finally:
             if answers:
                 link.send_steps(answers)
