@@ -44,6 +44,12 @@ _MAX_FIXED: Final = 7
 _NUMBERS: Final = ((_MAX_FIXED, b"", "B"), (8, b"\xcc", "B"), (16, b"\xcd", "H"), (32, b"\xce", "I"))
 """msgpack's whole numbers: the bits that each form has room for, its first byte, and what follows."""
 
+_FORM_OF_BITS: Final = [next(i for i, form in enumerate(_NUMBERS) if bits <= form[0]) for bits in range(33)]
+_FORM_OF_FIRST: Final = {
+    byte: i for i, (_, first, _) in enumerate(_NUMBERS) for byte in first or range(2**_MAX_FIXED)
+}
+"""Which of these forms a number takes, by its bits, and which one a first byte begins."""
+
 
 class _Layout(NamedTuple):
     """All that comes before the body, with one form of the sequence number.
@@ -84,7 +90,7 @@ class StepFormat:
         max_seq: the largest sequence number that it has a form for, 2**32 - 1.
     """
 
-    __slots__ = ("_by_bits", "_by_first", "_number_at", "_scalars", "kind", "lead", "session")
+    __slots__ = ("_layouts", "_number_at", "_scalars", "kind", "lead", "session")
 
     max_seq: Final = 2**32 - 1
 
@@ -97,17 +103,15 @@ class StepFormat:
             : -1 - self._scalars
         ]
         self._number_at = 2 + len(self.lead)
-        self._by_bits: list[_Layout] = []
-        self._by_first: list[_Layout | None] = [None] * 256
-        for bits, first, letter in _NUMBERS:
-            numbers = letter + _SCALARS[self._scalars]
-            size = len(self.lead) + len(first) + struct.calcsize(">" + numbers)
-            start = bytes((_MORE, size)) + self.lead + first
-            short, long = (_struct(f">{len(start)}s{numbers}{frame}") for frame in ("BB", "BQ"))
-            layout = _Layout(start, short, long, 2 + size)
-            self._by_bits += [layout] * (bits + 1 - len(self._by_bits))
-            for byte in first or range(2**_MAX_FIXED):
-                self._by_first[byte] = layout
+        self._layouts = tuple(self._layout(first, letter) for _, first, letter in _NUMBERS)
+
+    def _layout(self, first: bytes, letter: str) -> _Layout:
+        """Return the layout with a sequence number that begins with `first` and goes on as `letter` says."""
+        numbers = letter + _SCALARS[self._scalars]
+        size = len(self.lead) + len(first) + struct.calcsize(">" + numbers)
+        start = bytes((_MORE, size)) + self.lead + first
+        short, long = (_struct(f">{len(start)}s{numbers}{frame}") for frame in ("BB", "BQ"))
+        return _Layout(start, short, long, 2 + size)
 
     def encode(self, seq: int, scalars: tuple[Value, ...], body: bytes) -> bytes:
         """Return the message; `seq` is at most `max_seq`."""
@@ -115,7 +119,7 @@ class StepFormat:
 
     def head(self, seq: int, scalars: tuple[Value, ...], size: int) -> bytes:
         """Return what comes before a body of `size` bytes."""
-        start, short, long, _ = self._by_bits[seq.bit_length()]
+        start, short, long, _ = self._layouts[_FORM_OF_BITS[seq.bit_length()]]
         pack, flags = (short.pack, 0) if size <= _MAX_SHORT else (long.pack, _LONG)
         if not scalars:
             return pack(start, seq, flags, size)
@@ -129,9 +133,7 @@ class StepFormat:
         """Return the message that begins at `at`, if it is one as `encode` writes it, and where it ends."""
         scalars = _NO_SCALARS
         try:
-            layout = self._by_first[data[at + self._number_at]]
-            if layout is None:
-                return None
+            layout = self._layouts[_FORM_OF_FIRST[data[at + self._number_at]]]
             expected, short, long, head = layout
             form = long if data[at + head] else short
             body_at = at + form.size
@@ -148,7 +150,7 @@ class StepFormat:
                     return None
                 scalars = (reward, _TERMINALS[terminal])
             ints, doubles, chars, reserved = _COUNTS.unpack_from(data, body_at)
-        except (struct.error, IndexError):
+        except (struct.error, LookupError):
             return None
         end = body_at + size
         if (
