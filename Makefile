@@ -33,11 +33,11 @@ $(READY): pyproject.toml
 
 demo: $(READY)
 	@rm -rf $(DEMO)
-	$(BIN)/glue-experiment --env mario --agent hierarchical --episodes 500 --seed 1 --out $(DEMO)
+	$(BIN)/glue-experiment --env mario --agent hierarchical --episodes 300 --seed 1 --out $(DEMO)
 	$(BIN)/glue-plot $(DEMO)
 	$(BIN)/glue-plot $(DEMO) --out $(DEMO)/curve.png
-	@echo 'Watch the agent play, after 500 episodes of learning:'
-	@echo '    $(BIN)/glue-watch --env mario --agent hierarchical --after 500'
+	@echo 'Watch the agent play, after 300 episodes of learning:'
+	@echo '    $(BIN)/glue-watch --env mario --agent hierarchical --after 300'
 
 check: $(READY)
 	$(BIN)/ruff check .

@@ -20,7 +20,7 @@ from glue.protocol.messages import Role
 
 __all__ = ["run"]
 
-_RUNS: Final = (("random", 100, REPEATS), ("hierarchical", 500, 1), ("random", 5000, 1))
+_RUNS: Final = (("random", 100, REPEATS), ("hierarchical", 300, 1), ("random", 5000, 1))
 """Agent, episodes, and how often; what takes long is run once. The second is what `make demo` does."""
 
 _COMMAND: Final = ("-m", "experiment_runner.commands.experiment", "--env", "mario", "--json")
