@@ -41,6 +41,7 @@ class Connection:
             `later`. Should it raise, the connection is reset, with a report to the log.
         failed: called with the time after that.
         in_turn: whether the last message of the peer was in turn; set by the owner.
+        unsent: bytes that are still to be sent, since the peer does not read.
         closed: nothing can be sent or received any more.
     """
 
@@ -57,6 +58,7 @@ class Connection:
         self._loop = loop
         self._socket = connected
         self._unsent = bytearray()
+        self.unsent = 0
         self._reading = True
         self._later = False
         self._queued = False
@@ -73,11 +75,6 @@ class Connection:
     def events(self) -> int:
         """The events to wait for."""
         return (READ if self._reading else FAILURE) | (WRITE if self._unsent or self._later else FAILURE)
-
-    @property
-    def unsent(self) -> int:
-        """Bytes that are still to be sent, since the peer does not read."""
-        return len(self._unsent)
 
     def read(self, wanted: bool) -> None:
         """Set whether to receive data, or to leave it where it holds the peer back."""
@@ -110,6 +107,7 @@ class Connection:
                 return
             data = data[sent:]
         self._unsent += data
+        self.unsent = len(self._unsent)
         self._watch()
 
     def finish(self) -> None:
@@ -172,6 +170,7 @@ class Connection:
         self._later = False
         if self._unsent:
             del self._unsent[: self._write(self._unsent)]
+            self.unsent = len(self._unsent)
             if self._finishing:
                 self._end_if_sent()
         if not self._reading and self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
