@@ -22,8 +22,8 @@ agent = player_command(
         click.Option(
             ["--load", "_load"],
             type=click.Path(path_type=Path, dir_okay=False),
-            help="File of what an agent of this kind has learned, from `glue-results agent`; its random "
-            "choices go on from there as well.",
+            help="Load what an agent of this kind has learned, and the state of its random generator, from "
+            "this file of `glue-results agent`.",
         ),
         load_trained,
     ),

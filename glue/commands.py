@@ -39,7 +39,7 @@ keys_option: Final = click.option(
     "--keys",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Let in only the owners of the keys in DIR, as what DIR/allow.toml says, and encrypt everything. "
+    help="Admit only the owners of the keys in DIR, in the roles of DIR/allow.toml, and encrypt everything. "
     "DIR is read again on SIGHUP.",
 )
 """The option of all commands that start a hub; see `glue.keys.allowed`."""
@@ -48,7 +48,7 @@ KEY_SETTINGS: Final[Mapping[str, Any]] = {
     "metavar": "FILE",
     "envvar": KEY_VARIABLE,
     "show_envvar": True,
-    "help": "Secret key by which the hub knows you; glue-keys new makes it.",
+    "help": "Secret key by which the hub recognises you; glue-keys new makes it.",
 }
 HUB_KEY_SETTINGS: Final[Mapping[str, Any]] = {
     "metavar": "KEY",

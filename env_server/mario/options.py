@@ -46,7 +46,7 @@ LevelDifficulty = Annotated[
 ]
 LevelWidth = Annotated[
     int | None,
-    Option("width of the level, which has 50 more; 320 by default", low=0, high=2000, unit="tiles"),
+    Option("width of the level, to which 50 are added; 320 by default", low=0, high=2000, unit="tiles"),
 ]
 MaxTrialSteps = Annotated[
     int | None, Option("steps until Mario dies, 1000 by default", low=1, high=10**9, unit="steps")
@@ -89,10 +89,10 @@ Render = Annotated[
         flag="drawing",
     ),
 ]
-Alpha = Annotated[float, Option("how far into the next tick it draws", low=0, high=1, unit="ticks")]
+Alpha = Annotated[float, Option("how far into the next tick the frame is", low=0, high=1, unit="ticks")]
 StartTicks = Annotated[
-    int, Option("5 or 10, before the very first observation", low=5, high=10, unit="ticks")
+    int, Option("time before the very first observation, 5 or 10", low=5, high=10, unit="ticks")
 ]
 Velocity = Annotated[
-    str, Option("in tiles per step, or as the first binary release reported it", choices=("source", "jar"))
+    str, Option("tiles per step, or what the first binary release reported", choices=("source", "jar"))
 ]

@@ -29,7 +29,7 @@ _DIRECTORY = click.argument("directory", type=click.Path(path_type=Path, file_ok
 @click.group("glue-compete", no_args_is_help=True)
 @click.version_option(__version__, prog_name="glue-compete")
 def compete() -> None:
-    """Hold a competition: FILE says in TOML who plays what, and docs/competition.md how.
+    """Hold a competition of the entrants and tasks in FILE, in TOML; see docs/competition.md.
 
     \b
     Examples:
@@ -71,24 +71,26 @@ def check(file: Path, out: Path) -> int:
     type=click.Path(path_type=Path, file_okay=False),
     required=True,
     metavar="DIR",
-    help="Directory of the run; if it holds this competition already, that goes on.",
+    help="Directory of the run; if it contains a run of this competition, that run continues.",
 )
 @click.option(
     "--workers",
     type=click.IntRange(1),
     metavar="N",
-    help="How many trials are played at once. [default: one for every two processors]",
+    help="Maximum number of concurrent trials. [default: one for every two processors]",
 )
 @click.option(
     "--keys",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Directory with the hub's own pair of keys, for entrants who join with theirs; see glue-keys.",
+    help="Directory with the hub's pair of keys, for entrants who join with theirs at --bind; see glue-keys.",
 )
-@click.option("--bind", default=DEFAULT_HUB, show_default=True, metavar="URL", help="Where they connect.")
+@click.option(
+    "--bind", default=DEFAULT_HUB, show_default=True, metavar="URL", help="Address for entrants with keys."
+)
 @click.option("--view", is_flag=True, help="Show the standings on a page in the browser, until Ctrl-C.")
 def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, bind: str, view: bool) -> int:
-    """Let every entrant play every task; again after an interruption, what is left."""
+    """Let every entrant play every task. After an interruption, the same command plays what is left."""
     from experiment_runner.competition.organiser import hold, open_competition
     from experiment_runner.competition.secret import read_secret, trials
     from experiment_runner.competition.settings import Gate
@@ -144,10 +146,10 @@ def verify(directory: Path) -> int:
     help="For the terminal, as CSV, as one HTML page that stands alone, or as JSON.",
 )
 @click.option(
-    "--reveal", is_flag=True, help="Show what was drawn from the secret seed: after the competition."
+    "--reveal", is_flag=True, help="After the competition: show what was drawn from the secret seed."
 )
 def board(directory: Path, form: str, reveal: bool) -> None:
-    """Print the standings: what was verified."""
+    """Print the standings, which count verified trials alone."""
     from experiment_runner.competition.board.forms import as_csv, as_json, as_text
     from experiment_runner.competition.board.page import as_page
     from experiment_runner.competition.board.standings import standings

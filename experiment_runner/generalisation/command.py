@@ -83,7 +83,9 @@ def generalise(
     out: Path | None,
     results: tuple[Path, ...],
 ) -> None:
-    """Score an agent on training levels and on unseen levels of Infinite Mario: return, goal rate, the gap.
+    """Score an agent on training levels and on unseen levels of Infinite Mario.
+
+    The table shows return and goal rate on both sets of levels, and the gap between them.
 
     \b
     Examples:

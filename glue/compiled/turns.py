@@ -72,7 +72,7 @@ def end(gate: Gate) -> None:
 @jit
 def begin_turn(gate: Gate, worker: int) -> bool:
     """Let all workers go, as the caller; or wait for that, as a worker. False: all is over."""
-    if worker < 0:
+    if worker == CALLER:
         for other in range(len(gate) // 2):
             _post(np.uintp(gate[2 * other]))
         return True
@@ -83,7 +83,7 @@ def begin_turn(gate: Gate, worker: int) -> bool:
 @jit
 def end_turn(gate: Gate, worker: int) -> bool:
     """Wait for all workers, as the caller, and return True; or tell the caller, as a worker."""
-    if worker < 0:
+    if worker == CALLER:
         for other in range(len(gate) // 2):
             _await(gate[2 * other + 1])
         return True

@@ -133,8 +133,8 @@ class SB3Agent:
         self,
         *,
         policy: Annotated[str, Option("file that model.save wrote; only one that you trust")] = "model.zip",
-        algorithm: Annotated[str, Option("what trained it", choices=_ALGORITHMS)] = "PPO",
-        deterministic: Annotated[bool, Option("take the likeliest action, and do not draw one")] = True,
+        algorithm: Annotated[str, Option("algorithm that trained it", choices=_ALGORITHMS)] = "PPO",
+        deterministic: Annotated[bool, Option("take the most likely action instead of sampling")] = True,
     ) -> None:
         self._path = Path(policy)
         self._algorithm = algorithm

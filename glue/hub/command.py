@@ -85,8 +85,8 @@ def hub(
 ) -> None:
     """Run a hub alone, until Ctrl-C.
 
-    Environments, agents and experiments connect to it; a session is one of each, paired by name. An
-    experiment started with glue-experiment brings its own hub, and needs none of these.
+    Environments, agents and experiments connect to it; a session is one of each, paired by name.
+    glue-experiment starts a hub of its own, and needs this one only if it is given --hub.
 
     \b
     Examples:

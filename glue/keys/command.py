@@ -1,4 +1,4 @@
-"""`glue-keys`: make and show the keys by which a hub knows who connects."""
+"""`glue-keys`: make and show the keys by which a hub recognises who connects."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["keys", "main"]
 @click.group("glue-keys")
 @click.version_option(__version__, prog_name="glue-keys")
 def keys() -> None:
-    """Make and show the keys by which a hub knows who connects, and by which nobody else can listen.
+    """Make and show the keys by which a hub recognises who connects, and which encrypt the connection.
 
     \b
     Examples:

@@ -161,13 +161,13 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
             metavar="SECONDS",
             envvar=WAIT_VARIABLE,
             show_envvar=True,
-            help="Give up if no hub answers for so long. [default: wait forever]",
+            help="Timeout for the hub to answer. [default: wait forever]",
         ),
         click.Option(["--quiet", "_quiet"], is_flag=True, help="Print nothing but errors."),
         extra.option,
     ]
     if role is Role.ENVIRONMENT:
-        text = "Serve so many games as one environment, to an agent that acts in all of them at once."
+        text = "Serve N games as one environment, to an agent that acts in all of them at once."
         common.append(click.Option(["--batch", "_batch"], type=click.IntRange(1), metavar="N", help=text))
     options = [*(_option(parameter) for parameter in known.values()), *common]
     for option in options:
@@ -181,7 +181,9 @@ def _examples(role: Role, name: str, known: Mapping[str, Parameter]) -> str:
     """Return how to start a player alone, and how glue-experiment starts it, with an option."""
     command = _COMMANDS[role]
     flag = command.removeprefix("glue-")
-    option = next((f"{own.name}={own.shown}" for own in known.values() if own.default is not None), None)
+    option = next(
+        (f"{own.name}={own.shown or 'VALUE'}" for own in known.values() if own.default is not None), None
+    )
     given = "" if option is None else f" --{flag}-option {option}"
     return f"  {command} {name} --hub {DEFAULT_HUB}\n  glue-experiment --{flag} {name}{given} --episodes 100"
 
@@ -205,7 +207,7 @@ def _option(parameter: Parameter) -> click.Option:
         notes.append(f"{low}..{high}")
     if option.unit:
         notes.append(option.unit)
-    if parameter.default is not None:
+    if parameter.default not in (None, ""):
         notes.append(f"default {parameter.shown}")
     text = option.help + (f" [{'; '.join(notes)}]" if notes else "")
     return click.Option([flag, parameter.name], type=parameter.type, default=None, help=text)

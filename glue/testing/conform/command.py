@@ -48,7 +48,7 @@ _FAILED: Final = 1
     default=5.0,
     show_default=True,
     metavar="SECONDS",
-    help="How long to wait for what is to come.",
+    help="Timeout for each message that the client has to send.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON document instead of lines.")
 @click.option(
@@ -56,7 +56,7 @@ _FAILED: Final = 1
     "card",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="Write a table in Markdown, too.",
+    help="Also write the verdicts to this file, as a table in Markdown.",
 )
 @click.version_option(__version__, prog_name="glue-conform")
 def conform(
@@ -70,9 +70,9 @@ def conform(
 ) -> int:
     """Judge a client in any language: an agent, an environment or an experiment.
 
-    It starts COMMAND, which finds its hub by GLUE_HUB and GLUE_SESSION, and plays the hub. The command has to
-    be the mirror that docs/clients.md describes. One line for each rule; the exit code is 0 if the client
-    reaches the tier.
+    glue-conform acts as the hub: it starts COMMAND, which connects to the address in GLUE_HUB and joins the
+    session in GLUE_SESSION. COMMAND has to be the mirror that docs/clients.md describes. A line is printed
+    for each rule; the exit code is 0 if the client reaches the tier.
 
     \b
     Examples:
