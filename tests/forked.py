@@ -32,6 +32,7 @@ SERVER.set_forkserver_preload(
         "env_server.mario.environment",
         "env_server.replay.command",
         "env_server.toys",
+        "experiment_runner.commands.carrying_out",
         "experiment_runner.commands.experiment",
         "experiment_runner.commands.results",
         "experiment_runner.competition.board.forms",

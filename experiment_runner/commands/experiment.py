@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-import itertools
-import sys
-import time
-from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import click
 from click.core import ParameterSource
 
+from experiment_runner.commands.planning import ask_for_trust, make_plan, new_directory, role_sweeps
 from experiment_runner.executors.settings import CHECKPOINT_EVERY, Place
-from experiment_runner.plan import Plan, RoleSweep, absolute, check_options, class_files, describe
-from experiment_runner.plan_file import load_plan
-from experiment_runner.view.starting import check_view, viewed
+from experiment_runner.plan import describe
+from experiment_runner.view.starting import check_view
 from glue import __version__
 from glue.commands import (
     HUB_KEY_SETTINGS,
@@ -26,7 +21,6 @@ from glue.commands import (
     legacy_port_option,
     run,
 )
-from glue.console import say
 from glue.core.config import (
     DEFAULT_HUB,
     DEFAULT_SESSION,
@@ -36,14 +30,11 @@ from glue.core.config import (
     check_session,
     check_url,
 )
-from glue.errors import ConfigError, ExperimentError
-from glue.options import parse_assignments
-from glue.players.loading import find, names
+from glue.errors import ConfigError
 from glue.players.naming import NamingCommand, complete_names
 from glue.protocol.messages import Role
 
 if TYPE_CHECKING:
-    from experiment_runner.executors.run import RunConfig
     from experiment_runner.players import HubOptions
 
 __all__ = ["experiment", "main"]
@@ -264,6 +255,7 @@ def experiment(
       glue-experiment --plan sweep.toml --workers 4 --out runs/sweep
       glue-experiment --resume runs/sweep --workers 4
     """
+    from experiment_runner.commands.carrying_out import carry_out
     from experiment_runner.executors.resume import recorded_plan
     from experiment_runner.executors.run import RunConfig
     from experiment_runner.players import HubOptions, Meeting
@@ -283,8 +275,8 @@ def experiment(
         )
     given = {name: value for name, value in counts.items() if value is not None}
     roles = {
-        "environments": _role(Role.ENVIRONMENT, environment, env_option),
-        "agents": _role(Role.AGENT, agent, agent_option),
+        "environments": role_sweeps(Role.ENVIRONMENT, environment, env_option),
+        "agents": role_sweeps(Role.AGENT, agent, agent_option),
     }
     if resume is not None:
         if given or any(roles.values()) or plan_file or out:
@@ -294,13 +286,10 @@ def experiment(
             )
         plan, directory = recorded_plan(resume), resume
         if not (trust or dry_run):
-            _ask_for_trust(resume, plan)
+            ask_for_trust(resume, plan)
     else:
-        try:
-            plan = _plan(plan_file, given, roles)
-        except ExperimentError as error:  # a mistake in a plan is one in the command
-            raise ConfigError(str(error)) from error
-        directory = out or _new_directory(plan_file.stem if plan_file else _labels(plan))
+        plan = make_plan(plan_file, given, roles)
+        directory = out or new_directory(plan, plan_file)
     options = HubOptions(
         hub,
         tuple(dict.fromkeys(bind)),
@@ -322,47 +311,12 @@ def experiment(
         return 0
     if view:
         check_view()
-    return _run(directory, plan, config, record, as_json, view)
+    return carry_out(directory, plan, config, record, as_json, view)
 
 
 def _from_variable(option: str) -> bool:
     """Return whether an option is set by an environment variable rather than on the command line."""
     return click.get_current_context().get_parameter_source(option) is ParameterSource.ENVIRONMENT
-
-
-def _role(role: Role, name: str | None, assignments: tuple[str, ...]) -> tuple[RoleSweep, ...]:
-    flag = "env" if role is Role.ENVIRONMENT else "agent"
-    if name is None:
-        if assignments:
-            raise ConfigError(
-                f"--{flag}-option needs --{flag} NAME (there are {', '.join(names(role))}); an {role} that "
-                f"joins from outside takes its options on its own command line"
-            )
-        return ()
-    return (RoleSweep(name, parse_assignments(find(role, name), assignments)),)
-
-
-def _plan(plan_file: Path | None, counts: dict[str, Any], roles: dict[str, Any]) -> Plan:
-    if plan_file is None:
-        if "episodes" not in counts:
-            raise ConfigError("give the number of --episodes, or a --plan, or a run to --resume")
-        plan = absolute(Plan(**counts, **roles), Path.cwd())
-    else:
-        plan = absolute(replace(load_plan(plan_file), **counts), plan_file.parent)
-    plan = check_options(plan, lambda role, name: find(Role(role), name))
-    plan.expand()  # raises an error, before anything is created, if a trial occurs twice
-    return plan
-
-
-def _ask_for_trust(directory: Path, plan: Plan) -> None:
-    """Ask before executing the files that a run directory names: it may come from anyone."""
-    files = ", ".join(class_files([*plan.agents, *plan.environments]))
-    if not files:
-        return
-    if not sys.stdin.isatty():
-        raise ConfigError(f"{directory} would execute {files}: if you trust it, add --trust")
-    if not click.confirm(f"{directory} will execute {files}. Do you trust it?", err=True):
-        raise ConfigError(f"{directory} is not trusted, and was left as it is")
 
 
 def _check(options: HubOptions) -> None:
@@ -378,55 +332,6 @@ def _check(options: HubOptions) -> None:
         )
     for url in (*options.bind, *([options.hub] if options.hub else [])):
         check_url(url)
-
-
-def _labels(plan: Plan) -> str:
-    return "-".join(sweeps[0].label for sweeps in (plan.agents, plan.environments) if sweeps) or "remote"
-
-
-def _new_directory(name: str) -> Path:
-    first = Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{name}"
-    candidates = itertools.chain([first], (Path(f"{first}-{number}") for number in itertools.count(2)))
-    return next(path for path in candidates if not path.exists())
-
-
-def _run(
-    directory: Path, plan: Plan, config: RunConfig, record: Path | None, as_json: bool, view: bool
-) -> int:
-    from experiment_runner.executors.resume import kept_if_begun, open_run
-    from experiment_runner.executors.run import run_trials
-    from experiment_runner.players import listening
-    from experiment_runner.recording import recorded
-    from experiment_runner.report.progress import JsonLines, Progress
-    from experiment_runner.report.tables import summarize, tabulate, terminal_width
-
-    progress = Progress()
-    lines = JsonLines(progress) if as_json else None
-    began = time.monotonic()
-    with kept_if_begun(directory, say), ExitStack() as stack:
-        # Before anything is written, because an address may be in use.
-        addresses = stack.enter_context(ExitStack())
-        meeting = addresses.enter_context(listening(plan, config.meeting))
-        # A recording may be one of the run's own files: then the run's folder has to be there first.
-        inside = record is not None and record.absolute().parent == directory.absolute()
-        recording = None if inside else stack.enter_context(recorded(record))
-        store = stack.enter_context(open_run(directory, plan, say=progress.say))
-        if inside:
-            recording = stack.enter_context(recorded(record))
-        wait = stack.enter_context(viewed(directory, progress.say)) if view else None
-        failed = run_trials(store, replace(config, meeting=meeting), lines or progress, recording)
-        addresses.close()  # a player that joins from now on would not be served
-        seconds = time.monotonic() - began
-        if lines is not None:
-            lines.write(summarize(store, seconds))
-        else:
-            click.echo(tabulate(store, seconds, terminal_width()))
-        if wait is not None:
-            store.close()
-            wait()
-    if record is not None and not record.exists():
-        say(f"no episode was started, so {record} was not written")
-    return 1 if failed else 0
 
 
 def main() -> None:
