@@ -112,7 +112,7 @@ function both(observation, action, ints = [], doubles = []) {
 const words = (text) => result([], [], Buffer.from(text));
 
 /**
- * What a verb brings.
+ * What a verb returns.
  *
  * @param {import("glue-rl").Experiment} glue @param {string} verb @param {Buffer} argument @param {number} reward
  * @param {AbstractType} order @param {string[]} notices

@@ -14,7 +14,7 @@ export class Experiment {
   #link;
   #onNotice;
   #seq = 0;
-  #answered = false; // whether the hub has answered a request since it last did not know us
+  #answered = false; // whether the hub has answered a request since it last said that it did not know us
   /** @type {{ seq: number, kind: number, frames: Buffer[], resolve: (reply: Message) => void, reject: (error: Error) => void } | null} */
   #pending = null;
   /** @type {Error | null} why no request can be answered any more */

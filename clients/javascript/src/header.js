@@ -93,7 +93,7 @@ export class HeaderWriter {
 export class HeaderReader {
   #bytes;
   #at = 0;
-  #left = 1; // items that are yet to come
+  #left = 1; // items that have not been read
 
   /** @param {Buffer} bytes */
   constructor(bytes) {

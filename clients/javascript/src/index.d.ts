@@ -20,12 +20,12 @@ export interface AbstractTypeLike {
 export type Observation = AbstractType;
 export type Action = AbstractType;
 
-/** What the methods of players may be: asynchronous or not. */
+/** What the methods of players may return: a value, or a promise of one. */
 export type Awaitable<T> = T | Promise<T>;
 
 /**
- * What learns. With the method `seed` it offers the capability of that name, with `save` and `load` the capability
- * `save`.
+ * An agent: it learns. With the method `seed` it offers the capability of that name, with `save` and `load` the
+ * capability `save`.
  */
 export interface Agent {
   /** Prepare for a task: forget what was learned before. */
@@ -47,7 +47,7 @@ export interface Agent {
   load?(data: Uint8Array): Awaitable<void>;
 }
 
-/** What came of an action. */
+/** The outcome of an action. */
 export interface Step<T = AbstractTypeLike> {
   reward: number;
   /** Whether the episode is over. */
@@ -57,7 +57,7 @@ export interface Step<T = AbstractTypeLike> {
   truncated?: boolean;
 }
 
-/** The task. Its optional methods are those of an agent. */
+/** An environment: the task. Its optional methods are those of an agent. */
 export interface Environment {
   /** Prepare; returns the task spec. */
   init(): Awaitable<string>;
@@ -78,7 +78,7 @@ export interface Options {
   session?: string;
   /** What people see; by default the name of the player's class. */
   name?: string;
-  /** Takes lines for people; by default they go to standard error. */
+  /** Receives lines for people; by default they go to standard error. */
   log?: (line: string) => void;
 }
 
@@ -140,17 +140,17 @@ export interface Experiment {
 
 /** The base class of this library's errors. */
 export class GlueError extends Error {
-  /** The code of the hub's ERROR or REFUSE, such as "peer-lost", if that is what this error stands for. */
+  /** The code of the hub's ERROR or REFUSE, such as "peer-lost", if this error stands for one. */
   readonly code?: string;
 }
 
 /** An address, a session's name or the environment is wrong. */
 export class ConfigError extends GlueError {}
 
-/** What is at the other end broke the protocol. */
+/** The program at the other end broke the protocol. */
 export class ProtocolError extends GlueError {}
 
-/** The hub does not let this program in. */
+/** The hub refuses this program. */
 export class Refused extends GlueError {}
 
 /** The hub ended the session, or knows nothing of this experiment any more. */

@@ -24,7 +24,7 @@ const CODEC = `JavaScript, Node ${process.versions.node}`;
 export class Link {
   /** Counts the connections that were greeted; also the seq of the HELLO. */
   greeted = 0;
-  /** Whether the hub has let us in over the latest connection. */
+  /** Whether the hub has welcomed us over the latest connection. */
   welcomed = false;
   /** The largest body that the hub accepts. */
   maxBody = MAX_BODY;
@@ -34,7 +34,7 @@ export class Link {
   #name;
   #capabilities;
   #peer;
-  /** Takes lines for people. */
+  /** Receives lines for people. */
   log;
   #dealer;
   #instance = randomBytes(16);
@@ -145,7 +145,7 @@ export class Link {
         throw new HubClosed(scalars[0]);
       case ERROR:
         if (scalars[0] !== "unknown-peer") this.#peer.received(message, frames);
-        // While a HELLO is unanswered, this was for what was sent before it.
+        // While a HELLO is unanswered, this error is about something sent before it.
         else if (this.welcomed) this.#greet();
         break;
       default:
@@ -156,7 +156,7 @@ export class Link {
 
   /** @param {number | bigint} seq @param {any[]} scalars */
   #welcome(seq, [version, resumed, heartbeat, timeout, maxBody]) {
-    // The answer to an earlier HELLO says nothing of the hub at the other end, a second one nothing new.
+    // A WELCOME to an earlier HELLO may be another hub's; a second one to the same HELLO says nothing new.
     if (seq !== this.greeted || this.welcomed) return;
     if (version !== 1) throw new ProtocolError(`version ${version} was chosen, and only 1 was offered`);
     this.maxBody = Math.min(Number(maxBody), MAX_BODY);

@@ -31,7 +31,7 @@ enum Stream {
 #[derive(PartialEq)]
 pub(crate) enum Received {
     Message,
-    /// Nothing in the time given, or a connection came or went.
+    /// Nothing in the time given, or a connection was made or lost.
     Nothing,
 }
 
@@ -185,7 +185,7 @@ impl Dealer {
         }
     }
 
-    /// Acts on what is no message; returns whether a connection came or went.
+    /// Handles anything that is not a message; returns whether a connection was made or lost.
     fn take(&mut self, item: &Item) -> bool {
         match item {
             Item::Greeting => {

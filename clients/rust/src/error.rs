@@ -7,9 +7,9 @@ use std::fmt;
 pub enum Error {
     /// An address, a session's name or the environment is wrong.
     Config(String),
-    /// What is at the other end broke the protocol.
+    /// The program at the other end broke the protocol.
     Protocol(String),
-    /// The hub does not let this program in.
+    /// The hub refuses this program.
     Refused {
         /// The hub's code, such as `role-taken`.
         code: String,
@@ -33,11 +33,11 @@ pub enum Error {
     },
     /// The agent or environment that is served failed; the hub is informed.
     Player(Box<dyn StdError + Send + Sync>),
-    /// A body is larger than the hub takes.
+    /// A body is larger than the hub accepts.
     TooLarge {
         /// Its size in bytes.
         size: usize,
-        /// What the hub takes.
+        /// What the hub accepts.
         limit: usize,
     },
 }

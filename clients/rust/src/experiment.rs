@@ -4,7 +4,7 @@ use crate::link::Link;
 use crate::message::{encode, kind, Frames, Message, Scalar};
 use crate::{AbstractType, Action, Error, Observation, Options, Step};
 
-/// What RL_start brings.
+/// What RL_start returns.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Start {
     /// The first observation.
@@ -13,7 +13,7 @@ pub struct Start {
     pub action: Action,
 }
 
-/// What RL_step brings.
+/// What RL_step returns.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Transition {
     /// The reward.
@@ -42,7 +42,7 @@ pub struct Experiment<'a> {
     on_notice: OnNotice<'a>,
     frames: Frames,
     seq: u64,
-    /// Whether the hub has answered since it last did not know us.
+    /// Whether the hub has answered since it last said that it did not know us.
     answered: bool,
 }
 
@@ -56,8 +56,8 @@ impl<'a> Experiment<'a> {
         Self::connect_with_notices(options, |_, _, _| ())
     }
 
-    /// Joins a session; `on_notice` is told the event (a player `joined`, was `lost`, has `returned` or is `slow`), the role
-    /// and the name.
+    /// Joins a session; `on_notice` receives the event (a player `joined`, was `lost`, has `returned` or is `slow`), the
+    /// role and the name.
     ///
     /// # Errors
     ///

@@ -79,7 +79,7 @@ impl Writer {
 /// Reads a header; anything but what is asked for is an error.
 pub(crate) struct Reader<'a> {
     bytes: &'a [u8],
-    /// Items that are yet to come.
+    /// Items that have not been read.
     left: u64,
 }
 

@@ -25,7 +25,7 @@ pub(crate) struct Link<'a> {
     max_body: usize,
     /// The connection that was greeted last; also the `seq` of that HELLO.
     greeted: u64,
-    /// Whether the hub has let us in over that connection.
+    /// Whether the hub has welcomed us over that connection.
     welcomed: bool,
     /// Whether we wait for a hub, and have said so.
     waiting: bool,
@@ -61,7 +61,7 @@ impl<'a> Link<'a> {
         })
     }
 
-    /// Returns whether the hub has let us in over the latest connection.
+    /// Returns whether the hub has welcomed us over the latest connection.
     pub(crate) fn is_welcomed(&self) -> bool {
         self.welcomed && self.dealer.is_ready() && self.dealer.connections() == self.greeted
     }
@@ -74,7 +74,7 @@ impl<'a> Link<'a> {
         (self.options.log)(line);
     }
 
-    /// Checks that the hub takes a body of this size.
+    /// Checks that the hub accepts a body of this size.
     pub(crate) fn check(&self, body: Option<&[u8]>) -> Result<(), Error> {
         match body.map_or(0, <[u8]>::len) {
             size if size > self.max_body => Err(Error::TooLarge { size, limit: self.max_body }),
@@ -145,7 +145,7 @@ impl<'a> Link<'a> {
                 Err(Error::HubClosed(message.text(0).to_owned()))
             }
             kind::ERROR if message.text(0) == "unknown-peer" => {
-                // While a HELLO is unanswered, this was for what was sent before it.
+                // While a HELLO is unanswered, this error is about something sent before it.
                 if self.welcomed {
                     self.greet();
                 }
@@ -171,7 +171,7 @@ impl<'a> Link<'a> {
     }
 
     fn welcome(&mut self, message: Message) -> Result<Option<Message>, Error> {
-        // The answer to an earlier HELLO says nothing of the hub at the other end, a second one nothing new.
+        // A WELCOME to an earlier HELLO may be another hub's; a second one to the same HELLO says nothing new.
         if message.seq != self.greeted || self.welcomed {
             return Ok(None);
         }

@@ -1,6 +1,6 @@
 use std::env;
 
-/// Where a program takes part, and as what.
+/// The hub and the session that a program joins, and its name.
 ///
 /// ```
 /// let options = glue_rl::Options::named("walker").session("walk");
@@ -38,7 +38,7 @@ impl Options {
         self
     }
 
-    /// Sets what takes lines for people.
+    /// Sets what receives lines for people.
     #[must_use]
     pub fn log(mut self, log: impl Fn(&str) + 'static) -> Options {
         self.log = Box::new(log);

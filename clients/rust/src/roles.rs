@@ -12,7 +12,7 @@ pub enum Capability {
     Save,
 }
 
-/// What learns.
+/// An agent: it learns.
 pub trait Agent {
     /// Returns what this agent can do beyond the basic calls: whoever implements `seed`, or `save` and `load`, says so.
     fn capabilities(&self) -> &[Capability] {
@@ -35,7 +35,7 @@ pub trait Agent {
         Ok(())
     }
 
-    /// Lets go of what `init` took; another may follow.
+    /// Releases what `init` acquired; another `init` may follow.
     fn cleanup(&mut self) -> Outcome<()> {
         Ok(())
     }
@@ -61,7 +61,7 @@ pub trait Agent {
     }
 }
 
-/// What came of an action.
+/// The outcome of an action.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Step {
     /// The reward.
@@ -75,7 +75,7 @@ pub struct Step {
     pub truncated: bool,
 }
 
-/// The task.
+/// An environment: the task.
 pub trait Environment {
     /// Returns what this environment can do beyond the basic calls.
     fn capabilities(&self) -> &[Capability] {
@@ -91,7 +91,7 @@ pub trait Environment {
     /// Executes an action.
     fn step(&mut self, action: &Action) -> Outcome<Step>;
 
-    /// Lets go of what `init` took; another may follow.
+    /// Releases what `init` acquired; another `init` may follow.
     fn cleanup(&mut self) -> Outcome<()> {
         Ok(())
     }

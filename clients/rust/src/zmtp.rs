@@ -73,7 +73,7 @@ impl FrameReader {
             self.buffer.truncate(SMALL);
             self.buffer.shrink_to(SMALL);
         } else if self.end == self.buffer.len() {
-            // What is there is part of a frame whose length was found to be allowed.
+            // The bytes here belong to a frame whose length has been checked.
             self.buffer.copy_within(self.start..self.end, 0);
             self.end -= self.start;
             self.start = 0;

@@ -18,13 +18,13 @@ class ConfigError : public Error {
   using Error::Error;
 };
 
-/// What is at the other end broke the protocol.
+/// The program at the other end broke the protocol.
 class ProtocolError : public Error {
  public:
   using Error::Error;
 };
 
-/// The hub does not let this program in.
+/// The hub refuses this program.
 class Refused : public Error {
  public:
   using Error::Error;

@@ -17,13 +17,13 @@ namespace glue_rl {
 /// HubClosed. One thread at a time may use it.
 class Experiment {
  public:
-  /// What RL_start brings.
+  /// What RL_start returns.
   struct Start {
     Observation observation;
     Action action;
   };
 
-  /// What RL_step brings; after a terminal step, `action` is the one that was executed.
+  /// What RL_step returns; after a terminal step, `action` is the one that was executed.
   struct Transition {
     double reward = 0;
     /// Whether the episode is over.
@@ -34,7 +34,7 @@ class Experiment {
     bool truncated = false;
   };
 
-  /// Is told the event (a player `joined`, was `lost`, has `returned` or is `slow`), the role and the name.
+  /// Receives the event (a player `joined`, was `lost`, has `returned` or is `slow`), the role and the name.
   using Notices = std::function<void(std::string_view event, std::string_view role, std::string_view name)>;
 
   /// Joins a session as its experiment, once a hub is there.
@@ -206,7 +206,7 @@ class Experiment {
   detail::HeaderWriter header_;
   detail::Kind kind_ = detail::kRlInit;
   std::uint64_t seq_ = 0;
-  bool answered_ = false;  // whether the hub has answered since it last did not know us
+  bool answered_ = false;  // whether the hub has answered since it last said that it did not know us
 };
 
 }  // namespace glue_rl

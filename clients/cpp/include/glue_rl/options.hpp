@@ -14,7 +14,7 @@ inline std::string environment_variable(const char* name, std::string otherwise)
   return value == nullptr || *value == '\0' ? std::move(otherwise) : std::string(value);
 }
 
-/// Where a program takes part, and as what.
+/// The hub and the session that a program joins, and its name.
 struct Options {
   explicit Options(std::string a_name) : name(std::move(a_name)) {}
 
@@ -28,7 +28,7 @@ struct Options {
   std::string key = environment_variable("GLUE_KEY", "");
   /// The hub's public key, or a file that holds it.
   std::string hub_key = environment_variable("GLUE_HUB_KEY", "");
-  /// Takes lines for people.
+  /// Receives lines for people.
   std::function<void(std::string_view)> log = [](std::string_view line) { std::cerr << line << std::endl; };
 };
 

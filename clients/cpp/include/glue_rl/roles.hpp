@@ -8,7 +8,7 @@
 
 namespace glue_rl {
 
-/// What learns. One that is `Seedable` or `Saveable` as well offers these capabilities.
+/// An agent: it learns. If it is also `Seedable` or `Saveable`, it offers these capabilities.
 class Agent {
  public:
   virtual ~Agent() = default;
@@ -21,7 +21,7 @@ class Agent {
   virtual Action step(double reward, const ObservationView& observation) = 0;
   /// Takes the last reward of an episode that has reached its end.
   virtual void end(double reward) { (void)reward; }
-  /// Lets go of what `init` took; another may follow.
+  /// Releases what `init` acquired; another `init` may follow.
   virtual void cleanup() {}
   /// Answers a text with a text; may come at any time.
   virtual std::string message(std::string_view text) {
@@ -30,10 +30,10 @@ class Agent {
   }
 };
 
-/// The task. One that is `Seedable` or `Saveable` as well offers these capabilities.
+/// An environment: the task. If it is also `Seedable` or `Saveable`, it offers these capabilities.
 class Environment {
  public:
-  /// What came of an action.
+  /// The outcome of an action.
   struct Step {
     double reward = 0;
     /// Whether the episode is over.
@@ -51,7 +51,7 @@ class Environment {
   virtual Observation start() = 0;
   /// Executes an action.
   virtual Step step(const ActionView& action) = 0;
-  /// Lets go of what `init` took; another may follow.
+  /// Releases what `init` acquired; another `init` may follow.
   virtual void cleanup() {}
   /// Answers a text with a text; may come at any time.
   virtual std::string message(std::string_view text) {

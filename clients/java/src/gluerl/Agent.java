@@ -1,6 +1,6 @@
 package gluerl;
 
-/** What learns. One that is {@link Seedable} or {@link Saveable} as well offers these capabilities. */
+/** An agent: it learns. If it is also {@link Seedable} or {@link Saveable}, it offers these capabilities. */
 public interface Agent {
     /**
      * Prepares for a task; what was learned before is forgotten.
@@ -33,7 +33,7 @@ public interface Agent {
      */
     default void end(double reward) {}
 
-    /** Lets go of what {@link #init} took; another may follow. */
+    /** Releases what {@link #init} acquired; another init may follow. */
     default void cleanup() {}
 
     /**

@@ -1,9 +1,9 @@
 package gluerl;
 
-/** The task. One that is {@link Seedable} or {@link Saveable} as well offers these capabilities. */
+/** An environment: the task. If it is also {@link Seedable} or {@link Saveable}, it offers these capabilities. */
 public interface Environment {
     /**
-     * What came of an action.
+     * The outcome of an action.
      *
      * @param reward the reward
      * @param terminal whether the episode is over
@@ -46,7 +46,7 @@ public interface Environment {
      */
     Step step(Action action);
 
-    /** Lets go of what {@link #init} took; another may follow. */
+    /** Releases what {@link #init} acquired; another init may follow. */
     default void cleanup() {}
 
     /**

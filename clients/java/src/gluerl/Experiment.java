@@ -7,7 +7,7 @@ package gluerl;
  */
 public final class Experiment implements AutoCloseable {
     /**
-     * What RL_start brings.
+     * What RL_start returns.
      *
      * @param observation the first observation
      * @param action the first action
@@ -15,7 +15,7 @@ public final class Experiment implements AutoCloseable {
     public record Start(Observation observation, Action action) {}
 
     /**
-     * What RL_step brings.
+     * What RL_step returns.
      *
      * @param reward the reward
      * @param terminal whether the episode is over
@@ -42,7 +42,7 @@ public final class Experiment implements AutoCloseable {
     private final Link link;
     private final Notices notices;
     private long seq;
-    private boolean answered; // whether the hub has answered since it last did not know us
+    private boolean answered; // whether the hub has answered since it last said that it did not know us
     private boolean closed;
 
     Experiment(Options options, Notices notices) {

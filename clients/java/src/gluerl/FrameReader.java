@@ -77,7 +77,7 @@ final class FrameReader {
             }
         }
         if (end == buffer.length) {
-            // What is there is part of a frame whose length was found to be allowed.
+            // The bytes here belong to a frame whose length has been checked.
             byte[] target = start >= buffer.length / 2 ? buffer : new byte[2 * buffer.length];
             System.arraycopy(buffer, start, target, 0, end - start);
             buffer = target;

@@ -47,7 +47,7 @@ public final class Glue {
      * Joins a session as its experiment, once a hub is there.
      *
      * @param options where
-     * @param notices is told when players come and go
+     * @param notices is called when players come and go
      * @return the experiment
      */
     public static Experiment connect(Options options, Experiment.Notices notices) {

@@ -21,7 +21,7 @@ public sealed class GlueException extends RuntimeException {
         }
     }
 
-    /** What is at the other end broke the protocol. */
+    /** The program at the other end broke the protocol. */
     public static final class Protocol extends GlueException {
         private static final long serialVersionUID = 1;
 
@@ -30,7 +30,7 @@ public sealed class GlueException extends RuntimeException {
         }
     }
 
-    /** The hub does not let this program in. */
+    /** The hub refuses this program. */
     public static final class Refused extends GlueException {
         private static final long serialVersionUID = 1;
 

@@ -11,7 +11,7 @@ final class HeaderReader {
     private static final long MAX_EXACT = 1L << 53;
 
     private final ByteBuffer bytes;
-    private int left = 1; // items that are yet to come
+    private int left = 1; // items that have not been read
 
     HeaderReader(byte[] header) {
         if (header.length > MAX_HEADER) {

@@ -36,7 +36,7 @@ final class Link {
         dealer = new Dealer(options.hub(), options.log());
     }
 
-    /** Returns whether the hub has let us in over the latest connection. */
+    /** Returns whether the hub has welcomed us over the latest connection. */
     boolean isWelcomed() {
         return welcomed && dealer.isReady() && dealer.connections() == greeted;
     }
@@ -49,7 +49,7 @@ final class Link {
         options.log().accept(line);
     }
 
-    /** Checks that the hub takes a body of this size. */
+    /** Checks that the hub accepts a body of this size. */
     void check(byte[][] frames) {
         if (frames.length > 1 && frames[1].length > maxBody) {
             throw new IllegalArgumentException(
@@ -122,7 +122,7 @@ final class Link {
                 if (!message.text(0).equals("unknown-peer")) {
                     return message;
                 }
-                // While a HELLO is unanswered, this was for what was sent before it.
+                // While a HELLO is unanswered, this error is about something sent before it.
                 if (welcomed) {
                     greet();
                 }
@@ -140,7 +140,7 @@ final class Link {
     }
 
     private boolean welcome(Message message) {
-        // The answer to an earlier HELLO says nothing of the hub at the other end, a second one nothing new.
+        // A WELCOME to an earlier HELLO may be another hub's; a second one to the same HELLO says nothing new.
         if (message.seq() != greeted || welcomed) {
             return false;
         }

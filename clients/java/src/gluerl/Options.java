@@ -3,12 +3,12 @@ package gluerl;
 import java.util.function.Consumer;
 
 /**
- * Where a program takes part, and as what.
+ * The hub and the session that a program joins, and its name.
  *
  * @param hub the hub's address, such as {@code tcp://127.0.0.1:4097} or {@code ipc:///tmp/hub}
  * @param session the session's name: 1 to 255 printable characters
  * @param name what people see
- * @param log takes lines for people
+ * @param log receives lines for people
  */
 public record Options(String hub, String session, String name, Consumer<String> log) {
     /**

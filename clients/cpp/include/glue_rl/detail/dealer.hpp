@@ -23,17 +23,17 @@ class Dealer {
   /// Whether there is a connection that can carry messages, as far as is known.
   bool connected() const noexcept { return connected_; }
 
-  /// Takes note of connections that came or went meanwhile.
+  /// Notices connections that were made or lost meanwhile.
   virtual void look() = 0;
 
-  /// Receives the next message; returns false if there is none within `time`, or a connection came or went. One that was
-  /// silent for `timeout` is given up.
+  /// Receives the next message; returns false if there is none within `time`, or a connection was made or lost. A
+  /// connection that was silent for `timeout` is given up.
   virtual bool receive(Frames& frames, Milliseconds time, Milliseconds timeout) = 0;
 
   /// Sends a message. Without a connection it is lost, as when one breaks: the hub asks again.
   virtual void send(const Frames& frames) = 0;
 
-  /// Makes no further connection; what was sent still leaves.
+  /// Makes no further connection; messages already sent are still delivered.
   virtual void leave() noexcept = 0;
 
  protected:

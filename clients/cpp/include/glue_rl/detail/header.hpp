@@ -233,7 +233,7 @@ class HeaderReader {
   }
 
   std::string_view bytes_;
-  std::uint64_t left_ = 1;  // items that are yet to come
+  std::uint64_t left_ = 1;  // items that have not been read
 };
 
 }  // namespace glue_rl::detail

@@ -42,7 +42,7 @@ class Link {
     }
   }
 
-  /// Returns whether the hub has let us in over the latest connection, as far as is known.
+  /// Returns whether the hub has welcomed us over the latest connection, as far as is known.
   bool welcomed() {
     dealer_->look();
     return welcomed_ && dealer_->connected() && dealer_->connections() == greeted_;
@@ -52,7 +52,7 @@ class Link {
 
   void log(std::string_view line) const { options_.log(line); }
 
-  /// Checks that the hub takes a body of this size.
+  /// Checks that the hub accepts a body of this size.
   void check(std::size_t size) const {
     if (size > max_body_) {
       throw Error("a body has " + std::to_string(size) + " bytes, and the hub takes " + std::to_string(max_body_));
@@ -127,7 +127,7 @@ class Link {
       case kError:
         if (message.texts[0] != "unknown-peer") return message;
         dealer_->look();
-        // While a HELLO is unanswered, this was for what was sent before it.
+        // While a HELLO is unanswered, this error is about something sent before it.
         if (welcomed_ || dealer_->connections() != greeted_) greet();
         return std::nullopt;
       default:
@@ -146,7 +146,7 @@ class Link {
   }
 
   std::optional<Message> welcome(const Message& message) {
-    // The answer to an earlier HELLO says nothing of the hub at the other end, a second one nothing new.
+    // A WELCOME to an earlier HELLO may be another hub's; a second one to the same HELLO says nothing new.
     if (message.seq != greeted_ || welcomed_) return std::nullopt;
     if (message.ints[0] != 1) throw ProtocolError("a version was chosen that was not offered");
     const double seconds = message.floats[0];

@@ -130,7 +130,7 @@ class PlainDealer final : public Dealer {
     set(SOL_SOCKET, SO_RCVTIMEO, limit);
   }
 
-  /// Acts on what is no message; returns whether a connection came or went.
+  /// Handles anything that is not a message; returns whether a connection was made or lost.
   bool take(FrameReader::Item item) {
     if (item == FrameReader::Item::kGreeting) {
       write(zmtp::ready());

@@ -71,7 +71,7 @@ class FrameReader {
       start_ = end_ = 0;
       if (buffer_.size() > kSmall) std::vector<char>(kSmall).swap(buffer_);
     } else if (end_ == buffer_.size()) {
-      // What is there is part of a frame whose length was found to be allowed.
+      // The bytes here belong to a frame whose length has been checked.
       std::memmove(buffer_.data(), buffer_.data() + start_, end_ - start_);
       end_ -= start_;
       start_ = 0;
