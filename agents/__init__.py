@@ -1,1 +1,1 @@
-"""Agents of the glue: those of Mohan (2010), baselines, and the command that serves them."""
+"""Agents: those of Mohan (2010), baselines, and the command that serves them."""

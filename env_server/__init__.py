@@ -1,1 +1,1 @@
-"""Environments of the glue: Infinite Mario and small tasks, and the command that serves them."""
+"""Environments: Infinite Mario and small tasks, and the command that serves them."""

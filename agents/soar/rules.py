@@ -1,4 +1,4 @@
-"""Soar's own text of the rules that hold learned values, read back without trust.
+"""The rules that hold learned values, in Soar's own syntax, parsed without trusting them.
 
 A rule is a production whose only action is a numeric preference. A save may come from anybody, and the
 actions of other productions can execute any command of Soar's.

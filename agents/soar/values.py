@@ -1,4 +1,4 @@
-"""What a Soar agent of Mario's has learned: values by what its rules test.
+"""What a Soar agent for Mario has learned: values, by what its rules test.
 
 keystroke   in a state that is described by a text, of which several may add up
 operator    by its object, described by a text

@@ -1,8 +1,8 @@
 """The environment of a trial, in the hub's own process, where every step is recorded.
 
 To the hub it is a peer like any other, but no socket leads to it: nobody can pose as it, and what is secret
-about the level never leaves this process. It is asked for its steps and for nothing else: no message of the
-agent's or of anybody's reaches it.
+about the level never leaves this process. It is asked for steps and nothing else: no message of the agent or
+of anybody else reaches it.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
     python -P -m experiment_runner.competition.keeper LOG SIZE PROGRAM ARGUMENTS...
 
-Its standard input is a pipe to which nothing is written: when it closes, the organiser is gone or has had
-enough, and the program is ended with its whole process group. It exits with the program's status.
+Its standard input is a pipe to which nothing is written: when it closes, the organiser has ended, or is
+done with the program, which is then ended with its whole process group. It exits with the program's status.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Entrants whose programs somebody else starts, elsewhere or in reach of a folder: they are waited for.
+"""Entrants whose programs somebody else starts, on another machine or with access to a folder.
 
-All who have a key connect to one address, and play one at a time: to the others the hub is not there yet, or
-refuses them their session, so an entrant's program is started again until the competition is over.
+All entrants with a key connect to one address, and play one at a time. The others find no hub there, or are
+refused their session, so their programs have to be started again until the competition is over.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     python -P -m experiment_runner.competition.remover SOCKET CONTAINER
 
 SOCKET is that of the container engine. Standard input is a pipe to which nothing is written: when it closes,
-nobody else is left to remove the container. Who removes it kills this process afterwards.
+nobody else is left to remove the container. A starter that removes it itself then kills this process.
 """
 
 from __future__ import annotations

@@ -136,7 +136,7 @@ def run_job(
         StorageError: from `send`, when a report cannot be stored.
         BrokenPipeError: from `send`, when its output is no longer read.
         ConfigError, HubUnreachable, Refused: the running hub that the players are to meet at cannot be found,
-            does not answer or does not let us in. The trial has not failed: it can continue another time.
+            does not answer or does not admit us. The trial has not failed: it can continue another time.
     """
     lock = threading.Lock()  # the threads that watch players report, too
 

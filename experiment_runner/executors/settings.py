@@ -1,4 +1,4 @@
-"""Settings of a run that the command line shows in its help, apart from what they are settings of."""
+"""Settings of a run that the command line shows in its help, in a module that imports nothing slow."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def evaluate(
         train, test: numbers of levels.
         learn: episodes on training levels before it is scored, each on a level drawn evenly.
         relearn: episodes on a level before the one that is scored there.
-        progress: takes lines for people.
+        progress: receives lines for people.
 
     Raises:
         GlueError: the agent fails.

@@ -1,4 +1,4 @@
-"""Where the trials of a run that are in progress are played: a file in its directory, for those who look on.
+"""The hubs of a run's trials in progress: a file in its directory, for observers.
 
 It is written for each trial that has a hub, and removed with the last. A run may come from elsewhere, so what
 stands in it is checked when it is read: a hub is one of this user, or of this machine.
@@ -32,7 +32,7 @@ class Place(NamedTuple):
 
 
 class Meetings:
-    """The file of a run, kept up to date by its only writer. It only helps to look on, so a disk that is full
+    """The file of a run, kept up to date by its only writer. It only helps observers, so a disk that is full
     harms nothing.
 
     Args:

@@ -52,7 +52,7 @@ def connect(
         name: what the hub calls this program in its messages.
         wait: seconds after which a hub that has not answered is given up; None waits forever.
         context: the ZeroMQ context, if the connection is to be libzmq's.
-        log: takes lines for people; by default they go to standard error.
+        log: receives lines for people; by default they go to standard error.
         on_notice: called with event (`joined`, `lost`, `returned`), role and name of a player.
         transport: the connection, if there is one already: `glue.hub.inside.InsideTransport`.
 

@@ -1,7 +1,7 @@
 """A DEALER of libzmq: a peer's end where a ZeroMQ context or a key is given.
 
-The only module that knows libzmq. It reconnects without saying so; its monitor says so, and with it a peer
-greets the hub once for each connection. The monitor also says why a handshake failed.
+The only module that knows libzmq, which reconnects silently. Its monitor reports new connections, so that a
+peer greets the hub once over each, and why a handshake failed.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """A peer's connection to a hub: greetings, heartbeats, and reconnecting after a break.
 
 A hub knows a peer by its connection, so the peer greets it once over each. Until the hub has welcomed it
-over the latest connection, nothing that it says there counts, and it may be another hub than before.
+over the latest connection, nothing that it sends there counts: the hub may be another one than before.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Link:
         names: for each session, the name to show to people, and the capabilities offered.
         wait: seconds after which a hub that has not welcomed it is given up; None waits forever.
         context: the ZeroMQ context, if the connection is to be libzmq's.
-        log: takes lines for people.
+        log: receives lines for people.
         transport: the connection, if there is one already; `hub` is then only shown to people.
         key: by which the hub knows the program, if it does.
 
@@ -108,7 +108,7 @@ class Link:
         Raises:
             HubClosed: the hub said goodbye.
             HubUnreachable: no hub has answered in the time allowed.
-            Refused: the hub does not let us in.
+            Refused: the hub does not admit us.
         """
         try:
             message = self._transport.receive_message(self._max_body)
@@ -216,7 +216,7 @@ class Link:
         self._max_body = min(max_body, MAX_BODY)
         self._transport.wait_at_most(self._heartbeat)
         self._known = True
-        # The answer to an earlier HELLO says nothing of the hub at the other end of this connection.
+        # A WELCOME to an earlier HELLO may be from another hub than the one at the end of this connection.
         if message.seq == self._greeted:
             self._welcomed.add(message.session)
 

@@ -85,7 +85,7 @@ def observe(
         hub_key: the hub's public key, or a file that holds it; needed with `key`.
         name: what the hub calls this program in its log.
         wait: seconds after which a hub that has not answered is given up; None waits forever.
-        log: takes lines for people.
+        log: receives lines for people.
 
     Raises:
         ConfigError: an address, a key or a session name is malformed, or the host's name does not resolve.

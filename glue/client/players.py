@@ -57,7 +57,7 @@ def serve_agent(
         hub_key: the hub's public key, or a file that holds it; needed with `key`.
         wait: seconds after which a hub that has not answered is given up; None waits forever.
         context: the ZeroMQ context, if the connection is to be libzmq's.
-        log: takes lines for people; by default they go to standard error.
+        log: receives lines for people; by default they go to standard error.
 
     Raises:
         ConfigError: an address, a key or a session name is malformed, or the host's name does not resolve.

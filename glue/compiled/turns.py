@@ -1,4 +1,4 @@
-"""Turns that compiled code takes in several threads: one calls, lets its workers go, and waits for them.
+"""Turns that compiled code takes in several threads: a caller releases its workers, and waits for them.
 
     while begin_turn(gate, worker):
         ...  # its share of the work
@@ -6,7 +6,7 @@
             return
 
 A worker stays in its loop from one call to the next, without the interpreter's lock: to wake a thread of
-Python's for each call takes longer than many calls do. Whoever waits looks for a moment, and then sleeps
+Python's for each call takes longer than many calls do. Whoever waits spins for a moment, and then sleeps
 until the other posts a POSIX semaphore.
 """
 
@@ -24,13 +24,13 @@ from glue.compiled.jit import jit
 __all__ = ["CALLER", "Gate", "begin_turn", "end", "end_turn", "let_go", "make_gate"]
 
 CALLER: Final = -1
-"""In the place of a worker's number: who calls."""
+"""The number of the caller, which is no worker."""
 
 Gate = npt.NDArray[np.int64]
-"""For each worker the addresses of two semaphores, `go` and `done`, and at the end whether all is over."""
+"""For each worker the addresses of two semaphores, `go` and `done`; last, whether the workers are to end."""
 
 _SEMAPHORE_BYTES: Final = 128  # at most; and each has cache lines of its own
-_LOOKS: Final = 60_000
+_SPINS: Final = 60_000
 """Some 300 microseconds: Python needs up to 150 between two calls, and to wake takes about 100."""
 
 
@@ -71,7 +71,7 @@ def end(gate: Gate) -> None:
 
 @jit
 def begin_turn(gate: Gate, worker: int) -> bool:
-    """Let all workers go, as the caller; or wait for that, as a worker. False: all is over."""
+    """As the caller, release all workers; as a worker, wait for that. Return False if the workers are to end."""
     if worker == CALLER:
         for other in range(len(gate) // 2):
             _post(np.uintp(gate[2 * other]))
@@ -82,7 +82,7 @@ def begin_turn(gate: Gate, worker: int) -> bool:
 
 @jit
 def end_turn(gate: Gate, worker: int) -> bool:
-    """Wait for all workers, as the caller, and return True; or tell the caller, as a worker."""
+    """As the caller, wait for all workers, and return True; as a worker, report to the caller."""
     if worker == CALLER:
         for other in range(len(gate) // 2):
             _await(gate[2 * other + 1])
@@ -93,7 +93,7 @@ def end_turn(gate: Gate, worker: int) -> bool:
 
 @jit
 def _await(semaphore: int) -> None:
-    for _ in range(_LOOKS):
+    for _ in range(_SPINS):
         if _trywait(np.uintp(semaphore)) == 0:
             return
     while _wait(np.uintp(semaphore)) != 0:  # a signal came

@@ -1,4 +1,4 @@
-"""Those who look on at a session: what they are shown, and how much of it.
+"""Observers of a session: what they are shown, and how much of it.
 
 An observer asks for a number of moments, and is shown the next ones; all others are missed. So whoever looks
 thirty times a second costs the session thirty messages a second, however fast it plays. What cannot be sent

@@ -1,4 +1,4 @@
-"""Calls that have not been answered for long."""
+"""Calls that have not been answered for a long time."""
 
 from __future__ import annotations
 

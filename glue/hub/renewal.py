@@ -1,4 +1,4 @@
-"""A hub's keys, read from their directory, and read again when it is asked to by SIGHUP."""
+"""A hub's keys, read from their directory, and read again on SIGHUP."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Every message of the protocol: who may send it, what it carries, what answers it.
 
 A message is a kind, a session, a sequence number, some scalars and at most one body. `CALLS` is the
-table of RL-Glue's calls and of the capabilities beyond them; `CONTROL` that of the messages that keep
-the connection. A reply has the kind and the sequence number of its request, so the direction tells them
-apart. The codes below 64 are RL-Glue's own message ids.
+table of RL-Glue's calls and of the capabilities beyond them; `CONTROL` that of the messages that make
+and keep a connection. A reply has the kind and the sequence number of its request, so the direction
+tells them apart. The codes below 64 are RL-Glue's own message ids.
 
 Source of names, payloads and ids: RL-Glue 3.04, RL_network.h.
 """
@@ -45,7 +45,7 @@ OUTCOME: Final = "outcome"
 
 
 class Role(StrEnum):
-    """The three programs of RL-Glue, and those who look on."""
+    """The three programs of RL-Glue, and observers of them."""
 
     AGENT = "agent"
     ENVIRONMENT = "environment"

@@ -1,6 +1,6 @@
-"""Peers that are led by hand, message by message, to see what a hub makes of it.
+"""Peers that are driven by hand, message by message, to see how a hub reacts.
 
-A scene is one session with an agent, an environment and an experiment. All three are led by one thread:
+A scene is one session with an agent, an environment and an experiment. All three are driven by one thread:
 what a hub has to wait for has not happened yet, so each order of messages can be brought about, and none
 comes about by chance.
 """

@@ -1,4 +1,4 @@
-"""Who is where in a competition, by what was verified.
+"""The ranks of a competition's entrants, by their verified trials.
 
 The score of a trial is the sum of the rewards over all its steps, with learning included, as in the
 RL Competition; that of a task is the mean over its trials. Entrants are placed by the mean of their ranks in

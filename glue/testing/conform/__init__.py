@@ -1,1 +1,1 @@
-"""The kit that judges a client in any language: it plays the hub, and so all that the client meets."""
+"""The kit that judges a client in any language: it acts as the hub, which is all that a client talks to."""
