@@ -111,7 +111,7 @@ def public_trial(competition: Competition, entrant: str, episodes: int, max_step
 
 
 def agent_seed(spec: TrialSpec) -> int:
-    """Return the seed of a trial from which its agent's is derived; it reveals nothing of the environment's."""
+    """Return the seed from which the agent's of a trial is derived; it does not reveal the environment's."""
     return draw(spec.seed.to_bytes(8, "little"), "agent")
 
 

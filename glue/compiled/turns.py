@@ -71,7 +71,7 @@ def end(gate: Gate) -> None:
 
 @jit
 def begin_turn(gate: Gate, worker: int) -> bool:
-    """As the caller, release all workers; as a worker, wait for that. Return False if the workers are to end."""
+    """As the caller, release all workers; as a worker, wait for that. Return False if workers are to end."""
     if worker == CALLER:
         for other in range(len(gate) // 2):
             _post(np.uintp(gate[2 * other]))

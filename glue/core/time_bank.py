@@ -2,7 +2,7 @@
 
 It is measured at the hub, from the moment a call is sent until its answer is read. What an answer takes
 beyond its limit is drained from a bank, as in Kaggle's environments: an agent may think long now and then,
-but not always. `agent_seed` and `agent_init`, in which an agent loads what it needs, have a limit of their own.
+but not always. `agent_seed` and `agent_init`, in which an agent loads what it needs, have their own limit.
 """
 
 from __future__ import annotations
