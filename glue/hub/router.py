@@ -102,7 +102,7 @@ class Router:
             dealer.connection.close()
 
     def renew(self, keys: Keys, now: float) -> None:
-        """Replace the keys of every address that has any; who got in by what has changed is dropped."""
+        """Replace the keys of every address that has any; drop connections whose admission has changed."""
         self._keys = keys
         for dealer in list(self._dealers):
             if isinstance(dealer, KeyedDealer) and (why := dealer.renew(keys)):
