@@ -39,7 +39,7 @@ def role_sweeps(role: Role, name: str | None, assignments: tuple[str, ...]) -> t
     return (RoleSweep(name, parse_assignments(find(role, name), assignments)),)
 
 
-def make_plan(plan_file: Path | None, counts: Mapping[str, int], roles: Mapping[str, Any]) -> Plan:
+def make_plan(plan_file: Path | None, counts: Mapping[str, Any], roles: Mapping[str, Any]) -> Plan:
     """Return the checked plan of a file, with `counts` in the place of its own, or of `counts` and `roles`.
 
     Raises:
