@@ -13,7 +13,7 @@ PARALLEL := --numprocesses=4 --dist=worksteal
 # The tests start hundreds of processes: each finds its modules compiled, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test pytest proof check compile coverage picture screenshots vectors bench clean
+.PHONY: help demo test pytest proof check compile games agents coverage picture screenshots vectors bench clean
 
 help:
 	@echo "make demo   set up, then let an agent learn Infinite Mario, as three processes"
@@ -44,17 +44,19 @@ check: $(READY)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Once, for all processes of the tests, each of which would otherwise compile what the tests import.
+# Once; else each process of the tests would compile the simulator, the agents and the modules that the tests import.
+compile: games agents $(FOUND)
+
+games agents: $(READY)
+	$(BIN)/python -m tests.compile $@
+
 $(FOUND): $(READY)
 	$(BIN)/python -m pytest --collect-only --quiet > /dev/null
 	@touch $(FOUND)
 
-# Simulator and agents, once; else several processes of the tests would compile them at the same time.
-compile: $(FOUND)
-	$(BIN)/python -m tests.compile
-
+# What takes longest begins first, and the checks where a core is free.
 test: $(READY)
-	$(MAKE) --jobs=2 check pytest
+	$(MAKE) --jobs=2 pytest check
 
 pytest: compile
 	$(BIN)/python -m pytest $(PARALLEL)

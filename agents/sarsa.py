@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.keys import extend
-from glue.compiled.jit import jit
+from glue.compiled.jit import entry, jit
 from glue.compiled.records import Array, Flag, Int, Real, Word, layout
 from glue.errors import SaveError
 
@@ -122,7 +122,7 @@ def _place(table: Array, key: np.uint64) -> int:
     return int(place)
 
 
-@jit
+@entry
 def _fill(table: Array, keys: Keys, values: Values) -> bool:
     """Add values to a table; return False when that takes far more than the usual number of probes."""
     last = np.uint64(len(table) - 1)

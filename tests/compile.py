@@ -1,20 +1,51 @@
 """Compile the simulator and the agents once, before several processes of tests need them.
 
-A program: `python -m tests.compile`. The machine code is kept on disk, so a second time does nothing.
+Programs, which may run side by side: `python -m tests.compile games` and `python -m tests.compile agents`. The
+machine code is kept on disk, so a second time does nothing.
 """
 
 from __future__ import annotations
 
+import sys
+from typing import Any, cast
+
+import numpy as np
+
+from agents.mario.observation import Screen
 from agents.mario.sample import SampleAgent
+from agents.mario.scene import Scene, Senses
 from agents.mohan2010.flat import TilesAgent
 from agents.mohan2010.hierarchical import HierarchicalAgent
 from env_server.gym import InfiniteMarioEnv
 from env_server.mario.batch_environment import InfiniteMarioBatch
 from env_server.mario.environment import InfiniteMario
+from env_server.mario.observation import BODY_SIZE
+from glue.compiled.records import new
+from glue.types import Observation
+from tests.compiled import encode, hit_block, look, read, tick
 
-if __name__ == "__main__":
+
+def games() -> None:
     environment = InfiniteMario(max_trial_steps=1)
+    environment.env_init()
+    environment.env_start()
     InfiniteMarioBatch(environment, 1).env_init()
     InfiniteMarioEnv().close()
+    world = environment.game.world
+    tick(world)
+    hit_block(world, 5, 9, False)
+    encode(world, np.zeros(BODY_SIZE, np.uint8))
+
+
+def agents() -> None:
+    task_spec = "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 ACTIONS INTS (-1 1) (2 0 1) REWARDS"
     for agent in (HierarchicalAgent(), TilesAgent(), SampleAgent()):
-        agent.agent_init(environment.env_init())
+        agent.agent_init(task_spec)
+    scene, senses, screen = (cast(Any, new(record)[0]) for record in (Scene, Senses, Screen))
+    body = Observation().body
+    look(scene, senses, body)
+    read(body, screen)
+
+
+if __name__ == "__main__":
+    {"games": games, "agents": agents}[sys.argv[1]]()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Final
 
-from glue.compiled.jit import jit
 from glue.types import Action
 
 __all__ = ["ACTIONS", "LEFT", "NUM_ACTIONS", "RIGHT", "STAY", "action_number"]
@@ -27,7 +26,6 @@ ACTIONS: Final = tuple(
 """What to send for each number: direction -1 to 1, jump 0 or 1, run 0 or 1."""
 
 
-@jit
 def action_number(direction: int, jump: bool, run: bool) -> int:
     """Return the number of an action, 0 to 11."""
     return 4 * (direction + 1) + 2 * int(jump) + int(run)

@@ -17,15 +17,17 @@ __all__ = ["KLOS", "jump_the_pit", "move_right"]
 
 KLOS: Final = NUM_ACTIONS
 
+_number: Final = jit(action_number)
+
 
 @jit
 def jump_the_pit() -> int:
     """Return the one KLO of avoid-pit: a running jump to the right crosses it."""
-    return action_number(RIGHT, True, True)
+    return _number(RIGHT, True, True)
 
 
 @jit
 def move_right(screen: Screen) -> int:
     """Return the one KLO of move-to-goal: walk to the right, and jump when something is in the way."""
     ahead = tile(screen, screen.column + 1, screen.row)
-    return action_number(RIGHT, ahead in (SOLID, PIPE), False)
+    return _number(RIGHT, ahead in (SOLID, PIPE), False)

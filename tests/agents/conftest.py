@@ -10,13 +10,13 @@ import pytest
 
 from agents.keys import extend, feature
 from agents.mario.monsters import THREATS_2010
-from agents.mario.objects import look
 from agents.mario.observation import Screen
 from agents.mario.scene import Object, Scene, Senses, set_senses
 from agents.mohan2010.learner import MarioLearner
 from glue.compiled.records import new
 from glue.saves import unpack
 from glue.types import Observation
+from tests.compiled import look
 
 ROWS, COLUMNS = 16, 21
 TASK_SPEC = (

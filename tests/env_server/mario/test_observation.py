@@ -7,12 +7,13 @@ import numpy.typing as npt
 import pytest
 
 from env_server.mario.game import Game
-from env_server.mario.observation import BODY_SIZE, encode
+from env_server.mario.observation import BODY_SIZE
 from env_server.mario.parameters import resolve
 from env_server.mario.sim import state
 from env_server.mario.sim.state import Actor, World
 from env_server.mario.sim.tiles import COIN, EMPTY
 from glue.types import Observation
+from tests.compiled import encode
 
 
 @pytest.fixture

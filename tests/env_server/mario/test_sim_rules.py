@@ -12,7 +12,6 @@ import pytest
 
 from env_server.mario.game import Game
 from env_server.mario.parameters import resolve
-from env_server.mario.sim.blocks import hit_block
 from env_server.mario.sim.state import (
     ACTORS,
     FIREBALL,
@@ -26,7 +25,6 @@ from env_server.mario.sim.state import (
     Actor,
     World,
 )
-from env_server.mario.sim.step import tick as jitted_tick
 from env_server.mario.sim.tiles import (
     BRICK,
     COIN,
@@ -35,10 +33,7 @@ from env_server.mario.sim.tiles import (
     QUESTION_WITH_POWER_UP,
     USED_BLOCK,
 )
-from glue.compiled.jit import entry
-
-tick = entry(getattr(jitted_tick, "py_func", jitted_tick))
-"""Kept on disk once it is compiled, unlike functions that only compiled code calls."""
+from tests.compiled import hit_block, tick
 
 _HEIGHTS = {FIREBALL: 8}
 

@@ -23,6 +23,7 @@ from glue.roles import Agent, Environment
 from glue.types import AbstractType, Action, Observation
 from tests.system.legacy import legacy_client
 from tests.system.legacy.legacy_client import STYLES, TIMEOUT, Connection, Numbers, Style
+from tests.system.runs import wait_until
 
 C = STYLES["c"]
 _ASIDE = "aside"
@@ -91,8 +92,8 @@ class Rig:
         The hub keeps the place of a program that has closed its sending half while it is owed replies, for as
         long as a request may take.
         """
-        while session in self.hub.switchboard._sessions:
-            self.settle()
+        self.settle()
+        wait_until(lambda: session not in self.hub.switchboard._sessions, f"{session!r} to be empty")
 
     def native(self, session: str = "default") -> RemoteExperiment:
         """Connect as an experiment of ours."""

@@ -67,7 +67,8 @@ class Arena:
 
 @pytest.fixture(scope="module")
 def arena() -> Iterator[Arena]:
-    with gateway("default", ATTACKED, *FLOODS) as rig:
+    # Whoever closes the sending half may wait for replies as long as the hub's timeout.
+    with gateway("default", ATTACKED, *FLOODS, heartbeat=0.2, timeout=1.0) as rig:
         arena = Arena(rig)
         yield arena
         arena.close()
