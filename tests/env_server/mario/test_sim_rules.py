@@ -150,7 +150,7 @@ def test_jolt_reaches_whose_feet_are_in_the_cell_above(
 def test_block_beyond_the_border_gives_but_stays(world: World) -> None:
     last = world.columns - 1
     world.tiles[last, 9] = QUESTION_WITH_COIN  # goes on to the right for ever
-    hit_block(world, last + 1, 9, False)
+    hit_block(world, int(last) + 1, 9, False)
     assert world.coins == 1
     assert world.tiles[last : last + 2, 9].tolist() == [QUESTION_WITH_COIN, EMPTY]
 
