@@ -1,7 +1,7 @@
 """Compile the simulator and the agents once, before several processes of tests need them.
 
-The programs `python -m tests.compile games` and `python -m tests.compile agents` may run side by side. Machine
-code is kept on disk, so a second time does nothing.
+The programs `python -m tests.compile games` and `python -m tests.compile agents` may run side by side.
+Machine code is kept on disk, so a second time does nothing.
 """
 
 from __future__ import annotations
