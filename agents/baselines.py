@@ -65,7 +65,7 @@ class RandomAgent:
         self._draws = Draws(self._space, unpack_generator(data, self.name))
 
     def _act(self) -> Action:
-        return Action.from_body(self._draws.draw())
+        return Action._wrap(self._draws.draw())  # it need not be checked
 
 
 class SkeletonAgent(RandomAgent):

@@ -43,8 +43,11 @@ class FiniteRewards:
     def env_step(self, action: Action) -> tuple[float, Observation, bool]:
         answer: tuple[float, Observation, bool] = self._step(action)
         self._steps += 1
-        # What is not a tuple with a number first is for the caller to complain of.
-        if type(answer) is tuple and answer and _is_not_finite(answer[0]):
+        try:
+            finite = math.isfinite(answer[0])
+        except (TypeError, ValueError, OverflowError, LookupError):
+            return answer  # it does not begin with a number: the caller complains
+        if not finite:
             raise GlueError(_not_finite(self._steps, answer[0]))
         return answer
 
@@ -92,10 +95,3 @@ def _not_finite(step: int, reward: Any) -> str:
         f"the reward of step {step} is {float(reward)}, not a finite number "
         "(if the task means it, say --any-reward)"
     )
-
-
-def _is_not_finite(reward: Any) -> bool:
-    try:
-        return not math.isfinite(reward)
-    except (TypeError, ValueError, OverflowError):
-        return False
