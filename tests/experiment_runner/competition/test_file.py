@@ -97,6 +97,8 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ("[limits]", "[[limits]]", 5, "limits must be a table"),
         ('env = "mario"', "env = []", 11, "env must be a printable string"),
         ('env = "mario"', 'enw = "mario"', 11, "did you mean env"),
+        ('env = "mines"', "", 14, "needs an environment"),
+        ("[entrants.alice]", "[tasks]\nshort = 3\n[entrants.alice]", 19, "tasks.short must be a table"),
         ("options = { level_difficulty = 0 }", "options = 3", 12, "options must be a table"),
         ("episodes = 20", "episodes = 0", 13, "episodes must be a whole number"),
         ("episodes = 20", "episodes = 2.5", 13, "episodes must be a whole number"),
@@ -119,6 +121,14 @@ def test_a_mistake_names_its_line(old: str, new: str, line: int, why: str) -> No
     assert f"line {line}" in message
     assert why in message
     assert "\n" not in message
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.toml: No such file"):
+        load_competition(tmp_path / "none.toml")
+    (tmp_path / "other.toml").write_bytes(b"\xff")
+    with pytest.raises(ConfigError, match=r"other\.toml: it is not UTF-8"):
+        load_competition(tmp_path / "other.toml")
 
 
 def test_a_table_that_is_missing_is_named() -> None:

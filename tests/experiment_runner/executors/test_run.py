@@ -19,6 +19,7 @@ from experiment_runner.plan import Plan, RoleSweep, TrialSpec
 from experiment_runner.players import HubOptions, Meeting
 from experiment_runner.store.records import Checkpoint, EpisodeResult, TrialRecord
 from experiment_runner.store.store import Store
+from glue.core.config import LegacyPort
 from glue.errors import ConfigError
 from tests.system.runs import contents
 
@@ -182,6 +183,28 @@ def test_interrupted_learning_in_mario_goes_on_as_if_nothing_had_happened(tmp_pa
     [(episodes, checkpoint)] = contents(tmp_path / "run").values()
     assert len(episodes) == 5
     assert checkpoint is not None
+
+
+def test_an_interrupted_run_says_how_to_go_on_as_it_was_begun(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("from agents.tabular import SarsaAgent as Mine")
+    plan = replace(PLAN, agents=(RoleSweep(f"{tmp_path}/mine.py:Mine"),))
+    hub = HubOptions(
+        bind=("tcp://*:5000",),
+        session="a",
+        insecure=True,
+        legacy=(LegacyPort(4096, "a"),),
+        keys=tmp_path / "keys",
+    )
+    meeting = Meeting(in_process=True, hub=hub, any_reward=True)
+    reporter = Silent(interrupt_after=3)
+    with create_run(tmp_path / "run", plan) as store, pytest.raises(KeyboardInterrupt):
+        run_trials(store, RunConfig(meeting, questions=("values",)), reporter)
+
+    expected = (
+        f"glue-experiment --resume {tmp_path}/run '--bind=tcp://*:5000' --legacy-port=127.0.0.1:4096=a "
+        f"--keys={tmp_path}/keys --session=a --insecure --any-reward --ask=values --trust"
+    )
+    assert expected in reporter.said[-1]
 
 
 @pytest.mark.parametrize(

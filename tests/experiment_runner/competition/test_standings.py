@@ -1,0 +1,49 @@
+"""Standings of a competition that is under way: who has no place yet, and why."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from experiment_runner.competition.board.standings import Standing, standings
+from experiment_runner.competition.file import parse_competition
+from experiment_runner.competition.organiser import open_competition
+from experiment_runner.competition.secret import trials
+from experiment_runner.store.layout import ABOUT_FILE
+from experiment_runner.store.records import Outcome, Verdict
+from glue.errors import ExperimentError
+
+FILE = """
+seed_env = "S"
+[tasks.walk]
+env = "skeleton"
+episodes = 2
+[entrants.late]
+key = "late.pub"
+[entrants.unverified]
+key = "unverified.pub"
+[entrants.forger]
+key = "forger.pub"
+"""
+
+
+def test_who_has_no_place_is_last_with_the_reason(tmp_path: Path) -> None:
+    competition = parse_competition(FILE, tmp_path / "spring.toml")
+    with open_competition(tmp_path / "run", FILE, competition, trials(competition, b"secret")) as store:
+        for name in ("unverified", "forger"):
+            store.record_outcome(f"{name}/walk/0", Outcome("it left", b"digest"))
+        store.record_verdict("forger/walk/0", Verdict(b"digest", "a reward differs", 0.0))
+
+        found: dict[str, Standing] = {one.name: one for one in standings(store, competition).entrants}
+        assert {one.place for one in found.values()} == {None}
+        assert "not played to the end yet" in found["late"].missing
+        assert "not verified yet" in found["unverified"].missing
+        assert "a reward differs" in found["forger"].missing
+        assert found["forger"].forfeits[0].reason == "it left"
+        assert not standings(store, competition).seeds
+        assert [seed.task for seed in standings(store, competition, reveal=True).seeds] == ["walk"]
+
+        (tmp_path / "run" / ABOUT_FILE).write_text("{}")
+        with pytest.raises(ExperimentError, match=r"run\.json"):
+            standings(store, competition)
