@@ -1,4 +1,7 @@
-"""What all tests share: their own modules can be imported, as `tests.players` and the like; Ctrl-C works."""
+"""What all tests share: their own modules can be imported, as `tests.players` and the like; Ctrl-C works.
+
+Slow tests come first, so that no process is left alone with one at the end.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import signal
 import sys
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -16,3 +20,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # No test asserts on time: the first example of a property may have to compile or import.
 settings.register_profile("glue", deadline=None)
 settings.load_profile("glue")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    items.sort(key=lambda item: item.get_closest_marker("slow") is None)

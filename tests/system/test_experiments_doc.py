@@ -26,10 +26,15 @@ COMMANDS = {
 }
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Where the whole text was followed."""
-    folder = tmp_path_factory.mktemp("tutorial")
+def test_every_block_is_accounted_for() -> None:
+    assert TEXT.count("```") == 2 * len(BLOCK.findall(TEXT))
+    notes = {note for note, _, _ in BLOCK.findall(TEXT)}
+    cluster = "runs in the tests, where Ray is installed"
+    assert notes == {*COMMANDS, "file: lazy.py", "file: sweep.toml", cluster}
+
+
+def follow(folder: Path) -> None:
+    """Write every file of the text, and run every command."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     for block in BLOCK.finditer(TEXT):
         note, body = block["note"], HUNDREDS.sub("20", block["body"])
@@ -45,33 +50,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 timeout=SECONDS,
             )
             assert done.returncode == 0, f"{body}\n{done.stdout}\n{done.stderr}"
-    return folder
-
-
-def test_every_block_is_accounted_for() -> None:
-    assert TEXT.count("```") == 2 * len(BLOCK.findall(TEXT))
-    notes = {note for note, _, _ in BLOCK.findall(TEXT)}
-    cluster = "runs in the tests, where Ray is installed"
-    assert notes == {*COMMANDS, "file: lazy.py", "file: sweep.toml", cluster}
 
 
 @pytest.mark.slow
-def test_text_can_be_followed(folder: Path) -> None:
+def test_text_can_be_followed(tmp_path: Path) -> None:
+    follow(tmp_path)
     for name in ("first.csv", "first.png", "sweep.png", "sweep.svg", "sweep.parquet"):
-        assert (folder / name).stat().st_size > 0, name
+        assert (tmp_path / name).stat().st_size > 0, name
     for run in ("first", "trials", "try", "sweep", "killed", "both"):
-        with Results.open(folder / "runs" / run) as results:
+        with Results.open(tmp_path / "runs" / run) as results:
             assert all(trial.finished for trial in results.trials()), run
-
-
-@pytest.mark.slow
-def test_killed_run_is_that_of_the_text(folder: Path) -> None:
-    """It goes on after the kill; were it over before, the text would show nothing."""
-    with Results.open(folder / "runs" / "killed") as results:
+    # It goes on after the kill; were it over before, the text would show nothing.
+    with Results.open(tmp_path / "runs" / "killed") as results:
         assert [event.kind for event in results.events()][:2] == ["start", "resume"]
-
-
-@pytest.mark.slow
-def test_trials_are_called_as_the_text_says(folder: Path) -> None:
-    assert "sarsa/mines/3" in contents(folder / "runs" / "trials")
-    assert len(load_plan(folder / "sweep.toml").expand()) == len(contents(folder / "runs" / "sweep")) == 12
+    assert "sarsa/mines/3" in contents(tmp_path / "runs" / "trials")
+    assert (
+        len(load_plan(tmp_path / "sweep.toml").expand()) == len(contents(tmp_path / "runs" / "sweep")) == 12
+    )
