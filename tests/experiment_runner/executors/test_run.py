@@ -186,8 +186,8 @@ def test_interrupted_learning_in_mario_goes_on_as_if_nothing_had_happened(tmp_pa
 
 
 def test_an_interrupted_run_says_how_to_go_on_as_it_was_begun(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text("from agents.tabular import SarsaAgent as Mine")
-    plan = replace(PLAN, agents=(RoleSweep(f"{tmp_path}/mine.py:Mine"),))
+    (tmp_path / "interrupted_one.py").write_text("from agents.tabular import SarsaAgent as One")
+    plan = replace(PLAN, agents=(RoleSweep(f"{tmp_path}/interrupted_one.py:One"),))
     hub = HubOptions(
         bind=("tcp://*:5000",),
         session="a",
