@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -263,7 +264,7 @@ class _Still:
 
 
 class _Vector:
-    """Runs to the right in all games, whatever it sees."""
+    """Runs to the right in all games and jumps now and then, whatever it sees."""
 
     def agent_batch(self) -> int:
         return 0
@@ -271,13 +272,12 @@ class _Vector:
     def agent_init(self, task_spec: str) -> None:
         games, _ = read_batch_task_spec(task_spec)
         counts = np.tile(np.array([3, 0, 0], np.int32), (games, 1))
-        self._actions = Ragged(
-            counts, np.tile(np.array([1, 0, 1], np.int32), games), np.empty(0), np.empty(0, np.uint8)
-        )
+        ints = [(one - [1, 0, 0]).astype(np.int32).ravel() for one in _actions(games)]
+        self._actions = cycle([Ragged(counts, one, np.empty(0), np.empty(0, np.uint8)) for one in ints])
 
     def agent_start(self, observation: Observation) -> Action:
         unpack_batch(observation)
-        return pack_actions(self._actions)
+        return pack_actions(next(self._actions))
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
         return self.agent_start(observation)

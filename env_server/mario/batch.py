@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from env_server.mario.game import start_first, step_world
+from env_server.mario.game import start_first, start_world, step_world
 from env_server.mario.observation import BODY_SIZE
 from env_server.mario.parameters import Parameters
 from env_server.mario.sim.state import WORLD, World, Worlds
@@ -40,12 +40,15 @@ class Batch(Closing):
     Args:
         tasks: one task per game; N is how many there are.
         threads: how many cores to use; by default as many as are useful.
+        restarts: whether a game that is over begins its next episode in the same step.
 
     Attributes:
         bodies: each game's last observation as the body of an abstract type, shape (N, BODY_SIZE), uint8.
     """
 
-    def __init__(self, tasks: Sequence[Parameters], *, threads: int | None = None) -> None:
+    def __init__(
+        self, tasks: Sequence[Parameters], *, threads: int | None = None, restarts: bool = False
+    ) -> None:
         self._worlds: Worlds = np.zeros(len(tasks), WORLD)
         self.set_tasks(tasks)
         self.bodies = np.zeros((len(tasks), BODY_SIZE), np.uint8)
@@ -56,6 +59,7 @@ class Batch(Closing):
         worth_it = min(os.cpu_count() or 1, len(tasks) // _GAMES_PER_THREAD)
         workers = max(1, worth_it if threads is None else threads)
         self._threads = Threads(workers, len(tasks))
+        self._restarts = restarts
         self._load()
 
     def __len__(self) -> int:
@@ -83,14 +87,14 @@ class Batch(Closing):
             actions: shape (N, 3): direction -1 to 1, jump and run 0 or 1.
 
         Returns:
-            The rewards, shape (N,), and whether each episode ended, shape (N,). After an end, the
-            observation is still the one before it.
+            The rewards, shape (N,), and whether each episode ended, shape (N,). After an end the observation
+            is still the one before it, or that of the next episode if the batch `restarts`.
 
         Raises:
             SimulatorError: an action is out of bounds, or a game has no episode being played.
         """
         self._actions[:] = self._checked(actions)
-        outcome = (self._rewards, self._ended, self._sizes, self.bodies)
+        outcome = (self._rewards, self._ended, self._sizes, self.bodies, self._restarts)
         self._threads.run(_step_range, self._worlds, self._actions, *outcome)
         return self._rewards.copy(), self._ended.copy()
 
@@ -103,7 +107,7 @@ class Batch(Closing):
         with announce_compilation("Infinite Mario"):
             start_first(np.zeros(1, WORLD), np.zeros(BODY_SIZE, np.uint8))
             _first_wrong(self._worlds[:0], _NO_ACTIONS)
-            nothing = (_NO_ACTIONS, np.empty(0), np.empty(0, np.bool_), self._sizes, self.bodies)
+            nothing = (_NO_ACTIONS, np.empty(0), np.empty(0, np.bool_), self._sizes, self.bodies, False)
             _step_range(np.zeros(1, np.int64), CALLER, self._worlds, *nothing, 0, 0)
 
     def _checked(self, actions: npt.NDArray[np.integer]) -> npt.NDArray[np.int64]:
@@ -143,6 +147,7 @@ def _step_range(
     ended: npt.NDArray[np.bool_],
     sizes: npt.NDArray[np.int64],
     bodies: npt.NDArray[np.uint8],
+    restarts: bool,
     first: int,
     last: int,
 ) -> None:
@@ -153,6 +158,8 @@ def _step_range(
             reward, size = step_world(world, actions[i, 0], actions[i, 1], actions[i, 2], bodies[i])
             rewards[i] = reward
             ended[i] = size == 0
+            if size == 0 and restarts:
+                size = start_world(world, bodies[i])
             if size > 0:
                 sizes[i] = size
         if end_turn(gate, worker):

@@ -7,7 +7,7 @@ is, to the byte, what an `InfiniteMario` of its own would be; the message is des
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,7 @@ from env_server.mario.batch import Batch
 from env_server.mario.environment import InfiniteMario
 from env_server.mario.observation import BODY_SIZE
 from glue.batches import Ragged, batch_task_spec, pack_actions, unpack_actions
-from glue.compiled.jit import announce_compilation, entry
+from glue.compiled.jit import announce_compilation, entry, jit
 from glue.errors import ConfigError, SimulatorError
 from glue.protocol.limits import MAX_BODY
 from glue.types import PREFIX_SIZE, Action, Observation
@@ -63,7 +63,7 @@ class InfiniteMarioBatch:
         task_spec = self.__wrapped__.env_init()
         self._close()
         with announce_compilation("Infinite Mario"):
-            self._batch = Batch([self.__wrapped__.parameters] * self._games)
+            self._batch = Batch([self.__wrapped__.parameters] * self._games, restarts=True)
             _gather(self._batch.bodies, np.zeros(self._games), np.zeros(self._games, np.bool_), self._message)
         return batch_task_spec(self._games, task_spec)
 
@@ -90,8 +90,6 @@ class InfiniteMarioBatch:
         """
         batch = self._playing()
         rewards, ended = batch.step(self._buttons(action))
-        if ended.any():
-            batch.start(ended)
         return float(rewards.sum()), self._shown(batch, rewards, ended), False
 
     def env_cleanup(self) -> None:
@@ -145,36 +143,42 @@ def _gather(
 ) -> int:
     """Write the rewards, ends and observations of all games as the body of a batch; return its length."""
     games = len(bodies)
+    own_words, own_reals = bodies.view(np.int32), bodies.view(np.float64)
     ints, doubles, chars = 1 + 4 * games, games, 0
     for i in range(games):
-        counts = bodies[i].view(np.int32)
-        ints += counts[0]
-        doubles += counts[1]
-        chars += counts[2]
+        ints += own_words[i, 0]
+        doubles += own_words[i, 1]
+        chars += own_words[i, 2]
     words, reals = message.view(np.int32), message.view(np.float64)
     words[0], words[1], words[2], words[3] = ints, doubles, chars, 0
     # Where the next number of each kind goes, counted in numbers of its size.
     real = PREFIX_SIZE // 8
     word = PREFIX_SIZE // 4 + 2 * doubles
     char = 4 * (word + ints)
-    reals[real : real + games] = rewards
     words[word] = games
-    words[word + 1 : word + 1 + games] = ended
-    for kind in range(3):
-        for i in range(games):
-            words[word + 1 + games * (1 + kind) + i] = bodies[i].view(np.int32)[kind]
+    for i in range(games):
+        reals[real + i] = rewards[i]
+        words[word + 1 + i] = ended[i]
+        for kind in range(3):
+            words[word + 1 + (1 + kind) * games + i] = own_words[i, kind]
     real += games
     word += 1 + 4 * games
     for i in range(games):
-        body = bodies[i]
-        own_words = body.view(np.int32)
-        own_ints, own_doubles, own_chars = own_words[0], own_words[1], own_words[2]
-        at = PREFIX_SIZE // 4 + 2 * own_doubles
-        reals[real : real + own_doubles] = body.view(np.float64)[PREFIX_SIZE // 8 : at // 2]
-        words[word : word + own_ints] = own_words[at : at + own_ints]
-        at = 4 * (at + own_ints)
-        message[char : char + own_chars] = body[at : at + own_chars]
-        real += own_doubles
-        word += own_ints
-        char += own_chars
+        num_ints, num_doubles, num_chars = own_words[i, 0], own_words[i, 1], own_words[i, 2]
+        at = PREFIX_SIZE // 8
+        _copy(own_reals[i, at : at + num_doubles], reals[real:])
+        at = 2 * (at + num_doubles)
+        _copy(own_words[i, at : at + num_ints], words[word:])
+        at = 4 * (at + num_ints)
+        _copy(bodies[i, at : at + num_chars], message[char:])
+        real += num_doubles
+        word += num_ints
+        char += num_chars
     return char
+
+
+@jit
+def _copy(source: npt.NDArray[Any], target: npt.NDArray[Any]) -> None:
+    """Copy a row to the beginning of another: eight times as fast as to assign a slice, in compiled code."""
+    for i in range(len(source)):
+        target[i] = source[i]

@@ -18,7 +18,7 @@ from glue.compiled.jit import announce_compilation, entry, jit
 from glue.errors import SimulatorError
 from glue.types import Observation
 
-__all__ = ["Body", "Game", "start_first", "step_world"]
+__all__ = ["Body", "Game", "start_first", "start_world", "step_world"]
 
 Body = npt.NDArray[np.uint8]
 """Room for an observation as the body of an abstract type, shape (BODY_SIZE,)."""
@@ -142,13 +142,19 @@ def step_world(world: World, direction: int, jump: int, run: int, body: Body) ->
     return terminal_reward(world), 0
 
 
-@entry
-def start_first(worlds: Worlds, body: Body) -> int:
-    """Begin an episode in the first of `worlds`; return the length of the observation now in `body`."""
-    world: World = worlds[0]
+@jit
+def start_world(world: World, body: Body) -> int:
+    """Begin an episode; return the length of the observation now in `body`."""
     begin(world)
     ordinary_reward(world)  # of the first check-in: noted as paid, although the agent does not receive it
     return encode(world, body)
+
+
+@entry
+def start_first(worlds: Worlds, body: Body) -> int:
+    """Begin an episode in the first of `worlds`, as `start_world`."""
+    world: World = worlds[0]
+    return start_world(world, body)
 
 
 @entry

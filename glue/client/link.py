@@ -21,6 +21,7 @@ from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolErr
 from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role, Value
 from glue.protocol.steps import Step, StepFormat
 from glue.protocol.wire import MAX_BODY, UnknownKind, clip
+from glue.sockets.looking import LONG_LOOK_SECONDS, SEVERAL_CORES
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
@@ -74,6 +75,9 @@ class Link:
         self._heartbeat, self._timeout = _HEARTBEAT, _TIMEOUT
         self._transport = transport or open_transport(hub, context, key)
         self._transport.wait_at_most(_HEARTBEAT if wait is None else min(_HEARTBEAT, wait))
+        many_games = any("batch" in capabilities for _, capabilities in names.values())
+        if many_games and SEVERAL_CORES and isinstance(self._transport, SocketTransport):
+            self._transport.look_for(LONG_LOOK_SECONDS)
         self._greeted = 0  # the connection that was greeted last; also the `seq` of that HELLO
         self._welcomed: set[str] = set()  # sessions, over that connection
         self._known = False  # whether a hub has ever welcomed us

@@ -18,6 +18,7 @@ from glue.client.place import needs_key
 from glue.errors import Refused, RemoteProtocolError
 from glue.protocol import zmtp
 from glue.protocol.steps import MAX_LEAD, Step, StepFormat, lead_of
+from glue.sockets.looking import receive_soon
 from glue.sockets.options import limit_silence, probe_when_silent, unix_address
 
 __all__ = ["SocketTransport"]
@@ -64,6 +65,7 @@ class SocketTransport(FrameTransport):
         self._retry = _RETRY_SECONDS[0]
         self._retry_at = 0.0
         self._timed_out = False
+        self._look = 0.0
 
     def notice_connections(self) -> None:
         """Do nothing: `connected` and `connections` are up to date at any time."""
@@ -73,6 +75,10 @@ class SocketTransport(FrameTransport):
         self._wait = seconds
         if self.connected:
             self._limit_receiving()
+
+    def look_for(self, seconds: float) -> None:
+        """Set how long `receive` looks for a message before it falls asleep, in seconds."""
+        self._look = seconds
 
     def send(self, frames: Sequence[bytes]) -> bool:
         """Send a message; return False, having sent nothing, if there is no connection."""
@@ -212,7 +218,9 @@ class SocketTransport(FrameTransport):
         connected = self._socket
         assert connected is not None
         try:
-            data = connected.recv(_CHUNK)
+            data = receive_soon(connected, _CHUNK, self._look) if self._look else None
+            if data is None:
+                data = connected.recv(_CHUNK)
         except BlockingIOError:
             return None
         except OSError:

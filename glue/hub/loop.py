@@ -10,7 +10,6 @@ time: however many peers flood the hub, a session that plays has the rest.
 from __future__ import annotations
 
 import math
-import os
 import select
 import socket
 import threading
@@ -19,6 +18,8 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
+
+from glue.sockets.looking import LONG_LOOK_SECONDS, SEVERAL_CORES, give_way
 
 __all__ = ["FAILURE", "READ", "WRITE", "Loop"]
 
@@ -38,9 +39,6 @@ _LOOK_SECONDS: Final = 50e-6
 
 _MAX_MISSES: Final = 8
 """After n unsuccessful looks in succession, the next 2**n waits do without one; this is the maximum of n."""
-
-_SEVERAL_CORES: Final = not hasattr(os, "sched_getaffinity") or len(os.sched_getaffinity(0)) > 1
-"""On a single core no peer could answer while the loop looks."""
 
 _GRACE_SECONDS: Final = 0.05
 """How long the thread in `run` waits for another to take the loop again, before it goes on itself."""
@@ -78,6 +76,7 @@ class Loop:
         self._saved = _MAX_SAVED
         self._saved_at = 0.0
         self._expecting = False
+        self._look_seconds = _LOOK_SECONDS
         self._misses = 0
         self._without_look = 0
         self.mutex = threading.Lock()
@@ -110,7 +109,11 @@ class Loop:
 
     def expect(self) -> None:
         """Note that a peer was sent what it usually answers at once."""
-        self._expecting = _SEVERAL_CORES
+        self._expecting = SEVERAL_CORES
+
+    def look_longer(self) -> None:
+        """Note that a peer has joined that is many games, or acts in many: its answers take longer."""
+        self._look_seconds = LONG_LOOK_SECONDS
 
     def run(self) -> None:
         """Take turns until `stop`, but for the time in which other threads take the loop."""
@@ -166,7 +169,7 @@ class Loop:
             self._without_look -= 1
             return None
         poll, clock = self._poller.poll, time.monotonic
-        until = clock() + _LOOK_SECONDS
+        until = clock() + self._look_seconds
         while True:
             events = poll(0)
             if events:
@@ -174,6 +177,8 @@ class Loop:
                 return events
             if clock() >= until:
                 break
+            if self._look_seconds > _LOOK_SECONDS:
+                give_way()
         self._misses = min(self._misses + 1, _MAX_MISSES)
         self._without_look = 2**self._misses
         return None

@@ -24,6 +24,7 @@ from glue.hub.listener import OpenAddress, open_address
 from glue.hub.log import Log
 from glue.hub.loop import Loop
 from glue.hub.router import Router
+from glue.protocol.messages import Kind
 from glue.protocol.wire import TO_HUB, UnknownKind, decode
 
 __all__ = ["Hub"]
@@ -182,4 +183,9 @@ class Hub(Closing):
             if not had_seats and not isinstance(error, UnknownKind):
                 raise
             return False
+        if message.kind is Kind.HELLO:
+            capabilities = message.scalars[-1]
+            assert isinstance(capabilities, tuple)
+            if "batch" in capabilities:
+                self.loop.look_longer()
         return self.switchboard.receive(route, message, now)
