@@ -109,6 +109,7 @@ class Games:
         chosen = resolve_levels(levels, num_levels, start_level)
         if chosen is not None and "level_seed" in options:
             raise ConfigError("level_seed is one level: leave it out, or levels, num_levels and start_level")
+        options = {name: _plain(value) for name, value in options.items()}
         task = check_parameters(options)
         shape = VIEWS[view]
         self.lanes: Array = np.zeros(count, layout(Lane))
@@ -185,6 +186,11 @@ class Games:
             _order(*none, self.lanes[:0], self._setup, self._orders)
             self._run()
             # An observation is asked for by `render` alone, which may compile when it comes to that.
+
+
+def _plain(value: Any) -> Any:
+    """Return one of NumPy's numbers as Python's, and anything else as it is."""
+    return value.item() if isinstance(value, np.generic) else value
 
 
 @jit

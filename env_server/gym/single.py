@@ -141,8 +141,10 @@ class InfiniteMarioEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         """Go to where `clone_state` of an environment of the same options was called.
 
         Raises:
-            SimulatorError: `state` is of an environment with other observations.
+            SimulatorError: `state` is no such state, or of an environment with other observations.
         """
+        if not isinstance(state, GameState):
+            raise SimulatorError(f"expected a state that clone_state returned, not {state!r:.80}")
         pairs = [*zip(self._arrays(), state.arrays, strict=True)]
         if any(ours.shape != theirs.shape or ours.dtype != theirs.dtype for ours, theirs in pairs):
             raise SimulatorError("this state is of an environment with another kind of observation")

@@ -118,6 +118,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         Raises:
             ConfigError: there is not one seed per game, or the mask is not N bools of which one is true.
         """
+        seed = int(seed) if isinstance(seed, np.integer) else seed
         super().reset(seed=seed if isinstance(seed, int) else None)
         games = self._games
         which = self._mask(options)
@@ -195,7 +196,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
             return [seed + i for i in range(self.num_envs)]
         if len(seed) != self.num_envs:
             raise ConfigError(f"expected a seed for each of {self.num_envs} games; received {len(seed)}")
-        return [*seed]
+        return [None if one is None else int(one) for one in seed]
 
     def _final(self, over: npt.NDArray[np.bool_]) -> dict[str, Any]:
         """Return what Gymnasium says of episodes that are over, when the next ones have begun already."""

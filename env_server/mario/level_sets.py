@@ -60,12 +60,14 @@ def resolve_levels(levels: str | None, num_levels: int | None, start_level: int 
     if levels is not None:
         if num_levels is not None or start_level is not None:
             raise ConfigError("levels names a set: leave out num_levels and start_level")
-        if levels not in LEVEL_SETS:
-            known = ", ".join(LEVEL_SETS)
+        if not isinstance(levels, str) or levels not in LEVEL_SETS:
             raise ConfigError(
-                f"levels is one of {known}, not {levels!r}{did_you_mean(str(levels), LEVEL_SETS)}"
+                f"no set of levels is called {levels!r:.80}{did_you_mean(str(levels), LEVEL_SETS)}"
             )
         return LEVEL_SETS[levels]
+    for name, number in (("num_levels", num_levels), ("start_level", start_level)):
+        if not isinstance(number, int | np.integer | None):
+            raise ConfigError(f"{name} takes a whole number, not {number!r:.80}")
     if num_levels is None:
         if start_level is not None:
             raise ConfigError(f"start_level={start_level} needs num_levels: how many levels there are")
@@ -77,7 +79,7 @@ def resolve_levels(levels: str | None, num_levels: int | None, start_level: int 
         raise ConfigError(
             f"num_levels must be from 1 to {_LAST + 1 - first} after level {first}, not {num_levels}"
         )
-    return range(first, first + num_levels)
+    return range(int(first), int(first + num_levels))
 
 
 def numbered_level(task: Parameters, number: int) -> Parameters:

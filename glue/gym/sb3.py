@@ -139,15 +139,13 @@ class SB3Agent:
         self._path = Path(policy)
         self._algorithm = algorithm
         self._deterministic = deterministic
-        self._model: Any = None
+        self._model = self._load()
         self._seed: int | None = None
 
     def agent_seed(self, seed: int) -> None:
         self._seed = seed
 
     def agent_init(self, task_spec: str) -> None:
-        if self._model is None:
-            self._model = self._load()
         observations, actions = read_spaces(parse_task_spec(task_spec))
         expected = (self._model.observation_space, self._model.action_space)
         if (observations, actions) != expected:

@@ -361,6 +361,8 @@ def test_what_cannot_be_is_refused_by_name() -> None:
         ({"levels": "train-200", "num_levels": 3}, "leave out num_levels"),
         ({"start_level": 3}, "needs num_levels"),
         ({"num_levels": 0}, "num_levels must be"),
+        ({"num_levels": "3"}, "num_levels takes a whole number"),
+        ({"levels": ["train-200"]}, "no set of levels is called"),
         ({"levels": "train-200", "level_seed": 3}, "level_seed is one level"),
         ({"level_dificulty": 1}, "no option level_dificulty"),
         ({"level_type": 7}, "level_type must be"),
@@ -382,6 +384,18 @@ def test_what_cannot_be_is_refused_by_name() -> None:
         envs.reset(options={"reset_mask": np.zeros(2, np.bool_)})
     with pytest.raises(ConfigError, match="a seed for each"):
         envs.reset(seed=[1])
+    with pytest.raises(SimulatorError, match="clone_state"):
+        make().unwrapped.restore_state(None)
+
+
+def test_numbers_may_be_those_of_numpy() -> None:
+    numpys, pythons = (
+        make_vec(3, num_levels=kind(40), start_level=kind(7), max_trial_steps=kind(50))
+        for kind in (np.int64, int)
+    )
+    for seed, same in ((np.int64(3), 3), (np.arange(3), [0, 1, 2])):
+        for part, expected in zip(numpys.reset(seed=seed), pythons.reset(seed=same), strict=True):
+            assert_equal(part, expected)
 
 
 def test_ended_games_need_a_reset_where_it_is_not_automatic() -> None:

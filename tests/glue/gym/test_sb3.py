@@ -121,7 +121,7 @@ def test_a_policy_that_is_none_is_refused(tmp_path: Path) -> None:
     wrong.write_bytes(b"nothing")
     for path, message in ((tmp_path / "none.zip", "there is no policy"), (wrong, "is not a policy of PPO")):
         with pytest.raises(ConfigError, match=message):
-            make_agent("sb3", policy=str(path)).agent_init("")
+            make_agent("sb3", policy=str(path))
 
 
 @pytest.mark.skipif("GYM_LEARN" not in os.environ, reason="learns for a minute or two: set GYM_LEARN")
