@@ -29,6 +29,7 @@ from glue.batches import (
 )
 from glue.core.config import HubConfig
 from glue.hub.server import Hub
+from glue.players.batched import make_batch
 
 __all__ = ["run"]
 
@@ -183,16 +184,19 @@ def _batches() -> Table:
     """Measure many games in one session, environment and agent in two processes beside the hub's."""
     rows = []
     for games in (64, 256):
-        with _players(partial(_serve_games, games), _serve_vector) as (glue, pids):
-            glue.rl_init(_SEED)
-            messages = 128_000 // games
-            work = partial(glue.rl_episode, messages + 1)
-            (found,) = rates([partial(rate, work, messages * games, pids)])
-        rows.append(
-            (str(games), count(found.per_second), count(found.per_second / games), f"{found.cpu:.1f}")
-        )
-    about = "Observations of Mario's size, rewards and terminals in one message, and the actions back."
-    columns = ("games", "steps/s", "messages/s", "CPU of all processes, us a step")
+        for name, serve in (("glue-env mario --batch", _serve_mario), ("no rules at all", _serve_games)):
+            with _players(partial(serve, games), _serve_vector) as (glue, pids):
+                glue.rl_init(_SEED)
+                messages = 128_000 // games
+                work = partial(glue.rl_episode, messages + 1)
+                (found,) = rates([partial(rate, work, messages * games, pids)])
+            speed = found.per_second
+            rows.append((name, str(games), count(speed), count(speed / games), f"{found.cpu:.1f}"))
+    about = (
+        "Observations, rewards and terminals of many games in one message, and the actions back: of Infinite "
+        "Mario, and of an environment that shows as much without playing. The agent does not look at them."
+    )
+    columns = ("environment", "games", "steps/s", "messages/s", "CPU of all processes, us a step")
     return Table("Batches over the wire", about, columns, rows)
 
 
@@ -220,6 +224,10 @@ def _serve_cartpole(hub: str) -> None:
 
 def _serve_random(hub: str) -> None:
     serve_agent(make_agent("random"), hub, log=_ignore)
+
+
+def _serve_mario(games: int, hub: str) -> None:
+    serve_environment(make_batch("mario", partial(make, "mario"), games), hub, log=_ignore)
 
 
 def _serve_games(games: int, hub: str) -> None:
