@@ -33,6 +33,9 @@ _SEMAPHORE_BYTES: Final = 128  # at most; and each has cache lines of its own
 _SPINS: Final = 60_000
 """Some 300 microseconds: Python needs up to 150 between two calls, and to wake takes about 100."""
 
+_SPINS_IN_A_ROW: Final = 2_000
+"""After some 10 microseconds others may have the core: the thread that is waited for may be among them."""
+
 
 def _semaphore_function(name: str) -> Any:
     return types.ExternalFunction(name, types.int32(types.uintp))
@@ -41,6 +44,7 @@ def _semaphore_function(name: str) -> Any:
 _post = _semaphore_function("sem_post")
 _wait = _semaphore_function("sem_wait")
 _trywait = _semaphore_function("sem_trywait")
+_yield = types.ExternalFunction("sched_yield", types.int32())
 
 
 def make_gate(workers: int) -> tuple[Gate, npt.NDArray[np.uint8]] | None:
@@ -93,8 +97,10 @@ def end_turn(gate: Gate, worker: int) -> bool:
 
 @jit
 def _await(semaphore: int) -> None:
-    for _ in range(_SPINS):
+    for spin in range(1, _SPINS + 1):
         if _trywait(np.uintp(semaphore)) == 0:
             return
+        if spin % _SPINS_IN_A_ROW == 0:
+            _yield()
     while _wait(np.uintp(semaphore)) != 0:  # a signal came
         pass
