@@ -22,7 +22,9 @@ _COMPARED = 64
 _EACH = 100
 """Steps of an episode."""
 _TOTAL = 51_200
-"""Steps of a measurement, of all sessions together, or an episode of each: a short one has a quiet moment."""
+"""Steps of a measurement, of all sessions together: a short one has a quiet moment."""
+_EPISODES = 3
+"""Of each session at least: one would measure how many experiments begin and end."""
 _SMALL, _ = SIZES
 
 
@@ -78,7 +80,7 @@ def _many_sessions(number: int) -> Iterator[Measure]:
         glues = [stack.enter_context(connect(url, str(i))) for i in range(number)]
         pool = stack.enter_context(ThreadPoolExecutor(number))
         list(pool.map(lambda glue: glue.rl_init(), glues))
-        episodes = max(_TOTAL // _EACH // number, 1)
+        episodes = max(_TOTAL // _EACH // number, _EPISODES)
 
         def play(glue: Experiment) -> None:
             for _ in range(episodes):
