@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import re
+import socket
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
+from threading import Timer
 
 import numpy as np
 import pytest
@@ -23,8 +25,10 @@ from glue.batches import (
     unpack_actions,
     unpack_batch,
 )
+from glue.client.sockets import SocketTransport
 from glue.core.experiment import Experiment
 from glue.errors import ConfigError, GlueError, RemoteProtocolError, Unsupported
+from glue.hub.loop import READ, Loop
 from glue.players.batched import BatchedEnvironments
 from glue.roles import capabilities
 from tests.hubs import over_the_hub
@@ -155,6 +159,51 @@ def test_an_agent_for_single_games_is_refused_by_name(glue: Glue) -> None:
     environment = BatchedEnvironments([ScriptedEnvironment()])
     with glue(ScriptedAgent(), environment) as experiment, pytest.raises(Unsupported, match="agent_batch"):
         experiment.rl_init()
+
+
+def test_those_of_many_games_look_longer_before_they_sleep(monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[str] = []
+    monkeypatch.setattr("glue.client.link.SEVERAL_CORES", True)
+    monkeypatch.setattr(SocketTransport, "look_for", lambda transport, seconds: looks.append("player"))
+    monkeypatch.setattr(Loop, "look_longer", lambda loop: looks.append("hub"))
+    with over_the_hub(ScriptedAgent(), ScriptedEnvironment()) as experiment:
+        experiment.rl_init()
+    assert looks == []
+    with over_the_hub(Vector(), BatchedEnvironments([ScriptedEnvironment()])) as experiment:
+        experiment.rl_init()
+    assert sorted(looks) == ["hub", "hub", "player", "player"]
+
+
+def test_a_hub_that_looks_longer_does_not_sleep_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("glue.hub.loop.LONG_LOOK_SECONDS", 60.0)
+    monkeypatch.setattr("glue.hub.loop.SEVERAL_CORES", True)
+    loop = Loop(60.0, lambda line: None)
+    ours, theirs = socket.socketpair()
+    slept: list[float] = []
+    poller = loop._poller
+
+    class Watched:
+        register, unregister = poller.register, poller.unregister
+        close = poller.close
+
+        def poll(self, seconds: float) -> list[tuple[int, int]]:
+            if seconds:
+                slept.append(seconds)
+            return poller.poll(seconds)
+
+    monkeypatch.setattr(loop, "_poller", Watched())
+    with ours, theirs:
+        loop.watch(ours.fileno(), READ, lambda now: loop.stop("it arrived"))
+        loop.look_longer()
+        loop.expect()
+        sender = Timer(0.02, theirs.send, (b"an answer",))
+        sender.start()
+        loop.turn()
+        sender.join()
+        loop.unwatch(ours.fileno())
+    assert loop.stopping == "it arrived"
+    assert slept == []
+    loop.close()
 
 
 def test_a_batch_needs_environments_with_one_task_spec() -> None:
