@@ -5,6 +5,7 @@ import math
 import re
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -12,6 +13,7 @@ from agents.baselines import SkeletonAgent
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
 from experiment_runner.plan import RoleSpec, TrialSpec
 from experiment_runner.players import HubOptions, Meeting, open_experiment
+from experiment_runner.rewards import FiniteRewards
 from glue.client.players import serve_agent, serve_environment
 from glue.core.config import LegacyPort
 from glue.errors import GlueError, PeerFailed, PeerLost, Refused
@@ -89,6 +91,15 @@ class Odd(SkeletonEnvironment):
         reward, observation, terminal = super().env_step(action)
         return (float(self.reward) if self.steps == 3 else reward), observation, terminal
 '''
+
+
+def test_reward_that_is_not_finite_is_noticed_in_a_list_too() -> None:
+    class Lists(SkeletonEnvironment):
+        def env_step(self, action: Action) -> Any:
+            return [math.nan, Observation(ints=[1]), False]
+
+    with pytest.raises(GlueError, match="step 1 is nan"):
+        FiniteRewards(Lists()).env_step(Action(ints=[1]))
 
 
 @pytest.mark.parametrize("in_process", [True, False])
