@@ -102,8 +102,8 @@ class Games:
         start_level: int | None,
         options: dict[str, Any],
     ) -> None:
-        if view not in VIEWS:
-            raise ConfigError(f"observation is one of {', '.join(VIEWS)}, not {view!r}")
+        if view not in tuple(VIEWS):  # it may be of any type
+            raise ConfigError(f"observation is one of {', '.join(VIEWS)}, not {view!r:.80}")
         if max_episode_steps is not None and not 1 <= max_episode_steps <= _MAX_STEPS:
             raise ConfigError(f"max_episode_steps must be from 1 to {_MAX_STEPS}, not {max_episode_steps}")
         chosen = resolve_levels(levels, num_levels, start_level)

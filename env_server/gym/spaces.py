@@ -59,7 +59,7 @@ def action_space(action: str) -> spaces.Space[Any]:
     Raises:
         ConfigError: there is no such space.
     """
-    if action not in CHOICES:
+    if action not in tuple(CHOICES):  # it may be of any type
         raise ConfigError(f"action is one of {', '.join(CHOICES)}, not {action!r:.80}")
     choices = CHOICES[action]
     return spaces.MultiDiscrete(choices) if action == "buttons" else spaces.Discrete(int(choices[0]))

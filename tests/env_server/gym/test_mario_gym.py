@@ -356,7 +356,9 @@ def test_copies_are_fresh_and_views_are_not() -> None:
 def test_what_cannot_be_is_refused_by_name() -> None:
     for options, message in (
         ({"observation": "tile"}, "observation is one of"),
+        ({"observation": ["tiles"]}, "observation is one of"),
         ({"action": "joystick"}, "action is one of"),
+        ({"action": ["buttons"]}, "action is one of"),
         ({"levels": "train-20"}, "did you mean"),
         ({"levels": "train-200", "num_levels": 3}, "leave out num_levels"),
         ({"start_level": 3}, "needs num_levels"),
