@@ -13,8 +13,8 @@ _CALLERS: Final = frozenset({"glue", "experiment_runner"})
 
 
 def say(line: str) -> None:
-    """Print a line to standard error, at once."""
-    print(line, file=sys.stderr, flush=True)
+    """Print a line to standard error, at once and in one piece: several threads may print."""
+    print(f"{line}\n", end="", file=sys.stderr, flush=True)
 
 
 def show_failure(error: BaseException) -> None:

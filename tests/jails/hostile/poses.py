@@ -34,9 +34,11 @@ def attempt(what: str, pose: Callable[[], object]) -> None:
     """Try one pose, and print what came of it."""
     try:
         pose()
-        print(f"{what}: believed")
+        came = "believed"
     except GlueError as error:
-        print(f"{what}: {type(error).__name__}: {error}")
+        came = f"{type(error).__name__}: {error}"
+    # In one piece: `print` would let another thread write between a line and its end.
+    sys.stdout.write(f"{what}: {came}\n")
 
 
 if __name__ == "__main__":
