@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import abc
 import struct
 import zlib
 from collections.abc import Callable
 
+from glue.batches import read_batch_task_spec
 from glue.players.loading import names
 from glue.protocol.messages import Role
 from glue.types import Action, Observation
@@ -99,6 +101,33 @@ class ScriptedAgent:
     def agent_message(self, message: str) -> str:
         self._note(f"agent_message {message}")
         return f"agent heard {message}"
+
+
+class ActingInAll(abc.ABC):
+    """An agent that acts in many games at once."""
+
+    games = 0
+
+    def agent_batch(self) -> int:
+        return 0
+
+    def agent_init(self, task_spec: str) -> None:
+        self.games, _ = read_batch_task_spec(task_spec)
+
+    @abc.abstractmethod
+    def agent_start(self, observation: Observation) -> Action: ...
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return self.agent_start(observation)
+
+    def agent_end(self, reward: float) -> None:
+        raise AssertionError("a batch has no end")
+
+    def agent_cleanup(self) -> None:
+        self.games = 0
+
+    def agent_message(self, message: str) -> str:
+        return ""
 
 
 class SeededEnvironment(ScriptedEnvironment):

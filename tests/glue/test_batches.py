@@ -32,7 +32,7 @@ from glue.hub.loop import READ, Loop
 from glue.players.batched import BatchedEnvironments
 from glue.roles import capabilities
 from tests.hubs import over_the_hub
-from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.players import ActingInAll, ScriptedAgent, ScriptedEnvironment
 
 Glue = Callable[[Agent, Environment], AbstractContextManager[Experiment]]
 PROTOCOL = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
@@ -103,35 +103,17 @@ class CuttingEnvironment(ScriptedEnvironment):
         return True
 
 
-class Vector:
+class Vector(ActingInAll):
     """Writes down each batch, and answers observation n with the action n + 100 in every game."""
 
     def __init__(self) -> None:
         self.seen: list[tuple[list[float], list[int], list[int]]] = []
-
-    def agent_batch(self) -> int:
-        return 0
-
-    def agent_init(self, task_spec: str) -> None:
-        self.games, _ = read_batch_task_spec(task_spec)
 
     def agent_start(self, observation: Observation) -> Action:
         batch = unpack_batch(observation)
         shown = [int(one.ints[0]) for one in batch.observations.values(Observation)]
         self.seen.append((batch.rewards.tolist(), batch.terminals.tolist(), shown))
         return pack_actions(Ragged.of([Action([number + 100]) for number in shown[: self.games]]))
-
-    def agent_step(self, reward: float, observation: Observation) -> Action:
-        return self.agent_start(observation)
-
-    def agent_end(self, reward: float) -> None:
-        raise AssertionError("a batch has no end")
-
-    def agent_cleanup(self) -> None:
-        pass
-
-    def agent_message(self, message: str) -> str:
-        return ""
 
 
 @pytest.mark.parametrize("glue", [local, over_the_hub])

@@ -19,6 +19,7 @@ from glue.options import parameters
 from glue.players.batched import BatchedEnvironments, make_batch
 from glue.roles import Environment
 from tests.hubs import hub_with
+from tests.players import ActingInAll
 
 STEPS: Final = 40
 LIVELY: Final[dict[str, Any]] = {"level_difficulty": 9, "max_trial_steps": 25}
@@ -145,34 +146,15 @@ def test_more_games_than_any_message_holds_are_refused() -> None:
             make_batch("mario", InfiniteMario, games)
 
 
-class Runner:
+class Runner(ActingInAll):
     """Runs to the right in all games, and keeps what it was shown."""
 
     def __init__(self) -> None:
         self.shown: list[bytes] = []
 
-    def agent_batch(self) -> int:
-        return 0
-
-    def agent_init(self, task_spec: str) -> None:
-        games, _ = read_batch_task_spec(task_spec)
-        self._action = pack_actions(Ragged.of([Action([1, 0, 1])] * games))
-
     def agent_start(self, observation: Observation) -> Action:
         self.shown.append(observation.body)
-        return self._action
-
-    def agent_step(self, reward: float, observation: Observation) -> Action:
-        return self.agent_start(observation)
-
-    def agent_end(self, reward: float) -> None:
-        raise AssertionError("a batch has no end")
-
-    def agent_cleanup(self) -> None:
-        pass
-
-    def agent_message(self, message: str) -> str:
-        return ""
+        return pack_actions(Ragged.of([Action([1, 0, 1])] * self.games))
 
 
 def test_the_command_serves_many_games_as_one() -> None:
