@@ -62,8 +62,8 @@ class InfiniteMarioBatch:
         """Make fresh games; return the task spec of all."""
         task_spec = self.__wrapped__.env_init()
         self._close()
-        with announce_compilation("Infinite Mario"):
-            self._batch = Batch([self.__wrapped__.parameters] * self._games, restarts=True)
+        self._batch = Batch([self.__wrapped__.parameters] * self._games, restarts=True)
+        with announce_compilation("messages of many games"):
             _gather(self._batch.bodies, np.zeros(self._games), np.zeros(self._games, np.bool_), self._message)
         return batch_task_spec(self._games, task_spec)
 
