@@ -8,6 +8,7 @@ off, the last observation is in the batch as well, behind all others.
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Sequence
 from typing import Any, Final, NamedTuple
@@ -30,6 +31,8 @@ __all__ = [
 ]
 
 _VERSION: Final = "VERSION RL-Glue-Batch-1 "
+_HEAD: Final = re.compile(rf"{_VERSION}0*([1-9][0-9]{{0,8}})(?: |$)")
+"""More games would not fit into a message."""
 
 _COUNTS: Final = 3
 _PREFIX: Final = struct.Struct("<4I")
@@ -78,12 +81,12 @@ class Ragged(NamedTuple):
 
 
 class Batch(NamedTuple):
-    """What N games have to say.
+    """The rewards, terminals and observations of one step, or the start, of N games.
 
     Attributes:
         rewards: shape (N,), float64; zeros at the start.
         terminals: shape (N,), int32: 0, 1 for an end, 2 (CUT_OFF) for a cut-off.
-        observations: N of them, those of the next episode where one has ended or was cut off; then the last
+        observations: N observations, of the next episode where one has ended or was cut off; then the last
             observation of each game that was cut off, in the order of the games.
     """
 
@@ -98,15 +101,15 @@ def batch_task_spec(games: int, task_spec: str) -> str:
 
 
 def read_batch_task_spec(text: str) -> tuple[int, str]:
-    """Return how many games there are, and the task spec of each.
+    """Return the number of games, and the task spec of each.
 
     Raises:
         RemoteProtocolError: it is not the task spec of a batch.
     """
-    games, _, task_spec = text.removeprefix(_VERSION).partition(" ")
-    if not text.startswith(_VERSION) or not games.isascii() or not games.isdigit() or int(games) < 1:
+    head = _HEAD.match(text)
+    if head is None:
         raise RemoteProtocolError(f"expected {_VERSION}N and a task spec; received {text!r:.80}")
-    return int(games), task_spec
+    return int(head[1]), text[head.end() :]
 
 
 def pack_batch(batch: Batch) -> Observation:

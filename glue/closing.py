@@ -1,4 +1,4 @@
-"""What is closed at the end of a `with` statement."""
+"""Base class of objects that are closed at the end of a `with` statement."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ __all__ = ["Closing"]
 
 
 class Closing(ABC):
-    """Base class of what has a `close` method, which leaving a `with` statement calls."""
+    """Base class of objects with a `close` method, which leaving a `with` statement calls."""
 
     __slots__ = ()
 

@@ -12,12 +12,14 @@ import runpy
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-__all__ = ["BIN", "SERVER", "redirect", "run", "start"]
+from glue.conform.hub.clients import is_awake
+
+__all__ = ["BIN", "SERVER", "Forked", "redirect", "run", "start"]
 
 BIN: Final = Path(sys.executable).parent
 
@@ -28,23 +30,24 @@ SERVER.set_forkserver_preload(
         "agents.mohan2010.flat",
         "agents.mohan2010.hierarchical",
         "agents.tabular",
-        "env_server.command",
+        "env_server.cli.environment",
         "env_server.mario.environment",
-        "env_server.replay.command",
+        "env_server.cli.replay",
         "env_server.toys",
-        "experiment_runner.commands.carrying_out",
-        "experiment_runner.commands.experiment",
-        "experiment_runner.commands.results",
+        "experiment_runner.cli.carrying_out",
+        "experiment_runner.cli.experiment",
+        "experiment_runner.cli.results",
         "experiment_runner.competition.board.forms",
-        "experiment_runner.competition.command",
+        "experiment_runner.cli.compete",
         "experiment_runner.competition.organiser",
         "experiment_runner.executors.run",
-        "experiment_runner.players",
-        "experiment_runner.recording",
+        "experiment_runner.meeting.players",
+        "experiment_runner.executors.recording",
         "experiment_runner.report.tables",
         "tests.forked",
-        "tests.glue.testing.conform.forked",
-        "tests.glue.testing.conform.wrong_experiment",
+        "tests.glue.conform.forked",
+        "tests.glue.conform.wrong_experiment",
+        "tests.scripted.process",
     ]
 )
 
@@ -90,3 +93,42 @@ def _main(command: Sequence[str], cwd: Path, env: Mapping[str, str], printed: Se
     os.chdir(cwd)
     sys.argv = [str(BIN / command[0]), *command[1:]]
     runpy.run_path(sys.argv[0], run_name="__main__")
+
+
+class Forked:
+    """A function in a process of its own; it returns the exit code."""
+
+    def __init__(self, run: Callable[..., int], *arguments: Any) -> None:
+        self._folder = tempfile.TemporaryDirectory()
+        self._printed = Path(self._folder.name) / "printed"
+        self._process: ForkServerProcess = SERVER.Process(
+            target=_run, args=(self._printed, run, arguments), daemon=True
+        )
+        self._process.start()
+
+    @property
+    def pid(self) -> int:
+        """The number of the process."""
+        assert self._process.pid is not None
+        return self._process.pid
+
+    def wait(self, seconds: float) -> int | None:
+        self._process.join(seconds)
+        return self._process.exitcode
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.join()
+        self._folder.cleanup()
+
+    def output(self) -> str:
+        return self._printed.read_text(errors="replace") if self._printed.exists() else ""
+
+    def awake(self) -> bool | None:
+        return is_awake(self.pid)
+
+
+def _run(printed: Path, run: Callable[..., int], arguments: tuple[Any, ...]) -> None:
+    for descriptor in (1, 2):
+        redirect(descriptor, printed)
+    raise SystemExit(run(*arguments))

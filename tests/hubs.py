@@ -2,39 +2,49 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from threading import Thread
+from typing import Any
 
-from glue import Agent, Environment, connect, serve_agent, serve_environment
-from glue.core.config import HubConfig
-from glue.core.experiment import Experiment
-from glue.hub.server import Hub
+from glue import connect, serve_agent, serve_environment
+from glue.engine.experiment import Experiment
+from glue.hub.config import HubConfig
+from glue.hub.io.server import Hub
+from glue.roles import AgentLike, EnvironmentLike
+
+Player = AgentLike | EnvironmentLike
+Players = Player | Mapping[str, AgentLike] | Mapping[str, EnvironmentLike]
+"""A player, or the players of one role by the name of their session."""
 
 
 @contextmanager
-def hub_with(
-    *, agents: dict[str, Agent] | None = None, environments: dict[str, Environment] | None = None
-) -> Iterator[str]:
-    """Serve players by session name at a hub; yield its address."""
-    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",))).in_background() as hub:
-        address = hub.endpoints[0]
-        serving = [
-            Thread(target=serve, args=(players, address), kwargs={"log": lambda line: None})
-            for serve, players in ((serve_agent, agents), (serve_environment, environments))
-            if players
-        ]
-        for thread in serving:
-            thread.start()
-        yield address
-    for thread in serving:
+def serving(url: str, *players: Players) -> Iterator[None]:
+    """Serve players, each in a thread; the hub has to end before the `with` does."""
+    threads = [Thread(target=_serve, args=(player, url)) for player in players]
+    for thread in threads:
+        thread.start()
+    yield
+    for thread in threads:
         thread.join()
 
 
+def _serve(player: Any, url: str) -> None:
+    one = next(iter(player.values())) if isinstance(player, Mapping) else player
+    serve: Any = serve_agent if hasattr(one, "agent_start") else serve_environment
+    serve(player, url, log=lambda line: None)
+
+
 @contextmanager
-def over_the_hub(agent: Agent, environment: Environment) -> Iterator[Experiment]:
+def hub_with(*players: Players, bind: str = "tcp://127.0.0.1:*") -> Iterator[str]:
+    """Serve players at a hub; yield its address."""
+    hub = Hub(HubConfig(bind=(bind,)))
+    with serving(hub.endpoints[0], *players), hub.in_background():
+        yield hub.endpoints[0]
+
+
+@contextmanager
+def over_the_hub(agent: AgentLike, environment: EnvironmentLike) -> Iterator[Experiment]:
     """Yield an experiment with these players; between any two of the three is a hub."""
-    with hub_with(agents={"default": agent}, environments={"default": environment}) as address:
-        glue = connect(address, log=lambda line: None)
-        with glue:
-            yield glue
+    with hub_with(agent, environment) as address, connect(address, log=lambda line: None) as glue:
+        yield glue

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import abc
 import struct
 import zlib
 from collections.abc import Callable
 
 from glue.batches import read_batch_task_spec
-from glue.players.loading import names
-from glue.protocol.messages import Role
+from glue.plugins.loading import names
+from glue.roles import Agent, Environment
 from glue.types import Action, Observation
+from glue.wire.messages import Role
 
 WITH_EXTRAS = ("sb3", "soar")
 """How the names of players begin that need more than is installed for the tests; they have their own."""
@@ -27,7 +27,7 @@ def nothing(call: str) -> None:
     """Do nothing."""
 
 
-class ScriptedEnvironment:
+class ScriptedEnvironment(Environment):
     """Shows how many steps were made, rewards each with `reward`, ends at step `length`.
 
     `calls` gets one line for each call; the same list may be handed to the agent, to see the order of
@@ -70,7 +70,7 @@ class ScriptedEnvironment:
         return f"environment heard {message}"
 
 
-class ScriptedAgent:
+class ScriptedAgent(Agent):
     """Answers each observation of one int n with the action n + 100; writes down as the environment does."""
 
     def __init__(self, calls: list[str] | None = None, before: Hook = nothing) -> None:
@@ -103,7 +103,7 @@ class ScriptedAgent:
         return f"agent heard {message}"
 
 
-class ActingInAll(abc.ABC):
+class ActingInAll(Agent):
     """An agent that acts in many games at once."""
 
     games = 0
@@ -114,9 +114,6 @@ class ActingInAll(abc.ABC):
     def agent_init(self, task_spec: str) -> None:
         self.games, _ = read_batch_task_spec(task_spec)
 
-    @abc.abstractmethod
-    def agent_start(self, observation: Observation) -> Action: ...
-
     def agent_step(self, reward: float, observation: Observation) -> Action:
         return self.agent_start(observation)
 
@@ -125,9 +122,6 @@ class ActingInAll(abc.ABC):
 
     def agent_cleanup(self) -> None:
         self.games = 0
-
-    def agent_message(self, message: str) -> str:
-        return ""
 
 
 class SeededEnvironment(ScriptedEnvironment):
@@ -158,7 +152,7 @@ class TellingEnvironment(SeededEnvironment):
         return "\n".join(self.calls)
 
 
-class ChainEnvironment:
+class ChainEnvironment(Environment):
     """Each reward depends on every call that came before: one too many, or too few, shows in the return."""
 
     def __init__(self) -> None:
@@ -182,14 +176,11 @@ class ChainEnvironment:
         link = self._add(action.body)
         return link / 8, Observation(ints=[link >> 1], chars=bytes(link % 200)), self._steps == 20
 
-    def env_cleanup(self) -> None:
-        pass
-
     def env_message(self, message: str) -> str:
         return str(self._add(message.encode()))
 
 
-class ChainAgent:
+class ChainAgent(Agent):
     """The same for actions."""
 
     def __init__(self) -> None:
@@ -211,17 +202,5 @@ class ChainAgent:
     def agent_end(self, reward: float) -> None:
         self._act(struct.pack("<d", reward))
 
-    def agent_cleanup(self) -> None:
-        pass
-
     def agent_message(self, message: str) -> str:
         return str(self._act(message.encode()).ints[0])
-
-
-class FailingAgent(ScriptedAgent):
-    """Raises at its second step."""
-
-    def agent_step(self, reward: float, observation: Observation) -> Action:
-        if observation.ints[0] == 2:
-            raise ValueError("the second step is too much")
-        return super().agent_step(reward, observation)

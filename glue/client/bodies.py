@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from glue.errors import LocalProtocolError
-from glue.protocol.messages import Body
-from glue.types import Action, Observation, body_size
+from glue.types import AbstractType, Action, Observation, body_size
+from glue.wire.messages import Body
 
 __all__ = ["READ", "write"]
 
@@ -22,10 +22,11 @@ def _read_both(body: bytes) -> tuple[Observation, Action]:
     return Observation.from_body(body[:size]), Action.from_body(body[size:])
 
 
+# What the codec has checked need not be checked again.
 READ: Final[Mapping[Body, Callable[[bytes], Any]]] = {
     Body.NONE: lambda body: None,
-    Body.OBSERVATION: Observation.from_body,
-    Body.ACTION: Action.from_body,
+    Body.OBSERVATION: Observation._wrap,
+    Body.ACTION: Action._wrap,
     Body.OBSERVATION_ACTION: _read_both,
     Body.TEXT: _read_text,
     Body.BLOB: bytes,
@@ -33,6 +34,8 @@ READ: Final[Mapping[Body, Callable[[bytes], Any]]] = {
 
 
 def write(value: Any) -> bytes:
+    if isinstance(value, AbstractType):
+        return value._body
     if value is None:
         return b""
     if type(value) is str:
@@ -42,7 +45,5 @@ def write(value: Any) -> bytes:
             raise LocalProtocolError(
                 f"{value!r:.80} is not a text that UTF-8 can carry: {error.reason}"
             ) from None
-    if type(value) is bytes:
-        return value
-    body: bytes = value.body
-    return body
+    data: bytes = value
+    return data

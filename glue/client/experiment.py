@@ -15,17 +15,24 @@ from typing import TYPE_CHECKING, Any, Final
 
 from glue.client.bodies import READ, write
 from glue.client.link import Link, Log
-from glue.client.place import Place, find_place
+from glue.client.target import Target, find_target
 from glue.client.transport import Transport
 from glue.console import say
-from glue.core.experiment import Experiment
+from glue.engine.experiment import Experiment
 from glue.errors import GlueError, HubClosed, LocalProtocolError, PeerFailed, PeerLost, Unsupported
-from glue.protocol.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role, Value
+from glue.hub.config import DEFAULT_SESSION
+from glue.wire.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role, Value
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
 
-__all__ = ["RemoteExperiment", "connect"]
+__all__ = ["RemoteExperiment", "connect", "connect_over"]
+
+WAIT_SECONDS: Final = 10.0
+"""Seconds to wait for a hub by default."""
+
+OnNotice = Callable[[Event, Role, str], None]
+"""Takes an event, the role and the name of a player."""
 
 
 def connect(
@@ -35,11 +42,10 @@ def connect(
     key: str | Path | None = None,
     hub_key: str | Path | None = None,
     name: str = "experiment",
-    wait: float | None = None,
+    wait: float | None = WAIT_SECONDS,
     context: Context | None = None,
     log: Log = say,
-    on_notice: Callable[[str, str, str], None] | None = None,
-    transport: Transport | None = None,
+    on_notice: OnNotice | None = None,
 ) -> RemoteExperiment:
     """Return an experiment of `session` at `hub`, once the hub has let it in.
 
@@ -49,20 +55,43 @@ def connect(
         session: name of the session, by default that of GLUE_SESSION.
         key: file with the secret key by which the hub knows this program.
         hub_key: the hub's public key, or a file that holds it; needed with `key`.
-        name: what the hub calls this program in its messages.
-        wait: seconds after which a hub that has not answered is given up; None waits forever.
+        name: name of this program in messages of the hub.
+        wait: seconds to wait for the hub to answer before raising HubUnreachable; None waits for ever.
         context: the ZeroMQ context, if the connection is to be libzmq's.
         log: receives lines for people; by default they go to standard error.
-        on_notice: called with event (`joined`, `lost`, `returned`), role and name of a player.
-        transport: the connection, if there is one already: `glue.hub.inside.InsideTransport`.
+        on_notice: called when a player joins, is lost or returns, with the event, its role and its name.
 
     Raises:
         ConfigError: an address, a key or a session name is malformed, or the host's name does not resolve.
         HubUnreachable: no hub has answered within `wait` seconds.
         Refused: the hub does not let it in.
     """
-    place = find_place(hub, session, key, hub_key)
-    return RemoteExperiment(place, name, wait, context, log, on_notice, transport)
+    target = find_target(hub, session, key, hub_key)
+    return RemoteExperiment(target, name, wait, context, log, on_notice)
+
+
+def connect_over(
+    transport: Transport,
+    session: str = DEFAULT_SESSION,
+    *,
+    name: str = "experiment",
+    log: Log = say,
+    on_notice: OnNotice | None = None,
+) -> RemoteExperiment:
+    """Return an experiment of `session` over a connection that is open, once the hub has let it in.
+
+    Args:
+        transport: the connection, such as `glue.hub.io.inside.InsideTransport`.
+        session: name of the session.
+        name: as for `connect`.
+        log: as for `connect`.
+        on_notice: as for `connect`.
+
+    Raises:
+        ConfigError: the session name is malformed.
+        Refused: the hub does not let it in.
+    """
+    return RemoteExperiment(Target("inside", session), name, None, None, log, on_notice, transport)
 
 
 class RemoteExperiment(Experiment):
@@ -70,25 +99,27 @@ class RemoteExperiment(Experiment):
 
     def __init__(
         self,
-        place: Place,
+        target: Target,
         name: str,
         wait: float | None,
         context: Context | None,
         log: Log,
-        on_notice: Callable[[str, str, str], None] | None,
-        transport: Transport | None,
+        on_notice: OnNotice | None,
+        transport: Transport | None = None,
     ) -> None:
-        self._session = session = place.session
+        self._session = session = target.session
         self._log = log
         self._on_notice = on_notice
         self._seq = 0
         self._answered = False  # whether the hub has answered a request since it last called us unknown
         self._players: set[Role] = set()
         self._loss: str | None = None
+        # The loss that was known at the last WELCOME, until the reply that follows.
+        self._loss_before: tuple[str | None] | None = None
         self._given_up: str | None = None
         self._outcome: Mapping[Kind, tuple[Value, ...]] = {}
         names = {session: (name, (OUTCOME,))}
-        self._link = Link(Role.EXPERIMENT, place.hub, names, wait, context, log, transport, place.key)
+        self._link = Link(Role.EXPERIMENT, target.hub, names, wait, context, log, transport, target.key)
         self._closed = False
         try:
             while not self._link.ready(session):
@@ -136,8 +167,9 @@ class RemoteExperiment(Experiment):
         return message
 
     def _welcome(self, resumed: bool) -> None:
-        # The hub goes on to say which players are there.
+        # The hub goes on to say which players were lost, and which are there.
         self._players.clear()
+        self._loss_before = (self._loss,)
         if not resumed and self._answered:
             self._answered = False
             raise HubClosed(
@@ -157,7 +189,7 @@ class RemoteExperiment(Experiment):
         else:
             self._players.add(Role(role))
         if self._on_notice is not None:
-            self._on_notice(event, role, name)
+            self._on_notice(Event(event), Role(role), name)
 
     def _call(self, kind: Kind, scalars: tuple[Value, ...] = (), body: Any = None) -> tuple[Any, Any]:
         known = self._outcome.get(kind)
@@ -193,9 +225,13 @@ class RemoteExperiment(Experiment):
                     raise self._error(message)
                 if message.kind is kind:
                     self._answered = True
+                    self._loss_before = None
                     if self._loss is not None and kind in _DEPENDENT:
                         self._settle_loss(kind)
                     return self._without_outcome(message), READ[CALLS[kind].reply.body](message.body)
+            elif self._loss_before is not None and message.kind in CALLS:
+                # The reply before this request, repeated: losses named before it were known when it was made.
+                (self._loss,), self._loss_before = self._loss_before, None
 
     def _without_outcome(self, reply: Message) -> tuple[Value, ...]:
         """Return the scalars of a reply; keep return and number of steps of an episode, if it tells them."""
@@ -224,12 +260,20 @@ _PRESENCE: Final = frozenset({Event.JOINED, Event.LOST, Event.RETURNED})
 _PLAYERS: Final = frozenset({Role.AGENT, Role.ENVIRONMENT})
 
 _MAX_SENDS: Final = 8
-"""How often a request is sent to a hub that never has received it: each time its connection ended.
+"""Maximum number of attempts to send a request to a hub that has not received it, one for each connection.
 
-It may be the request that makes the hub drop the connection, by an error of its own."""
+The request itself may make the hub drop the connection, by an error of the hub."""
 
 _DEPENDENT: Final = frozenset(
-    {Kind.RL_INIT, Kind.RL_START, Kind.RL_EPISODE, Kind.RL_AGENT_SAVE, Kind.RL_ENV_SAVE}
+    {
+        Kind.RL_INIT,
+        Kind.RL_START,
+        Kind.RL_EPISODE,
+        Kind.RL_ENV_START,
+        Kind.RL_AGENT_START,
+        Kind.RL_AGENT_SAVE,
+        Kind.RL_ENV_SAVE,
+    }
 )
 """Verbs that succeed with a player that has taken another's place, and mean something else then."""
 

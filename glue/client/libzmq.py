@@ -1,4 +1,4 @@
-"""A DEALER of libzmq: a peer's end where a ZeroMQ context or a key is given.
+"""A DEALER of libzmq: a peer's end where a ZeroMQ context is given.
 
 The only module that knows libzmq, which reconnects silently. Its monitor reports new connections, so that a
 peer greets the hub once over each, and why a handshake failed.
@@ -12,10 +12,13 @@ from typing import Final
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
-from glue.client.frames import FrameTransport
-from glue.client.place import OwnKey, needs_key
+from glue.client.target import OwnKey, needs_key, needs_no_key, unknown_key, wrong_hub_key
 from glue.errors import ConfigError, Refused
-from glue.keys.certificates import KeyPair, decode, encode
+from glue.keys.certificates import KeyPair
+from glue.keys.certificates import decode as decode_key
+from glue.keys.certificates import encode as encode_key
+from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
+from glue.wire.messages import Message
 
 __all__ = ["Context", "DealerTransport", "new_pair"]
 
@@ -26,7 +29,7 @@ _MORE: Final = int(zmq.SNDMORE)
 _AT_ONCE: Final = int(zmq.DONTWAIT)
 
 _LINGER_MS: Final = 1000
-"""How long a closing socket tries to deliver its last messages, in milliseconds."""
+"""Maximum time for which a closing socket tries to deliver its last messages, in milliseconds."""
 
 
 _EVENTS: Final = (
@@ -36,8 +39,6 @@ _EVENTS: Final = (
     | zmq.Event.HANDSHAKE_FAILED_NO_DETAIL
     | zmq.Event.DISCONNECTED
 )
-_MAX_FAILURES: Final = 3
-"""Handshakes in succession that the hub may end without a reason: one may have been cut by the network."""
 
 
 def new_pair() -> KeyPair:
@@ -49,23 +50,22 @@ def new_pair() -> KeyPair:
     if not zmq.has("curve"):
         raise ConfigError("this libzmq was built without CURVE: install the pyzmq of PyPI, which has it")
     public, secret = zmq.curve_keypair()
-    return KeyPair(decode(public.decode()), decode(secret.decode()))
+    return KeyPair(decode_key(public.decode()), decode_key(secret.decode()))
 
 
-class DealerTransport(FrameTransport):
+class DealerTransport:
     """A peer's end. It connects when the hub is there, and again whenever the connection breaks.
 
     Args:
         context: the ZeroMQ context; None for one of its own.
-        url: address of the hub, as `glue.core.config.check_url` accepts it.
+        url: address of the hub, as `glue.hub.config.check_url` accepts it.
         timeout: seconds after which a connection attempt, or data that is not acknowledged, is given up.
         max_frame: longest frame that is received, in bytes.
         key: by which the hub knows the peer, and the peer the hub; None to speak without encryption.
 
     Attributes:
         connected: whether there is a connection, as far as `receive` has noticed.
-        connections: how many connections there have been, this one included: the hub knows none of them
-            until it is greeted over it.
+        connections: number of connections so far; the hub has to be greeted over each of them.
 
     Raises:
         ConfigError: libzmq refuses the address.
@@ -74,16 +74,15 @@ class DealerTransport(FrameTransport):
     def __init__(
         self, context: Context | None, url: str, timeout: float, max_frame: int, key: OwnKey | None = None
     ) -> None:
-        self.connected = False
-        self.connections = 0
+        self.connected: bool = False
+        self.connections: int = 0
         self._url = url
         self._key = key
-        self._failures = 0
         self._wait_ms = -1
         self._own_context: Context | None = None
         if context is None:
             context = self._own_context = zmq.Context()
-        self.socket = context.socket(zmq.DEALER)
+        self.socket: zmq.Socket[bytes] = context.socket(zmq.DEALER)
         milliseconds = max(1, int(timeout * 1000))
         for option, value in {
             zmq.LINGER: _LINGER_MS,
@@ -100,9 +99,9 @@ class DealerTransport(FrameTransport):
         }.items():
             self.socket.setsockopt(option, value)
         if key is not None:
-            self.socket.curve_serverkey = encode(key.hub).encode()
-            self.socket.curve_publickey = encode(key.pair.public).encode()
-            self.socket.curve_secretkey = encode(key.pair.secret).encode()
+            self.socket.curve_serverkey = encode_key(key.hub).encode()
+            self.socket.curve_publickey = encode_key(key.pair.public).encode()
+            self.socket.curve_secretkey = encode_key(key.pair.secret).encode()
         self._monitor = self.socket.get_monitor_socket(_EVENTS)
         self._poller = zmq.Poller()
         self._poller.register(self.socket, zmq.POLLIN)
@@ -117,6 +116,24 @@ class DealerTransport(FrameTransport):
         """Set how long `receive` waits."""
         self._wait_ms = max(1, int(seconds * 1000))
         self.socket.setsockopt(zmq.RCVTIMEO, self._wait_ms)
+
+    def spin_for(self, seconds: float) -> None:
+        """Do nothing: libzmq's own threads wait for messages."""
+        del seconds
+
+    def send_message(self, message: Message) -> bool:
+        """Send a message; as `send`."""
+        return self.send(encode(message, TO_HUB))
+
+    def receive_message(self, max_body: int) -> Message | None:
+        """Return the next message; as `receive`.
+
+        Raises:
+            UnknownKind: it is of a kind that is not known here.
+            RemoteProtocolError: it is malformed, or its body has more than `max_body` bytes.
+        """
+        frames = self.receive()
+        return None if frames is None else decode(frames, FROM_HUB, max_body)
 
     def send(self, frames: Sequence[bytes]) -> bool:
         """Queue a message; return False if the queue is full."""
@@ -162,8 +179,6 @@ class DealerTransport(FrameTransport):
                 self.connections += self.connected
                 if not self.connected and event != zmq.Event.DISCONNECTED:
                     self._handshake_failed(event, message["value"])
-                elif self.connected:
-                    self._failures = 0
         except zmq.Again:
             return
 
@@ -174,25 +189,15 @@ class DealerTransport(FrameTransport):
             and value == zmq.Event.PROTOCOL_ERROR_ZMTP_MECHANISM_MISMATCH
         ):
             if key is None:
-                raise Refused(needs_key(self._url))
-            raise Refused(
-                f"the hub at {self._url} does not encrypt and knows no keys: leave out --key and --hub-key "
-                "if you trust the network, or ask whoever runs it to start it with --keys"
-            )
+                raise needs_key(self._url)
+            raise needs_no_key(self._url)
         if key is None:
             return
-        public = encode(key.pair.public)
         if event == zmq.Event.HANDSHAKE_FAILED_AUTH:
-            raise Refused(
-                f"the hub at {self._url} does not know your key, {public} in {key.file}: "
-                "ask whoever runs it to allow this key for your role and session, or give another with --key"
-            )
-        self._failures += 1
-        if self._failures == _MAX_FAILURES or event == zmq.Event.HANDSHAKE_FAILED_PROTOCOL:
-            raise Refused(
-                f"no handshake with the hub at {self._url} succeeds; perhaps its public key is not "
-                f"{encode(key.hub)}: ask whoever runs it for the right --hub-key"
-            )
+            unknown, wrong = unknown_key(key, self._url), wrong_hub_key(key, self._url)
+            raise Refused(f"{unknown}; or perhaps {wrong}", settings=unknown.settings + wrong.settings)
+        if event == zmq.Event.HANDSHAKE_FAILED_PROTOCOL and not self.connections:
+            raise wrong_hub_key(key, self._url)
 
     def close(self, linger: float | None = None) -> None:
         """Close, giving the last messages at most `linger` seconds (by default one) to leave."""

@@ -6,22 +6,19 @@ over the latest connection, nothing that it sends there counts: the hub may be a
 
 from __future__ import annotations
 
-import os
 import platform
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Final
 
-from glue.client.place import OwnKey
-from glue.client.sockets import SocketTransport
+from glue.client.target import OwnKey
 from glue.client.transport import Transport, open_transport
-from glue.core.config import check_session
-from glue.core.sessions import INSTANCE_SIZE
+from glue.doors import chance, clock
 from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolError, Refused
-from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role, Value
-from glue.protocol.steps import Step, StepFormat
-from glue.protocol.wire import MAX_BODY, UnknownKind, clip
-from glue.sockets.looking import LONG_LOOK_SECONDS, SEVERAL_CORES
+from glue.hub.config import check_session
+from glue.hub.sessions import INSTANCE_SIZE
+from glue.sockets.spinning import LONG_SPIN_SECONDS, SEVERAL_CORES
+from glue.wire.codec import MAX_BODY, UnknownKind, clip
+from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
@@ -29,6 +26,8 @@ if TYPE_CHECKING:
 __all__ = ["Link", "Log"]
 
 Log = Callable[[str], None]
+
+_CALLS: Final = frozenset(CALLS)
 
 _CODEC: Final = f"Python {platform.python_version()}"
 _HEARTBEAT: Final = 1.0
@@ -39,7 +38,7 @@ class Link:
     """One connection to a hub after another, for one program in one or more sessions.
 
     Args:
-        role: what the program is in each of them.
+        role: role of the program in each of them.
         hub: URL of the hub.
         names: for each session, the name to show to people, and the capabilities offered.
         wait: seconds after which a hub that has not welcomed it is given up; None waits forever.
@@ -70,18 +69,19 @@ class Link:
         self._names = {check_session(session): name for session, name in names.items()}
         self._wait = wait
         self._log = log
-        self._instance = os.urandom(INSTANCE_SIZE)
+        self._instance = chance.random_bytes(INSTANCE_SIZE)
         self._max_body = MAX_BODY
         self._heartbeat, self._timeout = _HEARTBEAT, _TIMEOUT
         self._transport = transport or open_transport(hub, context, key)
         self._transport.wait_at_most(_HEARTBEAT if wait is None else min(_HEARTBEAT, wait))
         many_games = any("batch" in capabilities for _, capabilities in names.values())
-        if many_games and SEVERAL_CORES and isinstance(self._transport, SocketTransport):
-            self._transport.look_for(LONG_LOOK_SECONDS)
+        if many_games and SEVERAL_CORES:
+            self._transport.spin_for(LONG_SPIN_SECONDS)
         self._greeted = 0  # the connection that was greeted last; also the `seq` of that HELLO
-        self._welcomed: set[str] = set()  # sessions, over that connection
+        self._welcomed: dict[str, None] = {}  # sessions, over that connection, in their order
         self._known = False  # whether a hub has ever welcomed us
-        self._started = self._received = time.monotonic()
+        self._started = self._received = clock.monotonic()
+        self._heard = False  # something since the last heartbeat
         self._silent = False
 
     @property
@@ -103,7 +103,9 @@ class Link:
         Raises:
             LocalProtocolError: the body is larger than the hub accepts.
         """
-        self.check_size(message.kind, message.body)
+        if len(message.body) > self._max_body:
+            kind, size = message.kind.name, len(message.body)
+            raise LocalProtocolError(f"the body of {kind} has {size} bytes; the hub takes {self._max_body}")
         self._transport.send_message(message)
 
     def receive(self) -> Message | None:
@@ -118,54 +120,21 @@ class Link:
             message = self._transport.receive_message(self._max_body)
         except UnknownKind as error:
             # A newer hub may know more; a call that is answered so has failed.
-            self._hear()
+            self._end_silence()
             code = str(ErrorCode.UNKNOWN_KIND)
             self.send(Message(Kind.ERROR, error.session, error.seq, (code, str(error))))
             return None
         if message is None:
             self._idle()
             return None
-        self._hear()
-        if message.kind in CALLS:
+        self._heard = True
+        if self._silent:
+            self._end_silence()
+        if message[1] not in self._names and message[1]:
+            return None  # Another session's: only what concerns the connection names none.
+        if message[0] in _CALLS:
             return message
         return self._control(message)
-
-    def receive_steps(self, form: StepFormat, after: int) -> Iterator[Step]:
-        """Yield messages of `form`, numbered above `after`, until anything else arrives, or nothing in time.
-
-        That is left for `receive`. Only a plain socket knows how; over any other, `receive` has them all.
-        """
-        if isinstance(self._transport, SocketTransport):
-            yield from self._transport.receive_steps(form, after, self._max_body)
-            self._received = time.monotonic()
-
-    def receive_batches(self, forms: Mapping[bytes, StepFormat]) -> Iterator[list[tuple[StepFormat, Step]]]:
-        """As `receive_steps`, for several sessions: yield all messages of any of `forms` received at once."""
-        if isinstance(self._transport, SocketTransport):
-            yield from self._transport.receive_batches(forms, self._max_body)
-            self._received = time.monotonic()
-
-    def send_step(self, form: StepFormat, seq: int, scalars: tuple[Value, ...], body: bytes) -> None:
-        """Send the answer to what `receive_steps` yielded; as `send`."""
-        if len(body) > self._max_body:
-            self.check_size(form.kind, body)
-        assert isinstance(self._transport, SocketTransport)
-        self._transport.send_data(form.head(seq, scalars, len(body)), body)
-
-    def send_steps(self, answers: Sequence[tuple[StepFormat, Step]]) -> None:
-        """Send answers to what `receive_batches` yielded, their sizes checked, in one system call."""
-        parts: list[bytes] = []
-        for form, (seq, scalars, body) in answers:
-            parts += (form.head(seq, scalars, len(body)), body)
-        assert isinstance(self._transport, SocketTransport)
-        self._transport.send_data(b"", b"".join(parts))
-
-    def check_size(self, kind: Kind, body: bytes) -> None:
-        """Raise LocalProtocolError if the hub does not accept a body so large."""
-        if len(body) > self._max_body:
-            raise LocalProtocolError(
-                f"the body of {kind.name} has {len(body)} bytes; the hub takes {self._max_body}"
-            )
 
     def close(self, reason: str) -> None:
         """Say goodbye to the hub, if there is one, and close."""
@@ -173,9 +142,8 @@ class Link:
             self._transport.send_message(Message(Kind.GOODBYE, session, 0, (clip(reason),)))
         self._transport.close(None if self._welcomed else 0)
 
-    def _hear(self) -> None:
-        """Note that the hub has sent something."""
-        self._received = time.monotonic()
+    def _end_silence(self) -> None:
+        self._heard = True
         if self._silent:
             self._silent = False
             self._log(f"the hub at {self._hub} is there")
@@ -186,7 +154,7 @@ class Link:
             return None
         if kind is Kind.GOODBYE:
             # It has no answer; one to a hub that has gone would only keep this socket from closing.
-            self._welcomed.discard(session)
+            self._welcomed.pop(session, None)
             raise HubClosed(str(scalars[0]))
         if kind is Kind.REFUSE:
             raise Refused(f"the hub at {self._hub} refused this {self._role}: {scalars[1]!s}")
@@ -222,19 +190,22 @@ class Link:
         self._known = True
         # A WELCOME to an earlier HELLO may be from another hub than the one at the end of this connection.
         if message.seq == self._greeted:
-            self._welcomed.add(message.session)
+            self._welcomed[message.session] = None
 
     def _idle(self) -> None:
         """Greet over a connection that is new; else show that we are here, or look at the time."""
         if self._transport.connections != self._greeted:
             self._greet()
             return
-        now = time.monotonic()
+        now = clock.monotonic()
         if not self._known and self._wait is not None and now - self._started >= self._wait:
             raise HubUnreachable(
                 f"no hub has answered at {self._hub} for {self._wait:g} s: "
-                f"start one with glue-hub or glue-experiment, or check the address"
+                f"start one with glue-hub or glue-experiment, or check the address; wait=None waits for ever"
             )
+        if self._heard:
+            self._heard = False
+            self._received = now - self._heartbeat
         quiet = now - self._received
         if not self._silent and quiet >= (self._timeout if self._welcomed else self._heartbeat):
             self._silent = True

@@ -18,17 +18,17 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from glue.client.link import Link, Log
-from glue.client.place import Place, find_place
+from glue.client.target import Target, find_target
 from glue.closing import Closing
 from glue.console import say
-from glue.protocol.messages import Kind, Message, Role
 from glue.types import Action, Observation, body_size
+from glue.wire.messages import Kind, Message, Role
 
 __all__ = ["Answer", "Observer", "Seen", "Start", "Step", "TaskSpecSeen", "observe"]
 
 
 class TaskSpecSeen(NamedTuple):
-    """What the environment answered to its init."""
+    """The task spec that the environment returned from init."""
 
     text: str
 
@@ -57,7 +57,7 @@ class Step(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What the agent answered to a message that the experiment sent it."""
+    """The agent's answer to a message from the experiment."""
 
     message: str
     answer: str
@@ -73,7 +73,7 @@ def observe(
     key: str | Path | None = None,
     hub_key: str | Path | None = None,
     name: str = "observer",
-    wait: float | None = None,
+    wait: float | None = 10.0,
     log: Log = say,
 ) -> Observer:
     """Return an observer of `session` at `hub`, once the hub has let it in.
@@ -83,8 +83,8 @@ def observe(
         session: name of the session; it has to be there.
         key: file with the secret key by which the hub knows this program.
         hub_key: the hub's public key, or a file that holds it; needed with `key`.
-        name: what the hub calls this program in its log.
-        wait: seconds after which a hub that has not answered is given up; None waits forever.
+        name: name of this program in the log of the hub.
+        wait: seconds to wait for the hub to answer before raising HubUnreachable; None waits for ever.
         log: receives lines for people.
 
     Raises:
@@ -93,7 +93,7 @@ def observe(
         Refused: the hub does not let it in: there is no such session, it has as many observers as it may
             have, or this address or key is not for observers.
     """
-    return Observer(find_place(hub, session, key, hub_key), name, wait, log)
+    return Observer(find_target(hub, session, key, hub_key), name, wait, log)
 
 
 class Observer(Closing):
@@ -103,13 +103,19 @@ class Observer(Closing):
         missed: number of moments that were not requested, or not read in time, as far as is known.
     """
 
-    def __init__(self, place: Place, name: str, wait: float | None, log: Log) -> None:
-        self.missed = 0
-        self._session = place.session
+    def __init__(self, target: Target, name: str, wait: float | None, log: Log) -> None:
+        self.missed: int = 0
+        self._session = target.session
         self._number = 0
         self._wanted = 0
         self._link = Link(
-            Role.OBSERVER, place.hub, {place.session: (name, ())}, wait, None, log, key=place.key
+            Role.OBSERVER,
+            target.hub,
+            {target.session: (name, ())},
+            wait,
+            None,
+            log,
+            key=target.key,
         )
         try:
             while not self._link.ready(self._session):
@@ -130,7 +136,7 @@ class Observer(Closing):
             self._ask()
 
     def receive(self) -> Seen | None:
-        """Return what is seen next; None if there is nothing for a heartbeat.
+        """Return the next observed event; None if none arrives within a heartbeat interval.
 
         Raises:
             HubClosed: the session is over, or the hub ends.
@@ -140,7 +146,7 @@ class Observer(Closing):
         if message is None:
             return None
         if message.kind is Kind.WELCOME:
-            # Over a new connection the hub counts anew, and does not know what was requested.
+            # Over a new connection the hub counts from zero, and does not know the earlier request.
             self._number = 0
             self._ask()
             return None

@@ -2,10 +2,9 @@
 
     from glue import serve_agent
 
-    class Lazy:
-        def agent_init(self, task_spec): ...
+    class Lazy(Agent):
         def agent_start(self, observation): return Action(ints=[0])
-        ...
+        def agent_step(self, reward, observation): return Action(ints=[0])
 
     serve_agent(Lazy())          # returns when the hub says goodbye
 
@@ -17,25 +16,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from glue.client.answers import Players
+from glue.client.answers import Player
 from glue.client.link import Link, Log
-from glue.client.place import Place, find_place
-from glue.console import say, show_failure
-from glue.errors import GlueError, HubClosed, PeerFailed
-from glue.protocol.messages import CALLS, ErrorCode, Kind, Message, Role
-from glue.protocol.wire import clip
-from glue.roles import Agent, Environment
+from glue.client.target import Target, find_target
+from glue.console import reporting, say, show_failure
+from glue.doors import threads
+from glue.errors import GlueError, HubClosed, PeerFailed, Refused
+from glue.roles import AgentLike, EnvironmentLike
+from glue.wire.codec import clip
+from glue.wire.messages import CALLS, ErrorCode, Event, Kind, Message, Role
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
+
+_CALLS: Final = frozenset(CALLS)
 
 __all__ = ["serve_agent", "serve_environment"]
 
 
 def serve_agent(
-    agent: Agent | Mapping[str, Agent],
+    agent: AgentLike | Mapping[str, AgentLike],
     hub: str | None = None,
     session: str | None = None,
     *,
@@ -44,6 +46,7 @@ def serve_agent(
     wait: float | None = None,
     context: Context | None = None,
     log: Log = say,
+    stop: threads.Event | None = None,
 ) -> str:
     """Let `agent` take part in a session until the hub says goodbye; return the hub's reason.
 
@@ -58,6 +61,7 @@ def serve_agent(
         wait: seconds after which a hub that has not answered is given up; None waits forever.
         context: the ZeroMQ context, if the connection is to be libzmq's.
         log: receives lines for people; by default they go to standard error.
+        stop: once it is set, the player leaves, after the call that it carries out or within a heartbeat.
 
     Raises:
         ConfigError: an address, a key or a session name is malformed, or the host's name does not resolve.
@@ -65,13 +69,13 @@ def serve_agent(
         Refused: the hub does not let it in, for instance because the session has an agent.
         PeerFailed: the agent lacks a method of its role, or raised; the hub is informed.
     """
-    place = find_place(hub, session, key, hub_key)
-    agents = agent if isinstance(agent, Mapping) else {place.session: agent}
-    return _serve(Role.AGENT, agents, place, wait, context, log)
+    target = find_target(hub, session, key, hub_key)
+    agents = agent if isinstance(agent, Mapping) else {target.session: agent}
+    return _serve(Role.AGENT, agents, target, wait, context, log, stop)
 
 
 def serve_environment(
-    environment: Environment | Mapping[str, Environment],
+    environment: EnvironmentLike | Mapping[str, EnvironmentLike],
     hub: str | None = None,
     session: str | None = None,
     *,
@@ -80,48 +84,63 @@ def serve_environment(
     wait: float | None = None,
     context: Context | None = None,
     log: Log = say,
+    stop: threads.Event | None = None,
 ) -> str:
     """Let `environment` take part in a session; arguments and errors are those of `serve_agent`."""
-    place = find_place(hub, session, key, hub_key)
-    environments = environment if isinstance(environment, Mapping) else {place.session: environment}
-    return _serve(Role.ENVIRONMENT, environments, place, wait, context, log)
+    target = find_target(hub, session, key, hub_key)
+    environments = environment if isinstance(environment, Mapping) else {target.session: environment}
+    return _serve(Role.ENVIRONMENT, environments, target, wait, context, log, stop)
 
 
 def _serve(
     role: Role,
-    players: Mapping[str, Agent] | Mapping[str, Environment],
-    place: Place,
+    players: Mapping[str, AgentLike] | Mapping[str, EnvironmentLike],
+    target: Target,
     wait: float | None,
     context: Context | None,
     log: Log,
+    stop: threads.Event | None,
 ) -> str:
-    served = Players(role, players)
-    link = Link(role, place.hub, served.names, wait, context, log, key=place.key)
+    served = {session: Player(role, player) for session, player in players.items()}
+    names = {session: (player.name, player.capabilities) for session, player in served.items()}
+    link = Link(role, target.hub, names, wait, context, log, key=target.key)
     reason = "interrupted"
+    message: Message | None = None
+
+    def report(line: str) -> None:
+        if message is not None and message[0] in _CALLS:
+            scalars = (str(Event.SLOW), str(role), clip(line))
+            link.send(Message(Kind.NOTICE, message.session, message.seq, scalars))
+
     try:
-        while True:
-            message = link.receive()
-            if message is None:
-                continue
-            player = served.get(message.session)
-            if player is None:
-                continue
-            if message.kind is Kind.WELCOME:
-                if not message.scalars[1]:
+        with reporting(report):
+            while stop is None or not stop.is_set():
+                message = link.receive()
+                if message is None:
+                    continue
+                player = served.get(message.session)
+                if player is None:
+                    continue
+                if message[0] in _CALLS:
+                    try:
+                        answer = player.answer(message)
+                        if answer is not None:
+                            link.send(answer)
+                    except Exception as error:
+                        what = message.kind.name.lower()
+                        reason = f"{type(error).__name__} in {what}"
+                        text = _report(link, message, error)
+                        raise PeerFailed(f"{role} {player.name} raised in {what}: {text}") from error
+                elif message.kind is Kind.WELCOME and not message.scalars[1]:
                     player.forget()
-                    log(f"{role} {player.name} is in session {message.session!r} at {place.hub}")
-            elif message.kind in CALLS:
-                try:
-                    served.answer(message, link)
-                except Exception as error:
-                    player = served.asked or player
-                    call = player.last_call or message
-                    what = call.kind.name.lower()
-                    reason = f"{type(error).__name__} in {what}"
-                    text = _report(link, call, error)
-                    raise PeerFailed(f"{role} {player.name} raised in {what}: {text}") from error
+                    log(f"{role} {player.name} is in session {message.session!r} at {target.hub}")
+        reason = "stopped"
+        return reason
     except HubClosed as goodbye:
         return str(goodbye)
+    except Refused as refusal:
+        reason = str(refusal)  # for the sessions that have let it in
+        raise
     finally:
         link.close(reason)
 

@@ -6,20 +6,22 @@ one system call to receive it and one to send the answer. On the wire there is n
 
 from __future__ import annotations
 
-import select
-import socket
 import struct
-import time
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from glue.client.frames import FrameTransport
-from glue.client.place import needs_key
+from glue.client.target import OwnKey, needs_key, needs_no_key, unknown_key, wrong_hub_key
+from glue.doors import clock, network
 from glue.errors import Refused, RemoteProtocolError
-from glue.protocol import zmtp
-from glue.protocol.steps import MAX_LEAD, Step, StepFormat, lead_of
-from glue.sockets.looking import receive_soon
 from glue.sockets.options import limit_silence, probe_when_silent, unix_address
+from glue.sockets.spinning import Spin
+from glue.wire import zmtp
+from glue.wire.codec import UnknownKind
+from glue.wire.messages import Message
+from glue.wire.steps import STEPS
+from glue.wire.stream import Malformed, Stream
+
+if TYPE_CHECKING:
+    from glue.wire.curve import CurveClient
 
 __all__ = ["SocketTransport"]
 
@@ -29,43 +31,53 @@ _CHUNK: Final = 65_536
 _JOINED: Final = 65_536
 """Bytes of a body up to which it is joined with what comes before it, which is cheaper than two buffers."""
 
+_TOGETHER_SECONDS: Final = 200e-6
+"""Seconds for which the first answer to a step waits for others, to be sent in the same system call."""
+
 _RETRY_SECONDS: Final = (0.05, 1.0)
-"""How long to wait before connecting again: after the first failure, and at most."""
+"""Delay before connecting again: after the first failure, and the maximum."""
 
 _LINGER_SECONDS: Final = 1.0
-"""How long `close` waits for the hub to read what was sent last."""
+"""Maximum time for which `close` waits for the hub to read the last messages."""
 
 
-class SocketTransport(FrameTransport):
+class SocketTransport:
     """A connection to a hub, made again whenever it breaks.
 
     Args:
         url: `tcp://HOST:PORT` or `ipc://PATH`.
         timeout: seconds after which a connection attempt, a handshake or unacknowledged data have failed.
         max_frame: bytes of the largest frame that is accepted.
+        key: by which the hub knows the peer, and the peer the hub; None to speak without encryption.
 
     Attributes:
         connected: whether there is a connection, its handshake complete.
-        connections: how many there have been, this one included.
+        connections: number of connections so far, this one included.
         problem: why the latest one failed, if the other end does not speak ZeroMQ's protocol.
+
+    Raises:
+        ConfigError: a key is given, and PyNaCl is not installed.
     """
 
-    def __init__(self, url: str, timeout: float, max_frame: int) -> None:
-        self.connected = False
-        self.connections = 0
+    def __init__(self, url: str, timeout: float, max_frame: int, key: OwnKey | None = None) -> None:
+        self.connected: bool = False
+        self.connections: int = 0
         self.problem: str | None = None
         self._url = url
         self._timeout = timeout
         self._max_frame = max_frame
         self._wait = timeout
-        self._socket: socket.socket | None = None  # connected or connecting
-        self._decoder = zmtp.Decoder(zmtp.DEALER, max_frame)
+        self._socket: network.socket | None = None  # connected or connecting
+        self._key = key
+        self._curve: CurveClient | None = None
+        self._stream = self._new_stream()
+        self._joined: list[bytes] = []  # answers to steps that wait for others
+        self._joined_until = 0.0
         self._greeted = False
         self._deadline = 0.0  # of the handshake
         self._retry = _RETRY_SECONDS[0]
         self._retry_at = 0.0
-        self._timed_out = False
-        self._look = 0.0
+        self._spin: Spin | None = None
 
     def notice_connections(self) -> None:
         """Do nothing: `connected` and `connections` are up to date at any time."""
@@ -76,24 +88,28 @@ class SocketTransport(FrameTransport):
         if self.connected:
             self._limit_receiving()
 
-    def look_for(self, seconds: float) -> None:
-        """Set how long `receive` looks for a message before it falls asleep, in seconds."""
-        self._look = seconds
+    def spin_for(self, seconds: float) -> None:
+        """Poll for a message for so many seconds before sleeping."""
+        self._spin = Spin(seconds)
 
-    def send(self, frames: Sequence[bytes]) -> bool:
-        """Send a message; return False, having sent nothing, if there is no connection."""
-        return self.send_data(*zmtp.encode_parts(frames))
+    def send_message(self, message: Message) -> bool:
+        """Send a message; return False, having sent nothing, if there is no connection.
 
-    def send_data(self, head: bytes, body: bytes) -> bool:
-        """Send the bytes of a message, what comes before the last frame's content and that; as `send`."""
+        The answer to a step leaves with those to the steps that were received together with it, unless these
+        take long.
+        """
         if not self.connected:
             return False
+        head, body = self._stream.encode(message)
         if len(body) <= _JOINED:
+            if self._joined or (not self._stream.empty and message.kind in STEPS):
+                return self._join(head + body, message.kind in STEPS)
             return self._send(head + body)
         connected = self._socket
         assert connected is not None
         try:
-            sent = connected.sendmsg((head, body), (), socket.MSG_DONTWAIT)
+            self._send_joined()
+            sent = connected.sendmsg((head, body), (), network.MSG_DONTWAIT)
         except BlockingIOError:
             sent = 0
         except OSError:
@@ -102,101 +118,83 @@ class SocketTransport(FrameTransport):
         rest = [memoryview(head)[sent:], memoryview(body)[max(0, sent - len(head)) :]]
         return all(self._send_rest(connected, part) for part in rest)
 
-    def receive(self) -> list[bytes] | None:
+    def _join(self, data: bytes, may_wait: bool) -> bool:
+        """Send a message behind those that wait; it may wait, too, if more messages are to be answered."""
+        now = clock.monotonic()
+        if not self._joined:
+            self._joined_until = now + _TOGETHER_SECONDS
+        self._joined.append(data)
+        if may_wait and not self._stream.empty and now < self._joined_until:
+            return True
+        return self._send_joined()
+
+    def _send_joined(self) -> bool:
+        """Send the messages that wait, if there are any."""
+        data = b"".join(self._joined)
+        self._joined.clear()
+        return self._send(data) if data else self.connected
+
+    def receive_message(self, max_body: int) -> Message | None:
         """Return the next message; None if none arrived in time, or as soon as there is a connection.
 
         Raises:
-            Refused: the hub lets in only peers whose keys it knows.
+            Refused: hub and peer cannot agree on how to authenticate, or one does not know the other's key.
+            UnknownKind: the message is of a kind that is not known here.
+            RemoteProtocolError: it is malformed, or its body has more than `max_body` bytes.
         """
-        if self._timed_out:
-            self._timed_out = False
-            return None
         while True:
+            stream = self._stream
+            stream.max_body = max_body
+            if stream.empty and self.connected:
+                data = self._receive_data()
+                if data is None:
+                    return None
+                stream.receive_data(data)
             try:
-                event = self._decoder.next_event()
-            except zmtp.OtherMechanism:
-                self._fail()
-                raise Refused(needs_key(self._url)) from None
+                event = stream.next_event()
+            except (Malformed, UnknownKind):
+                raise
             except RemoteProtocolError as error:
+                refusal = self._refusal(error)
                 self.problem = str(error)
                 self._fail()
+                if refusal is not None:
+                    raise refusal from None
                 return None
-            if self._decoder.ready and not self.connected:
-                self._begin()
-                if event is None:
-                    return None
-            if isinstance(event, list):
+            if type(event) is Message:
                 return event
+            if not self.connected and stream.ready:
+                self._begin()
+                if event:
+                    self._send(event)
+                return None
             if event is not None:
                 self._send(event)
             else:
                 data = self._receive_data() if self.connected else self._shake_hands()
                 if data is None:
                     return None
-                self._decoder.receive_data(data)
+                stream.receive_data(data)
 
-    def receive_steps(self, form: StepFormat, after: int, limit: int) -> Iterator[Step]:
-        """Yield one message of `form` after the other, until something else arrives, or nothing in time.
+    def _refusal(self, error: RemoteProtocolError) -> Refused | None:
+        """Return the error to raise if connecting again after `error` would be of no use, else None.
 
-        What that was, `receive` returns.
-
-        Args:
-            form: the format of the messages.
-            after: a sequence number that all of theirs are larger than.
-            limit: bytes of the longest message.
+        A handshake that is cut ends without an error. One that fails otherwise will fail again, unless one
+        has succeeded before: then something else is wrong, and may pass.
         """
-        decode = form.decode
-        while self._decoder.between_messages:
-            data = self._receive_data()
-            if data is None:
-                self._timed_out = True
-                return
-            found = decode(data) if len(data) <= limit else None
-            if found is None or found[1] != len(data) or found[0][0] <= after:
-                self._decoder.receive_data(data)
-                return
-            step = found[0]
-            after = step[0]
-            yield step
-
-    def receive_batches(
-        self, forms: Mapping[bytes, StepFormat], limit: int
-    ) -> Iterator[list[tuple[StepFormat, Step]]]:
-        """Yield the messages received at once, until something else arrives, or nothing in time.
-
-        What that was, `receive` returns.
-
-        Args:
-            forms: the formats of the messages, by their lead.
-            limit: bytes of the longest body.
-        """
-        decoder = self._decoder
-        while decoder is self._decoder:  # the connection is still the same
-            if lead_of(decoder.peek(MAX_LEAD), 0) in forms:
-                data = decoder.take_back()
-            elif not decoder.between_messages:
-                return
-            else:
-                received = self._receive_data()
-                if received is None:
-                    self._timed_out = True
-                    return
-                data = received
-            steps: list[tuple[StepFormat, Step]] = []
-            at = 0
-            while (form := forms.get(lead_of(data, at))) is not None:
-                found = form.decode(data, at)
-                if found is None or len(found[0][2]) > limit:
-                    break
-                steps.append((form, found[0]))
-                at = found[1]
-            decoder.receive_data(data[at:])
-            if not steps:
-                return
-            yield steps
+        key, curve = self._key, self._curve
+        if isinstance(error, zmtp.OtherMechanism):
+            return needs_key(self._url) if key is None else needs_no_key(self._url)
+        if key is None or curve is None or self._stream.ready:
+            return None
+        if isinstance(error, zmtp.HandshakeEnded):
+            return unknown_key(key, self._url) if curve.server_known else wrong_hub_key(key, self._url)
+        return wrong_hub_key(key, self._url) if not self.connections else None
 
     def close(self, linger: float | None = None) -> None:
         """Close, giving the hub at most `linger` seconds (by default one) to read what was sent last."""
+        if self.connected:
+            self._send_joined()
         connected, self._socket = self._socket, None
         linger = _LINGER_SECONDS if linger is None else linger
         if connected is None:
@@ -204,10 +202,10 @@ class SocketTransport(FrameTransport):
         with connected:
             # What is closed with data unread is reset, and a reset discards what the hub has not read.
             if linger and self.connected:
-                deadline = time.monotonic() + linger
+                deadline = clock.monotonic() + linger
                 try:
-                    connected.shutdown(socket.SHUT_WR)
-                    while (left := deadline - time.monotonic()) > 0:
+                    connected.shutdown(network.SHUT_WR)
+                    while (left := deadline - clock.monotonic()) > 0:
                         connected.settimeout(left)
                         if not connected.recv(_CHUNK):
                             break
@@ -215,10 +213,12 @@ class SocketTransport(FrameTransport):
                     pass
 
     def _receive_data(self) -> bytes | None:
+        if self._joined and not self._send_joined():
+            return None
         connected = self._socket
         assert connected is not None
         try:
-            data = receive_soon(connected, _CHUNK, self._look) if self._look else None
+            data = self._spin.until_found(self._poll) if self._spin is not None else None
             if data is None:
                 data = connected.recv(_CHUNK)
         except BlockingIOError:
@@ -230,11 +230,18 @@ class SocketTransport(FrameTransport):
             return None
         return data
 
+    def _poll(self) -> bytes | None:
+        assert self._socket is not None
+        try:
+            return self._socket.recv(_CHUNK, network.MSG_DONTWAIT)
+        except BlockingIOError:
+            return None
+
     def _send(self, data: bytes) -> bool:
         connected = self._socket
         assert connected is not None
         try:
-            sent = connected.send(data, socket.MSG_DONTWAIT)
+            sent = connected.send(data, network.MSG_DONTWAIT)
         except BlockingIOError:
             sent = 0
         except OSError:
@@ -242,21 +249,21 @@ class SocketTransport(FrameTransport):
             return False
         return sent == len(data) or self._send_rest(connected, memoryview(data)[sent:])
 
-    def _send_rest(self, connected: socket.socket, rest: memoryview) -> bool:
+    def _send_rest(self, connected: network.socket, rest: memoryview) -> bool:
         """Send what the hub has no room for yet; it may have to be read first, as we have."""
-        poller = select.poll()
+        poller = network.poll()
         while rest:
-            crowded = self._decoder.buffered > 2 * self._max_frame
-            poller.register(connected, select.POLLOUT if crowded else select.POLLIN | select.POLLOUT)
+            crowded = self._stream.buffered > 2 * self._max_frame
+            poller.register(connected, network.POLLOUT if crowded else network.POLLIN | network.POLLOUT)
             _, events = poller.poll()[0]
             try:
-                if events & select.POLLOUT:
-                    rest = rest[connected.send(rest, socket.MSG_DONTWAIT) :]
+                if events & network.POLLOUT:
+                    rest = rest[connected.send(rest, network.MSG_DONTWAIT) :]
                 else:
                     data = connected.recv(_CHUNK)
                     if not data:
                         raise ConnectionResetError
-                    self._decoder.receive_data(data)
+                    self._stream.receive_data(data)
             except BlockingIOError:
                 continue
             except OSError:
@@ -268,10 +275,10 @@ class SocketTransport(FrameTransport):
 
     def _shake_hands(self) -> bytes | None:
         """Take the next step towards a connection; return what arrived, or None if it is not the time yet."""
-        now = time.monotonic()
+        now = clock.monotonic()
         if self._socket is None:
             if now < self._retry_at:
-                time.sleep(min(self._retry_at - now, self._wait))
+                clock.sleep(min(self._retry_at - now, self._wait))
                 return None
             self._deadline = now + self._timeout
             self._greeted = False
@@ -288,7 +295,7 @@ class SocketTransport(FrameTransport):
                 if not data:
                     raise ConnectionResetError
                 return data
-            self._socket.send(zmtp.GREETING)
+            self._socket.send(zmtp.GREETING if self._curve is None else zmtp.CURVE_CLIENT_GREETING)
             self._greeted = True
             return b""
         except OSError:
@@ -312,7 +319,15 @@ class SocketTransport(FrameTransport):
         assert self._socket is not None
         seconds, rest = divmod(max(self._wait, 0.001), 1)
         limit = struct.pack("@ll", int(seconds), int(rest * 1e6))
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, limit)
+        self._socket.setsockopt(network.SOL_SOCKET, network.SO_RCVTIMEO, limit)
+
+    def _new_stream(self) -> Stream:
+        """Return the stream of a new connection."""
+        if self._key is not None:
+            from glue.wire.curve import CurveClient  # needs an extra
+
+            self._curve = CurveClient(self._key.pair.public, self._key.pair.secret, self._key.hub)
+        return Stream(zmtp.DEALER, self._max_frame, mechanism=self._curve)
 
     def _fail(self) -> None:
         """Close what is left of a connection, and connect again in a while."""
@@ -320,12 +335,13 @@ class SocketTransport(FrameTransport):
             self._socket.close()
             self._socket = None
         self.connected = False
-        self._decoder = zmtp.Decoder(zmtp.DEALER, self._max_frame)
-        self._retry_at = time.monotonic() + self._retry
+        self._joined.clear()
+        self._stream = self._new_stream()
+        self._retry_at = clock.monotonic() + self._retry
         self._retry = min(2 * self._retry, _RETRY_SECONDS[1])
 
 
-def _connect(url: str) -> socket.socket:
+def _connect(url: str) -> network.socket:
     """Return a socket that is connecting to a hub.
 
     Raises:
@@ -333,17 +349,17 @@ def _connect(url: str) -> socket.socket:
     """
     scheme, _, rest = url.partition("://")
     if scheme == "ipc":
-        family = socket.AF_UNIX
+        family = network.AF_UNIX
         address: tuple[str | int, ...] | str | tuple[int, bytes] = unix_address(rest)
     else:
         host, _, port = rest.rpartition(":")
-        family = socket.AF_INET6 if host.startswith("[") else socket.AF_INET
-        address = socket.getaddrinfo(host.strip("[]"), int(port), family, socket.SOCK_STREAM)[0][4]
-    connecting = socket.socket(family)
+        family = network.AF_INET6 if host.startswith("[") else network.AF_INET
+        address = network.getaddrinfo(host.strip("[]"), int(port), family, network.SOCK_STREAM)[0][4]
+    connecting = network.socket(family)
     try:
         connecting.setblocking(False)
-        if family != socket.AF_UNIX:
-            connecting.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if family != network.AF_UNIX:
+            connecting.setsockopt(network.IPPROTO_TCP, network.TCP_NODELAY, 1)
         connecting.connect(address)
     except BlockingIOError:
         pass  # under way
@@ -353,8 +369,8 @@ def _connect(url: str) -> socket.socket:
     return connecting
 
 
-def _wait_for(waiting: socket.socket, readable: bool, seconds: float) -> bool:
+def _wait_for(waiting: network.socket, readable: bool, seconds: float) -> bool:
     """Return whether a socket becomes readable, or else writable, in time."""
-    poller = select.poll()
-    poller.register(waiting, select.POLLIN if readable else select.POLLOUT)
+    poller = network.poll()
+    poller.register(waiting, network.POLLIN if readable else network.POLLOUT)
     return bool(poller.poll(seconds * 1000))

@@ -1,4 +1,4 @@
-"""How a peer's messages reach a hub and come back: the seam between a link and its socket.
+"""The way of a peer's messages to a hub and back: the seam between a link and its socket.
 
 A connection ends when the process at its other end does, or when what was sent over it stays unacknowledged
 for too long, because a cable was cut. Both are the kernel's to find out, so a peer that computes for hours
@@ -7,16 +7,17 @@ stays connected. A transport reconnects automatically.
 
 from __future__ import annotations
 
-import socket
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Final, Protocol
 from urllib.parse import urlsplit
 
-from glue.client.place import OwnKey
 from glue.client.sockets import SocketTransport
-from glue.core.config import check_url
+from glue.client.target import OwnKey
+from glue.doors import network
 from glue.errors import ConfigError
-from glue.protocol.messages import Message
-from glue.protocol.wire import MAX_BODY, MAX_HEADER
+from glue.hub.config import check_url
+from glue.wire.codec import MAX_BODY, MAX_HEADER
+from glue.wire.messages import Message
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
@@ -37,7 +38,7 @@ class Transport(Protocol):
 
     @property
     def connections(self) -> int:
-        """How many there have been, this one included; the hub has to be greeted over each of them."""
+        """Number of connections so far, this one included; the hub has to be greeted over each of them."""
         ...
 
     def notice_connections(self) -> None:
@@ -46,6 +47,10 @@ class Transport(Protocol):
 
     def wait_at_most(self, seconds: float) -> None:
         """Set how long `receive_message` waits."""
+        ...
+
+    def spin_for(self, seconds: float) -> None:
+        """Poll for a message for so long before sleeping, if that is possible here."""
         ...
 
     def send_message(self, message: Message) -> bool:
@@ -67,7 +72,9 @@ class Transport(Protocol):
 
 
 def open_transport(url: str, context: Context | None = None, key: OwnKey | None = None) -> Transport:
-    """Return a transport to the hub at `url`: a plain socket, or libzmq's where a context or a key is given.
+    """Return a transport to the hub at `url`: a plain socket, or libzmq's where a context is given.
+
+    Where a key is given and PyNaCl is not installed, it is libzmq's as well.
 
     Args:
         url: address of the hub.
@@ -80,8 +87,8 @@ def open_transport(url: str, context: Context | None = None, key: OwnKey | None 
     check_url(url)
     _check_host(url)
     max_frame = 2 * MAX_BODY + MAX_HEADER
-    if context is None and key is None:
-        return SocketTransport(url, _TIMEOUT, max_frame)
+    if context is None and (key is None or find_spec("nacl") is not None):
+        return SocketTransport(url, _TIMEOUT, max_frame, key)
     from glue.client.libzmq import DealerTransport  # libzmq takes long to load, and few need it
 
     return DealerTransport(context, url, _TIMEOUT, max_frame, key)
@@ -93,7 +100,7 @@ def _check_host(url: str) -> None:
     if parts.scheme == "tcp":
         host = parts.netloc.rpartition(":")[0].strip("[]")
         try:
-            socket.getaddrinfo(host, None)
+            network.getaddrinfo(host, None)
         except (OSError, UnicodeError) as error:
             reason = error.strerror if isinstance(error, OSError) else "it is not a name of a host"
             raise ConfigError(f"cannot find the host {host!r} of {url}: {reason}; check the name") from None

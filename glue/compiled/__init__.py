@@ -1,1 +1,1 @@
-"""What the simulator and the agents share: compilation by numba, records in memory, Java's generator."""
+"""Tools shared by the simulator and the agents: compilation by numba, records in memory, Java's generator."""

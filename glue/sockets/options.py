@@ -1,9 +1,10 @@
-"""What a hub and its peers set on their sockets alike: each side notices when the other's host is gone."""
+"""Socket options of hubs and peers, by which each side notices when the other's host is gone."""
 
 from __future__ import annotations
 
-import socket
 from typing import Final
+
+from glue.doors import network
 
 __all__ = ["limit_silence", "probe_when_silent", "unix_address"]
 
@@ -19,18 +20,20 @@ def unix_address(path: str) -> str:
     return "\0" + path[1:] if path.startswith("@") else path
 
 
-def probe_when_silent(connected: socket.socket, seconds: float) -> None:
+def probe_when_silent(connected: network.socket, seconds: float) -> None:
     """Have the system probe a host that has been silent for so many seconds, and give it up after three."""
-    if connected.family == socket.AF_UNIX:
+    if connected.family == network.AF_UNIX:
         return
-    connected.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    connected.setsockopt(network.SOL_SOCKET, network.SO_KEEPALIVE, 1)
     interval = min(max(1, round(seconds)), _MAX_SILENCE)
     for name, value in (("TCP_KEEPIDLE", interval), ("TCP_KEEPINTVL", interval), ("TCP_KEEPCNT", _PROBES)):
-        if hasattr(socket, name):  # not everywhere
-            connected.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
+        option = network.tcp_option(name)
+        if option is not None:
+            connected.setsockopt(network.IPPROTO_TCP, option, value)
 
 
-def limit_silence(connected: socket.socket, seconds: float) -> None:
+def limit_silence(connected: network.socket, seconds: float) -> None:
     """Consider the other side gone when what was sent to it stays unacknowledged for so many seconds."""
-    if connected.family != socket.AF_UNIX and hasattr(socket, "TCP_USER_TIMEOUT"):  # not everywhere
-        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, max(1, int(seconds * 1000)))
+    option = network.tcp_option("TCP_USER_TIMEOUT")
+    if connected.family != network.AF_UNIX and option is not None:
+        connected.setsockopt(network.IPPROTO_TCP, option, max(1, int(seconds * 1000)))

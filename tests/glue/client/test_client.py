@@ -7,17 +7,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
-import msgpack
 import pytest
 import zmq
 
 from glue.client.experiment import RemoteExperiment, connect
-from glue.client.libzmq import Context
 from glue.client.players import serve_agent, serve_environment
-from glue.core.sessions import INSTANCE_SIZE
 from glue.errors import (
     ConfigError,
     GlueError,
@@ -29,44 +27,22 @@ from glue.errors import (
     Refused,
     Unsupported,
 )
-from glue.protocol.messages import CALLS, ErrorCode, Kind, Message, Role
-from glue.protocol.wire import FROM_HUB, TO_HUB, decode, encode
-from glue.types import Action, Observation
+from glue.hub.sessions import INSTANCE_SIZE
+from glue.types import Action, Observation, Step
+from glue.wire.messages import CALLS, ErrorCode, Kind, Message, Role
 from tests.players import ScriptedAgent, ScriptedEnvironment, SeededAgent
+from tests.scripted.hub import HEARTBEAT, ScriptedHub
 
 TIMEOUT = 30.0
-HEARTBEAT = 0.05
 OBSERVATION = Observation(ints=[3])
 
 
-class HandHub:
-    """A hub that hears and says what a test wants; it answers whoever spoke last."""
+class Hub(ScriptedHub):
+    """A hub with the programs that connect to it."""
 
     def __init__(self) -> None:
-        self._context: Context = zmq.Context()
+        super().__init__()
         self._programs: list[Future[Any]] = []
-        self.url = "tcp://127.0.0.1:*"
-        self.start()
-
-    def start(self) -> None:
-        """Listen; after `stop`, at the same address, as another hub."""
-        self._socket = self._context.socket(zmq.ROUTER)
-        self._socket.setsockopt(zmq.RCVTIMEO, int(TIMEOUT * 1000))
-        self._socket.setsockopt(zmq.LINGER, 0)
-        deadline = time.monotonic() + TIMEOUT
-        while True:
-            try:
-                self._socket.bind(self.url)
-                break
-            except zmq.ZMQError:  # libzmq has not closed the one before yet
-                assert time.monotonic() < deadline
-                time.sleep(0.01)
-        self.url = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
-        self._route = b""
-
-    def stop(self) -> None:
-        """End every connection without a word."""
-        self._socket.close()
 
     def run(self, program: Callable[..., Any], *arguments: Any, **named: Any) -> Future[Any]:
         """Run a program that connects to this hub, in a thread."""
@@ -82,48 +58,13 @@ class HandHub:
         self._programs.append(future)
         return future
 
-    def next(self) -> Message:
-        """The next message, whatever it is."""
-        self._route, *frames = self._socket.recv_multipart()
-        return decode(frames, TO_HUB)
-
-    def hear(self, *kinds: Kind) -> Message:
-        """The next message that is no sign of life; it must be one of `kinds`."""
-        while (message := self.next()).kind is Kind.HEARTBEAT:
-            pass
-        assert message.kind in kinds, message
-        return message
-
-    def say(
-        self, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "default"
-    ) -> None:
-        """Say something to whoever spoke last."""
-        frames = encode(Message(kind, session, seq, scalars, body), FROM_HUB)
-        self._socket.send_multipart([self._route, *frames])
-
-    def welcome(self, resumed: bool = False, session: str = "default", max_body: int = 10_000) -> Message:
-        """Hear a HELLO, and welcome its sender; return the HELLO."""
-        hello = self.hear(Kind.HELLO)
-        assert hello.session == session
-        self.say(Kind.WELCOME, hello.seq, 1, resumed, HEARTBEAT, 10.0, max_body, session=session)
-        return hello
-
-    def say_unknown(self, kind: int, seq: int) -> None:
-        """Say something that no peer of this version knows."""
-        self._socket.send_multipart([self._route, msgpack.packb([kind, "default", seq, "new"]), b"body"])
-
-    def call(self, kind: Kind, seq: int, *scalars: Any, body: bytes = b"") -> Message:
-        """Call a player, and return its answer."""
-        self.say(kind, seq, *scalars, body=body)
-        return self.hear(kind)
-
     def close(self) -> None:
-        """Say goodbye to who is still there, and end."""
-        if self._route:
-            self.say(Kind.GOODBYE, 0, "the test is over")
+        """Say goodbye to whoever is still there, and wait for the programs."""
+        if self.route:
+            with suppress(zmq.ZMQError):
+                self.say(Kind.GOODBYE, 0, "the test is over")
         wait(self._programs, TIMEOUT)
-        self._socket.close()
-        self._context.term()
+        super().close()
 
 
 def wait_for(lines: list[str]) -> None:
@@ -135,19 +76,19 @@ def wait_for(lines: list[str]) -> None:
 
 
 @pytest.fixture
-def hub() -> Iterator[HandHub]:
-    hub = HandHub()
-    yield hub
-    hub.close()
+def hub() -> Iterator[Hub]:
+    hub = Hub()
+    with hub:
+        yield hub
 
 
 @pytest.fixture
 def lines() -> list[str]:
-    """What the client under test has logged."""
+    """The lines logged by the client under test."""
     return []
 
 
-def serve(hub: HandHub, agent: Any, lines: list[str]) -> Future[Any]:
+def serve(hub: Hub, agent: Any, lines: list[str]) -> Future[Any]:
     """Serve an agent, and let it be welcomed."""
     future = hub.run(serve_agent, agent, hub.url, log=lines.append)
     hub.welcome()
@@ -155,7 +96,7 @@ def serve(hub: HandHub, agent: Any, lines: list[str]) -> Future[Any]:
 
 
 def experiment(
-    hub: HandHub, verbs: Callable[[RemoteExperiment], Any], lines: list[str], **how: Any
+    hub: Hub, verbs: Callable[[RemoteExperiment], Any], lines: list[str], **how: Any
 ) -> Future[Any]:
     """Run an experiment of these verbs, and let it be welcomed."""
 
@@ -171,17 +112,16 @@ def experiment(
 # Greetings
 
 
-def test_hello_says_who_speaks_and_what_it_can_do(hub: HandHub, lines: list[str]) -> None:
+def test_hello_says_who_speaks_and_what_it_can_do(hub: Hub, lines: list[str]) -> None:
     hub.run(serve_agent, SeededAgent(), hub.url, log=lines.append)
     versions, role, instance, name, codec, abilities = hub.welcome().scalars
     assert (versions, role, name, abilities) == ((1,), "agent", "SeededAgent", ("seed",))
     assert codec == f"Python {platform.python_version()}"
     assert isinstance(instance, bytes)
     assert len(instance) == INSTANCE_SIZE
-    hub.say(Kind.GOODBYE, 0, "enough")
 
 
-def test_instances_differ(hub: HandHub, lines: list[str]) -> None:
+def test_instances_differ(hub: Hub, lines: list[str]) -> None:
     seen = set()
     for _ in range(2):
         serving = hub.run(serve_agent, ScriptedAgent(), hub.url, log=lines.append)
@@ -191,18 +131,14 @@ def test_instances_differ(hub: HandHub, lines: list[str]) -> None:
     assert len(seen) == 2
 
 
-def test_goodbye_ends_the_service_with_the_hubs_reason_and_has_no_answer(
-    hub: HandHub, lines: list[str]
-) -> None:
+def test_goodbye_ends_the_service_with_the_hubs_reason_and_has_no_answer(hub: Hub, lines: list[str]) -> None:
     serving = serve(hub, ScriptedAgent(), lines)
     hub.say(Kind.GOODBYE, 0, "the experiment is over")
     assert serving.result(TIMEOUT) == "the experiment is over"
     serve(hub, ScriptedAgent(), lines)  # whose HELLO is what the hub receives next
 
 
-def test_an_unknown_kind_is_answered_with_an_error_and_changes_nothing(
-    hub: HandHub, lines: list[str]
-) -> None:
+def test_an_unknown_kind_is_answered_with_an_error_and_changes_nothing(hub: Hub, lines: list[str]) -> None:
     serve(hub, ScriptedAgent(), lines)
     hub.say_unknown(999, 7)
     error = hub.hear(Kind.ERROR)
@@ -211,7 +147,7 @@ def test_an_unknown_kind_is_answered_with_an_error_and_changes_nothing(
     assert hub.call(Kind.AGENT_INIT, 1, body=b"").seq == 1
 
 
-def test_a_refusal_is_an_error_with_the_hubs_reason(hub: HandHub, lines: list[str]) -> None:
+def test_a_refusal_is_an_error_with_the_hubs_reason(hub: Hub, lines: list[str]) -> None:
     serving = hub.run(serve_environment, ScriptedEnvironment(), hub.url, log=lines.append)
     hub.hear(Kind.HELLO)
     hub.say(Kind.REFUSE, 0, "role-taken", "there is one already")
@@ -219,7 +155,7 @@ def test_a_refusal_is_an_error_with_the_hubs_reason(hub: HandHub, lines: list[st
         serving.result(TIMEOUT)
 
 
-def test_a_hub_that_does_not_answer_is_greeted_once_and_mentioned(hub: HandHub, lines: list[str]) -> None:
+def test_a_hub_that_does_not_answer_is_greeted_once_and_mentioned(hub: Hub, lines: list[str]) -> None:
     serving = hub.run(serve_agent, ScriptedAgent(), hub.url, log=lines.append)
     hello = hub.hear(Kind.HELLO)
     wait_for(lines)
@@ -232,7 +168,7 @@ def test_a_hub_that_does_not_answer_is_greeted_once_and_mentioned(hub: HandHub, 
     assert lines[1] == f"the hub at {hub.url} is there"
 
 
-def test_one_hello_waits_for_a_hub_that_comes_late(hub: HandHub, lines: list[str]) -> None:
+def test_one_hello_waits_for_a_hub_that_comes_late(hub: Hub, lines: list[str]) -> None:
     # It had many heartbeats' time to say it again.
     hub.stop()
     hub.run(serve_agent, ScriptedAgent(), hub.url, log=lines.append)
@@ -242,7 +178,7 @@ def test_one_hello_waits_for_a_hub_that_comes_late(hub: HandHub, lines: list[str
     assert hub.next().kind is Kind.HEARTBEAT, "no other HELLO was waiting"
 
 
-def test_over_each_new_connection_a_hub_is_greeted_once(hub: HandHub, lines: list[str]) -> None:
+def test_over_each_new_connection_a_hub_is_greeted_once(hub: Hub, lines: list[str]) -> None:
     hub.run(serve_agent, ScriptedAgent(), hub.url, log=lines.append)
     first = hub.welcome()
     hub.call(Kind.AGENT_INIT, 1)
@@ -254,7 +190,7 @@ def test_over_each_new_connection_a_hub_is_greeted_once(hub: HandHub, lines: lis
         assert hub.call(Kind.AGENT_END, 2, 1.0).seq == 2, "nothing but heartbeats came in between"
 
 
-def test_no_hub_within_the_time_allowed_is_an_error(hub: HandHub, lines: list[str]) -> None:
+def test_no_hub_within_the_time_allowed_is_an_error(hub: Hub, lines: list[str]) -> None:
     hub.stop()
     for program in (
         partial(serve_agent, ScriptedAgent()),
@@ -267,7 +203,7 @@ def test_no_hub_within_the_time_allowed_is_an_error(hub: HandHub, lines: list[st
 
 
 def test_a_hub_that_has_answered_may_be_away_for_longer_than_the_time_allowed(
-    hub: HandHub, lines: list[str]
+    hub: Hub, lines: list[str]
 ) -> None:
     serving = hub.run(serve_agent, ScriptedAgent(), hub.url, wait=60.0, log=lines.append)
     hub.welcome()
@@ -301,16 +237,13 @@ def test_a_malformed_address_or_session_is_refused_before_anything_is_sent(url: 
 # Heartbeats
 
 
-def test_an_idle_peer_shows_signs_of_life_as_often_as_the_hub_wants(hub: HandHub, lines: list[str]) -> None:
+def test_an_idle_peer_shows_signs_of_life_as_often_as_the_hub_wants(hub: Hub, lines: list[str]) -> None:
     serve(hub, ScriptedAgent(), lines)
     for _ in range(5):
         assert hub.next() == Message(Kind.HEARTBEAT, "default", 0)
-    hub.say(Kind.GOODBYE, 0, "enough")
 
 
-def test_a_peer_that_the_hub_does_not_know_greets_it_as_the_same_again(
-    hub: HandHub, lines: list[str]
-) -> None:
+def test_a_peer_that_the_hub_does_not_know_greets_it_as_the_same_again(hub: Hub, lines: list[str]) -> None:
     agent = ScriptedAgent()
     hub.run(serve_agent, agent, hub.url, log=lines.append)
     hello = hub.welcome()
@@ -319,10 +252,9 @@ def test_a_peer_that_the_hub_does_not_know_greets_it_as_the_same_again(
     assert hub.welcome(resumed=True) == hello
     hub.call(Kind.AGENT_INIT, 1, body=b"task")
     assert agent.calls == ["agent_init task"]
-    hub.say(Kind.GOODBYE, 0, "enough")
 
 
-def test_a_peer_unknown_in_one_session_greets_the_hub_in_all(hub: HandHub, lines: list[str]) -> None:
+def test_a_peer_unknown_in_one_session_greets_the_hub_in_all(hub: Hub, lines: list[str]) -> None:
     # One session may be so busy that the connection is never idle; the others must not be forgotten.
     agents = {"a": ScriptedAgent(), "b": ScriptedAgent()}
     hub.run(serve_agent, agents, hub.url, log=lines.append)
@@ -336,33 +268,30 @@ def test_a_peer_unknown_in_one_session_greets_the_hub_in_all(hub: HandHub, lines
 # Exactly once
 
 
-def test_a_call_is_carried_out_and_answered(hub: HandHub, lines: list[str]) -> None:
+def test_a_call_is_carried_out_and_answered(hub: Hub, lines: list[str]) -> None:
     serve(hub, ScriptedAgent(), lines)
     answer = hub.call(Kind.AGENT_START, 1, body=OBSERVATION.body)
     assert answer == Message(Kind.AGENT_START, "default", 1, (), Action(ints=[103]).body)
-    hub.say(Kind.GOODBYE, 0, "enough")
 
 
-def test_a_repeated_call_is_answered_alike_and_not_carried_out_again(hub: HandHub, lines: list[str]) -> None:
+def test_a_repeated_call_is_answered_alike_and_not_carried_out_again(hub: Hub, lines: list[str]) -> None:
     agent = ScriptedAgent()
     serve(hub, agent, lines)
     first = hub.call(Kind.AGENT_STEP, 5, 1.0, body=OBSERVATION.body)
     assert hub.call(Kind.AGENT_STEP, 5, 1.0, body=OBSERVATION.body) == first
     assert agent.calls == ["agent_step 1 [3]"]
-    hub.say(Kind.GOODBYE, 0, "enough")
 
 
-def test_an_outdated_call_is_ignored(hub: HandHub, lines: list[str]) -> None:
+def test_an_outdated_call_is_ignored(hub: Hub, lines: list[str]) -> None:
     agent = ScriptedAgent()
     serve(hub, agent, lines)
     hub.call(Kind.AGENT_STEP, 5, 1.0, body=OBSERVATION.body)
     hub.say(Kind.AGENT_START, 4, body=OBSERVATION.body)
     assert hub.call(Kind.AGENT_END, 6, 2.0).seq == 6
     assert agent.calls == ["agent_step 1 [3]", "agent_end 2"]
-    hub.say(Kind.GOODBYE, 0, "enough")
 
 
-def test_a_hub_that_was_started_anew_counts_from_the_start(hub: HandHub, lines: list[str]) -> None:
+def test_a_hub_that_was_started_anew_counts_from_the_start(hub: Hub, lines: list[str]) -> None:
     agent = ScriptedAgent()
     serve(hub, agent, lines)
     hub.call(Kind.AGENT_STEP, 5, 1.0, body=OBSERVATION.body)
@@ -370,10 +299,9 @@ def test_a_hub_that_was_started_anew_counts_from_the_start(hub: HandHub, lines: 
     hub.welcome(resumed=False)
     assert hub.call(Kind.AGENT_INIT, 1, body=b"new").seq == 1
     assert agent.calls == ["agent_step 1 [3]", "agent_init new"]
-    hub.say(Kind.GOODBYE, 0, "enough")
 
 
-def test_a_first_call_whose_answer_was_lost_is_not_carried_out_again(hub: HandHub, lines: list[str]) -> None:
+def test_a_first_call_whose_answer_was_lost_is_not_carried_out_again(hub: Hub, lines: list[str]) -> None:
     # The hub goes on calling a player unknown until it has an answer.
     agent = ScriptedAgent()
     serve(hub, agent, lines)
@@ -389,7 +317,7 @@ def test_a_first_call_whose_answer_was_lost_is_not_carried_out_again(hub: HandHu
     assert agent.calls == ["agent_start [3]", "agent_start [4]"], "another hub's call is another"
 
 
-def test_each_session_has_its_own_player_and_its_own_count(hub: HandHub, lines: list[str]) -> None:
+def test_each_session_has_its_own_player_and_its_own_count(hub: Hub, lines: list[str]) -> None:
     agents = {"a": ScriptedAgent(), "b": ScriptedAgent()}
     hub.run(serve_agent, agents, hub.url, log=lines.append)
     for session in agents:
@@ -402,7 +330,7 @@ def test_each_session_has_its_own_player_and_its_own_count(hub: HandHub, lines: 
     hub.say(Kind.GOODBYE, 0, "enough", session="a")
 
 
-def test_steps_of_several_sessions_are_each_carried_out_once(hub: HandHub, lines: list[str]) -> None:
+def test_steps_of_several_sessions_are_each_carried_out_once(hub: Hub, lines: list[str]) -> None:
     agents = {"a": ScriptedAgent(), "b": ScriptedAgent()}
     hub.run(serve_agent, agents, hub.url, log=lines.append)
     for session in agents:
@@ -422,7 +350,7 @@ def test_steps_of_several_sessions_are_each_carried_out_once(hub: HandHub, lines
 
 
 def test_a_step_whose_answer_was_lost_is_not_carried_out_again_in_any_of_several_sessions(
-    hub: HandHub, lines: list[str]
+    hub: Hub, lines: list[str]
 ) -> None:
     agents = {"a": ScriptedAgent(), "b": ScriptedAgent()}
     hub.run(serve_agent, agents, hub.url, log=lines.append)
@@ -455,8 +383,8 @@ class Failing(ScriptedAgent):
         raise self._error
 
 
-def fail(hub: HandHub, lines: list[str], error: Exception) -> tuple[Message, PeerFailed]:
-    """What the hub is told of an exception, and what `serve_agent` raises."""
+def fail(hub: Hub, lines: list[str], error: Exception) -> tuple[Message, PeerFailed]:
+    """Return the message that the hub receives about an exception, and the error raised by `serve_agent`."""
     serving = serve(hub, Failing(error), lines)
     hub.say(Kind.AGENT_STEP, 7, 1.0, body=OBSERVATION.body)
     told = hub.hear(Kind.ERROR)
@@ -466,7 +394,7 @@ def fail(hub: HandHub, lines: list[str], error: Exception) -> tuple[Message, Pee
 
 
 def test_an_exception_in_one_of_several_sessions_is_told_there_and_all_others_are_answered(
-    hub: HandHub, lines: list[str]
+    hub: Hub, lines: list[str]
 ) -> None:
     agents = {"a": ScriptedAgent(), "b": Failing(ValueError("no")), "c": ScriptedAgent()}
     serving = hub.run(serve_agent, agents, hub.url, log=lines.append)
@@ -481,7 +409,7 @@ def test_an_exception_in_one_of_several_sessions_is_told_there_and_all_others_ar
 
 
 def test_an_exception_is_told_to_the_hub_in_a_few_words_and_shown_in_full(
-    hub: HandHub, lines: list[str], capsys: pytest.CaptureFixture[str]
+    hub: Hub, lines: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     cause = ValueError("no such thing")
     told, raised = fail(hub, lines, cause)
@@ -495,7 +423,7 @@ def test_an_exception_is_told_to_the_hub_in_a_few_words_and_shown_in_full(
 
 
 def test_an_error_of_ours_is_told_without_its_name_and_shown_without_a_traceback(
-    hub: HandHub, lines: list[str], capsys: pytest.CaptureFixture[str]
+    hub: Hub, lines: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     told, _ = fail(hub, lines, LocalProtocolError("ints must be whole"))
     assert told.scalars[1] == "ints must be whole"
@@ -505,12 +433,12 @@ def test_an_error_of_ours_is_told_without_its_name_and_shown_without_a_traceback
 @pytest.mark.parametrize(
     "text", ["x" * 10_000, "\N{GRINNING FACE}" * 5000, "file \udcff", "two\nlines\x1b[2J"]
 )
-def test_any_text_of_an_exception_can_be_told(hub: HandHub, lines: list[str], text: str) -> None:
+def test_any_text_of_an_exception_can_be_told(hub: Hub, lines: list[str], text: str) -> None:
     told, _ = fail(hub, lines, ValueError(text))
     assert str(told.scalars[1]).isprintable()
 
 
-def test_an_answer_that_the_hub_will_not_take_is_a_failure(hub: HandHub, lines: list[str]) -> None:
+def test_an_answer_that_the_hub_will_not_take_is_a_failure(hub: Hub, lines: list[str]) -> None:
     class Verbose(ScriptedAgent):
         def agent_message(self, message: str) -> str:
             return "x" * 20_000
@@ -526,7 +454,7 @@ def test_an_answer_that_the_hub_will_not_take_is_a_failure(hub: HandHub, lines: 
         serving.result(TIMEOUT)
 
 
-def test_a_call_of_a_capability_that_was_not_offered_is_a_failure(hub: HandHub, lines: list[str]) -> None:
+def test_a_call_of_a_capability_that_was_not_offered_is_a_failure(hub: Hub, lines: list[str]) -> None:
     serving = serve(hub, ScriptedAgent(), lines)
     hub.say(Kind.AGENT_SAVE, 1)
     with pytest.raises(PeerFailed, match="the hub asked ScriptedAgent for AGENT_SAVE"):
@@ -534,14 +462,14 @@ def test_a_call_of_a_capability_that_was_not_offered_is_a_failure(hub: HandHub, 
 
 
 def test_a_player_without_a_method_is_refused_before_anything_is_sent() -> None:
-    with pytest.raises(PeerFailed, match="ScriptedEnvironment is not an agent: it has no agent_init"):
+    with pytest.raises(PeerFailed, match="ScriptedEnvironment is not an agent: it has no agent_start"):
         serve_agent(ScriptedEnvironment())  # type: ignore[arg-type]
 
 
 # The experiment
 
 
-def answer_all(hub: HandHub, replies: dict[Kind, tuple[tuple[Any, ...], bytes]]) -> None:
+def answer_all(hub: Hub, replies: dict[Kind, tuple[tuple[Any, ...], bytes]]) -> None:
     """Reply to requests until the experiment leaves."""
     while (request := hub.hear(*CALLS, Kind.GOODBYE)).kind is not Kind.GOODBYE:
         scalars, body = replies[request.kind]
@@ -569,10 +497,11 @@ REPLIES: dict[Kind, tuple[tuple[Any, ...], bytes]] = {
     Kind.RL_AGENT_LOAD: ((), b""),
     Kind.RL_ENV_SAVE: ((), b"\x01"),
     Kind.RL_ENV_LOAD: ((), b""),
+    Kind.RL_AGENT_METRICS: ((), Observation([], [0.5], b"epsilon").body),
 }
 
 
-def test_every_verb_asks_and_returns_what_came(hub: HandHub, lines: list[str]) -> None:
+def test_every_verb_asks_and_returns_what_came(hub: Hub, lines: list[str]) -> None:
     def verbs(glue: RemoteExperiment) -> list[Any]:
         glue.rl_cleanup()
         glue.rl_agent_end(1)
@@ -594,6 +523,7 @@ def test_every_verb_asks_and_returns_what_came(hub: HandHub, lines: list[str]) -
             glue.rl_agent_step(1, OBSERVATION),
             glue.rl_agent_save(),
             glue.rl_env_save(),
+            glue.rl_agent_metrics(),
         ]
 
     running = experiment(hub, verbs, lines)
@@ -603,7 +533,7 @@ def test_every_verb_asks_and_returns_what_came(hub: HandHub, lines: list[str]) -
     assert running.result(TIMEOUT) == [
         "spec",
         (OBSERVATION, action),
-        (0.5, OBSERVATION, True, action),
+        Step(0.5, OBSERVATION, True, action=action),
         True,
         -2.5,
         7,
@@ -611,15 +541,16 @@ def test_every_verb_asks_and_returns_what_came(hub: HandHub, lines: list[str]) -
         "agént",
         "any \udcff bytes",
         OBSERVATION,
-        (0.5, OBSERVATION, False),
+        Step(0.5, OBSERVATION, False),
         action,
         Action(ints=[5]),
         b"\x00\xff",
         b"\x01",
+        {"epsilon": 0.5},
     ]
 
 
-def test_bytes_that_are_no_text_survive_the_way_there_and_back(hub: HandHub, lines: list[str]) -> None:
+def test_bytes_that_are_no_text_survive_the_way_there_and_back(hub: Hub, lines: list[str]) -> None:
     running = experiment(hub, lambda glue: glue.rl_env_message("any \udcff bytes"), lines)
     request = hub.hear(Kind.RL_ENV_MESSAGE)
     assert request.body == b"any \xff bytes"
@@ -639,7 +570,7 @@ def test_bytes_that_are_no_text_survive_the_way_there_and_back(hub: HandHub, lin
     ],
 )
 def test_an_error_of_the_hub_is_raised_as_what_it_is(
-    hub: HandHub, lines: list[str], code: str, error: type[GlueError]
+    hub: Hub, lines: list[str], code: str, error: type[GlueError]
 ) -> None:
     running = experiment(hub, lambda glue: glue.rl_step(), lines)
     request = hub.hear(Kind.RL_STEP)
@@ -649,7 +580,7 @@ def test_an_error_of_the_hub_is_raised_as_what_it_is(
     assert caught.type is error
 
 
-def test_a_repeated_or_outdated_reply_is_ignored(hub: HandHub, lines: list[str]) -> None:
+def test_a_repeated_or_outdated_reply_is_ignored(hub: Hub, lines: list[str]) -> None:
     running = experiment(hub, lambda glue: (glue.rl_num_steps(), glue.rl_num_steps()), lines)
     first = hub.hear(Kind.RL_NUM_STEPS).seq
     hub.say(Kind.RL_NUM_STEPS, first, 1)
@@ -660,7 +591,7 @@ def test_a_repeated_or_outdated_reply_is_ignored(hub: HandHub, lines: list[str])
     assert running.result(TIMEOUT) == (1, 2)
 
 
-def test_a_request_is_repeated_after_a_reconnect(hub: HandHub, lines: list[str]) -> None:
+def test_a_request_is_repeated_after_a_reconnect(hub: Hub, lines: list[str]) -> None:
     running = experiment(hub, lambda glue: glue.rl_num_steps(), lines)
     request = hub.hear(Kind.RL_NUM_STEPS)
     hub.say(Kind.ERROR, request.seq, ErrorCode.UNKNOWN_PEER, "say HELLO first")
@@ -671,7 +602,7 @@ def test_a_request_is_repeated_after_a_reconnect(hub: HandHub, lines: list[str])
 
 
 def test_a_welcome_that_answers_no_hello_repeats_no_request_and_forgets_nothing(
-    hub: HandHub, lines: list[str]
+    hub: Hub, lines: list[str]
 ) -> None:
     running = experiment(hub, lambda glue: (glue.rl_num_steps(), glue.rl_num_steps()), lines)
     request = hub.hear(Kind.RL_NUM_STEPS)
@@ -684,7 +615,7 @@ def test_a_welcome_that_answers_no_hello_repeats_no_request_and_forgets_nothing(
     assert running.result(TIMEOUT) == (5, 6)
 
 
-def test_a_hub_that_does_not_know_the_experiment_any_more_ends_it(hub: HandHub, lines: list[str]) -> None:
+def test_a_hub_that_does_not_know_the_experiment_any_more_ends_it(hub: Hub, lines: list[str]) -> None:
     running = experiment(hub, lambda glue: (glue.rl_init(), glue.rl_step()), lines)
     hub.say(Kind.RL_INIT, hub.hear(Kind.RL_INIT).seq)
     request = hub.hear(Kind.RL_STEP)
@@ -695,7 +626,7 @@ def test_a_hub_that_does_not_know_the_experiment_any_more_ends_it(hub: HandHub, 
 
 
 def test_an_unanswered_first_request_is_sent_again_to_a_hub_that_does_not_know_it(
-    hub: HandHub, lines: list[str]
+    hub: Hub, lines: list[str]
 ) -> None:
     # There is nothing to forget: no request of it has been answered.
     running = experiment(hub, lambda glue: glue.rl_init(), lines)
@@ -707,7 +638,7 @@ def test_an_unanswered_first_request_is_sent_again_to_a_hub_that_does_not_know_i
     assert running.result(TIMEOUT) == "spec"
 
 
-def test_a_request_waits_for_the_welcome_over_the_latest_connection(hub: HandHub, lines: list[str]) -> None:
+def test_a_request_waits_for_the_welcome_over_the_latest_connection(hub: Hub, lines: list[str]) -> None:
     # Sent behind the HELLO it could step in an episode that a hub has never seen.
     def verbs(glue: RemoteExperiment) -> None:
         glue.rl_num_steps()
@@ -735,7 +666,7 @@ def test_a_request_waits_for_the_welcome_over_the_latest_connection(hub: HandHub
     assert hub.hear(Kind.GOODBYE).kind is Kind.GOODBYE, "the step was never sent"
 
 
-def test_a_slow_player_is_mentioned_and_is_no_notice_to_the_program(hub: HandHub, lines: list[str]) -> None:
+def test_a_slow_player_is_mentioned_and_is_no_notice_to_the_program(hub: Hub, lines: list[str]) -> None:
     seen: list[tuple[str, str, str]] = []
     running = experiment(
         hub, lambda glue: glue.rl_num_steps(), lines, on_notice=lambda *notice: seen.append(notice)
@@ -747,7 +678,7 @@ def test_a_slow_player_is_mentioned_and_is_no_notice_to_the_program(hub: HandHub
     assert seen == []
 
 
-def test_goodbye_of_the_hub_ends_the_verb(hub: HandHub, lines: list[str]) -> None:
+def test_goodbye_of_the_hub_ends_the_verb(hub: Hub, lines: list[str]) -> None:
     running = experiment(hub, lambda glue: glue.rl_step(), lines)
     hub.hear(Kind.RL_STEP)
     hub.say(Kind.GOODBYE, 0, "SIGTERM")
@@ -755,7 +686,7 @@ def test_goodbye_of_the_hub_ends_the_verb(hub: HandHub, lines: list[str]) -> Non
         running.result(TIMEOUT)
 
 
-def test_notices_reach_the_program(hub: HandHub, lines: list[str]) -> None:
+def test_notices_reach_the_program(hub: Hub, lines: list[str]) -> None:
     seen: list[tuple[str, str, str]] = []
     running = experiment(
         hub, lambda glue: glue.rl_num_steps(), lines, on_notice=lambda *notice: seen.append(notice)
@@ -768,7 +699,7 @@ def test_notices_reach_the_program(hub: HandHub, lines: list[str]) -> None:
 
 @pytest.mark.parametrize("kind", [Kind.RL_START, Kind.RL_EPISODE, Kind.RL_AGENT_SAVE])
 def test_a_player_lost_between_two_verbs_fails_the_next_that_depends_on_it(
-    hub: HandHub, lines: list[str], kind: Kind
+    hub: Hub, lines: list[str], kind: Kind
 ) -> None:
     verbs: dict[Kind, Callable[[RemoteExperiment], Any]] = {
         Kind.RL_START: lambda glue: glue.rl_start(),
@@ -789,9 +720,7 @@ def test_a_player_lost_between_two_verbs_fails_the_next_that_depends_on_it(
     running.result(TIMEOUT)
 
 
-def test_an_outcome_that_was_told_is_not_asked_for_until_the_next_verb(
-    hub: HandHub, lines: list[str]
-) -> None:
+def test_an_outcome_that_was_told_is_not_asked_for_until_the_next_verb(hub: Hub, lines: list[str]) -> None:
     def program(glue: RemoteExperiment) -> list[Any]:
         told = [glue.rl_episode(), glue.rl_return(), glue.rl_num_steps(), glue.rl_return()]
         return [*told, glue.rl_num_episodes(), glue.rl_return(), glue.rl_num_steps()]
@@ -803,13 +732,13 @@ def test_an_outcome_that_was_told_is_not_asked_for_until_the_next_verb(
     assert running.result(TIMEOUT) == [False, -3.5, 5, -3.5, 8, -2.5, 7]
 
 
-def test_an_older_hub_is_asked_for_return_and_steps(hub: HandHub, lines: list[str]) -> None:
+def test_an_older_hub_is_asked_for_return_and_steps(hub: Hub, lines: list[str]) -> None:
     running = experiment(hub, lambda glue: (glue.rl_episode(), glue.rl_return(), glue.rl_num_steps()), lines)
     answer_all(hub, REPLIES)
     assert running.result(TIMEOUT) == (True, -2.5, 7)
 
 
-def test_an_outcome_is_forgotten_when_the_next_episode_fails(hub: HandHub, lines: list[str]) -> None:
+def test_an_outcome_is_forgotten_when_the_next_episode_fails(hub: Hub, lines: list[str]) -> None:
     def program(glue: RemoteExperiment) -> float:
         glue.rl_episode()
         with pytest.raises(PeerLost):
@@ -823,7 +752,7 @@ def test_an_outcome_is_forgotten_when_the_next_episode_fails(hub: HandHub, lines
     assert running.result(TIMEOUT) == -2.5
 
 
-def test_a_player_lost_before_the_beginning_is_nobodys_loss(hub: HandHub, lines: list[str]) -> None:
+def test_a_player_lost_before_the_beginning_is_nobodys_loss(hub: Hub, lines: list[str]) -> None:
     def program(glue: RemoteExperiment) -> None:
         glue.rl_init()
         glue.rl_episode()
@@ -834,7 +763,7 @@ def test_a_player_lost_before_the_beginning_is_nobodys_loss(hub: HandHub, lines:
     running.result(TIMEOUT)
 
 
-def test_a_loss_that_a_verb_has_failed_of_is_told_once(hub: HandHub, lines: list[str]) -> None:
+def test_a_loss_that_a_verb_has_failed_of_is_told_once(hub: Hub, lines: list[str]) -> None:
     def program(glue: RemoteExperiment) -> None:
         with pytest.raises(PeerLost, match="it was killed"):
             glue.rl_episode()
@@ -848,7 +777,7 @@ def test_a_loss_that_a_verb_has_failed_of_is_told_once(hub: HandHub, lines: list
     running.result(TIMEOUT)
 
 
-def test_waiting_for_players_tells_who_is_missing(hub: HandHub, lines: list[str]) -> None:
+def test_waiting_for_players_tells_who_is_missing(hub: Hub, lines: list[str]) -> None:
     told: list[frozenset[Role]] = []
 
     def verbs(glue: RemoteExperiment) -> None:
@@ -862,7 +791,7 @@ def test_waiting_for_players_tells_who_is_missing(hub: HandHub, lines: list[str]
     assert told[-1:] == [frozenset({Role.AGENT})]
 
 
-def test_an_experiment_can_be_given_up_from_another_thread(hub: HandHub, lines: list[str]) -> None:
+def test_an_experiment_can_be_given_up_from_another_thread(hub: Hub, lines: list[str]) -> None:
     made: list[RemoteExperiment] = []
 
     def verbs(glue: RemoteExperiment) -> None:
@@ -876,7 +805,7 @@ def test_an_experiment_can_be_given_up_from_another_thread(hub: HandHub, lines: 
         running.result(TIMEOUT)
 
 
-def test_a_request_too_large_is_not_sent_and_the_next_one_is(hub: HandHub, lines: list[str]) -> None:
+def test_a_request_too_large_is_not_sent_and_the_next_one_is(hub: Hub, lines: list[str]) -> None:
     def verbs(glue: RemoteExperiment) -> int:
         with pytest.raises(LocalProtocolError, match="has 20000 bytes; the hub takes 10000"):
             glue.rl_env_message("x" * 20_000)
@@ -887,10 +816,14 @@ def test_a_request_too_large_is_not_sent_and_the_next_one_is(hub: HandHub, lines
     assert running.result(TIMEOUT) == 7
 
 
-def test_a_text_that_utf_8_cannot_carry_is_a_local_error(hub: HandHub, lines: list[str]) -> None:
+def test_a_text_that_utf_8_cannot_carry_is_a_local_error(hub: Hub, lines: list[str]) -> None:
     def verbs(glue: RemoteExperiment) -> None:
         glue.rl_env_message("half a pair \ud800")
 
     running = experiment(hub, verbs, lines)
     with pytest.raises(LocalProtocolError, match=r"'half a pair \\ud800' is not a text that UTF-8 can carry"):
         running.result(TIMEOUT)
+
+
+def test_a_hub_that_never_answers_is_given_up_by_default() -> None:
+    assert 0 < (connect.__kwdefaults__ or {})["wait"] < 60

@@ -8,151 +8,110 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import zmq
 
 from glue.client.sockets import SocketTransport
-from glue.protocol.messages import Kind
-from glue.protocol.steps import step_formats
+from glue.wire.codec import MAX_BODY
+from glue.wire.messages import Kind, Message
+from tests.scripted.hub import ScriptedHub
+from tests.system.proxy import Proxy
 
 SECONDS = 10.0
 MAX_FRAME = 2**25
+HEARTBEAT = Message(Kind.HEARTBEAT, "", 0)
 
 
 @pytest.fixture(params=["tcp", "ipc"])
-def router(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[zmq.Socket[bytes]]:
-    """A ROUTER of libzmq that listens."""
-    with zmq.Context() as context, context.socket(zmq.ROUTER) as router:
-        router.setsockopt(zmq.LINGER, 0)
-        router.setsockopt(zmq.RCVTIMEO, int(SECONDS * 1000))
-        router.bind("tcp://127.0.0.1:*" if request.param == "tcp" else f"ipc://{tmp_path}/hub")
-        yield router
+def hub(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[ScriptedHub]:
+    with ScriptedHub("tcp://127.0.0.1:*" if request.param == "tcp" else f"ipc://{tmp_path}/hub") as hub:
+        yield hub
 
 
 def connect(url: str) -> SocketTransport:
     """Return a transport that has connected."""
     transport = SocketTransport(url, SECONDS, MAX_FRAME)
     while not transport.connected:
-        assert transport.receive() is None
+        assert transport.receive_message(MAX_BODY) is None
     return transport
 
 
-def address(router: zmq.Socket[bytes]) -> str:
-    return router.getsockopt_string(zmq.LAST_ENDPOINT)
+def introduce(hub: ScriptedHub, transport: SocketTransport) -> None:
+    """Let the hub hear the transport, so that it knows where to send."""
+    transport.send_message(HEARTBEAT)
+    assert hub.next() == HEARTBEAT
 
 
-def test_messages_go_both_ways(router: zmq.Socket[bytes]) -> None:
-    transport = connect(address(router))
-    for frames in ([b"header"], [b"header", b""], [b"h", bytes(255)], [b"h" * 300, bytes(10**6)]):
-        assert transport.send(frames)
-        identity, *received = router.recv_multipart()
-        assert received == frames
-        router.send_multipart([identity, *frames])
-        assert transport.receive() == frames
+def test_messages_go_both_ways(hub: ScriptedHub) -> None:
+    transport = connect(hub.url)
+    for text in (b"", bytes(255), bytes(10**6)):
+        message = Message(Kind.AGENT_MESSAGE, "s", 1, (), text)
+        assert transport.send_message(message)
+        assert hub.next() == message
+        hub.send(message)
+        assert transport.receive_message(MAX_BODY) == message
     transport.close()
 
 
-def test_a_step_is_recognised_by_its_bytes_and_everything_else_is_left_to_receive(
-    router: zmq.Socket[bytes],
-) -> None:
-    transport = connect(address(router))
-    request, reply = step_formats(Kind.ENV_STEP, "default")
-    action = bytes(16)
-    transport.send([b"here"])
-    identity = router.recv_multipart()[0]
-    router.send_multipart([identity, b"\x93\x0d\xa7default\x07", action])
-    steps = transport.receive_steps(request, 5, MAX_FRAME)
-    assert next(steps) == (7, (), action)
-    assert transport.send_data(reply.head(7, (1.5, True), len(action)), action)
-    header = b"\x95\x0d\xa7default\x07\xcb\x3f\xf8" + bytes(6) + b"\xc3"
-    assert router.recv_multipart() == [identity, header, action]
-    repeated = [b"\x93\x0d\xa7default\x07", action]
-    router.send_multipart([identity, *repeated])
-    assert next(steps, None) is None
-    assert transport.receive() == repeated
-    long = [b"\x93\x0d\xa7default\x09", action]
-    router.send_multipart([identity, *long])
-    assert next(transport.receive_steps(request, 7, len(action)), None) is None
-    assert transport.receive() == long
+def test_answers_to_steps_received_together_leave_in_order(hub: ScriptedHub) -> None:
+    transport = connect(hub.url)
+    introduce(hub, transport)
+    sessions = [str(number) for number in range(20)]
+    for seq in (1, 2, 3):
+        calls = [Message(Kind.ENV_STEP, session, seq, (), bytes(16)) for session in sessions]
+        hub.send(*calls, Message(Kind.HEARTBEAT, "", 0))
+        answers = [Message(Kind.ENV_STEP, session, seq, (1.5, True), bytes(16)) for session in sessions]
+        for call, answer in zip(calls, answers, strict=True):
+            assert transport.receive_message(MAX_BODY) == call
+            assert transport.send_message(answer)
+        heartbeat = transport.receive_message(MAX_BODY)
+        assert heartbeat is not None
+        assert heartbeat.kind is Kind.HEARTBEAT
+        transport.send_message(HEARTBEAT)
+        assert [hub.next() for _ in sessions] == answers
+        assert hub.next() == HEARTBEAT
     transport.close()
 
 
-def test_nothing_in_time_is_none_and_waited_for_once(router: zmq.Socket[bytes]) -> None:
-    transport = connect(address(router))
+def test_nothing_in_time_is_none(hub: ScriptedHub) -> None:
+    transport = connect(hub.url)
     transport.wait_at_most(0.01)
-    request, _ = step_formats(Kind.ENV_STEP, "default")
-    assert transport.receive() is None
-    assert next(transport.receive_steps(request, 1, MAX_FRAME), None) is None
-    transport.wait_at_most(1000 * SECONDS)
-    assert transport.receive() is None
+    assert transport.receive_message(MAX_BODY) is None
     transport.close()
 
 
-def test_what_both_send_at_once_blocks_neither(router: zmq.Socket[bytes]) -> None:
-    transport = connect(address(router))
-    transport.send([b"here"])
-    identity = router.recv_multipart()[0]
-    body = bytes(2**23)
+def test_what_both_send_at_once_blocks_neither(hub: ScriptedHub) -> None:
+    transport = connect(hub.url)
+    introduce(hub, transport)
+    message = Message(Kind.AGENT_MESSAGE, "s", 1, (), bytes(2**23))
+    hub.send(*[message] * 4)  # libzmq sends them from a thread of its own
     for _ in range(4):
-        router.send_multipart([identity, b"header", body])  # libzmq sends it from a thread of its own
+        assert transport.send_message(message)
+        hub.next()
     for _ in range(4):
-        assert transport.send([b"header", body])
-        router.recv_multipart()
-    for _ in range(4):
-        assert transport.receive() == [b"header", body]
+        assert transport.receive_message(MAX_BODY) == message
     transport.close()
 
 
-def test_what_is_sent_last_arrives_although_much_is_unread(router: zmq.Socket[bytes]) -> None:
-    transport = connect(address(router))
-    transport.send([b"here"])
-    identity = router.recv_multipart()[0]
-    for _ in range(100):
-        router.send_multipart([identity, bytes(1000)])
-    transport.send([b"goodbye"])
+def test_what_is_sent_last_arrives_although_much_is_unread(hub: ScriptedHub) -> None:
+    transport = connect(hub.url)
+    introduce(hub, transport)
+    hub.send(*[Message(Kind.AGENT_MESSAGE, "s", 1, (), bytes(1000))] * 100)
+    goodbye = Message(Kind.GOODBYE, "s", 0, ("over",))
+    transport.send_message(goodbye)
     closing = threading.Thread(target=transport.close)
     closing.start()
-    assert router.recv_multipart()[1:] == [b"goodbye"]
+    assert hub.next() == goodbye
     closing.join()
 
 
-@pytest.mark.parametrize("chunk", [1, 7])
-def test_a_router_whose_bytes_arrive_in_pieces_is_understood(router: zmq.Socket[bytes], chunk: int) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        thread = threading.Thread(target=relay, args=(server, address(router), chunk))
-        thread.start()
-        transport = connect(f"tcp://127.0.0.1:{server.getsockname()[1]}")
-        transport.send([b"header", bytes(300)])
-        identity, *frames = router.recv_multipart()
-        router.send_multipart([identity, *frames])
-        assert transport.receive() == [b"header", bytes(300)]
+@pytest.mark.parametrize("piece", [1, 7])
+def test_a_router_whose_bytes_arrive_in_pieces_is_understood(piece: int) -> None:
+    with ScriptedHub() as hub, Proxy(int(hub.url.rpartition(":")[2]), piece=piece).in_background() as proxy:
+        transport = connect(proxy.url)
+        message = Message(Kind.AGENT_MESSAGE, "s", 1, (), bytes(300))
+        introduce(hub, transport)
+        hub.send(message)
+        assert transport.receive_message(MAX_BODY) == message
         transport.close()
-        thread.join()
-
-
-def relay(server: socket.socket, url: str, chunk: int) -> None:
-    """Pass one connection on, what the hub sends in pieces."""
-    near, _ = server.accept()
-    scheme, _, rest = url.partition("://")
-    far = socket.socket(socket.AF_UNIX if scheme == "ipc" else socket.AF_INET)
-    host, _, port = rest.rpartition(":")
-    far.connect(rest if scheme == "ipc" else (host, int(port)))
-    near.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-
-    def upstream() -> None:
-        while data := near.recv(65536):
-            far.sendall(data)
-        far.shutdown(socket.SHUT_WR)
-
-    thread = threading.Thread(target=upstream)
-    thread.start()
-    try:
-        while data := far.recv(chunk):
-            near.sendall(data)
-    except OSError:
-        pass  # the peer has gone
-    thread.join()
-    near.close()
-    far.close()
 
 
 def test_a_broken_connection_is_made_again_and_counted(tmp_path: Path) -> None:
@@ -162,16 +121,16 @@ def test_a_broken_connection_is_made_again_and_counted(tmp_path: Path) -> None:
             thread = threading.Thread(target=greet_and_close, args=(server,))
             thread.start()
             while transport.connections < number:
-                transport.receive()
+                transport.receive_message(MAX_BODY)
             while transport.connected:
-                transport.receive()
+                transport.receive_message(MAX_BODY)
             thread.join()
         transport.close()
 
 
 def greet_and_close(server: socket.socket) -> None:
     """Be a ROUTER until the handshake is complete."""
-    from glue.protocol import zmtp
+    from glue.wire import zmtp
 
     connected, _ = server.accept()
     with connected:
@@ -191,7 +150,7 @@ def test_what_is_not_a_hub_is_named_and_tried_again(tmp_path: Path) -> None:
         for _ in range(2):
             server.settimeout(0.001)
             while True:
-                assert transport.receive() is None
+                assert transport.receive_message(MAX_BODY) is None
                 try:
                     connected, _ = server.accept()
                     break
@@ -199,7 +158,7 @@ def test_what_is_not_a_hub_is_named_and_tried_again(tmp_path: Path) -> None:
                     continue
             connected.sendall(b"HTTP/1.1 400 Bad Request\r\n" + bytes(100))
             while transport.problem is None:
-                transport.receive()
+                transport.receive_message(MAX_BODY)
             assert "ZeroMQ" in transport.problem
             transport.problem = None
             connected.close()

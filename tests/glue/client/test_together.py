@@ -2,35 +2,37 @@
 
 from __future__ import annotations
 
-import socket
-import threading
-from collections.abc import Sequence
-from typing import Any
+from contextlib import ExitStack, closing
+from threading import local
 
 import pytest
 
-from glue.client import answers
-from glue.client.link import Link
-from glue.client.players import serve_agent
-from glue.protocol import zmtp
-from glue.protocol.messages import Kind, Message
-from glue.protocol.wire import FROM_HUB, TO_HUB, decode, encode
+from glue.client import sockets
+from glue.client.sockets import SocketTransport
+from glue.conform.hub.connection import Connection, Listener
 from glue.types import Action, Observation
+from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
+from glue.wire.messages import Kind, Message
+from tests.hubs import serving
 from tests.players import ScriptedAgent
+from tests.scripted.peer import TIMEOUT, framed
 
 SESSIONS = [str(number) for number in range(100)]
 SECONDS = 50e-6
-"""What a step takes."""
+"""The duration of a step, in seconds."""
 OBSERVATION = Observation(ints=[3])
 
 
-class Clock:
-    """A clock that is set by hand."""
+class Clock(local):
+    """A clock that is set by hand, for each thread: a client that another test left behind sleeps, too."""
 
     now = 0.0
 
     def monotonic(self) -> float:
         return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.now += seconds
 
 
 class Slow(ScriptedAgent):
@@ -45,59 +47,49 @@ class Slow(ScriptedAgent):
         return super().agent_step(reward, observation)
 
 
-class RawHub:
-    """The hub's end of a connection, so that what it sends at once arrives at once."""
+def hear(connection: Connection, kind: Kind) -> Message:
+    """Return the next message of a kind."""
+    while (frames := connection.receive(TIMEOUT)) is not None:
+        if (message := decode(frames, TO_HUB)).kind is kind:
+            return message
+    raise AssertionError(f"no {kind.name} came")
 
-    def __init__(self, connected: socket.socket) -> None:
-        self._socket = connected
-        self._decoder = zmtp.Decoder(zmtp.ROUTER, 2**20)
-        connected.settimeout(30)
-        connected.sendall(zmtp.GREETING)
 
-    def hear(self, kind: Kind) -> Message:
-        """The next message of a kind."""
-        while True:
-            event = self._decoder.next_event()
-            if isinstance(event, bytes):
-                self._socket.sendall(event)
-            elif event is None:
-                self._decoder.receive_data(self._socket.recv(65_536))
-            elif (message := decode(event, TO_HUB)).kind is kind:
-                return message
-
-    def say(self, *messages: Message) -> None:
-        """Send messages in one piece."""
-        self._socket.sendall(b"".join(zmtp.encode(encode(message, FROM_HUB)) for message in messages))
+def say(connection: Connection, *messages: Message) -> None:
+    """Send messages in one piece."""
+    connection.send_bytes(b"".join(framed(*encode(message, FROM_HUB)) for message in messages))
 
 
 def test_many_slow_answers_leave_in_groups_and_not_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock, numbers, send = Clock(), [], Link.send_steps
+    clock, sizes, send = Clock(), [], SocketTransport._send
 
-    def counted(link: Link, steps: Sequence[Any]) -> None:
-        numbers.append(len(steps))
-        send(link, steps)
+    def counted(transport: SocketTransport, data: bytes) -> bool:
+        sizes.append(data.count(b"\x93\x06"))  # headers of AGENT_STEP
+        return send(transport, data)
 
-    monkeypatch.setattr(answers, "time", clock)
-    monkeypatch.setattr(Link, "send_steps", counted)
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        url = f"tcp://127.0.0.1:{server.getsockname()[1]}"
-        agents = {session: Slow(clock) for session in SESSIONS}
-        serving = threading.Thread(target=serve_agent, args=(agents, url), kwargs={"log": [].append})
-        serving.start()
-        connected, _ = server.accept()
-        with connected:
-            hub = RawHub(connected)
+    monkeypatch.setattr(sockets, "clock", clock)
+    monkeypatch.setattr(SocketTransport, "_send", counted)
+    listener = Listener("ipc")
+    agents = {session: Slow(clock) for session in SESSIONS}
+    with ExitStack() as ending:
+        ending.callback(listener.remove)
+        ending.enter_context(serving(listener.url, agents))
+        hub = listener.accept(TIMEOUT)
+        assert hub is not None
+        with closing(hub):
+            hub.greet(TIMEOUT)
             for session in SESSIONS:
-                hello = hub.hear(Kind.HELLO)
-                hub.say(Message(Kind.WELCOME, session, hello.seq, (1, False, 10.0, 10.0, 10_000)))
-            hub.say(Message(Kind.AGENT_MESSAGE, SESSIONS[0], 1))
-            hub.hear(Kind.AGENT_MESSAGE)
-            for seq in (2, 3):  # the first step of each is answered by itself
-                steps = [Message(Kind.AGENT_STEP, name, seq, (1.0,), OBSERVATION.body) for name in SESSIONS]
-                hub.say(*steps)
-                heard = [hub.hear(Kind.AGENT_STEP) for _ in SESSIONS]
+                hello = hear(hub, Kind.HELLO)
+                say(hub, Message(Kind.WELCOME, session, hello.seq, (1, False, 10.0, 10.0, 10_000)))
+            say(hub, Message(Kind.AGENT_MESSAGE, SESSIONS[0], 1))
+            hear(hub, Kind.AGENT_MESSAGE)
+            for seq in (2, 3):
+                say(
+                    hub, *(Message(Kind.AGENT_STEP, name, seq, (1.0,), OBSERVATION.body) for name in SESSIONS)
+                )
+                heard = [hear(hub, Kind.AGENT_STEP) for _ in SESSIONS]
                 assert {(message.session, message.seq) for message in heard} == {(n, seq) for n in SESSIONS}
-            hub.say(Message(Kind.GOODBYE, SESSIONS[0], 0, ("enough",)))
-        serving.join()
-    assert sum(numbers) >= len(SESSIONS)
-    assert len(numbers) <= len(SESSIONS) / 3, numbers
+            say(hub, Message(Kind.GOODBYE, SESSIONS[0], 0, ("enough",)))
+    numbers = [size for size in sizes if size]
+    assert sum(numbers) == 2 * len(SESSIONS)
+    assert len(numbers) <= 2 * len(SESSIONS) / 3, numbers

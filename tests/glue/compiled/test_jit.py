@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import re
+import signal
 import subprocess
 import sys
 from collections.abc import Mapping
@@ -11,6 +13,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 import pytest
+
+ROOT = Path(__file__).parents[3]
+TIMEOUT = 60.0
 
 ENTRY = """
 from glue.compiled.jit import entry
@@ -29,7 +34,7 @@ def factor():
 """
 PROGRAM = """
 from glue.compiled.jit import announce_compilation
-from rules.scaling import scaled
+from player.scaling import scaled
 
 with announce_compilation("the rules"):
     print(scaled(21))
@@ -38,12 +43,14 @@ with announce_compilation("the rules"):
 
 @pytest.fixture
 def program(tmp_path: Path) -> Path:
-    """A package with an entry in one module and what it calls in another, and a program that uses it."""
-    package = tmp_path / "rules"
-    package.mkdir()
-    (package / "__init__.py").touch()
-    (package / "scaling.py").write_text(ENTRY)
-    (package / "helper.py").write_text(HELPER.replace("FACTOR", "2"))
+    """A package with an entry that calls a function of another package, and a program that uses the entry."""
+    for package, module, code in (
+        ("player", "scaling.py", ENTRY),
+        ("rules", "helper.py", HELPER.replace("FACTOR", "2")),
+    ):
+        (tmp_path / package).mkdir()
+        (tmp_path / package / "__init__.py").touch()
+        (tmp_path / package / module).write_text(code)
     program = tmp_path / "program.py"
     program.write_text(PROGRAM)
     return program
@@ -74,12 +81,12 @@ def test_compiling_is_said_once_for_each_state_of_the_code(program: Path) -> Non
     assert re.fullmatch(r"compiled the rules in \d+ s", after)
     assert "compiling" in run(program, environment={"NUMBA_BOUNDSCHECK": "1"})
     assert run(program) == ""
-    assert "compiling" in run(program, factor=3)  # a rule in another module is changed
+    assert "compiling" in run(program, factor=3)  # a rule in another package is changed
     assert run(program, factor=3) == ""
 
 
 def test_without_a_folder_to_write_to_it_still_runs(program: Path, tmp_path: Path) -> None:
-    (tmp_path / "rules" / "__pycache__").write_text("a file, so that no folder can be made")
+    (tmp_path / "player" / "__pycache__").write_text("a file, so that no folder can be made")
     nowhere = {"HOME": "/dev/null", "XDG_CACHE_HOME": "/dev/null", "NUMBA_CACHE_DIR": ""}
     assert "compiling" in run(program, environment=nowhere)
     assert "compiling" in run(program, environment=nowhere)
@@ -87,3 +94,51 @@ def test_without_a_folder_to_write_to_it_still_runs(program: Path, tmp_path: Pat
 
 def test_without_compiling_nothing_is_said(program: Path) -> None:
     assert run(program, environment={"NUMBA_DISABLE_JIT": "1"}) == ""
+
+
+def test_one_process_compiles_and_the_others_wait_and_say_so(tmp_path: Path) -> None:
+    (tmp_path / "rules.py").write_text(
+        "from glue.compiled.jit import announce_compilation, entry\n"
+        "@entry\ndef one(x):\n    return x + 1\n"
+        "print(one._cache.cache_path, flush=True)\n"
+        "with announce_compilation('the rules', 7):\n    print(one(1), flush=True)\n"
+    )
+    command = [sys.executable, "-u", "rules.py"]
+    settings = {**os.environ, "PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    first = subprocess.run(command, cwd=tmp_path, env=settings, capture_output=True, text=True, check=True)
+    assert "compiling the rules, this once: about 7 s on a free core" in first.stderr
+    folder = Path(first.stdout.splitlines()[0])
+    for file in folder.glob("*.nb?"):
+        file.unlink()
+    with (folder / "one.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        with subprocess.Popen(
+            command, cwd=tmp_path, env=settings, stderr=subprocess.PIPE, text=True
+        ) as other:
+            assert other.stderr is not None
+            assert "another process is compiling one" in other.stderr.readline()
+            fcntl.flock(lock, fcntl.LOCK_UN)
+            assert "compiling the rules" in other.stderr.read()
+    assert other.returncode == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_command_that_compiles_without_returning_to_python(number: signal.Signals) -> None:
+    program = (
+        "import numpy as np\n"
+        "from glue.cli.entry import handle_signals\n"
+        "from glue.compiled.jit import announce_compilation, entry\n"
+        "handle_signals()\n"
+        # As LLVM, it does not return for a signal.
+        "@entry\ndef spin(x):\n    while x[0] < 2:\n        x[0] = 1 - x[0]\n"
+        "with announce_compilation('the rules'):\n"
+        "    spin(np.array([2]))\n"
+        "    print('ready', flush=True)\n"
+        "    spin(np.array([0]))\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    with process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(number)
+        assert process.wait(TIMEOUT) == 128 + number

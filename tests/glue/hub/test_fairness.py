@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import os
-import socket
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 
 import pytest
 
-from glue.core.config import HubConfig
-from glue.core.sessions import INSTANCE_SIZE
-from glue.hub.connection import Connection
-from glue.hub.server import Hub
-from glue.protocol import zmtp
-from glue.protocol.messages import CALLS, Kind, Message, Role, Value
-from glue.protocol.wire import FROM_HUB, TO_HUB, decode, encode
+from glue.hub.config import HubConfig
+from glue.hub.io.connection import Connection
+from glue.hub.io.server import Hub
 from glue.types import Action
-from tests.glue.hub.test_hub import TIMEOUT, port_of
+from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
+from glue.wire.messages import CALLS, Kind, Message, Role, Value
+from tests.scripted.peer import GREETING, READY, ScriptedPeer, framed, hello_scalars
 
-READY = b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER"
 REQUESTS = 20
 AGENT_STEP = b"\x94\x06"
 """How its header begins."""
@@ -32,13 +27,12 @@ class Rig:
         self.hub = stack.enter_context(Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)))
         self._stack = stack
 
-    def connect(self, *sent: bytes) -> socket.socket:
+    def connect(self, *sent: bytes) -> ScriptedPeer:
         """Return a connection that has sent its greeting and `sent`, of which the hub has read nothing."""
-        connection = socket.create_connection(("127.0.0.1", port_of(self.hub)), TIMEOUT)
-        self._stack.enter_context(connection)
-        connection.setblocking(False)
-        connection.send(b"".join((zmtp.GREETING, READY, *sent)))
-        return connection
+        peer = self._stack.enter_context(ScriptedPeer(self.hub.endpoints[0]).connect())
+        peer.socket.setblocking(False)
+        peer.socket.send(b"".join((GREETING, READY, *sent)))
+        return peer
 
     def turns_until(self, happened: Callable[[], bool]) -> int:
         """Take turns until something has happened; return how many."""
@@ -48,12 +42,11 @@ class Rig:
             self.hub.loop.turn()
         raise AssertionError("it does not happen")
 
-    def join(self, role: Role, session: str) -> socket.socket:
-        """Return a connection that has a seat."""
-        scalars = ((1,), str(role), os.urandom(INSTANCE_SIZE), "", "", ())
-        connection = self.connect(frame(Kind.HELLO, session, 0, *scalars))
-        self.turns_until(lambda: b"\x93\x41" in received(connection) or has_seat(self.hub, session))
-        return connection
+    def join(self, role: Role, session: str) -> ScriptedPeer:
+        """Return a connection of a peer that has joined a session."""
+        peer = self.connect(frame(Kind.HELLO, session, 0, *hello_scalars(role)))
+        self.turns_until(lambda: b"\x93\x41" in received(peer) or has_seat(self.hub, session))
+        return peer
 
 
 def has_seat(hub: Hub, session: str) -> bool:
@@ -64,13 +57,13 @@ def has_seat(hub: Hub, session: str) -> bool:
 
 
 def frame(kind: Kind, session: str, seq: int, *scalars: Value) -> bytes:
-    return zmtp.encode(encode(Message(kind, session, seq, scalars), TO_HUB))
+    return framed(*encode(Message(kind, session, seq, scalars), TO_HUB))
 
 
-def received(connection: socket.socket) -> bytes:
-    """What has arrived."""
+def received(peer: ScriptedPeer) -> bytes:
+    """Return the bytes that have arrived; empty if there are none."""
     try:
-        return connection.recv(2**20)
+        return peer.socket.recv(2**20)
     except BlockingIOError:
         return b""
 
@@ -81,19 +74,19 @@ def rig() -> Iterator[Rig]:
         yield Rig(stack)
 
 
-def play(rig: Rig, victim: socket.socket) -> list[int]:
+def play(rig: Rig, victim: ScriptedPeer) -> list[int]:
     """Let a session make its requests; return how many turns each took."""
     turns = []
     for seq in range(1, REQUESTS + 1):
         received(victim)
-        victim.send(frame(Kind.RL_NUM_STEPS, "victim", seq))
+        victim.send_bytes(frame(Kind.RL_NUM_STEPS, "victim", seq))
         turns.append(rig.turns_until(lambda: b"victim" in received(victim)))
     return turns
 
 
 def malformed(rig: Rig) -> None:
     for _ in range(60):
-        rig.connect(zmtp.encode([b"noise"]) * 1000)
+        rig.connect(framed(b"noise") * 1000)
 
 
 def endless(rig: Rig) -> None:
@@ -102,17 +95,17 @@ def endless(rig: Rig) -> None:
 
 
 def heartbeats(rig: Rig) -> None:
-    rig.join(Role.AGENT, "other").send(frame(Kind.HEARTBEAT, "other", 1) * 2000)
+    rig.join(Role.AGENT, "other").socket.send(frame(Kind.HEARTBEAT, "other", 1) * 2000)
 
 
 def hellos(rig: Rig) -> None:
-    hello = ((1,), "agent", os.urandom(INSTANCE_SIZE), "", "", ())
-    rig.join(Role.EXPERIMENT, "other").send(frame(Kind.HELLO, "another", 0, *hello) * 500)
+    hello = hello_scalars("agent")
+    rig.join(Role.EXPERIMENT, "other").socket.send(frame(Kind.HELLO, "another", 0, *hello) * 500)
 
 
 def requests_ahead(rig: Rig) -> None:
     requests = [frame(Kind.RL_RETURN, "other", seq) for seq in range(1, 2000)]
-    rig.join(Role.EXPERIMENT, "other").send(b"".join(requests))
+    rig.join(Role.EXPERIMENT, "other").socket.send(b"".join(requests))
 
 
 def connections(rig: Rig) -> None:
@@ -129,7 +122,7 @@ def test_a_request_is_answered_in_the_first_turn_beside_any_flood(
     victim = rig.join(Role.EXPERIMENT, "victim")
     play_first = rig.turns_until(lambda: not received(victim))
     assert play_first == 0
-    victim.send(frame(Kind.RL_INIT, "nowhere", 1, None))
+    victim.send_bytes(frame(Kind.RL_INIT, "nowhere", 1, None))
     attack(rig)
     turns = play(rig, victim)
     # The first request comes from one that has sent nothing in turn yet, and waits in the queue.
@@ -140,7 +133,7 @@ def test_a_request_is_answered_in_the_first_turn_beside_any_flood(
 def test_a_turn_takes_one_message_of_a_session(rig: Rig, kind: Kind, scalars: tuple[Value, ...]) -> None:
     peer = rig.join(Role.EXPERIMENT, "s")
     received(peer)
-    peer.send(b"".join(frame(kind, "s", seq, *scalars) for seq in range(1, 101)))
+    peer.send_bytes(b"".join(frame(kind, "s", seq, *scalars) for seq in range(1, 101)))
     answer = frame(kind, "s", 1)[2:5]
     for turn in range(1, 51):
         rig.hub.loop.turn()
@@ -151,24 +144,25 @@ class Player:
     """A connection of an agent or environment that takes part in several sessions."""
 
     def __init__(self, rig: Rig, role: Role, sessions: Sequence[str]) -> None:
-        hello = ((1,), str(role), os.urandom(INSTANCE_SIZE), "", "", ())
-        self.connection = rig.connect(*(frame(Kind.HELLO, session, 0, *hello) for session in sessions))
-        self._decoder = zmtp.Decoder(zmtp.DEALER, 2**20)
+        hello = hello_scalars(role)
+        self._peer = rig.connect(*(frame(Kind.HELLO, session, 0, *hello) for session in sessions))
         self.steps: list[Message] = []
+        for skip in (lambda: self._peer.read(len(GREETING)), self._peer.read_frame):
+            rig.turns_until(lambda: self._peer.can_read(0))
+            skip()
 
     def answer(self) -> None:
-        """Answer what has arrived, but keep steps."""
-        self._decoder.receive_data(received(self.connection))
-        while (event := self._decoder.next_event()) is not None:
-            call = decode(event, FROM_HUB) if isinstance(event, list) else None
-            if call is not None and call.kind in (Kind.ENV_STEP, Kind.AGENT_STEP):
+        """Answer every call received, but keep steps."""
+        while self._peer.can_read(0):
+            call = decode(self._peer.receive_frames(), FROM_HUB)
+            if call.kind in (Kind.ENV_STEP, Kind.AGENT_STEP):
                 self.steps.append(call)
-            elif call is not None and call.kind in CALLS:
+            elif call.kind in CALLS:
                 text = call.kind in (Kind.ENV_INIT, Kind.AGENT_INIT)
                 self.say(Message(call.kind, call.session, call.seq, (), b"a task" if text else Action().body))
 
     def say(self, *messages: Message) -> None:
-        self.connection.send(b"".join(zmtp.encode(encode(message, TO_HUB)) for message in messages))
+        self._peer.send_bytes(b"".join(framed(*encode(message, TO_HUB)) for message in messages))
 
 
 def test_the_steps_that_follow_from_answers_received_together_leave_together(
@@ -190,9 +184,9 @@ def test_the_steps_that_follow_from_answers_received_together_leave_together(
     experiments = []
     for session in sessions:
         experiments.append(rig.join(Role.EXPERIMENT, session))
-        experiments[-1].send(frame(Kind.RL_INIT, session, 1, None))
+        experiments[-1].send_bytes(frame(Kind.RL_INIT, session, 1, None))
         rig.turns_until(begun)
-        experiments[-1].send(frame(Kind.RL_EPISODE, session, 2, 0))
+        experiments[-1].send_bytes(frame(Kind.RL_EPISODE, session, 2, 0))
     rig.turns_until(stepping)
     sent: list[bytes] = []
     send = Connection.send

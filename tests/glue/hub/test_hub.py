@@ -9,15 +9,19 @@ from pathlib import Path
 import pytest
 
 from glue.client.experiment import connect
-from glue.core.config import Bind, HubConfig, LegacyPort
-from glue.core.sessions import INSTANCE_SIZE, Route, Switchboard
+from glue.client.players import serve_agent, serve_environment
+from glue.console import say_why_slow
+from glue.doors import network
 from glue.errors import ConfigError, GlueError, HubClosed, Refused
-from glue.hub.listener import open_address
-from glue.hub.server import Hub
+from glue.hub.config import Bind, HubConfig, LegacyPort
+from glue.hub.io.listener import open_address
+from glue.hub.io.server import Hub
+from glue.hub.sessions import Route, Switchboard
 from glue.legacy.gateway import Gateway
-from glue.protocol import zmtp
-from glue.protocol.messages import Kind, Message, Role, Value
-from glue.protocol.wire import TO_HUB, encode
+from glue.wire import zmtp
+from glue.wire.messages import Kind, Message, Role
+from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.scripted.peer import ScriptedPeer, framed
 
 TIMEOUT = 20.0
 """Seconds until a test gives up waiting. Generous: machines are busy."""
@@ -44,8 +48,9 @@ def test_a_free_port_is_named() -> None:
 def test_an_address_in_use_is_an_error_that_says_what_to_do(tmp_path: Path) -> None:
     first = hub("tcp://127.0.0.1:*", f"ipc://{tmp_path}/hub")
     for url in first.endpoints:
-        with pytest.raises(ConfigError, match=f"{url} is in use: is another hub.*--bind"):
+        with pytest.raises(ConfigError, match=f"{url} is in use") as caught:
             hub("tcp://127.0.0.1:*", url)
+        assert caught.value.settings == ("bind",)
     first.close()
 
 
@@ -92,10 +97,11 @@ def test_a_hub_that_never_ran_closes_with_its_context(tmp_path: Path) -> None:
 def test_a_hub_whose_gateway_cannot_start_listens_no_longer() -> None:
     with (
         socket.create_server(("127.0.0.1", 0)) as other,
-        pytest.raises(ConfigError, match=r"is in use.*--legacy-port"),
+        pytest.raises(ConfigError, match="is in use") as raised,
         hub("tcp://127.0.0.1:*") as listening,
     ):
         Gateway(listening, [LegacyPort(0), LegacyPort(other.getsockname()[1])])
+    assert raised.value.settings == ("legacy_port",)
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", port_of(listening)))
 
@@ -132,7 +138,7 @@ def test_a_name_stands_for_its_ipv4_address(monkeypatch: pytest.MonkeyPatch) -> 
     def prefer_ipv6(host: str, port: int, family: int = 0, *how: int, **more: int) -> object:
         return resolve("::1" if family == socket.AF_UNSPEC else host, port, family, *how, **more)
 
-    monkeypatch.setattr(socket, "getaddrinfo", prefer_ipv6)
+    monkeypatch.setattr(network, "getaddrinfo", prefer_ipv6)
     listening = hub("tcp://localhost:*")
     assert listening.endpoints[0].startswith("tcp://127.0.0.1:")
     listening.close()
@@ -200,16 +206,39 @@ def test_everything_sent_before_a_reset_is_received() -> None:
     listening = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, timeout=60.0), log)
     sessions = [f"{number}" for number in range(listening.config.max_seats)]
 
-    def say(peer: socket.socket, kind: Kind, *scalars: Value) -> None:
-        messages = [Message(kind, session, 0, scalars) for session in sessions]
-        peer.sendall(b"".join(zmtp.encode(encode(message, TO_HUB)) for message in messages))
-
     with listening.in_background():
-        port = port_of(listening)
-        with socket.create_connection(("127.0.0.1", port)) as peer:
-            peer.sendall(zmtp.GREETING + b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER")
-            say(peer, Kind.HELLO, (1,), "agent", bytes(INSTANCE_SIZE), "many", "test", ())
+        with ScriptedPeer(listening.endpoints[0]).greet() as peer:
+            for session in sessions:
+                peer.hello("agent", session=session)
             assert all(joined.acquire(timeout=TIMEOUT) for _ in sessions)
-            say(peer, Kind.GOODBYE, "the end")
+            goodbyes = [peer.frames_of(Kind.GOODBYE, 0, "the end", session=name) for name in sessions]
+            peer.send_bytes(b"".join(framed(*goodbye) for goodbye in goodbyes))
             # Since it has not read its welcomes, this is a reset.
         assert all(left.acquire(timeout=TIMEOUT) for _ in sessions)
+
+
+class Compiling(ScriptedEnvironment):
+    def env_init(self) -> str:
+        say_why_slow("compiling its rules")
+        return super().env_init()
+
+
+def test_the_hub_and_the_experiment_are_told_that_a_player_compiles() -> None:
+    logged: list[str] = []
+    shown: list[str] = []
+    listening = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)), log=logged.append)
+    with listening.in_background():
+        (url,) = listening.endpoints
+        players = (
+            threading.Thread(target=serve_environment, args=(Compiling(), url)),
+            threading.Thread(target=serve_agent, args=(ScriptedAgent(), url)),
+        )
+        for player in players:
+            player.start()
+        with connect(url, log=shown.append, wait=TIMEOUT) as glue:
+            glue.rl_init()
+    for player in players:
+        player.join(TIMEOUT)
+    told = "environment Compiling: compiling its rules"
+    assert told in shown
+    assert any(told in line for line in logged)

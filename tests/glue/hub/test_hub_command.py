@@ -1,4 +1,4 @@
-"""What glue-hub logs, at each level, and how it ends."""
+"""The log of glue-hub at each level, and its end."""
 
 from __future__ import annotations
 
@@ -9,18 +9,34 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
+from typing import Final
 
 import pytest
 
 from glue.client.experiment import connect
-from tests.system.peer import TIMEOUT, running
+from tests.scripted.peer import TIMEOUT
+from tests.scripted.process import running
 
-PROGRAM = "from glue.hub.command import main; main()"
+PROGRAM: Final = "from glue.cli.hub import main; main()"
+
+SLOW: Final = """
+import time
+from glue.doors import threads
+
+class Slow(threads.Thread):
+    def start(self):
+        super().start()
+        if self.name == "hub":
+            time.sleep(30)
+
+threads.Thread = Slow
+"""
+"""Gives the hub's thread all the time before the main one goes on, as a busy machine may."""
 
 
-def said(*options: str) -> list[str]:
-    """What a hub logs about an experiment that joins and leaves, after its address."""
-    with running("-c", PROGRAM, "--bind", "tcp://127.0.0.1:*", "--heartbeat", "0.05", *options) as hub:
+def said(*options: str, program: str = PROGRAM) -> list[str]:
+    """Return the lines that a hub logs about an experiment that joins and leaves, after its address."""
+    with running("-c", program, "--bind", "tcp://127.0.0.1:*", "--heartbeat", "0.05", *options) as hub:
         assert hub.stderr is not None
         url = hub.stderr.readline().split()[-1]
         with connect(url, "s", log=lambda line: None) as glue:
@@ -39,6 +55,10 @@ def test_lines_about_peers_have_the_time() -> None:
     assert "session 's': experiment" in lines[0]
     assert not any("connected" in line for line in lines)
     assert any(line.endswith("stopped by SIGTERM") for line in lines), lines
+
+
+def test_a_hub_that_is_stopped_while_it_starts_says_so() -> None:
+    assert any(line.endswith("stopped by SIGTERM") for line in said(program=SLOW + PROGRAM))
 
 
 def test_a_quiet_hub_logs_only_its_address() -> None:

@@ -9,17 +9,18 @@ from types import FrameType
 
 import pytest
 
-from glue.client.experiment import RemoteExperiment, connect
+from glue.client.experiment import RemoteExperiment, connect, connect_over
 from glue.client.players import serve_agent, serve_environment
-from glue.core.config import HubConfig
-from glue.core.experiment import Experiment
-from glue.core.local import local
+from glue.doors import network
+from glue.engine.experiment import Experiment
+from glue.engine.local import local
 from glue.errors import HubClosed
-from glue.hub import inside as inside_hub
-from glue.hub import loop
-from glue.hub.inside import InsideTransport
-from glue.hub.server import Hub
-from glue.protocol.messages import Kind, Message
+from glue.hub.config import HubConfig
+from glue.hub.io import inside as inside_hub
+from glue.hub.io import loop
+from glue.hub.io.inside import InsideTransport
+from glue.hub.io.server import Hub
+from glue.wire.messages import Kind, Message
 from tests.players import ChainAgent, ChainEnvironment
 
 TIMEOUT = 10.0
@@ -32,7 +33,7 @@ def hub() -> Iterator[Hub]:
 
 
 def inside(hub: Hub, session: str = "default") -> RemoteExperiment:
-    return connect("inside", session, transport=InsideTransport(hub))
+    return connect_over(InsideTransport(hub), session)
 
 
 def serve_chain(hub: Hub) -> None:
@@ -56,7 +57,7 @@ def test_it_plays_as_in_one_process(hub: Hub) -> None:
 
 
 def test_it_plays_where_there_is_no_epoll(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delattr("select.epoll")  # as on macOS
+    monkeypatch.setattr(network, "Poller", network.PortablePoller)  # as on macOS
     with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)).in_background() as hub:
         serve_chain(hub)
         with inside(hub) as glue, local(ChainAgent(), ChainEnvironment()) as expected:
@@ -142,8 +143,9 @@ def test_a_verb_that_is_interrupted_anywhere_leaves_the_loop_to_others() -> None
             pass
         finally:
             sys.setprofile(None)
-        held = not hub.loop.mutex.acquire(blocking=False)
-        hub.loop.mutex.release()
+        lock = hub.loop.ask()
+        held = not lock.acquire(blocking=False)
+        lock.release()
         hub.close()
         assert not held, f"at place {places}"
     assert places > 10

@@ -1,15 +1,12 @@
-"""A hub with keys, and libzmq's own client: who gets in, as what, and for how long."""
+"""A hub with keys: who gets in, as what, and for how long; over plain sockets and over libzmq."""
 
 from __future__ import annotations
 
 import queue
-import socket
-import struct
 import threading
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
 
 import pytest
 import zmq
@@ -18,19 +15,21 @@ pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
 from glue.client.experiment import RemoteExperiment, connect
 from glue.client.players import serve_agent, serve_environment
-from glue.core.config import Bind, HubConfig
-from glue.core.keys import Keys
+from glue.client.target import find_target
+from glue.client.transport import open_transport
 from glue.errors import ConfigError, GlueError, HubUnreachable, LocalProtocolError, Refused
-from glue.hub.server import Hub
+from glue.hub.config import Bind, HubConfig
+from glue.hub.io.server import Hub
+from glue.hub.keys import Keys
 from glue.keys.allowed import read_keys
 from glue.keys.certificates import encode, read_pair, read_public
-from glue.protocol import zmtp
-from glue.protocol.messages import Kind, Message, Role
-from glue.protocol.wire import TO_HUB
-from glue.protocol.wire import encode as encode_message
-from tests.curve_client import GREETING, CurveClient, Pair, command
+from glue.wire import zmtp
+from glue.wire.messages import Kind, Role
 from tests.keyed import KeyFolder
 from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.scripted.curve import GREETING, CurveClient, Pair, command
+from tests.scripted.peer import ScriptedPeer, framed, hello_scalars
+from tests.system.proxy import Proxy
 
 TIMEOUT = 20.0
 """Seconds until a test gives up waiting. Generous: machines are busy."""
@@ -86,26 +85,33 @@ def join(hub: Hub, folder: KeyFolder, name: str, session: str = "a") -> RemoteEx
 def players(hub: Hub, folder: KeyFolder) -> Iterator[None]:
     """An agent and an environment of session a, with the keys of their roles."""
 
-    def serve_one(serve: object, player: object, name: str) -> None:
+    stop = threading.Event()
+
+    def serve_one(serve: Callable[..., object], player: object, name: str) -> None:
+        keys = {"key": secret(folder, name), "hub_key": folder.hub_key}
         with suppress(GlueError):
-            serve(player, hub.endpoints[0], "a", key=secret(folder, name), hub_key=folder.hub_key, log=ignore)  # type: ignore[operator]
+            serve(player, hub.endpoints[0], "a", **keys, log=ignore, stop=stop)
 
     threads = [
-        threading.Thread(target=serve_one, args=(serve_agent, ScriptedAgent(), "agent"), daemon=True),
-        threading.Thread(
-            target=serve_one, args=(serve_environment, ScriptedEnvironment(), "environment"), daemon=True
-        ),
+        threading.Thread(target=serve_one, args=(serve_agent, ScriptedAgent(), "agent")),
+        threading.Thread(target=serve_one, args=(serve_environment, ScriptedEnvironment(), "environment")),
     ]
     for thread in threads:
         thread.start()
-    yield
+    try:
+        yield
+    finally:
+        stop.set()
+        for thread in threads:
+            thread.join()
 
 
 def test_a_hub_with_keys_may_listen_where_others_reach_it(folder: KeyFolder) -> None:
     keys = read_keys(folder.path)
     HubConfig(bind=(Bind("tcp://0.0.0.0:4097", keys=keys),))
-    with pytest.raises(ConfigError, match=r"peers are not authenticated: give --keys DIR .*--insecure"):
+    with pytest.raises(ConfigError) as caught:
         HubConfig(bind=(Bind("tcp://0.0.0.0:4097"),))
+    assert caught.value.settings == ("keys", "bind", "insecure")
     with pytest.raises(ConfigError, match=r"tcp://0\.0\.0\.0:4098 can be reached"):
         HubConfig(bind=(Bind("tcp://0.0.0.0:4097", keys=keys), "tcp://0.0.0.0:4098"))
 
@@ -130,35 +136,74 @@ def test_a_key_opens_no_more_than_its_address(folder: KeyFolder) -> None:
         join(hub, folder, "experiment")
 
 
-def test_an_unknown_key_is_an_error_at_once_that_names_it(folder: KeyFolder) -> None:
-    with serving(folder) as hub, pytest.raises(Refused) as refused:
-        connect(hub.endpoints[0], "a", key=secret(folder, "stranger"), hub_key=folder.hub_key)
+@pytest.mark.parametrize("libzmq", [False, True])
+def test_an_unknown_key_is_an_error_at_once_that_names_it(folder: KeyFolder, libzmq: bool) -> None:
+    with zmq.Context() as context, serving(folder) as hub:
+        chosen = context if libzmq else None
+        url, key = hub.endpoints[0], secret(folder, "stranger")
+        with pytest.raises(Refused) as refused:
+            connect(url, "a", key=key, hub_key=folder.hub_key, context=chosen)
     public = encode(read_public(secret(folder, "stranger")))
     assert f"does not know your key, {public} in {secret(folder, 'stranger')}: ask" in str(refused.value)
 
 
-def test_another_hubs_key_is_an_error_soon(folder: KeyFolder) -> None:
+@pytest.mark.parametrize("libzmq", [False, True])
+def test_another_hubs_key_is_an_error_soon(folder: KeyFolder, libzmq: bool) -> None:
     log = Log()
     other = folder.path / "agent.key"
-    with serving(folder, log) as hub, pytest.raises(Refused, match="ask whoever runs it for the right --hub"):
-        connect(hub.endpoints[0], "a", key=secret(folder, "experiment"), hub_key=other)
-    log.wait_for("it takes another public key for the one of this hub")
+    with zmq.Context() as context, serving(folder, log) as hub:
+        chosen = context if libzmq else None
+        with pytest.raises(Refused) as caught:
+            connect(hub.endpoints[0], "a", key=secret(folder, "experiment"), hub_key=other, context=chosen)
+        assert "hub_key" in caught.value.settings
+    log.wait_for("it expects a different public key for this hub")
+
+
+CUTS = (0, 64, 64 + 170, 0)
+"""Bytes of the hub until a handshake is cut: none, its greeting, and its WELCOME as well."""
+
+
+@pytest.mark.parametrize("libzmq", [False, True])
+def test_handshakes_that_are_cut_are_tried_again_however_often(folder: KeyFolder, libzmq: bool) -> None:
+    with (
+        zmq.Context() as context,
+        serving(folder) as hub,
+        Proxy(int(hub.endpoints[0].rpartition(":")[2])).in_background() as proxy,
+    ):
+        proxy.cut(*CUTS)
+        with connect(
+            proxy.url,
+            "a",
+            key=secret(folder, "experiment"),
+            hub_key=folder.hub_key,
+            wait=TIMEOUT,
+            context=context if libzmq else None,
+            log=ignore,
+        ) as glue:
+            assert proxy.accepted > len(CUTS)
+            proxy.cut(*CUTS)
+            while not proxy.accepted:
+                assert glue.rl_num_episodes() == 0
+            assert glue.rl_num_episodes() == 0
+            assert proxy.accepted > len(CUTS)
 
 
 @pytest.mark.parametrize("libzmq", [False, True])
 def test_who_has_no_key_is_told_that_one_is_needed(folder: KeyFolder, libzmq: bool) -> None:
     with zmq.Context() as context, serving(folder) as hub:
         chosen = context if libzmq else None
-        with pytest.raises(Refused, match=r"lets in only those whose key it knows.*glue-keys new"):
+        with pytest.raises(Refused, match=r"glue-keys new") as caught:
             connect(hub.endpoints[0], "a", context=chosen, wait=TIMEOUT)
+        assert caught.value.settings == ("key", "hub_key")
 
 
 def test_a_hub_without_keys_is_an_error_for_who_has_one(folder: KeyFolder) -> None:
     with (
         Hub(HubConfig(bind=("tcp://127.0.0.1:*",))).in_background() as hub,
-        pytest.raises(Refused, match="does not encrypt and knows no keys: leave out --key"),
+        pytest.raises(Refused, match="does not encrypt") as caught,
     ):
         join(hub, folder, "experiment")
+    assert caught.value.settings == ("key", "hub_key")
 
 
 def test_no_hub_is_waited_for_as_without_keys(folder: KeyFolder) -> None:
@@ -169,10 +214,12 @@ def test_no_hub_is_waited_for_as_without_keys(folder: KeyFolder) -> None:
 
 
 def test_key_and_hub_key_go_together(folder: KeyFolder) -> None:
-    with pytest.raises(ConfigError, match="--key needs --hub-key KEY: ask"):
+    with pytest.raises(ConfigError) as caught:
         connect(key=secret(folder, "agent"))
-    with pytest.raises(ConfigError, match="--hub-key needs --key FILE"):
+    assert caught.value.settings == ("hub_key",)
+    with pytest.raises(ConfigError) as caught:
         connect(hub_key=folder.hub_key)
+    assert caught.value.settings == ("key",)
 
 
 def test_a_program_finds_its_place_in_the_environment(
@@ -226,16 +273,12 @@ def test_keys_are_read_again_and_who_lost_theirs_is_out(folder: KeyFolder) -> No
     log = Log()
     with serving(folder, log) as hub, join(hub, folder, "experiment") as glue, players(hub, folder):
         glue.rl_init()
-        folder.allow('[experiment]\nrole = "experiment"\nsession = "a"\n[agent\n')
-        hub.renew_keys(lambda: read_keys(folder.path))
-        assert "is not TOML" in log.wait_for("the keys stay as they were")
-        assert glue.rl_num_episodes() == 0
         folder.allow(
             '[experiment]\nrole = "experiment"\nsession = "a"\n'
             '[environment]\nrole = "environment"\nsession = "b"\n'
             '[stranger]\nrole = "experiment"\nsession = "c"\n'
         )
-        hub.renew_keys(lambda: read_keys(folder.path))
+        hub.renew_keys(read_keys(folder.path))
         log.wait_for("the keys were read again: 3 keys may join")
         lines = sorted(log.wait_for("was dropped: the key of") for _ in range(4))
         assert {line.partition("was dropped: ")[2] for line in lines} == {
@@ -249,103 +292,81 @@ def test_keys_are_read_again_and_who_lost_theirs_is_out(folder: KeyFolder) -> No
             join(hub, folder, "agent")
 
 
+def test_a_keyed_peer_learns_of_its_connection_before_the_hub_tires_of_it(folder: KeyFolder) -> None:
+    # A peer that slept after the handshake was dropped for not greeting, or greeted late.
+    with serving(folder) as hub:
+        place = find_target(hub.endpoints[0], "a", secret(folder, "experiment"), folder.hub_key)
+        transport = open_transport(place.hub, key=place.key)
+        with closing(transport):
+            transport.wait_at_most(TIMEOUT)
+            while not transport.connections:
+                transport.receive_message(1024)
+            assert transport.connected
+
+
 def test_a_new_key_of_the_hub_ends_every_connection(folder: KeyFolder) -> None:
     log = Log()
     with serving(folder, log) as hub, join(hub, folder, "experiment"):
         keys = read_keys(folder.path)
-        hub.renew_keys(lambda: Keys(Pair.new().secret, keys.permits))
+        hub.renew_keys(Keys(Pair.new().secret, keys.permits))
         log.wait_for("was dropped: the hub has a new key")
 
 
-class Raw:
-    """A peer on a plain socket, whose handshake can be bent."""
-
-    def __init__(self, hub: Hub, folder: KeyFolder, name: str = "experiment") -> None:
-        pair = read_pair(secret(folder, name))
-        self.client = CurveClient(Pair(pair.public, pair.secret), read_public(folder.hub_key))
-        host, _, port = hub.endpoints[0].removeprefix("tcp://").rpartition(":")
-        self.socket = socket.create_connection((host, int(port)), TIMEOUT)
-        self.stream: BinaryIO = self.socket.makefile("rb")
-        self.socket.sendall(GREETING)
-        assert self.stream.read(64) == zmtp.CURVE_GREETING
-
-    def __enter__(self) -> Raw:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.stream.close()
-        self.socket.close()
-
-    def frame(self) -> bytes:
-        head = self.stream.read(2)
-        if head[0] & 2:
-            head += self.stream.read(7)
-            return head + self.stream.read(struct.unpack(">Q", head[1:])[0])
-        return head + self.stream.read(head[1])
-
-    def begin(self) -> Raw:
-        """Complete the handshake."""
-        self.socket.sendall(command(self.client.hello()))
-        self.client.welcome(self.frame()[2:])
-        self.socket.sendall(command(self.client.initiate()))
-        self.client.ready(self.frame()[2:])
-        return self
-
-    def hello(self) -> bytes:
-        """The frames of a HELLO of the experiment of session a."""
-        scalars = ((1,), "experiment", bytes(16), "raw", "test", ())
-        [header] = encode_message(Message(Kind.HELLO, "a", 1, scalars), TO_HUB)
-        return header
-
-    def ended(self) -> bool:
-        """Whether the hub ends the connection without another word."""
-        with suppress(ConnectionResetError):
-            return self.stream.read() == b""
-        return True
+def scripted(hub: Hub, folder: KeyFolder, stack: ExitStack) -> tuple[ScriptedPeer, CurveClient]:
+    """Return a peer with the experiment's keys, greeted by the hub, and its half of CURVE."""
+    pair = read_pair(secret(folder, "experiment"))
+    keys = CurveClient(Pair(pair.public, pair.secret), read_public(folder.hub_key))
+    peer = stack.enter_context(ScriptedPeer(hub.endpoints[0], keys, session="a").connect())
+    peer.send_bytes(GREETING)
+    assert peer.read(64) == zmtp.CURVE_GREETING
+    return peer, keys
 
 
-def test_nothing_can_be_slipped_in_between_encrypted_messages(folder: KeyFolder) -> None:
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    with ExitStack() as stack:
+        yield stack
+
+
+def test_nothing_can_be_slipped_in_between_encrypted_messages(folder: KeyFolder, stack: ExitStack) -> None:
     log = Log()
-    with serving(folder, log) as hub, Raw(hub, folder).begin() as raw:
-        raw.socket.sendall(raw.client.message(raw.hello()))
-        assert raw.client.read(raw.frame())[0] == 0
-        log.wait_for("experiment raw (test) joined")
-        raw.socket.sendall(zmtp.encode([raw.hello()]))  # in plain text
-        log.wait_for("was dropped: it sent something that is not encrypted")
+    hub = stack.enter_context(serving(folder, log))
+    peer = stack.enter_context(scripted(hub, folder, stack)[0].greet())
+    peer.join("experiment")
+    log.wait_for("experiment scripted (test) joined")
+    peer.send_bytes(framed(*peer.frames_of(Kind.RL_NUM_STEPS, 1)))  # in plain text
+    log.wait_for("was dropped: it sent something that is not encrypted")
 
 
-def test_a_handshake_that_was_recorded_opens_nothing(folder: KeyFolder) -> None:
-    with (
-        serving(folder) as hub,
-        Raw(hub, folder) as first,
-        Raw(hub, folder) as second,
-        Raw(hub, folder) as third,
-    ):
-        hello = command(first.client.hello())
-        first.socket.sendall(hello)
-        first.client.welcome(first.frame()[2:])
-        initiate = command(first.client.initiate())
-        first.socket.sendall(initiate)
-        first.client.ready(first.frame()[2:])
-        message = first.client.message(first.hello())
-        first.socket.sendall(message)
-        second.socket.sendall(hello)
-        assert second.frame()[2:10] == b"\x07WELCOME"
-        second.socket.sendall(initiate + message)
-        assert second.ended()
-        third.socket.sendall(initiate + message)
-        assert third.ended()
-        assert hub.switchboard.num_steps("a") == 0, "the first is in its place"
+def test_a_handshake_that_was_recorded_opens_nothing(folder: KeyFolder, stack: ExitStack) -> None:
+    hub = stack.enter_context(serving(folder))
+    (first, keys), (second, _), (third, _) = [scripted(hub, folder, stack) for _ in range(3)]
+    hello = command(keys.hello())
+    first.send_bytes(hello)
+    keys.welcome(first.read_frame()[1])
+    initiate = command(keys.initiate())
+    first.send_bytes(initiate)
+    keys.ready(first.read_frame()[1])
+    message = first.encoded(*first.frames_of(Kind.HELLO, 1, *hello_scalars("experiment")))
+    first.send_bytes(message)
+    second.send_bytes(hello)
+    assert second.read_frame()[1].startswith(b"\x07WELCOME")
+    for replaying in (second, third):
+        replaying.send_bytes(initiate + message)
+        assert replaying.read_to_end() == b""
+    assert first.receive().kind is Kind.WELCOME
+    assert hub.switchboard.num_steps("a") == 0, "the first keeps its role"
 
 
-def test_a_handshake_that_stops_half_way_keeps_no_place(folder: KeyFolder) -> None:
-    with serving(folder) as hub, ExitStack() as stack:
-        raws = [stack.enter_context(Raw(hub, folder)) for _ in range(5)]
-        raws[1].socket.sendall(command(raws[1].client.hello())[:100])
-        for raw, part in ((raws[2], 0.0), (raws[3], 0.5), (raws[4], 1.0)):
-            raw.socket.sendall(command(raw.client.hello()))
-            raw.client.welcome(raw.frame()[2:])
-            initiate = command(raw.client.initiate())
-            raw.socket.sendall(initiate[: int(len(initiate) * part)])
-        raws[4].client.ready(raws[4].frame()[2:])
-        assert all(raw.ended() for raw in raws), "without a seat they are dropped after a second"
+def test_a_handshake_that_stops_half_way_is_dropped(folder: KeyFolder, stack: ExitStack) -> None:
+    hub = stack.enter_context(serving(folder))
+    (silent, _), (cut, cut_keys), *begun = [scripted(hub, folder, stack) for _ in range(5)]
+    cut.send_bytes(command(cut_keys.hello())[:100])
+    for (peer, keys), part in zip(begun, (0.0, 0.5, 1.0), strict=True):
+        peer.send_bytes(command(keys.hello()))
+        keys.welcome(peer.read_frame()[1])
+        initiate = command(keys.initiate())
+        peer.send_bytes(initiate[: int(len(initiate) * part)])
+    peer, keys = begun[-1]
+    keys.ready(peer.read_frame()[1])
+    assert [peer.read_to_end() for peer in (silent, cut, *(peer for peer, _ in begun))] == [b""] * 5

@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import islice
-from threading import Thread
 
 import pytest
 
-from glue import connect, serve_agent, serve_environment
+from glue import connect
 from glue.client.observer import Answer, Start, Step, TaskSpecSeen, observe
-from glue.core.config import Bind, HubConfig
-from glue.core.experiment import Experiment
+from glue.engine.experiment import Experiment
 from glue.errors import HubClosed, Refused
-from glue.hub.server import Hub
-from glue.protocol import zmtp
-from glue.protocol.messages import THREE_ROLES, Kind, Message, Role
-from glue.protocol.wire import TO_HUB, encode
+from glue.hub.config import Bind, HubConfig
+from glue.hub.io.server import Hub
 from glue.types import Action, Observation
+from glue.wire.messages import THREE_ROLES, Kind
+from tests.hubs import serving
 from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.scripted.peer import ScriptedPeer
 
 WAIT = 20.0
 
@@ -45,19 +43,15 @@ class Large(ScriptedEnvironment):
 @contextmanager
 def playing(environment: ScriptedEnvironment) -> Iterator[tuple[Hub, Experiment]]:
     bind = ("tcp://127.0.0.1:*", Bind("tcp://127.0.0.1:*", frozenset(THREE_ROLES)))
-    with Hub(HubConfig(bind=bind, heartbeat=0.05)).in_background() as hub:
-        address = hub.endpoints[0]
-        players = [
-            Thread(target=serve_agent, args=({"default": ScriptedAgent()}, address), kwargs={"log": quiet}),
-            Thread(target=serve_environment, args=({"default": environment}, address), kwargs={"log": quiet}),
-        ]
-        for player in players:
-            player.start()
-        with connect(address, wait=WAIT, log=quiet) as glue:
-            glue.wait_for_players(lambda missing: None)
-            yield hub, glue
-    for player in players:
-        player.join()
+    hub = Hub(HubConfig(bind=bind, heartbeat=0.05))
+    url = hub.endpoints[0]
+    with (
+        serving(url, ScriptedAgent(), environment),
+        hub.in_background(),
+        connect(url, wait=WAIT, log=quiet) as glue,
+    ):
+        glue.wait_for_players(lambda missing: None)
+        yield hub, glue
 
 
 def test_an_observer_sees_what_is_played_and_what_the_agent_answers() -> None:
@@ -99,25 +93,14 @@ def test_an_observer_is_told_when_the_session_is_over() -> None:
 
 
 def test_an_observer_that_reads_nothing_is_not_waited_for_and_costs_a_bounded_amount_of_memory() -> None:
-    with playing(Large()) as (hub, glue), socket.socket() as stuck:
+    with playing(Large()) as (hub, glue), ScriptedPeer(hub.endpoints[0], receive_buffer=4096) as stuck:
         glue.rl_init()
-        stuck.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        host, port = hub.endpoints[0].removeprefix("tcp://").split(":")
-        stuck.connect((host, int(port)))
-        ready = bytes.fromhex(
-            "04290552454144590b536f636b65742d54797065000000064445414c4552084964656e7469747900000000"
-        )
-        hello = Message(Kind.HELLO, "default", 0, ((1,), str(Role.OBSERVER), b"o" * 16, "stuck", "test", ()))
-        wants = Message(Kind.OBSERVE, "default", 0, (2**62,))
-        stuck.sendall(zmtp.GREETING)
-        stuck.recv(64, socket.MSG_WAITALL)
-        stuck.sendall(ready)
-        for message in (hello, wants):
-            stuck.sendall(zmtp.encode(encode(message, TO_HUB)))
+        stuck.greet().hello("observer")
+        stuck.say(Kind.OBSERVE, 0, 2**62)
         while not wanted(hub):
             glue.rl_num_steps()
         glue.rl_start()
         for _ in range(200):  # 40 MB
             glue.rl_step()
-        unsent = [dealer.connection.unsent for dealer in hub._router._dealers]
+        unsent = [channel.connection.unsent for channel in hub._channels._open]
         assert max(unsent) < 1_000_000

@@ -1,0 +1,11 @@
+"""Random bytes: identities, keys and nonces. Seeds of players and experiments never come from here."""
+
+from __future__ import annotations
+
+import os
+from typing import Final
+
+__all__ = ["random_bytes"]
+
+random_bytes: Final = os.urandom
+"""Bytes that nobody can predict, as many as asked for."""

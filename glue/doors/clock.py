@@ -1,0 +1,22 @@
+"""Time: reading it, waiting for it, and yielding the core."""
+
+from __future__ import annotations
+
+import os
+import time
+from typing import Final
+
+__all__ = ["give_way", "monotonic", "sleep"]
+
+monotonic: Final = time.monotonic
+"""Seconds since an arbitrary moment; never set back."""
+
+sleep: Final = time.sleep
+
+
+def _keep_on() -> None:
+    """Do nothing: this system cannot yield a core."""
+
+
+give_way: Final = getattr(os, "sched_yield", _keep_on)
+"""Yield this core: whoever waits for it may be the one that is to answer."""

@@ -1,0 +1,295 @@
+"""Carry out RL-Glue's calls on a user's agent or environment.
+
+For each role there is one table of functions by message kind. Each calls the user's method and checks the
+answer, because a wrong answer is best reported where it was made. `glue.engine.local` and `glue.client` share
+these tables.
+
+An action or observation must have as many ints, doubles and chars as the task spec says, if it does. That
+is checked when it is returned, by comparing the twelve bytes of its counts: `_body` in place of `body` keeps
+that below one percent of the fastest step. That each number is in its range is for `glue.testing` to check.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Container, Mapping
+from typing import Any, Final
+
+from glue.engine.metrics import pack_metrics
+from glue.errors import PeerFailed, TaskSpecError
+from glue.roles import (
+    Agent,
+    Environment,
+    MetricAgent,
+    SaveableAgent,
+    SaveableEnvironment,
+    SeedableAgent,
+    SeedableEnvironment,
+    completed,
+    offers,
+)
+from glue.taskspec import Space, parse_task_spec
+from glue.types import CUT_OFF, AbstractType, Action, Observation, step_of
+from glue.wire.messages import CALLS, Kind, Role
+
+__all__ = ["Answer", "Handler", "agent_calls", "environment_calls", "name_of", "role_calls"]
+
+Answer = tuple[tuple[Any, ...], Any]
+Handler = Callable[[tuple[Any, ...], Any], Answer]
+
+_DONE: Final[Answer] = ((), None)
+
+
+def name_of(player: object) -> str:
+    """Return the name of a user's agent or environment in messages; for a wrapper, of what it wraps."""
+    return type(getattr(player, "__wrapped__", player)).__name__
+
+
+def role_calls(role: Role, player: Any) -> dict[Kind, Handler]:
+    """Return the calls that `player` supports, by message kind; see `agent_calls`, `environment_calls`.
+
+    Raises:
+        PeerFailed: a method of the role is missing.
+    """
+    base: Any = Agent if role is Role.AGENT else Environment
+    missing = [name for name in sorted(base.__abstractmethods__) if not callable(getattr(player, name, None))]
+    if missing:
+        raise PeerFailed(f"{name_of(player)} is not an {role}: it has no {', '.join(missing)}")
+    if role is Role.AGENT:
+        return agent_calls(completed(player, Agent))
+    return environment_calls(completed(player, Environment))
+
+
+def agent_calls(agent: Agent) -> dict[Kind, Handler]:
+    """Return a function for each call that `agent` supports."""
+
+    seen = made = b""
+
+    def init(_: tuple[Any, ...], task_spec: Any) -> Answer:
+        nonlocal seen, made
+        seen, made = _counts(task_spec)
+        agent.agent_init(task_spec)
+        return _DONE
+
+    def start(_: tuple[Any, ...], observation: Any) -> Answer:
+        try:
+            action = agent.agent_start(observation)
+        except Exception as error:
+            _blame_sender(error, observation, seen, Role.ENVIRONMENT)
+            raise
+        if type(action) is not Action:
+            raise _wrong(agent, "agent_start", "an Action", action)
+        if made and not action._body.startswith(made):
+            raise _miscounted(agent, "agent_start", action, made)
+        return (), action
+
+    def step(scalars: tuple[Any, ...], observation: Any) -> Answer:
+        try:
+            action = agent.agent_step(scalars[0], observation)
+        except Exception as error:
+            _blame_sender(error, observation, seen, Role.ENVIRONMENT)
+            raise
+        if type(action) is not Action:
+            raise _wrong(agent, "agent_step", "an Action", action)
+        if made and not action._body.startswith(made):
+            raise _miscounted(agent, "agent_step", action, made)
+        return (), action
+
+    def end(scalars: tuple[Any, ...], _: Any) -> Answer:
+        agent.agent_end(scalars[0])
+        return _DONE
+
+    def cleanup(_: tuple[Any, ...], __: Any) -> Answer:
+        agent.agent_cleanup()
+        return _DONE
+
+    def message(_: tuple[Any, ...], text: Any) -> Answer:
+        return (), _text(agent, "agent_message", agent.agent_message(text))
+
+    calls: dict[Kind, Handler] = {
+        Kind.AGENT_INIT: init,
+        Kind.AGENT_START: start,
+        Kind.AGENT_STEP: step,
+        Kind.AGENT_END: end,
+        Kind.AGENT_CLEANUP: cleanup,
+        Kind.AGENT_MESSAGE: message,
+    }
+    if offers(agent, SeedableAgent):
+        calls[Kind.AGENT_SEED] = _seeder(agent.agent_seed)
+    if offers(agent, SaveableAgent):
+        calls[Kind.AGENT_SAVE] = _saver(agent, "agent_save", agent.agent_save)
+        calls[Kind.AGENT_LOAD] = _loader(agent.agent_load)
+    if offers(agent, MetricAgent):
+        calls[Kind.AGENT_METRICS] = _metrics(agent, agent.agent_metrics)
+    return calls
+
+
+def environment_calls(environment: Environment) -> dict[Kind, Handler]:
+    """Return a function for each call that `environment` supports."""
+
+    shown = received = b""
+
+    def init(_: tuple[Any, ...], __: Any) -> Answer:
+        nonlocal shown, received
+        task_spec = _text(environment, "env_init", environment.env_init())
+        shown, received = _counts(task_spec)
+        return (), task_spec
+
+    def start(_: tuple[Any, ...], __: Any) -> Answer:
+        observation = environment.env_start()
+        if type(observation) is not Observation:
+            raise _wrong(environment, "env_start", "an Observation", observation)
+        if shown and not observation._body.startswith(shown):
+            raise _miscounted(environment, "env_start", observation, shown)
+        return (), observation
+
+    def step(_: tuple[Any, ...], action: Any) -> Answer:
+        try:
+            answer = environment.env_step(action)
+        except Exception as error:
+            _blame_sender(error, action, received, Role.AGENT)
+            raise
+        try:
+            taken = step_of(environment, answer)
+        except (TypeError, ValueError, OverflowError):
+            raise _wrong(environment, "env_step", "Step(reward, observation, terminal)", answer) from None
+        observation = taken.observation
+        if type(observation) is not Observation:
+            raise _wrong(environment, "env_step", "a Step with an Observation", answer)
+        if shown and not observation._body.startswith(shown):
+            raise _miscounted(environment, "env_step", observation, shown)
+        return (taken.reward, CUT_OFF if taken.truncated else taken.terminal), observation
+
+    def cleanup(_: tuple[Any, ...], __: Any) -> Answer:
+        environment.env_cleanup()
+        return _DONE
+
+    def message(_: tuple[Any, ...], text: Any) -> Answer:
+        return (), _text(environment, "env_message", environment.env_message(text))
+
+    calls: dict[Kind, Handler] = {
+        Kind.ENV_INIT: init,
+        Kind.ENV_START: start,
+        Kind.ENV_STEP: step,
+        Kind.ENV_CLEANUP: cleanup,
+        Kind.ENV_MESSAGE: message,
+    }
+    if offers(environment, SeedableEnvironment):
+        calls[Kind.ENV_SEED] = _seeder(environment.env_seed)
+    if offers(environment, SaveableEnvironment):
+        calls[Kind.ENV_SAVE] = _saver(environment, "env_save", environment.env_save)
+        calls[Kind.ENV_LOAD] = _loader(environment.env_load)
+    return calls
+
+
+def unsupported(kind: Kind, role: Role, name: str) -> str:
+    """Return the error message for a call of a capability that a player does not offer."""
+    return f"{role} {name} does not support this: it has no {kind.name.lower()}"
+
+
+def unfit_for_batch(environment: Container[str], agent: Container[str], name: str) -> str:
+    """Return why an agent cannot act in an environment, by the capabilities of both, or ""."""
+    if "batch" in environment and "batch" not in agent:
+        return (
+            f"agent {name} does not support this: it has no agent_batch, and the environment is many games "
+            "at once (capability `batch`)"
+        )
+    return ""
+
+
+def skippable(kind: Kind) -> bool:
+    """Return whether the call is skipped for a player without the capability of `kind`."""
+    return CALLS[kind].capability == "seed"
+
+
+def _seeder(method: Callable[[int], None]) -> Handler:
+    def seed(scalars: tuple[Any, ...], _: Any) -> Answer:
+        method(scalars[0])
+        return _DONE
+
+    return seed
+
+
+def _saver(player: object, name: str, method: Callable[[], bytes]) -> Handler:
+    def save(_: tuple[Any, ...], __: Any) -> Answer:
+        data = method()
+        if not isinstance(data, bytes):
+            raise _wrong(player, name, "bytes", data)
+        return (), data
+
+    return save
+
+
+def _metrics(player: object, method: Callable[[], Mapping[str, float]]) -> Handler:
+    def metrics(_: tuple[Any, ...], __: Any) -> Answer:
+        found = method()
+        try:
+            return (), pack_metrics(found)
+        except (AttributeError, TypeError, ValueError):
+            raise _wrong(player, "agent_metrics", "numbers by name", found) from None
+
+    return metrics
+
+
+def _loader(method: Callable[[bytes], None]) -> Handler:
+    def load(_: tuple[Any, ...], data: Any) -> Answer:
+        method(data)
+        return _DONE
+
+    return load
+
+
+def _text(player: object, method: str, value: object) -> str:
+    # RL-Glue sends a null answer as the empty string.
+    if value is None:
+        return ""
+    if not isinstance(value, str):
+        raise _wrong(player, method, "a str", value)
+    return value
+
+
+_COUNTS: Final = struct.Struct("<3I")
+
+
+def _counts(task_spec: str) -> tuple[bytes, bytes]:
+    """Return the first bytes of every observation's and every action's body; empty where unspecified."""
+    try:
+        spec = parse_task_spec(task_spec)
+    except TaskSpecError:
+        return b"", b""
+    return _start_of(spec.observations), _start_of(spec.actions)
+
+
+def _start_of(space: Space) -> bytes:
+    return _COUNTS.pack(*space.counts) if space.stated else b""
+
+
+def _amounts(counts: tuple[int, int, int]) -> str:
+    named = zip(counts, ("int", "double", "char"), strict=True)
+    return (
+        ", ".join(f"{count} {name}{'' if count == 1 else 's'}" for count, name in named if count) or "nothing"
+    )
+
+
+def _miscounted(player: object, method: str, value: AbstractType, start: bytes) -> PeerFailed:
+    expected = _amounts(_COUNTS.unpack(start))
+    return PeerFailed(
+        f"{method} of {name_of(player)} must return {expected}, as the task spec says; "
+        f"it returned {_amounts(value.counts)}"
+    )
+
+
+def _blame_sender(error: Exception, given: AbstractType, start: bytes, sender: Role) -> None:
+    """Raise PeerFailed if `error` was raised because a player was given what the task spec does not allow."""
+    if not given.body.startswith(start):
+        raise PeerFailed(
+            f"the {sender} sent {_amounts(given.counts)}, and the task spec says "
+            f"{_amounts(_COUNTS.unpack(start))} ({type(error).__name__}: {error})"
+        ) from error
+
+
+def _wrong(player: object, method: str, expected: str, value: object) -> PeerFailed:
+    return PeerFailed(
+        f"{method} of {name_of(player)} must return {expected}; "
+        f"it returned {type(value).__name__} {value!r:.80}"
+    )

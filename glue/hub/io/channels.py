@@ -1,0 +1,350 @@
+"""The hub's end of ZeroMQ: to its peers a ROUTER socket, here plain sockets in the hub's loop.
+
+libzmq's own ROUTER is not used: it keeps all of a message that never ends, it aborts the process when a
+connection breaks in the middle of a flood (its issue 4364), and its threads double the time of a step.
+
+A connection has to take a seat in a session soon after it is made. In a turn of the loop, one message is read
+from it for each of its seats, so that sessions share the hub fairly. If a message was out of turn, the next
+one waits in the loop's queue. A peer is read no faster than it reads what it is sent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Final
+
+from glue.doors import network
+from glue.errors import RemoteProtocolError
+from glue.hub.config import Bind, HubConfig
+from glue.hub.io.connection import Connection, take_leave
+from glue.hub.io.listener import Listener, OpenAddress
+from glue.hub.io.log import Log
+from glue.hub.io.loop import Loop
+from glue.hub.keys import Keys
+from glue.hub.sessions import Switchboard
+from glue.sockets.options import limit_silence
+from glue.wire import zmtp
+from glue.wire.codec import MAX_HEADER, UnknownKind
+from glue.wire.messages import OBSERVING, Kind, Message, Role
+from glue.wire.steps import STEPS
+from glue.wire.stream import Malformed, Stream
+
+__all__ = ["GREETING_SECONDS", "MAX_UNSEATED", "MAX_UNSENT", "Channels"]
+
+MAX_UNSENT: Final = 64 * 2**20
+"""Maximum number of bytes waiting to be sent to one peer; with more it is unreachable: it does not read."""
+
+MAX_UNSEATED: Final = 256
+"""Maximum number of connections without a seat; when there is one more, the oldest is dropped."""
+
+GREETING_SECONDS: Final = 1.0
+"""Seconds that a connection may be without a seat before it is dropped, at the next tick."""
+
+_FAREWELL_SECONDS: Final = 1.0
+"""Seconds that the hub waits at most, when it closes, for its last messages to be read."""
+
+_HELLO: Final = Kind.HELLO
+
+
+class _Channel:
+    """One connection, and the peer at its other end; a route of the switchboard.
+
+    Attributes:
+        connection: its connection.
+    """
+
+    def __init__(
+        self,
+        channels: Channels,
+        connection: Connection,
+        bind: Bind,
+        max_body: int,
+        mechanism: zmtp.Mechanism | None = None,
+    ) -> None:
+        self.connection = connection
+        self._channels = channels
+        self._loop = channels.loop
+        self._switchboard = channels.switchboard
+        self._bind = bind
+        # A frame that is only a little too long is read, and answered with an error that says so.
+        self._stream = Stream(zmtp.ROUTER, max_body + MAX_HEADER, max_body, mechanism)
+        self._held = 0
+        self._dismissed = False
+        connection.owner = self
+
+    def admits(self, role: Role, session: str) -> bool:
+        """Return whether a peer that connects here may join `session` as `role`."""
+        return self._bind.admits(role, session)
+
+    def deliver(self, message: Message) -> bool:
+        """Send `message`; return False, having sent nothing, if the peer is gone or does not read."""
+        connection = self.connection
+        if connection.closed or self._dismissed or connection.unsent > MAX_UNSENT:
+            return False
+        kind = message[0]
+        if connection.unsent and kind in OBSERVING:
+            return False  # an observer that has not read the previous messages misses this one
+        head, body = self._stream.encode(message)
+        joined = self._channels.joined
+        if kind not in STEPS:
+            self.send_joined()
+            connection.send(head + body)
+        elif joined is not None:
+            joined.setdefault(self, []).append(head + body)
+        else:
+            connection.send(head + body)
+            self._loop.expect(connection)
+        if connection.unsent:
+            self._weigh()
+        return True
+
+    def send_joined(self) -> None:
+        """Send the steps that were joined for this peer, if there are any."""
+        joined = self._channels.joined
+        steps = joined.pop(self, None) if joined else None
+        if steps is not None and not self.connection.closed:
+            self.connection.send(b"".join(steps))
+            self._loop.expect(self.connection)
+            if self.connection.unsent:
+                self._weigh()
+
+    @property
+    def seated(self) -> bool:
+        """Whether it takes part in a session."""
+        return self._switchboard.num_seats(self) > 0
+
+    def evict(self, why: str) -> None:
+        """Drop the connection: it uses too much memory."""
+        self._channels.drop(self, why)
+
+    def _weigh(self) -> None:
+        """Account for what is kept: messages that are not complete, and what the peer has not read."""
+        held = self._stream.buffered + self.connection.unsent
+        if held != self._held and not self.connection.closed:
+            self._held = held
+            self._switchboard.memory.hold(self, held)
+
+    def ready(self, now: float) -> None:
+        """Act on messages received, at most one for each seat."""
+        connection, stream, switchboard = self.connection, self._stream, self._switchboard
+        data = connection.receive()
+        if data:
+            stream.receive_data(data)
+        left = switchboard.num_seats(self) or 1
+        event: Message | bytes | None = None
+        try:
+            while left and not connection.unsent:
+                event = stream.next_event()
+                if event is None:
+                    break
+                left -= 1
+                if type(event) is not Message:
+                    connection.in_turn = False
+                    connection.send(event)
+                    break
+                if left and not stream.empty:
+                    self._channels.join()
+                connection.in_turn = switchboard.receive(self, event, now)
+                if event[0] is _HELLO:
+                    self._channels.greeted(self, event)
+                if not connection.in_turn:
+                    break
+        except (Malformed, UnknownKind) as error:
+            connection.in_turn = False
+            had_seats = self.seated
+            switchboard.malformed(self, error, now)
+            if not had_seats and isinstance(error, Malformed):
+                self._dismiss(str(error))
+                return
+        except RemoteProtocolError as error:
+            if isinstance(error, zmtp.HandshakeRefused):
+                connection.send(error.farewell)
+            self._dismiss(str(error))
+            return
+        finally:
+            if self._channels.joined is not None:
+                self._channels.send_joined()
+        if connection.unsent:
+            # The turn after everything was sent comes back to this.
+            connection.read(False)
+        elif event is None or stream.empty:
+            connection.read(True)
+            if data is not None and not data:
+                self._channels.drop(self, None)
+                return
+        else:
+            connection.read(False)
+            connection.later()
+        if connection.unsent or self._held or not stream.empty:
+            self._weigh()
+        if switchboard.memory.exceeded:
+            switchboard.memory.relieve()
+
+    def failed(self, now: float) -> None:
+        """Forget the connection, which was reset after an error of the hub."""
+        self._channels.drop(self, None)
+        self._switchboard.lose(self, "was dropped after an error of the hub", now)
+
+    def close(self) -> None:
+        """Close the connection, and release everything that is kept for it; the peer's seats may remain."""
+        self._stream = Stream(zmtp.ROUTER, 0)
+        self.connection.close()
+
+    def _dismiss(self, why: str) -> None:
+        """End the connection, once the peer has received what it was sent; from now on it is sent nothing."""
+        self._dismissed = True
+        self._stream = Stream(zmtp.ROUTER, 0)
+        self._weigh()
+        self._channels.complain(self, why)
+        self.connection.in_turn = False
+        self.connection.finish()
+
+
+class _KeyedChannel(_Channel):
+    """A connection at an address with keys: it speaks CURVE, and may join what both key and address open."""
+
+    def __init__(
+        self, channels: Channels, connection: Connection, bind: Bind, max_body: int, keys: Keys
+    ) -> None:
+        from glue.wire.curve import CurveServer  # needs an extra
+
+        self._keys = keys
+        self._curve = CurveServer(keys.secret, lambda client: client in self._keys.permits)
+        super().__init__(channels, connection, bind, max_body, self._curve)
+
+    def admits(self, role: Role, session: str) -> bool:
+        """Return whether the owner of the key may join `session` as `role` here."""
+        permit = self._keys.permits[self._curve.client]
+        return super().admits(role, session) and permit.admits(role, session)
+
+    def renew(self, keys: Keys) -> str | None:
+        """Take the hub's new keys; return why the connection has to end, if it has to."""
+        before, self._keys = self._keys, keys
+        client = self._curve.client
+        if keys.secret != before.secret:
+            return "the hub has a new key"
+        if not client or keys.permits.get(client) == before.permits[client]:
+            return None
+        name = before.permits[client].name
+        return f"the key of {name!r} was {'changed' if client in keys.permits else 'removed'}"
+
+
+class Channels:
+    """All connections of a hub's peers: listens, and drops those that misbehave.
+
+    Args:
+        loop: the loop it runs in, not yet running.
+        config: times and limits.
+        addresses: open addresses for peers; closed by the caller.
+        switchboard: acts on the messages received.
+        log: takes a line for people about each connection that is dropped.
+
+    Attributes:
+        loop: as given.
+        switchboard: as given.
+        joined: while several messages are acted on, the steps that follow from them, by channel; otherwise
+            None. Sent one by one, the first would wake a peer that finds only one of them to answer.
+    """
+
+    def __init__(
+        self,
+        loop: Loop,
+        config: HubConfig,
+        addresses: Sequence[tuple[Bind, OpenAddress]],
+        switchboard: Switchboard,
+        log: Log,
+    ) -> None:
+        self.loop = loop
+        self.switchboard = switchboard
+        self.joined: dict[_Channel, list[bytes]] | None = None
+        self._config = config
+        self._log = log
+        self._complaint = ""
+        self._keys: Keys | None = None  # that have replaced those of the addresses
+        self._open: dict[_Channel, None] = {}  # in the order in which they were accepted
+        self._unseated: dict[_Channel, float] = {}
+        """Those without a seat, the oldest first, and since when."""
+        self._listeners = [
+            Listener(loop, address, partial(self._accept, bind), log) for bind, address in addresses
+        ]
+        loop.on_tick(self._tick)
+
+    def close(self) -> None:
+        """Close, after a moment for the last messages to be read."""
+        for listener in self._listeners:
+            listener.stop()
+        for channel in self._open:
+            channel.connection.finish()
+        take_leave(lambda: [channel.connection for channel in self._open], _FAREWELL_SECONDS)
+        for channel in self._open:
+            channel.close()
+
+    def renew(self, keys: Keys, now: float) -> None:
+        """Replace the keys of every address that has any; drop connections whose admission has changed."""
+        self._keys = keys
+        for channel in list(self._open):
+            if isinstance(channel, _KeyedChannel) and (why := channel.renew(keys)):
+                self.drop(channel, why)
+                self.switchboard.lose(channel, f"was dropped: {why}", now)
+
+    def join(self) -> None:
+        """Let the steps that are delivered from now on leave together, at the next `send_joined`."""
+        if self.joined is None:
+            self.joined = {}
+
+    def send_joined(self) -> None:
+        """Send the steps that were joined."""
+        for channel in list(self.joined or ()):
+            channel.send_joined()
+        self.joined = None
+
+    def greeted(self, channel: _Channel, hello: Message) -> None:
+        """Note that a HELLO of a connection was answered."""
+        if channel.seated:
+            self._unseated.pop(channel, None)
+        capabilities = hello.scalars[-1]
+        assert isinstance(capabilities, tuple)
+        if "batch" in capabilities:
+            self.loop.spin_longer()
+
+    def drop(self, channel: _Channel, why: str | None) -> None:
+        """Close a connection; `why`, if it should be logged, completes a sentence about it."""
+        if why is not None:
+            self.complain(channel, why)
+        self.switchboard.memory.hold(channel, 0)
+        self._open.pop(channel, None)
+        self._unseated.pop(channel, None)
+        channel.close()
+        self._log.connection(f"{channel.connection.name} is gone")
+
+    def complain(self, channel: _Channel, why: str) -> None:
+        """Log why a connection is dropped, unless the reason is the same as the last time."""
+        # A peer with the wrong kind of socket connects again and again.
+        if why != self._complaint:
+            self._complaint = why
+            self._log(f"{channel.connection.name} was dropped: {why}")
+
+    def _accept(self, bind: Bind, connected: network.socket, name: str, now: float) -> None:
+        while len(self._unseated) >= MAX_UNSEATED:
+            oldest = next(iter(self._unseated))
+            self.drop(oldest, f"{MAX_UNSEATED} newer connections have not joined a session either")
+        limit_silence(connected, self._config.timeout)
+        connection = Connection(self.loop, connected, name, self._config.heartbeat)
+        max_body = self._config.max_body
+        if bind.keys is None:
+            channel = _Channel(self, connection, bind, max_body)
+            connection.send(zmtp.GREETING)
+        else:
+            channel = _KeyedChannel(self, connection, bind, max_body, self._keys or bind.keys)
+            connection.send(zmtp.CURVE_GREETING)
+        self._open[channel] = None
+        self._unseated[channel] = now
+        self._log.connection(f"{name} connected")
+
+    def _tick(self, now: float) -> None:
+        for channel in list(self._open):
+            if channel.seated:
+                self._unseated.pop(channel, None)
+            elif now - self._unseated.setdefault(channel, now) >= GREETING_SECONDS:
+                self.drop(channel, None)

@@ -1,0 +1,270 @@
+"""A connection in the hub's loop: it never waits, and keeps only what it was given to send.
+
+A connection that is `in_turn` is served as soon as it is ready. Any other waits in the loop's queue, and is
+not even watched meanwhile, so that its system holds the sender back.
+"""
+
+from __future__ import annotations
+
+import struct
+import traceback
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from typing import Final, Protocol
+
+from glue.doors import clock, network
+from glue.hub.io.loop import FAILURE, READ, WRITE, Events, Loop
+from glue.sockets.options import probe_when_silent
+
+__all__ = ["Connection", "Owner", "take_leave"]
+
+_CHUNK: Final = 65_536
+"""Maximum bytes to read at once; memory for more costs a system call, even if the message is short."""
+
+_AT_ONCE: Final = struct.pack("ii", 1, 0)
+"""SO_LINGER: what is unsent is dropped, and the other side sees a reset."""
+
+
+class Owner(Protocol):
+    """The owner of a connection, which handles its events."""
+
+    def ready(self, now: float) -> None:
+        """Handle the connection: it has data to receive, everything has been sent, or `later` was called.
+
+        If it raises, the error is logged and the connection reset.
+        """
+        ...
+
+    def failed(self, now: float) -> None:
+        """Forget the connection, which was reset because `ready` raised."""
+        ...
+
+
+class Connection:
+    """A connected socket.
+
+    Args:
+        loop: the event loop that it waits in.
+        connected: the socket, TCP or Unix; it is closed by `close` or `reset`.
+        name: the address of the other side, for people.
+        silence: seconds after which the system probes a silent host.
+
+    Attributes:
+        owner: whoever acts on what is received; set by it.
+        in_turn: whether the last message of the peer was in turn; set by the owner.
+        unsent: bytes that are still to be sent, since the peer does not read.
+        closed: nothing can be sent or received any more.
+    """
+
+    def __init__(self, loop: Loop, connected: network.socket, name: str, silence: float) -> None:
+        connected.setblocking(False)
+        if connected.family != network.AF_UNIX:
+            connected.setsockopt(network.IPPROTO_TCP, network.TCP_NODELAY, 1)
+            probe_when_silent(connected, silence)
+        self.name = name
+        self.owner: Owner = _NOBODY
+        self.in_turn = False
+        self.closed: bool = False
+        self._loop = loop
+        self._socket = connected
+        self._unsent = bytearray()
+        self.unsent: int = 0
+        self._reading = True
+        self._later = False
+        self._queued = False
+        self._finishing = False
+        self._gone = False
+        self._glanced: bytes | None = None
+        self._watched = READ
+        self._event = [(connected.fileno(), READ)]
+        loop.watch(connected.fileno(), READ, self)
+
+    def fileno(self) -> int:
+        """Return the socket's descriptor."""
+        return self._socket.fileno()
+
+    @property
+    def events(self) -> int:
+        """The events to wait for."""
+        return (READ if self._reading else FAILURE) | (WRITE if self._unsent or self._later else FAILURE)
+
+    def read(self, wanted: bool) -> None:
+        """Set whether to receive data, or to leave it where it holds the peer back."""
+        if wanted != self._reading:
+            self._reading = wanted
+            self._watch()
+
+    def later(self) -> None:
+        """Give the owner another turn, although nothing may happen."""
+        self._later = True
+        self._watch()
+
+    def receive(self) -> bytes | None:
+        """Return the data received: None if none is available or reading is paused, empty at the end."""
+        data, self._glanced = self._glanced, None
+        # What the peer sent before it went is still here.
+        if data is None and (self._reading or self._gone):
+            try:
+                data = self._socket.recv(_CHUNK)
+            except BlockingIOError:
+                pass
+            except OSError:
+                data = b""
+        return data
+
+    def glance(self) -> Events | None:
+        """Return the event of data received, which `receive` returns then; None if there is none."""
+        if self._glanced is None and self._reading and not self.closed:
+            try:
+                self._glanced = self._socket.recv(_CHUNK)
+            except BlockingIOError:
+                return None
+            except OSError:
+                self._glanced = b""
+        return self._event
+
+    def send(self, data: bytes) -> None:
+        """Send `data`, now or as soon as the other side reads."""
+        if not self.unsent:
+            try:
+                sent = self._socket.send(data)
+            except OSError as error:
+                sent = self._failed_to_send(error, data)
+            if sent == len(data):
+                return
+            data = data[sent:]
+        self._unsent += data
+        self.unsent = len(self._unsent)
+        self._watch()
+
+    def finish(self) -> None:
+        """Close once everything is sent and the other side has closed; ignore what it still sends."""
+        self._finishing = True
+        self.owner = _Discarding(self)
+        self.read(True)
+        self._end_if_sent()
+
+    def close(self) -> None:
+        """Close, even if something is unsent."""
+        if not self.closed:
+            self.closed = True
+            # The owner refers to this connection; break the cycle.
+            self.owner = _NOBODY
+            self._glanced = None
+            self._unsent.clear()
+            self.unsent = 0
+            self._loop.unwatch(self._socket.fileno())
+            self._socket.close()
+
+    def reset(self) -> None:
+        """Close so that the next system call of the other side fails."""
+        if not self.closed:
+            self._socket.setsockopt(network.SOL_SOCKET, network.SO_LINGER, _AT_ONCE)
+            self.close()
+
+    def turn(self, now: float, at_once: bool = False) -> None:
+        """Send what is left and let the owner act; a connection that is out of turn queues for that."""
+        if not self.in_turn and not at_once:
+            if not self._queued:
+                self._queued = True
+                self._loop.unwatch(self._socket.fileno())
+                self._loop.queue(self._turn_of_queue)
+            return
+        if self._watched != READ:
+            self._catch_up()
+        try:
+            self.owner.ready(now)
+        except Exception:
+            owner = self.owner
+            self.fail()
+            owner.failed(now)
+
+    def fail(self) -> None:
+        """Reset the connection because of the exception being handled, and report it to the log."""
+        self._loop.log(
+            f"{self.name} was dropped after an error of the hub; please report this:\n"
+            f"{traceback.format_exc()}"
+        )
+        self.reset()
+
+    def _turn_of_queue(self, now: float) -> None:
+        self._queued = False
+        if not self.closed:
+            self._loop.watch(self._socket.fileno(), self._watched, self)
+            self.turn(now, at_once=True)
+
+    def _catch_up(self) -> None:
+        self._later = False
+        if self._unsent:
+            try:
+                sent = self._socket.send(self._unsent)
+            except OSError as error:
+                sent = self._failed_to_send(error, self._unsent)
+            del self._unsent[:sent]
+            self.unsent = len(self._unsent)
+            if self._finishing:
+                self._end_if_sent()
+        if not self._reading and self._socket.getsockopt(network.SOL_SOCKET, network.SO_ERROR):
+            self._gone = True
+        self._watch()
+
+    def _failed_to_send(self, error: OSError, data: bytes | bytearray) -> int:
+        """Return how many bytes of `data` need not be sent any more: all, if the other side is gone."""
+        if isinstance(error, BlockingIOError):
+            return 0
+        # Nothing may follow what is missing now. The loop reports the end.
+        self._gone = True
+        with suppress(OSError):  # it may have ended already
+            self._socket.shutdown(network.SHUT_RDWR)
+        return len(data)
+
+    def _watch(self) -> None:
+        events = self.events
+        if events != self._watched and not self.closed:
+            self._watched = events
+            if not self._queued:
+                self._loop.watch(self._socket.fileno(), events, self)
+
+    def _end_if_sent(self) -> None:
+        if not self._unsent:
+            with suppress(OSError):  # the other side may be gone
+                self._socket.shutdown(network.SHUT_WR)
+
+
+class _Nobody:
+    """The owner of a connection that has none."""
+
+    def ready(self, now: float) -> None:
+        """Do nothing."""
+
+    def failed(self, now: float) -> None:
+        """Do nothing."""
+
+
+_NOBODY: Final = _Nobody()
+
+
+class _Discarding(_Nobody):
+    """The owner of a connection that only waits for the other side to close."""
+
+    def __init__(self, connection: Connection) -> None:
+        self._connection = connection
+
+    def ready(self, now: float) -> None:
+        """Ignore what is received."""
+        if self._connection.receive() == b"":
+            self._connection.close()
+
+
+def take_leave(leaving: Callable[[], Iterable[Connection]], seconds: float) -> None:
+    """Wait up to `seconds` until all of `leaving` are closed, so that a goodbye is read."""
+    deadline = clock.monotonic() + seconds
+    while (now := clock.monotonic()) < deadline:
+        left = {connection.fileno(): connection for connection in leaving() if not connection.closed}
+        if not left:
+            return
+        poller = network.poll()
+        for fd, connection in left.items():
+            poller.register(fd, connection.events)
+        for fd, _ in poller.poll(int((deadline - now) * 1000) + 1):
+            left[fd].turn(now, at_once=True)

@@ -1,0 +1,181 @@
+"""An experiment's end of a hub in its own process: messages are handed over, with no socket in between.
+
+While a verb is carried out, the experiment's thread takes the turns of the hub's loop. So a verb costs no
+switch between threads, which would take longer than a step.
+
+A player, too, can be an object in this process, while the other one is a program of its own. Its calls are
+carried out by the experiment's thread between two turns of the loop. They wait in a queue until then: carried
+out as soon as the hub makes them, each would be nested in the one before.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections import deque
+from collections.abc import Mapping
+
+from glue.client.answers import Player
+from glue.console import show_failure
+from glue.doors import chance, clock
+from glue.errors import GlueError
+from glue.hub.config import DEFAULT_SESSION
+from glue.hub.io.server import Hub
+from glue.hub.sessions import INSTANCE_SIZE
+from glue.roles import AgentLike, EnvironmentLike
+from glue.wire.codec import clip
+from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
+
+__all__ = ["InsideTransport"]
+
+_NO_PLAYERS: Mapping[Role, AgentLike | EnvironmentLike] = {}
+
+
+class InsideTransport:
+    """A connection to a hub that runs in another thread of this process.
+
+    Args:
+        hub: the hub, running or not.
+        players: players that are objects in this process, by role.
+        session: the session that they join.
+
+    Attributes:
+        connected: always true.
+        connections: always one.
+
+    Raises:
+        PeerFailed: a player lacks a method of its role.
+    """
+
+    connected = True
+    connections = 1
+
+    def __init__(
+        self,
+        hub: Hub,
+        players: Mapping[Role, AgentLike | EnvironmentLike] = _NO_PLAYERS,
+        session: str = DEFAULT_SESSION,
+    ) -> None:
+        self._hub = hub
+        self._wait = 1.0
+        self._received: deque[Message] = deque()
+        self._calls: deque[tuple[_InsidePlayer, Message]] = deque()
+        joining = [_InsidePlayer(role, player, self._calls) for role, player in players.items()]
+        with hub.loop.ask():
+            for player in joining:
+                hub.switchboard.receive(player, player.hello(session), clock.monotonic())
+
+    # The peer's side.
+
+    def wait_at_most(self, seconds: float) -> None:
+        """Set how long `receive_message` waits, in seconds."""
+        self._wait = seconds
+
+    def spin_for(self, seconds: float) -> None:
+        """Do nothing: the hub's loop polls."""
+
+    def send_message(self, message: Message) -> bool:
+        """Hand the hub a message; return False if the hub is ending."""
+        loop = self._hub.loop
+        with loop.ask():
+            if loop.stopping is not None:
+                return False
+            self._hub.switchboard.receive(self, message, clock.monotonic())
+            return True
+
+    def receive_message(self, max_body: int) -> Message | None:
+        """Return the next message; None if none is received in time."""
+        loop, received, calls = self._hub.loop, self._received, self._calls
+        receive = self._hub.switchboard.receive
+        try:
+            with loop.ask():
+                until = clock.monotonic() + self._wait
+                while not received and loop.stopping is None and (left := until - clock.monotonic()) > 0:
+                    if not calls:
+                        loop.turn(left)
+                        continue
+                    player, call = calls.popleft()
+                    for answer in player.carry_out(call):
+                        receive(player, answer, clock.monotonic())
+        except BaseException:
+            # The loop was interrupted in the middle of something.
+            self._hub.stop("the experiment was interrupted in the middle of a verb")
+            raise
+        if not received and loop.stopping is not None:
+            self._hub.join(self._wait)  # it says goodbye as it ends
+        return received.popleft() if received else None
+
+    def notice_connections(self) -> None:
+        """Do nothing: there is one."""
+
+    def close(self, linger: float | None = None) -> None:
+        """Do nothing: nothing is left to deliver."""
+
+    # The hub's side: it is a route of the switchboard.
+
+    def deliver(self, message: Message) -> bool:
+        """Hand the experiment a message."""
+        self._received.append(message)
+        return True
+
+    def admits(self, role: Role, session: str) -> bool:
+        """Return True: the process that runs a hub may take any role."""
+        return True
+
+
+class _InsidePlayer:
+    """A player in the hub's process; a route of the switchboard.
+
+    Args:
+        role: its role.
+        player: the agent or environment.
+        calls: takes each call to it.
+    """
+
+    def __init__(
+        self,
+        role: Role,
+        player: AgentLike | EnvironmentLike,
+        calls: deque[tuple[_InsidePlayer, Message]],
+    ) -> None:
+        self._role = role
+        self._player = Player(role, player)
+        self._calls = calls
+        self._gone = False
+
+    def hello(self, session: str) -> Message:
+        """Return the message by which it joins a session."""
+        player = self._player
+        instance = chance.random_bytes(INSTANCE_SIZE)
+        codec = f"Python {platform.python_version()}"
+        scalars = ((PROTOCOL_VERSION,), str(self._role), instance, player.name, codec, player.capabilities)
+        return Message(Kind.HELLO, session, 1, scalars)
+
+    def carry_out(self, call: Message) -> tuple[Message, ...]:
+        """Return the answer to a call; if the player raises, the error, and its goodbye."""
+        try:
+            answer = self._player.answer(call)
+        except Exception as error:
+            if not isinstance(error, GlueError):
+                show_failure(error)
+            self._gone = True
+            text = str(error) if isinstance(error, GlueError) else f"{type(error).__name__}: {error}"
+            reason = f"{type(error).__name__} in {call.kind.name.lower()}"
+            return (
+                Message(Kind.ERROR, call.session, call.seq, (str(ErrorCode.EXCEPTION), clip(text))),
+                Message(Kind.GOODBYE, call.session, 0, (clip(reason),)),
+            )
+        return () if answer is None else (answer,)
+
+    def deliver(self, message: Message) -> bool:
+        """Take a message from the switchboard; return False once the player has failed or was dismissed."""
+        if self._gone:
+            return False
+        if message.kind in CALLS:
+            self._calls.append((self, message))
+        elif message.kind is Kind.GOODBYE or message.kind is Kind.REFUSE:
+            self._gone = True
+        return True
+
+    def admits(self, role: Role, session: str) -> bool:
+        """Return True: the process that runs a hub may take any role."""
+        return True

@@ -1,0 +1,106 @@
+"""A log that never makes its callers wait, even if it is printed slowly or not at all.
+
+The hub's loop must not wait for a terminal or a pipe that nobody reads. A `Log` keeps lines in a queue of
+limited length, from which a thread writes them. Lines that find the queue full are counted, and dropped.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from datetime import datetime
+from enum import IntEnum
+from typing import Final
+
+from glue.doors import threads
+
+__all__ = ["Level", "Log"]
+
+_CAPACITY: Final = 1000
+"""Lines that wait to be written."""
+
+_FLUSH_SECONDS: Final = 1.0
+"""Maximum time for which `close` waits for the last lines to be written."""
+
+
+class Level(IntEnum):
+    """The level of a log line; a log writes the lines up to a level."""
+
+    ERROR = 0
+    """An error of the hub's own."""
+
+    PEERS = 1
+    """A peer that joins, leaves or is refused."""
+
+    CONNECTIONS = 2
+    """Every connection."""
+
+
+class Log:
+    """A function that takes lines from any thread, and never waits.
+
+    Args:
+        write: writes a line, in a thread of the log's own; it may take as long as it likes.
+        level: which lines to write.
+        stamped: whether each line begins with the local time at which it was taken.
+    """
+
+    def __init__(
+        self, write: Callable[[str], None], level: Level = Level.PEERS, stamped: bool = False
+    ) -> None:
+        self._write = write
+        self._level = level
+        self._stamped = stamped
+        self._lines: deque[str] = deque()
+        self._dropped = 0
+        self._closed = False
+        self._changed = threads.Condition()
+        self._thread: threads.Thread | None = None
+
+    def __call__(self, line: str, level: Level = Level.PEERS) -> None:
+        """Have `line` written, or dropped if too many wait already."""
+        if level > self._level:
+            return
+        if self._stamped:
+            line = f"{datetime.now():%Y-%m-%d %H:%M:%S} {line}"
+        with self._changed:
+            if len(self._lines) >= _CAPACITY or self._closed:
+                self._dropped += 1
+                return
+            self._lines.append(line)
+            if self._thread is None:
+                self._thread = threads.Thread(target=self._run, name="log", daemon=True)
+                self._thread.start()
+            self._changed.notify()
+
+    def error(self, line: str) -> None:
+        """Take a line about an error of the hub's own."""
+        self(line, Level.ERROR)
+
+    def connection(self, line: str) -> None:
+        """Take a line about a connection."""
+        self(line, Level.CONNECTIONS)
+
+    def close(self) -> None:
+        """Wait until all lines are written, but not for long; later ones are dropped."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
+        if self._thread is not None:
+            self._thread.join(_FLUSH_SECONDS)
+
+    def _run(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._lines or self._dropped or self._closed)
+                lines = list(self._lines)
+                self._lines.clear()
+                dropped, self._dropped = self._dropped, 0
+                if not lines and not dropped:
+                    return
+            for line in lines:
+                self._write(line)
+            if dropped:
+                self._write(
+                    f"{dropped} more lines were dropped: they arrived faster than they could be written"
+                )

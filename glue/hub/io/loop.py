@@ -1,0 +1,234 @@
+"""The loop that a hub runs in: one thread that waits for descriptors and for time to pass.
+
+Nothing called from it may wait for anything itself.
+
+Unsolicited work, such as accepting connections or reading what was sent out of turn, goes through a
+queue. One piece of it is done in each turn of the loop, and all of it together takes at most a fifth of the
+time: however many peers flood the hub, a session that plays has the rest.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Final, Protocol
+
+from glue.doors import clock, network, threads
+from glue.sockets.spinning import LONG_SPIN_SECONDS, Spin
+
+__all__ = ["FAILURE", "READ", "WRITE", "Loop", "Source", "Watched"]
+
+READ: Final = network.POLLIN
+WRITE: Final = network.POLLOUT
+FAILURE: Final = 0
+"""Descriptors with no registered interest still report errors."""
+
+_SHARE: Final = 0.2
+"""Of the time, for the queue."""
+
+_MAX_SAVED: Final = 0.02
+"""Seconds of the queue's share that can be saved up while it is empty."""
+
+_SPIN_SECONDS: Final = 50e-6
+"""Seconds to poll for an expected answer before the loop sleeps: fast players answer within them."""
+
+_DIRECT: Final = 32
+"""Before one of so many spins, which only read from the peer that was sent a call, everybody has a turn."""
+
+_GRACE_SECONDS: Final = 0.05
+"""Seconds for which the thread in `run` leaves the loop to another that has taken it."""
+
+_WAKE_SIZE: Final = 4096
+
+Events = list[tuple[int, int]]
+"""Descriptors, each with what has happened to it."""
+
+Work = Callable[[float], None]
+"""Takes the time, as `time.monotonic` returns it."""
+
+
+class Watched(Protocol):
+    """The owner of a descriptor."""
+
+    def turn(self, now: float) -> None:
+        """Act: the descriptor is ready, or has failed."""
+        ...
+
+
+class Source(Watched, Protocol):
+    """A connection whose answer can be expected."""
+
+    def glance(self) -> Events | None:
+        """Return the event of something to read, having read it; None if there is nothing."""
+        ...
+
+
+class Loop:
+    """Serves descriptors that are ready, calls functions when time has passed, and works off a queue.
+
+    One thread takes the turns at any time: the one in `run`, or another that has taken `ask()`:
+
+        with loop.ask():
+            loop.turn(seconds)
+
+    No other form is safe from Ctrl-C, which may be raised after any call, also after one that has acquired
+    a lock.
+
+    Args:
+        every: seconds between ticks.
+        log: takes a line for people, about errors that cost a connection.
+
+    Attributes:
+        log: as given.
+        stopping: why it ends or has ended; None until `stop`.
+    """
+
+    def __init__(self, every: float, log: Callable[[str], None]) -> None:
+        self.log = log
+        self.stopping: str | None = None
+        self._every = every
+        self._tick_at = clock.monotonic() + every
+        self._poller = network.Poller()
+        self._watched: dict[int, Watched] = {}
+        self._tickers: list[Work] = []
+        self._queue: deque[Work] = deque()
+        self._saved = _MAX_SAVED
+        self._saved_at = 0.0
+        self._expected: Source | None = None
+        self._several = False  # answers of several sources are expected
+        self._spin = Spin(_SPIN_SECONDS)
+        self._spins = 0
+        self._mutex = threads.Lock()
+        self._times_asked = 0
+        self._wake = _Wake()
+        self.watch(self._wake.fileno(), READ, self._wake)
+
+    def watch(self, fd: int, events: int, owner: Watched) -> None:
+        """Give `owner` a turn whenever `fd` is ready or has failed; `events` are READ and WRITE."""
+        if fd in self._watched:
+            self._poller.modify(fd, events)
+        else:
+            self._poller.register(fd, events)
+        self._watched[fd] = owner
+
+    def unwatch(self, fd: int) -> None:
+        """Undo `watch`, if it was called."""
+        if self._watched.pop(fd, None) is not None:
+            self._poller.unregister(fd)
+
+    def queue(self, work: Work) -> None:
+        """Call `work` once, after all that was queued before, as the queue's share of the time allows."""
+        self._queue.append(work)
+
+    def on_tick(self, tick: Work) -> None:
+        """Call `tick` at every tick; several are called in the order in which they were given."""
+        self._tickers.append(tick)
+
+    def expect(self, source: Source) -> None:
+        """Note that the peer behind `source` was sent a call, which it usually answers at once."""
+        if self._expected is not None and self._expected is not source:
+            self._several = True
+        self._expected = source
+
+    def spin_longer(self) -> None:
+        """Note that a peer has joined that is many games, or acts in many: its answers take longer."""
+        self._spin.seconds = LONG_SPIN_SECONDS
+
+    def run(self) -> None:
+        """Take turns until `stop`, except while other threads take them."""
+        asked = 0
+        while self.stopping is None:
+            if asked != self._times_asked or self._mutex.locked():
+                # Another thread has the loop, or had it a moment ago and may soon ask for it again.
+                asked = self._times_asked
+                clock.sleep(_GRACE_SECONDS)
+                continue
+            with self._mutex:
+                while asked == self._times_asked and self.stopping is None:
+                    self.turn()
+
+    def ask(self) -> threads.Lock:
+        """Make the thread in `run` release the loop; return the lock to hold while taking turns."""
+        self._times_asked += 1
+        if self._mutex.locked():
+            self._wake.up()
+        return self._mutex
+
+    def turn(self, seconds: float = math.inf) -> None:
+        """Wait up to `seconds` until there is something to do, and do it.
+
+        That is: what is ready, one piece of the queue, and a tick.
+        """
+        events = None
+        expected = self._expected
+        if expected is not None:
+            self._expected = None
+            self._spins += 1
+            if not self._several:
+                if not self._spins % _DIRECT:
+                    events = self._poller.poll(0) or None
+                if events is None:
+                    events = self._spin.until_found(expected.glance)
+            self._several = False
+        now = clock.monotonic()
+        if events is None:
+            wait = min(seconds, self._tick_at - now)
+            if self._queue:
+                wait = min(wait, -self._saved / _SHARE)
+            events = self._poller.poll(max(wait, 0))
+            now = clock.monotonic()
+        for fd, _ in events:
+            # What was called before it may have ended the wait for it.
+            watched = self._watched.get(fd)
+            if watched is not None:
+                watched.turn(now)
+        if self._queue:
+            self._work_off()
+        if now >= self._tick_at:
+            for tick in self._tickers:
+                tick(now)
+            self._tick_at = now + self._every
+
+    def _work_off(self) -> None:
+        now = clock.monotonic()
+        self._saved = min(_MAX_SAVED, self._saved + (now - self._saved_at) * _SHARE)
+        self._saved_at = now
+        if self._saved > 0:
+            self._queue.popleft()(now)
+            self._saved -= clock.monotonic() - now
+
+    def stop(self, reason: str) -> None:
+        """Let `run` end; may be called from any thread or signal handler."""
+        self.stopping = self.stopping or reason
+        self._wake.up()
+
+    def close(self) -> None:
+        """Close what the loop itself holds."""
+        self._wake.close()
+        self._poller.close()
+
+
+class _Wake:
+    """A pair of sockets by which other threads and signal handlers wake the loop."""
+
+    def __init__(self) -> None:
+        self._reader, self._writer = network.socketpair()
+        self._reader.setblocking(False)
+        self._writer.setblocking(False)
+        self.fileno = self._reader.fileno
+
+    def up(self) -> None:
+        """Wake the loop."""
+        with suppress(OSError):  # full or closed: the loop is awake or over
+            self._writer.send(b"\0")
+
+    def turn(self, now: float) -> None:
+        """Forget how often it was woken."""
+        self._reader.recv(_WAKE_SIZE)
+
+    def close(self) -> None:
+        """Close both sockets."""
+        self._reader.close()
+        self._writer.close()

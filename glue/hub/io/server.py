@@ -1,0 +1,151 @@
+"""The hub: many sessions, in one plain poll loop.
+
+    with Hub(HubConfig()).in_background() as hub:
+        print(hub.endpoints)
+
+The loop receives, decodes a small header, lets the switchboard act, and sends. Nothing in it waits for a
+peer. Other sources of messages, such as the gateway for RL-Glue's original programs, run in the same loop.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from typing import Final
+
+from glue.closing import Closing
+from glue.doors import clock as door
+from glue.doors import threads
+from glue.errors import GlueError
+from glue.hub.config import HubConfig
+from glue.hub.io.channels import Channels
+from glue.hub.io.listener import OpenAddress, open_address
+from glue.hub.io.log import Log
+from glue.hub.io.loop import Loop
+from glue.hub.keys import Keys
+from glue.hub.sessions import Switchboard
+
+__all__ = ["Hub"]
+
+
+_NONE: Final[Mapping[str, OpenAddress]] = {}
+
+
+class Hub(Closing):
+    """A hub, listening from the moment it is made until it is closed.
+
+    It closes when `run` ends; one that is never run is closed by `close`, or as a context manager.
+
+    Args:
+        config: addresses, times and limits.
+        log: takes a line for people about each peer that joins or leaves, in a thread of its own: nothing in
+            the hub waits for it. Or a `Log` to choose more; the hub closes it.
+        opened: addresses of `config.bind`, by URL, that are open already; they stay open when the hub closes.
+        clock: returns seconds, to measure the time of agents if `config` limits it; by default the system's.
+
+    Attributes:
+        config: as given.
+        log: passes lines on to the log that was given.
+        loop: the loop it runs in; a tick is a heartbeat.
+        switchboard: receiver of all messages.
+        endpoints: the addresses listened on, free ports resolved.
+
+    Raises:
+        ConfigError: an address is in use or cannot be listened on.
+    """
+
+    def __init__(
+        self,
+        config: HubConfig,
+        log: Callable[[str], None] | Log = lambda line: None,
+        opened: Mapping[str, OpenAddress] = _NONE,
+        clock: Callable[[], float] | None = None,
+    ) -> None:
+        self.config = config
+        self.log: Log = log if isinstance(log, Log) else Log(log)
+        with ExitStack() as closing:
+            closing.callback(self.log.close)
+            addresses = [
+                (bind, opened.get(bind.url) or closing.enter_context(open_address(bind.url)))
+                for bind in config.binds
+            ]
+            self.endpoints: list[str] = [address.endpoint for _, address in addresses]
+            self.loop: Loop = Loop(config.heartbeat, self.log.error)
+            closing.callback(self.loop.close)
+            self.switchboard: Switchboard = Switchboard(config, self.log, clock or door.monotonic)
+            self._channels = Channels(self.loop, config, addresses, self.switchboard, self.log)
+            closing.callback(self._channels.close)
+            self._closing = closing.pop_all()
+        self._closing.callback(self._take_leave)
+        self._closers: list[Callable[[], None]] = []
+        self._new_keys: Keys | None = None
+        self._ended = threads.Event()
+
+    def run(self) -> None:
+        """Serve until `stop` is called; then close."""
+        self.loop.on_tick(self.switchboard.tick)
+        self.loop.on_tick(self._renew_keys)
+        with self:
+            self.loop.run()
+
+    def close(self) -> None:
+        """Say goodbye to every peer, and stop listening. A running hub is ended by `stop` instead."""
+        with self.loop.ask():  # an experiment inside may be in the middle of a turn
+            self._closing.close()
+
+    def wait(self) -> None:
+        """Wait until a hub in the background ends.
+
+        Raises:
+            GlueError: it was not stopped, but failed.
+        """
+        self._ended.wait()
+        if self.loop.stopping is None:
+            raise GlueError("the hub failed, by a mistake of its own; please report what is shown above")
+
+    def join(self, seconds: float) -> bool:
+        """Wait at most so long for a hub in the background to end; return whether it has."""
+        return self._ended.wait(seconds)
+
+    def stop(self, reason: str) -> None:
+        """Let `run` end; may be called from any thread or signal handler. Peers are sent `reason`."""
+        self.loop.stop(reason)
+
+    def renew_keys(self, keys: Keys) -> None:
+        """Replace the keys of every address that has any, at the next heartbeat; callable from any thread.
+
+        Peers whose key is gone, or has other permits now, lose their connection and their seats.
+        """
+        self._new_keys = keys
+
+    def _renew_keys(self, now: float) -> None:
+        keys, self._new_keys = self._new_keys, None
+        if keys is not None:
+            self.log(f"the keys were read again: {keys}")
+            self._channels.renew(keys, now)
+
+    @contextmanager
+    def in_background(self) -> Iterator[Hub]:
+        """Serve in a thread while the body of the `with` runs."""
+        thread = threads.Thread(target=self._run_in_background, name="hub", daemon=True)
+        thread.start()
+        try:
+            yield self
+        finally:
+            self.stop("the experiment is over")
+            thread.join()
+
+    def on_close(self, close: Callable[[], None]) -> None:
+        """Call `close` when the hub closes, after its peers were sent a goodbye."""
+        self._closers.append(close)
+
+    def _run_in_background(self) -> None:
+        try:
+            self.run()
+        finally:
+            self._ended.set()
+
+    def _take_leave(self) -> None:
+        self.switchboard.close(self.loop.stopping or "the hub failed")
+        for close in self._closers:
+            close()

@@ -1,0 +1,55 @@
+"""A bound on the memory of a hub, and the choice of what is evicted when it is exceeded."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+__all__ = ["Holder", "Memory"]
+
+
+class Holder(Protocol):
+    """Something that uses memory: a connection, or a session."""
+
+    @property
+    def seated(self) -> bool:
+        """Whether it takes part in a session; holders that do not are evicted first."""
+        ...
+
+    def evict(self, why: str) -> None:
+        """Release all memory that is used for it, and send its peers the reason."""
+        ...
+
+
+class Memory:
+    """Memory used by all holders; when its total exceeds `limit`, `relieve` evicts the largest holder.
+
+    Args:
+        limit: bytes.
+
+    Attributes:
+        exceeded: whether the total exceeds the limit.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self.exceeded: bool = False
+        self._limit = limit
+        self._total = 0
+        self._held: dict[Holder, int] = {}
+
+    def hold(self, holder: Holder, size: int) -> None:
+        """Note that `holder` now uses `size` bytes."""
+        self._total += size - self._held.pop(holder, 0)
+        if size:
+            self._held[holder] = size
+        self.exceeded = self._total > self._limit
+
+    def relieve(self) -> None:
+        """Evict the largest holders until the total is within the limit; none may be in use afterwards."""
+        while self.exceeded:
+            largest = max(self._held, key=lambda known: (not known.seated, self._held[known]))
+            held = self._held[largest]
+            self.hold(largest, 0)
+            largest.evict(
+                f"it used {held / 2**20:.0f} MiB, more than any other, when the hub reached its limit of "
+                f"{self._limit / 2**20:.0f} MiB (max_memory)"
+            )

@@ -1,0 +1,103 @@
+"""Observers of a session: the messages that they are shown, and their number.
+
+An observer asks for a number of moments, and is shown the next ones; all others are missed. So whoever looks
+thirty times a second costs the session thirty messages a second, however fast it plays. What cannot be sent
+at once, because the observer has not read the previous ones, is missed, too: nothing is kept for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from glue.engine.engine import Engine
+from glue.wire.codec import clip
+from glue.wire.messages import Kind, Message, Value
+
+if TYPE_CHECKING:
+    from glue.hub.peer import Peer
+
+__all__ = ["MAX_OBSERVERS", "Observers"]
+
+MAX_OBSERVERS: Final = 8
+"""Observers of one session at most."""
+
+
+@dataclass(slots=True)
+class _View:
+    """Moments that an observer still wants, the number of the latest, and whether it lacks the spec."""
+
+    wanted: int = 0
+    number: int = 0
+    spec_due: bool = True
+
+
+class Observers:
+    """The observers of one session. For each, moments and answers are numbered; what it misses leaves a gap.
+
+    Args:
+        session: the session's name.
+        send: sends a message to an observer; returns False if it is gone or has not read the previous ones.
+    """
+
+    def __init__(self, session: str, send: Callable[[Peer, Message], bool]) -> None:
+        self._session = session
+        self._send = send
+        self._views: dict[Peer, _View] = {}
+        self._episode = 0  # begun since the first observer joined
+
+    @property
+    def peers(self) -> list[Peer]:
+        """The observers of the session."""
+        return list(self._views)
+
+    def join(self, peer: Peer, engine: Engine) -> None:
+        """Let `peer` look on; it is sent the task spec, if there is one."""
+        self._views[peer] = _View()
+        self._tell_spec(engine)
+
+    def leave(self, peer: Peer) -> None:
+        """Forget `peer`."""
+        del self._views[peer]
+
+    def want(self, peer: Peer, moments: int) -> None:
+        """Show `peer` the next `moments` moments, whatever it has asked for before."""
+        self._views[peer].wanted = moments
+
+    def show(self, call: Message, scalars: tuple[Value, ...], body: bytes, engine: Engine) -> None:
+        """Show the answer to `call`, which `engine` has taken, if observers are shown such answers."""
+        kind = call.kind
+        if kind is Kind.ENV_STEP:
+            counters = (self._episode, engine.num_steps, engine.total_reward)
+            self._show(Kind.OBSERVED_STEP, (*counters, *scalars), body, call.body)
+        elif kind is Kind.ENV_START:
+            self._episode += 1
+            self._tell_spec(engine)  # to those to whom it could not be sent before
+            self._show(Kind.OBSERVED_START, (self._episode,), body)
+        elif kind is Kind.ENV_INIT:
+            for view in self._views.values():
+                view.spec_due = True
+            self._tell_spec(engine)
+        elif kind is Kind.AGENT_MESSAGE:
+            message = clip(call.body.decode(errors="replace"))
+            for peer, view in self._views.items():
+                self._tell(peer, view, Kind.OBSERVED_MESSAGE, (message,), body)
+
+    def _show(self, kind: Kind, scalars: tuple[Value, ...], *bodies: bytes) -> None:
+        """Show a moment to those who want one."""
+        for peer, view in self._views.items():
+            if not view.wanted:
+                view.number += 1
+            elif self._tell(peer, view, kind, scalars, b"".join(bodies)):
+                view.wanted -= 1
+
+    def _tell_spec(self, engine: Engine) -> None:
+        for peer, view in self._views.items():
+            if view.spec_due and engine.task_spec is not None:
+                spec = Message(Kind.OBSERVED_INIT, self._session, 0, (), engine.task_spec)
+                view.spec_due = not self._send(peer, spec)
+
+    def _tell(self, peer: Peer, view: _View, kind: Kind, scalars: tuple[Value, ...], body: bytes) -> bool:
+        view.number += 1
+        return self._send(peer, Message(kind, self._session, view.number, scalars, body))

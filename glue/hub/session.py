@@ -1,0 +1,380 @@
+"""One session: an engine, up to three peers, and each step exactly once however often the network drops.
+
+- Every call carries a sequence number, and its answer names it. An answer to anything but the outstanding
+  call changes nothing.
+- When a known peer returns over a new connection, the outstanding call is sent again; a peer that has already
+  answered it repeats its answer. An experiment is sent its last reply again in the same way.
+- When a player is lost, the episode under way is void, and the experiment is notified.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from glue.engine.calls import skippable, unfit_for_batch, unsupported
+from glue.engine.engine import Engine, Instruction
+from glue.errors import PeerLost, RemoteProtocolError
+from glue.hub.observers import Observers
+from glue.hub.peer import Board, Peer
+from glue.hub.slow import SlowCalls
+from glue.hub.time_bank import TimeBank
+from glue.types import CUT_OFF, Action
+from glue.wire.codec import clip
+from glue.wire.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role
+
+__all__ = ["Session"]
+
+_CALLEES: Final = {kind: call.callee for kind, call in CALLS.items()}
+_ALWAYS: Final = frozenset(
+    kind for kind, call in CALLS.items() if call.capability is None and kind is not Kind.AGENT_INIT
+)
+"""Calls that every player of the role can be asked."""
+
+# Bound once: looking up a member of an enum takes longer than comparing with it.
+_ENV_STEP: Final = Kind.ENV_STEP
+_ERROR: Final = Kind.ERROR
+
+_message: Final = tuple.__new__
+"""Makes a named tuple at half the cost of calling its class."""
+
+_LIGHT: Final = 65_536
+"""Bytes of bodies that a session may keep unaccounted for: 64 MiB in 1024 sessions."""
+
+
+class Session:
+    """One experiment's engine and its players.
+
+    Args:
+        board: the hub.
+        name: of the session.
+        time: limits the time of the agent; None for no limit.
+    """
+
+    __slots__ = (
+        "_board",
+        "_confirmed",
+        "_engine",
+        "_explained",
+        "_heavy",
+        "_lost",
+        "_lost_since_reply",
+        "_outstanding",
+        "_reply",
+        "_request_seq",
+        "_seq",
+        "_slow",
+        "_time",
+        "name",
+        "observers",
+        "peers",
+    )
+
+    def __init__(self, board: Board, name: str, time: TimeBank | None = None) -> None:
+        self.name: str = name
+        self.peers: dict[Role, Peer] = {}
+        self.observers: Observers | None = None
+        self._board = board
+        self._time = time
+        self._engine = Engine(Action().body)
+        self._confirmed: dict[Role, bytes] = {}
+        self._seq = 0
+        self._explained = 0  # the last call whose delay a player has explained
+        self._outstanding: Message | None = None
+        self._request_seq = 0
+        self._reply: Message | None = None
+        # Labels of players that were lost since the reply before the last request, and since the reply to it.
+        self._lost: dict[Role, str] = {}
+        self._lost_since_reply: dict[Role, str] = {}
+        self._slow = SlowCalls()
+        self._heavy = False
+
+    @property
+    def num_steps(self) -> int:
+        """The current RL_num_steps."""
+        return self._engine.num_steps
+
+    @property
+    def seated(self) -> bool:
+        """True: connections that take part in no session are evicted first."""
+        return True
+
+    def evict(self, why: str) -> None:
+        """End the session: it uses too much memory."""
+        self._board.end(self, why)
+
+    def _weigh(self) -> None:
+        """Account for the bodies that are kept, unless all of them are small."""
+        engine, call, reply = self._engine, self._outstanding, self._reply
+        bodies = (call and call.body, reply and reply.body, engine.last_action, engine.task_spec)
+        size = sum(len(body) for body in bodies if body)
+        self._heavy = size > _LIGHT
+        self._board.memory.hold(self, size if self._heavy else 0)
+
+    def knows(self, role: Role, instance: bytes) -> bool:
+        """Return whether `instance` was the last in that role, and has sent a request or an answer.
+
+        Until it has, it may not have read its first WELCOME, which makes it forget what it did at another
+        hub: that WELCOME may have been lost with its connection.
+        """
+        return instance == self._confirmed.get(role)
+
+    def _confirm(self, peer: Peer) -> None:
+        """Note that `peer` has sent a request or an answer, so it has read its first WELCOME."""
+        peer.confirmed = True
+        self._confirmed[peer.role] = peer.instance
+
+    def join(self, peer: Peer, same: bool, announce: bool) -> None:
+        """Let `peer` take its role, and send it what is waiting for it.
+
+        Args:
+            peer: the peer.
+            same: whether it is the last peer of the role, over a new connection or after it was lost.
+            announce: whether the role was empty.
+
+        An experiment that returns is told again which players were lost, in the order in which it would have
+        learned of it: before the reply that is repeated, or after it.
+        """
+        role = peer.role
+        if not same:
+            self._confirmed.pop(role, None)
+        self.peers[role] = peer
+        if role is Role.EXPERIMENT:
+            if not same:
+                self._forget_experiment()
+            for role, label in self._lost.items():
+                self._notify(Event.LOST, role, label)
+            for player in self.peers.values():
+                if player is not peer:
+                    self._notify(Event.JOINED, player.role, player.label)
+            self.repeat(peer)
+            for role, label in self._lost_since_reply.items():
+                self._notify(Event.LOST, role, label)
+                if role in self.peers:
+                    self._notify(Event.JOINED, role, self.peers[role].label)
+            return
+        if announce:
+            self._notify(Event.RETURNED if same else Event.JOINED, role, peer.label)
+        if not same:
+            self._engine.replace(role)
+        asked = self._engine.asked
+        if asked is None or CALLS[asked.kind].callee is not role:
+            return
+        if announce:
+            # The call was made while the role was empty: it was not sent, and may be another for this peer.
+            self._advance(asked)
+        else:
+            self.repeat(peer)
+
+    def repeat(self, peer: Peer) -> None:
+        """Send again what `peer` may have missed; it ignores what it has already received."""
+        missed = self._reply if peer.role is Role.EXPERIMENT else self._outstanding
+        if missed is not None and (peer.role is Role.EXPERIMENT or CALLS[missed.kind].callee is peer.role):
+            self._board.deliver(peer, missed)
+
+    def observe(self, peer: Peer, send: Callable[[Peer, Message], bool]) -> None:
+        """Let `peer` look on: `send` sends it a message, or returns False."""
+        if self.observers is None:
+            self.observers = Observers(self.name, send)
+        self.observers.join(peer, self._engine)
+
+    def lose(self, peer: Peer, why: str, code: ErrorCode) -> None:
+        """Remove `peer`: a lost player makes the episode void, a lost experiment is forgotten."""
+        role = peer.role
+        if self.observers is not None and role is Role.OBSERVER:
+            self.observers.leave(peer)
+            if not self.observers.peers:
+                self.observers = None
+            return
+        del self.peers[role]
+        if role is Role.EXPERIMENT:
+            self._forget_experiment()
+            return
+        engine = self._engine
+        (self._lost if self._reply is None else self._lost_since_reply)[role] = peer.label
+        self._notify(Event.LOST, role, peer.label)
+        awaited = engine.awaiting is not None and CALLS[engine.awaiting].callee is role
+        reason = f"the {role} {peer.name} {why}"
+        stranded = engine.verb is not None and (engine.in_episode or awaited)
+        engine.void(reason)
+        if stranded:
+            self._fail(code, reason)
+
+    def enforce_time(self) -> None:
+        """Dismiss an agent that has not answered, and whose time is over."""
+        agent = self.peers.get(Role.AGENT)
+        why = None if self._time is None else self._time.overdue()
+        if agent is not None and why is not None:
+            self._board.dismiss(agent, why)
+
+    def report_if_slow(self, now: float) -> None:
+        """Report, at growing intervals, a player that has not answered its call."""
+        asked = self._outstanding
+        role = None if asked is None else CALLS[asked.kind].callee
+        player = None if role is None else self.peers.get(role)
+        seconds = self._slow.overdue(None if player is None else asked, now)
+        if player is not None and asked is not None and seconds is not None:
+            text = f"{player.name} has not answered {asked.kind.name.lower()} for {seconds:.0f} s"
+            self._board.log(f"session {self.name!r}: {player.role} {text}")
+            self._notify(Event.SLOW, player.role, text)
+
+    def explain(self, player: Peer, message: Message) -> None:
+        """Pass on, once for each call, why the player's answer will take long."""
+        asked = self._outstanding
+        if asked is None or asked.seq != message.seq or asked.seq == self._explained:
+            return
+        if CALLS[asked.kind].callee is player.role:
+            self._explained = asked.seq
+            text = clip(f"{player.name}: {message.scalars[2]!s}")
+            self._board.log(f"session {self.name!r}: {player.role} {text}")
+            self._notify(Event.SLOW, player.role, text)
+
+    def request(self, peer: Peer, message: Message) -> bool:
+        """Begin a verb of the experiment; return whether it was in turn."""
+        if message.seq <= self._request_seq:
+            if message.seq != self._request_seq or message.seq == 0:
+                text = (
+                    f"request {message.seq} was received after {self._request_seq}; "
+                    f"sequence numbers increase from 1"
+                )
+                self._error(peer, message, ErrorCode.NOT_ASKED, text)
+            # Otherwise it is a repetition; if its reply was lost, it was sent again after the HELLO.
+            return False
+        engine = self._engine
+        if engine.verb is not None:
+            text = f"{message.kind.name} was received while {engine.verb.name} is still being carried out"
+            self._error(peer, message, ErrorCode.BUSY, text)
+            return False
+        if message.kind not in CALLS or CALLS[message.kind].callee is not None:
+            text = f"an experiment must not send {message.kind.name}"
+            self._error(peer, message, ErrorCode.NOT_ASKED, text)
+            return False
+        if not peer.confirmed:
+            self._confirm(peer)
+        self._request_seq = message.seq
+        self._reply = None
+        self._lost, self._lost_since_reply = self._lost_since_reply, {}
+        try:
+            instruction = engine.begin(message.kind, message.scalars, message.body)
+        except PeerLost as error:
+            self._fail(ErrorCode.PEER_LOST, str(error))
+            return True
+        self._advance(instruction)
+        return True
+
+    def answer(self, peer: Peer, message: Message) -> bool:
+        """Take an answer to the outstanding call, and make the next one; return whether it was in turn."""
+        kind, _, seq, scalars, body = message
+        outstanding = self._outstanding
+        if outstanding is None or seq != outstanding[2] or _CALLEES[outstanding[0]] is not peer.role:
+            self._answered_out_of_turn(peer, message)
+            return False
+        if not peer.confirmed:
+            self._confirm(peer)
+        if self._time is not None and peer.role is Role.AGENT and (why := self._time.answered()) is not None:
+            self._board.dismiss(peer, why)
+            return True
+        if kind is _ERROR:
+            text = clip(str(scalars[1]))
+            what = outstanding.kind.name.lower()
+            self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.name} raised in {what}: {text}")
+            return True
+        if kind is _ENV_STEP and scalars[1] == CUT_OFF and "truncate" not in peer.capabilities:
+            scalars = (scalars[0], True)  # to an older environment every number but 0 is true
+        try:
+            instruction = self._engine.resume(kind, scalars, body)
+        except RemoteProtocolError as error:
+            self._error(peer, message, ErrorCode.NOT_ASKED, str(error))
+            self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.name} broke the protocol: {error}")
+            return True
+        if self.observers is not None:
+            self.observers.show(outstanding, scalars, body, self._engine)
+        self._advance(instruction)
+        return True
+
+    def _answered_out_of_turn(self, peer: Peer, message: Message) -> None:
+        """Refuse an answer to a call that was never made; ignore one that is late or repeated.
+
+        An answer to an older call is a repetition, or belongs to an episode that is now void. Either shows
+        that the player has been welcomed.
+        """
+        seq = message.seq
+        never = seq > self._seq or seq == 0
+        if never or _CALLEES.get(message.kind, peer.role) is not peer.role:
+            text = f"{message.kind.name} {seq} was never sent to this {peer.role}"
+            self._error(peer, message, ErrorCode.NOT_ASKED, text)
+        elif not peer.confirmed:
+            self._confirm(peer)
+
+    def _advance(self, instruction: Instruction) -> None:
+        """Make the call that the engine asks for, or send the experiment its reply."""
+        kind, scalars, body = instruction
+        role = _CALLEES[kind]
+        if role is None:
+            self._outstanding = None
+            if type(body) is tuple:
+                body = body[0] + body[1]
+            experiment = self.peers.get(Role.EXPERIMENT)
+            if kind is Kind.RL_EPISODE and experiment is not None and OUTCOME in experiment.capabilities:
+                scalars += (self._engine.total_reward, self._engine.num_steps)
+            self._answer_experiment(Message(kind, self.name, self._request_seq, scalars, body or b""))
+            return
+        player = self.peers.get(role)
+        if player is not None and kind not in _ALWAYS:
+            capability = CALLS[kind].capability
+            if capability is not None and capability not in player.capabilities:
+                self._without_capability(kind, role, player)
+                return
+            environment = self.peers.get(Role.ENVIRONMENT)
+            games = environment.capabilities if environment is not None else ()
+            if kind is Kind.AGENT_INIT and (why := unfit_for_batch(games, player.capabilities, player.name)):
+                self._fail(ErrorCode.UNSUPPORTED, why)
+                return
+        self._seq += 1
+        body = body or b""
+        self._outstanding = outstanding = _message(Message, (kind, self.name, self._seq, scalars, body))
+        if self._heavy or len(body) > _LIGHT:
+            self._weigh()
+        if player is not None:
+            if self._time is not None and player.role is Role.AGENT:
+                self._time.called(kind)
+            self._board.deliver(player, outstanding)
+
+    def _without_capability(self, kind: Kind, role: Role, player: Peer) -> None:
+        if skippable(kind):
+            self._advance(self._engine.resume(kind, (), b""))
+        else:
+            self._fail(ErrorCode.UNSUPPORTED, unsupported(kind, role, player.name))
+
+    def _fail(self, code: ErrorCode, text: str) -> None:
+        """End the verb that is being carried out with an error."""
+        self._engine.abort()
+        self._outstanding = None
+        self._answer_experiment(Message(Kind.ERROR, self.name, self._request_seq, (str(code), clip(text))))
+
+    def _answer_experiment(self, reply: Message) -> None:
+        self._reply = reply
+        if self._heavy or len(reply.body) > _LIGHT:
+            self._weigh()
+        experiment = self.peers.get(Role.EXPERIMENT)
+        if experiment is not None:
+            self._board.deliver(experiment, reply)
+
+    def _notify(self, event: Event, role: Role, text: str) -> None:
+        experiment = self.peers.get(Role.EXPERIMENT)
+        if experiment is not None:
+            self._board.deliver(experiment, Message(Kind.NOTICE, self.name, 0, (str(event), str(role), text)))
+
+    def _error(self, peer: Peer, message: Message, code: ErrorCode, text: str) -> None:
+        self._board.deliver(peer, Message(Kind.ERROR, self.name, message.seq, (str(code), clip(text))))
+
+    def _forget_experiment(self) -> None:
+        self._confirmed.pop(Role.EXPERIMENT, None)
+        self._engine.abort()
+        self._engine = Engine(Action().body)
+        self._outstanding = None
+        self._request_seq = 0
+        self._reply = None
+        self._lost, self._lost_since_reply = {}, {}
+        if self._heavy:
+            self._weigh()

@@ -1,0 +1,42 @@
+"""Calls that have not been answered for a long time."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from glue.wire.messages import Message
+
+__all__ = ["SlowCalls"]
+
+_FIRST_SECONDS: Final = 5.0
+"""Seconds without an answer after which a call is reported."""
+
+_FACTOR: Final = 6.0
+"""Factor between the times of successive reports of the same call: 5 s, 30 s, 180 s, ..."""
+
+
+class SlowCalls:
+    """Decides when a call without an answer is reported, at growing intervals."""
+
+    __slots__ = ("_call", "_report_after", "_since")
+
+    def __init__(self) -> None:
+        self._call: Message | None = None
+        self._since = 0.0
+        self._report_after = _FIRST_SECONDS
+
+    def overdue(self, call: Message | None, now: float) -> float | None:
+        """Return the seconds to report if it is time to report `call`, otherwise None.
+
+        Args:
+            call: the outstanding one, if there is one; it is timed from when it is first passed.
+            now: the time in seconds.
+        """
+        if call is None or call is not self._call:
+            self._call, self._since, self._report_after = call, now, _FIRST_SECONDS
+            return None
+        if now - self._since < self._report_after:
+            return None
+        seconds = self._report_after
+        self._report_after *= _FACTOR
+        return seconds

@@ -1,0 +1,79 @@
+"""The time that an agent has used in a session, and its limit.
+
+It is measured at the hub, from the moment a call is sent until its answer is read. What an answer takes
+beyond its limit is drained from a bank, as in Kaggle's environments: an agent may think long now and then,
+but not always. `agent_seed` and `agent_init`, in which an agent loads what it needs, have their own limit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from glue.hub.config import TimeLimits
+from glue.wire.messages import Kind
+
+__all__ = ["TimeBank"]
+
+_STARTING: Final = frozenset({Kind.AGENT_SEED, Kind.AGENT_INIT})
+
+
+class TimeBank:
+    """The time of one agent.
+
+    Args:
+        limits: the time that it has.
+        clock: returns seconds, from any beginning.
+    """
+
+    __slots__ = ("_bank", "_called_at", "_clock", "_limits", "_start", "_starting", "_total")
+
+    def __init__(self, limits: TimeLimits, clock: Callable[[], float]) -> None:
+        self._limits = limits
+        self._clock = clock
+        self._bank = limits.bank_seconds
+        self._start = limits.start_seconds
+        self._total = limits.total_seconds
+        self._starting = False
+        self._called_at: float | None = None
+
+    def called(self, kind: Kind) -> None:
+        """Note that the agent is sent a call."""
+        self._starting = kind in _STARTING
+        self._called_at = self._clock()
+
+    def answered(self) -> str | None:
+        """Take the time of an answer; return why the agent's time is over, or None.
+
+        A reason completes a sentence about the agent.
+        """
+        if self._called_at is None:
+            return None
+        seconds = self._clock() - self._called_at
+        self._called_at = None
+        if self._starting:
+            self._start -= seconds
+        else:
+            self._total -= seconds
+            if seconds > self._limits.step_seconds:
+                self._bank -= seconds - self._limits.step_seconds
+        return self._over(0.0)
+
+    def overdue(self) -> str | None:
+        """Return why the agent's time is over although it has not answered yet; None if it has some left."""
+        return None if self._called_at is None else self._over(self._clock() - self._called_at)
+
+    def _over(self, waiting: float) -> str | None:
+        """Return why the time is over, the outstanding call having lasted `waiting` seconds so far."""
+        limits = self._limits
+        if self._starting:
+            if waiting > self._start:
+                return f"took more than {limits.start_seconds:g} s to initialise"
+        elif waiting > self._total:
+            return f"used more than {limits.total_seconds:g} s in all"
+        elif max(0.0, waiting - limits.step_seconds) > self._bank:
+            return (
+                f"ran out of time: its bank of {limits.bank_seconds:g} s is empty "
+                f"({limits.step_seconds:g} s are free per answer)"
+            )
+        return None

@@ -1,0 +1,80 @@
+"""Poll for an expected message for a moment before sleeping: waking up takes longer than many answers.
+
+An idle processor sleeps too, and in a virtual machine takes 50 to 100 microseconds to wake up. A step of many
+games would wait for that four times: on its way to the hub, to the agent, and back.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import Final, TypeVar
+
+from glue.doors import clock
+
+__all__ = ["LONG_SPIN_SECONDS", "SEVERAL_CORES", "Spin"]
+
+LONG_SPIN_SECONDS: Final = 300e-6
+"""Seconds to poll for a message of many games: 64 games of Infinite Mario are stepped within them."""
+
+SEVERAL_CORES: Final = not hasattr(os, "sched_getaffinity") or len(os.sched_getaffinity(0)) > 1
+"""Whether this process may use several cores."""
+
+_LOST_SECONDS: Final = 250e-6
+"""Seconds after which a core that was yielded comes back too late: another program had it."""
+
+_REST: Final = 100.0
+"""Factor by which the time without yields after such a one exceeds it: at most 1 % is lost."""
+
+_MAX_REST: Final = 10.0
+"""Maximum number of seconds without yields, which double when the core is lost again soon."""
+
+_MAX_MISSES: Final = 8
+"""After n spins in succession without success, the next 2**n waits do not spin; the maximum of n."""
+
+T = TypeVar("T")
+
+
+class Spin:
+    """Decides whether a wait for an expected message begins with polling, and polls.
+
+    Args:
+        seconds: duration of a poll; may be set later.
+    """
+
+    __slots__ = ("_misses", "_rest", "_skipped", "_yield_at", "seconds")
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds: float = seconds
+        self._misses = 0
+        self._skipped = 0  # the number of waits that are still to be without a spin
+        self._yield_at = 0.0  # the time from which on the core is yielded
+        self._rest = 0.0  # seconds without yields after the last loss
+
+    def until_found(self, poll: Callable[[], T | None]) -> T | None:
+        """Return the first result of `poll` that is not None, or None if there is none in time."""
+        if self._skipped:
+            self._skipped -= 1
+            return None
+        began = before = clock.monotonic()
+        yielding = began >= self._yield_at
+        if not yielding and not SEVERAL_CORES:
+            return None  # on a single core nobody could answer meanwhile
+        while True:
+            if yielding:
+                clock.give_way()
+            now = clock.monotonic()
+            found = poll()
+            if yielding and now - before > _LOST_SECONDS:
+                again = now - self._yield_at < self._rest
+                self._rest = min(2 * self._rest if again else _REST * (now - before), _MAX_REST)
+                self._yield_at = now + self._rest
+                return found
+            if found is not None:
+                self._misses = 0
+                return found
+            if now - began >= self.seconds:
+                self._misses = min(self._misses + 1, _MAX_MISSES)
+                self._skipped = 2**self._misses
+                return None
+            before = now

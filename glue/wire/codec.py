@@ -1,0 +1,206 @@
+"""Messages to and from the frames that cross the wire.
+
+A message is one msgpack array, the header frame `[kind, session, seq, scalar, ...]`, and, where its
+kind has a body, one more frame. Everything that comes in is checked here, sizes first, so that nothing
+behind this module meets a value of a type it did not expect.
+
+The layout is described byte by byte in docs/protocol.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import msgpack
+
+from glue.errors import LocalProtocolError, RemoteProtocolError
+from glue.types import CUT_OFF, body_size
+from glue.wire.limits import MAX_BODY, MAX_HEADER, MAX_NAME
+from glue.wire.messages import CALLS, CONTROL, OBSERVING, Body, Kind, Message, Scalar, Shape, Value
+
+__all__ = [
+    "FROM_HUB",
+    "MAX_BODY",
+    "MAX_HEADER",
+    "MAX_NAME",
+    "TO_HUB",
+    "UnknownKind",
+    "clip",
+    "decode",
+    "encode",
+]
+
+_MAX_NOTE: Final = 1000
+"""Bytes of a text for people. Beside the longest session name it leaves a header room to spare."""
+
+_NUMBERS_END: Final = 2**63
+"""Whole numbers of a header, sequence numbers among them, are from 0 to below this."""
+
+TO_HUB: Final[Mapping[Kind, Shape]] = {
+    **{kind: call.request if call.callee is None else call.reply for kind, call in CALLS.items()},
+    **CONTROL,
+    Kind.OBSERVE: OBSERVING[Kind.OBSERVE],
+}
+"""Messages to the hub: replies of agents and environments, requests of experiments, control, OBSERVE."""
+
+FROM_HUB: Final[Mapping[Kind, Shape]] = {
+    **{kind: call.reply if call.callee is None else call.request for kind, call in CALLS.items()},
+    **CONTROL,
+    **OBSERVING,
+}
+"""Messages from the hub: the other half of each call."""
+
+_KINDS: Final = {int(kind): kind for kind in Kind}
+
+_EXPECTED: Final[Mapping[type, str]] = {
+    bool: "true or false",
+    bytes: "binary",
+    float: "a number",
+    int: "a whole number from 0 to 2^63 - 1",
+    str: "a text",
+}
+
+
+class UnknownKind(RemoteProtocolError):
+    """The header is well formed, but its kind is none that we know; `session` and `seq` are its own."""
+
+    def __init__(self, kind: int, session: str, seq: int) -> None:
+        super().__init__(f"message kind {kind} is not one of protocol version 1")
+        self.session = session
+        self.seq = seq
+
+
+def encode(message: Message, shapes: Mapping[Kind, Shape]) -> tuple[bytes, ...]:
+    """Return the frames of `message`: a header, and a body if its shape has one.
+
+    Raises:
+        LocalProtocolError: the header would be longer than MAX_HEADER.
+    """
+    kind, session, seq, scalars, body = message
+    header: bytes = msgpack.packb((int(kind), session, seq, *scalars))
+    if len(header) > MAX_HEADER:
+        raise LocalProtocolError(
+            f"the header of {kind.name} would take {len(header)} bytes; {MAX_HEADER} are allowed"
+        )
+    if shapes[kind].body is Body.NONE:
+        return (header,)
+    return header, body
+
+
+def decode(frames: Sequence[bytes], shapes: Mapping[Kind, Shape], max_body: int = MAX_BODY) -> Message:
+    """Return the message that `frames` hold, fully checked.
+
+    `shapes` is TO_HUB or FROM_HUB, by the direction of the frames.
+
+    Raises:
+        UnknownKind: the kind is not one of `shapes`.
+        RemoteProtocolError: anything else that is not as docs/protocol.md says.
+    """
+    count = len(frames)
+    if not 1 <= count <= 2:
+        raise RemoteProtocolError(f"a message has one or two frames; {count} received")
+    kind, session, seq, scalars = _decode_header(frames[0])
+    known = _KINDS.get(kind)
+    shape = None if known is None else shapes.get(known)
+    if known is None or shape is None:
+        raise UnknownKind(kind, session, seq)
+    checked = tuple(scalars)
+    if tuple(map(type, scalars)) != shape.plain:
+        checked = _coerce_all(known, shape, scalars)
+    if shape.body is Body.NONE:
+        if count != 1:
+            raise RemoteProtocolError(f"{known.name} has no body; one of {len(frames[1])} bytes was received")
+        return Message(known, session, seq, checked)
+    if count != 2:
+        raise RemoteProtocolError(f"{known.name} needs a body frame; none received")
+    body = frames[1]
+    _check_body(known, shape.body, body, max_body)
+    return Message(known, session, seq, checked, body)
+
+
+def clip(text: str, limit: int = _MAX_NOTE) -> str:
+    """Return `text` fit for a header and a terminal: without control characters, about `limit` bytes."""
+    clean = "".join(c if c.isprintable() else " " for c in text[: limit + 1]).encode()
+    return clean.decode() if len(clean) <= limit else clean[:limit].decode(errors="ignore") + "..."
+
+
+def _decode_header(frame: bytes) -> tuple[int, str, int, list[Value]]:
+    if len(frame) > MAX_HEADER:
+        raise RemoteProtocolError(f"a header of {len(frame)} bytes was received; {MAX_HEADER} are allowed")
+    try:
+        header = msgpack.unpackb(
+            frame,
+            use_list=True,
+            max_array_len=64,
+            max_map_len=0,
+            max_ext_len=0,
+            max_str_len=MAX_HEADER,
+            max_bin_len=MAX_HEADER,
+        )
+    except (ValueError, msgpack.UnpackException, RecursionError) as error:
+        raise RemoteProtocolError(
+            f"the header is not msgpack within the limits: {error or type(error).__name__}"
+        ) from None
+    if type(header) is not list or len(header) < 3:
+        raise RemoteProtocolError("a header is an array of a kind, a session, a sequence number, ...")
+    kind, session, seq = header[:3]
+    if type(kind) is not int:
+        raise RemoteProtocolError(f"a kind is a whole number, not {kind!r:.40}")
+    if type(session) is not str or len(session) > MAX_NAME:
+        raise RemoteProtocolError(f"a session is a text of at most {MAX_NAME} characters")
+    if type(seq) is not int or not 0 <= seq < _NUMBERS_END:
+        raise RemoteProtocolError(f"a sequence number is from 0 to 2^63 - 1, not {seq!r:.40}")
+    return kind, session, seq, header[3:]
+
+
+def _coerce_all(kind: Kind, shape: Shape, scalars: list[Value]) -> tuple[Value, ...]:
+    """Return the scalars as `shape` has them; those of the hot path need not come here."""
+    expected = shape.scalars if len(scalars) == len(shape.scalars) else shape.scalars + shape.more
+    if len(scalars) != len(expected):
+        raise RemoteProtocolError(f"{kind.name} has {len(shape.scalars)} scalars; {len(scalars)} received")
+    return tuple(
+        # A whole number has a range as well as a type.
+        value if type(value) is scalar.type is not int else _coerce(kind, scalar, value)
+        for scalar, value in zip(expected, scalars, strict=True)
+    )
+
+
+def _coerce(kind: Kind, scalar: Scalar, value: object) -> Value:
+    """Return `value` as the scalar's type where that loses nothing; the hot path rarely comes here."""
+    wanted = scalar.type
+    if value is None and scalar.optional:
+        return None
+    if wanted is int and type(value) is int and 0 <= value < _NUMBERS_END:
+        return value
+    if wanted is float and type(value) is int and abs(value) <= 2**53:
+        return float(value)
+    if wanted is bool and type(value) is int:
+        # RL-Glue's terminal is an int; anything but 0 and 1 is treated differently by its own parts.
+        return value if scalar.cuts and value == CUT_OFF else value != 0
+    if wanted is tuple and type(value) is list and all(type(item) is scalar.items for item in value):
+        return tuple(value)
+    expected = _EXPECTED[scalar.items or wanted]
+    if scalar.items is not None:
+        expected = f"an array, each item {expected}"
+    raise RemoteProtocolError(f"{scalar.name} of {kind.name} is {expected}; {value!r:.40} received")
+
+
+def _check_body(kind: Kind, body_kind: Body, body: bytes, max_body: int) -> None:
+    size = len(body)
+    if body_kind is Body.OBSERVATION_ACTION:
+        # Each of the two was within the limit when the hub received it.
+        max_body *= 2
+    if size > max_body:
+        raise RemoteProtocolError(f"the body of {kind.name} has {size} bytes; {max_body} are allowed")
+    if body_kind is Body.OBSERVATION or body_kind is Body.ACTION:
+        expected = body_size(body)
+    elif body_kind is Body.OBSERVATION_ACTION:
+        expected = body_size(body)
+        expected += body_size(body, min(expected, size))
+    else:
+        return
+    if expected != size:
+        raise RemoteProtocolError(
+            f"the counts in the body of {kind.name} say {expected} bytes; it has {size}"
+        )

@@ -1,0 +1,369 @@
+"""CURVE, the mechanism by which ZeroMQ authenticates and encrypts, without I/O: both ends of one connection.
+
+Each side has a long-term key pair, C of the client and S of the server, and makes a short-term pair for the
+connection, C' and S'. The client knows S beforehand, and the server decides whether it knows C:
+
+    client                                             server
+    HELLO     C', Box[64 zeros](C'->S)          ─────▶
+              ◀─────  WELCOME   Box[S', cookie](S->C')
+    INITIATE  cookie, Box[C, vouch, metadata](C'->S')  ─────▶
+              ◀─────  READY     Box[metadata](S'->C')
+    MESSAGE   Box[flags, payload](C'->S') and back
+
+The vouch is Box[C', S](C->S'): only the owner of C's secret key can make it, for this connection and this
+server.
+
+Between WELCOME and INITIATE the server keeps neither C' nor its own s': both are in the cookie, whose key is
+made for this one connection and forgotten when the cookie comes back. So nothing that was recorded of another
+connection, neither a HELLO nor an INITIATE, opens anything here.
+
+A server refuses a handshake with ERROR: in answer to HELLO, because the client has another public key for
+this server; in answer to INITIATE, because the server does not know the client's key. A server of libzmq
+closes the connection in the first case.
+
+Source: ZeroMQ RFC 26 (CurveZMQ), RFC 25 (ZMTP CURVE), and libzmq 4.3, whose MESSAGE is not a command of ZMTP
+and carries the flags of its frame in the box.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from glue.doors import chance
+from glue.errors import ConfigError, RemoteProtocolError
+from glue.wire.zmtp import HandshakeRefused
+
+try:
+    from nacl._sodium import ffi, lib
+    from nacl.bindings import (
+        crypto_box_beforenm,
+        crypto_box_easy_afternm,
+        crypto_box_open_easy_afternm,
+        crypto_scalarmult_base,
+        crypto_secretbox,
+        crypto_secretbox_open,
+    )
+    from nacl.exceptions import CryptoError
+except ImportError:
+    raise ConfigError("keys need PyNaCl: pip install 'glue-rl[keys]'") from None
+
+__all__ = ["CurveClient", "CurveServer", "public_key"]
+
+_KEY: Final = 32
+_ZEROS: Final = bytes(64)
+_PADDING: Final = bytes(72)
+_VERSION: Final = b"\x01\x00"
+
+_HELLO: Final = struct.Struct("6s2s72s32s8s80s")
+_INITIATE: Final = struct.Struct("9s96s8s")
+_LEAST_BOX: Final = 16 + _KEY + 96
+"""Bytes of INITIATE's box without metadata: its authenticator, C and the vouch."""
+
+_WELCOME: Final = struct.Struct("8s16s144s")
+_READY: Final = struct.Struct("6s8s")
+
+_IGNORED_BIT: Final = 0x80
+"""Bit of the last byte of a public key that Curve25519 ignores; no box protects it, and no key has it set."""
+
+_MESSAGE: Final = b"\x07MESSAGE"
+_MAC: Final = 16
+"""Bytes by which a box is longer than its content."""
+
+_MAX_BUFFERED: Final = 4096
+"""Size of a connection's buffer, in bytes: room for the box of a usual observation."""
+
+_FLAGS: Final = [bytes((flags,)) for flags in range(256)]
+_LEAST_MESSAGE: Final = len(_MESSAGE) + 8 + 16 + 1
+
+_ERROR_400: Final = b"\x05ERROR\x03400"
+"""libzmq's monitor shows it as a failed authentication."""
+
+_NONCE: Final = struct.Struct(">Q")
+_SIZE: Final = struct.Struct(">BQ")
+
+
+def public_key(secret: bytes) -> bytes:
+    """Return the public key, 32 bytes, that belongs to a secret one."""
+    key: bytes = crypto_scalarmult_base(secret)
+    return key
+
+
+def _short_term_pair() -> tuple[bytes, bytes]:
+    """Return a new public key and its secret one."""
+    secret = chance.random_bytes(_KEY)
+    return public_key(secret), secret
+
+
+class _Box:
+    """Boxes of one connection, sealed and opened in a buffer of its own.
+
+    `nacl.bindings` allocates memory and checks the key for every box, which takes longer than the encryption;
+    only boxes that do not fit the buffer are left to it. With the buffer, a session makes 0.47 of the steps
+    of one without keys; without it, 0.38.
+
+    Args:
+        key: the key of C' and S', 32 bytes.
+    """
+
+    def __init__(self, key: bytes) -> None:
+        self._key = key
+        self._buffer = ffi.new("unsigned char[]", _MAX_BUFFERED)
+
+    def seal(self, plain: bytes, nonce: bytes) -> bytes:
+        """Return the box of `plain`."""
+        size = len(plain)
+        sealed: bytes
+        if size + _MAC > _MAX_BUFFERED:
+            sealed = crypto_box_easy_afternm(plain, nonce, self._key)
+        else:
+            lib.crypto_box_easy_afternm(self._buffer, plain, size, nonce, self._key)
+            sealed = ffi.buffer(self._buffer, size + _MAC)[:]
+        return sealed
+
+    def open(self, box: bytes, nonce: bytes) -> bytes:
+        """Return the content of `box`, which has at least the bytes of its authenticator.
+
+        Raises:
+            CryptoError: it was not sealed with this key and nonce.
+        """
+        size = len(box)
+        opened: bytes
+        if size > _MAX_BUFFERED:
+            opened = crypto_box_open_easy_afternm(box, nonce, self._key)
+        else:
+            if lib.crypto_box_open_easy_afternm(self._buffer, box, size, nonce, self._key):
+                raise CryptoError
+            opened = ffi.buffer(self._buffer, size - _MAC)[:]
+        return opened
+
+
+class _Curve:
+    """One end of one connection.
+
+    Args:
+        own: the name of this end in nonces, "C" for the client or "S" for the server.
+        other: the name of the other end.
+    """
+
+    overhead: Final = _LEAST_MESSAGE
+    """Bytes by which the frame of a MESSAGE is longer than the frame in it."""
+
+    def __init__(self, own: bytes, other: bytes) -> None:
+        self._box: _Box | None = None  # once the key of C' and S' is known
+        self._received = bytes(8)  # the number in the other end's latest nonce, big-endian
+        self._sent = 0
+        self._prefix = b"CurveZMQMESSAGE" + own
+        self._other_prefix = b"CurveZMQMESSAGE" + other
+
+    def decrypt(self, frame: bytes) -> tuple[int, bytes]:
+        """Return the flags and the payload of a MESSAGE.
+
+        Raises:
+            RemoteProtocolError: it is not a MESSAGE of this connection with a nonce greater than all before.
+        """
+        if len(frame) < _LEAST_MESSAGE or not frame.startswith(_MESSAGE):
+            raise RemoteProtocolError("it sent something that is not encrypted")
+        nonce = frame[8:16]
+        self._count(nonce)
+        assert self._box is not None
+        try:
+            opened = self._box.open(frame[16:], self._other_prefix + nonce)
+        except CryptoError:
+            raise RemoteProtocolError(
+                "it sent a message that was not encrypted for this connection"
+            ) from None
+        return opened[0], opened[1:]
+
+    def encrypt(self, flags: int, payload: bytes) -> bytes:
+        """Return the frame of a MESSAGE, its head included."""
+        nonce = self._next_nonce()
+        assert self._box is not None
+        box = self._box.seal(_FLAGS[flags] + payload, self._prefix + nonce)
+        size = len(box) + 16
+        head = bytes((0, size)) if size < 256 else _SIZE.pack(2, size)
+        return b"".join((head, _MESSAGE, nonce, box))
+
+    def encode(self, frames: Sequence[bytes]) -> bytes:
+        """Return the bytes of a message of at least one frame."""
+        *others, last = frames
+        return b"".join([*[self.encrypt(1, frame) for frame in others], self.encrypt(0, last)])
+
+    def _count(self, nonce: bytes) -> None:
+        if nonce <= self._received:
+            raise RemoteProtocolError("it used a nonce that is not greater than the one before: a replay?")
+        self._received = nonce
+
+    def _next_nonce(self) -> bytes:
+        self._sent += 1
+        return _NONCE.pack(self._sent)
+
+
+class CurveServer(_Curve):
+    """The server's end of one connection.
+
+    Args:
+        secret: the server's long-term secret key s, 32 bytes.
+        knows: tells from a client's long-term public key C, 32 bytes, if the client is let in.
+
+    Attributes:
+        client: the client's long-term public key; empty until its INITIATE has been accepted.
+    """
+
+    is_server: Final = True
+
+    def __init__(self, secret: bytes, knows: Callable[[bytes], bool]) -> None:
+        super().__init__(b"S", b"C")
+        self.client: bytes = b""
+        self._secret = secret
+        self._knows = knows
+        self._cookie_key = b""
+        self._greeted = False
+
+    def begin(self) -> bytes:
+        """Return b"": the client begins."""
+        return b""
+
+    def answer(self, command: bytes, metadata: bytes) -> tuple[bytes, bytes | None]:
+        """Return the body of the answer to a command, and the client's metadata after INITIATE.
+
+        Args:
+            command: the body of the client's command.
+            metadata: our own, for READY.
+
+        Raises:
+            HandshakeRefused: the client is not known, or has another public key for this server.
+            RemoteProtocolError: the command is malformed, out of place, or not made for this connection.
+        """
+        try:
+            if not self._greeted:
+                self._greeted = True
+                return self._welcome(command), None
+            return self._ready(command, metadata)
+        except CryptoError:
+            raise RemoteProtocolError("inconsistent CURVE handshake") from None
+
+    def _welcome(self, command: bytes) -> bytes:
+        if len(command) != _HELLO.size:
+            raise RemoteProtocolError("it did not begin the CURVE handshake with HELLO")
+        name, version, padding, short_term, nonce, box = _HELLO.unpack(command)
+        if (name, version, padding) != (b"\x05HELLO", _VERSION, _PADDING):
+            raise RemoteProtocolError("it did not begin the CURVE handshake with a HELLO of version 1.0")
+        if short_term[-1] & _IGNORED_BIT:
+            raise RemoteProtocolError("its short-term key was changed on its way")
+        self._count(nonce)
+        shared = crypto_box_beforenm(short_term, self._secret)
+        try:
+            zeros = crypto_box_open_easy_afternm(box, b"CurveZMQHELLO---" + nonce, shared)
+        except CryptoError:
+            reason = "it expects a different public key for this hub"
+            raise HandshakeRefused(reason, _ERROR_400) from None
+        if zeros != _ZEROS:
+            raise RemoteProtocolError("its HELLO is malformed")
+        public, secret = _short_term_pair()
+        self._cookie_key = chance.random_bytes(_KEY)
+        nonce = chance.random_bytes(16)
+        cookie = nonce + crypto_secretbox(short_term + secret, b"COOKIE--" + nonce, self._cookie_key)
+        nonce = chance.random_bytes(16)
+        welcome: bytes = crypto_box_easy_afternm(public + cookie, b"WELCOME-" + nonce, shared)
+        return b"\x07WELCOME" + nonce + welcome
+
+    def _ready(self, command: bytes, metadata: bytes) -> tuple[bytes, bytes]:
+        if len(command) < _INITIATE.size + _LEAST_BOX or not command.startswith(b"\x08INITIATE"):
+            raise RemoteProtocolError("it did not answer WELCOME with INITIATE")
+        _, cookie, nonce = _INITIATE.unpack_from(command)
+        cookie_key, self._cookie_key = self._cookie_key, b""
+        kept = crypto_secretbox_open(cookie[16:], b"COOKIE--" + cookie[:16], cookie_key)
+        short_term, secret = kept[:_KEY], kept[_KEY:]
+        self._count(nonce)
+        shared = crypto_box_beforenm(short_term, secret)
+        opened: bytes = crypto_box_open_easy_afternm(
+            command[_INITIATE.size :], b"CurveZMQINITIATE" + nonce, shared
+        )
+        client, vouch_nonce, vouch = opened[:_KEY], opened[_KEY : _KEY + 16], opened[_KEY + 16 : _KEY + 96]
+        vouched = crypto_box_open_easy_afternm(
+            vouch, b"VOUCH---" + vouch_nonce, crypto_box_beforenm(client, secret)
+        )
+        if vouched != short_term + public_key(self._secret):
+            raise RemoteProtocolError("its vouch is for another connection or another server")
+        if not self._knows(client):
+            raise HandshakeRefused("its key is not allowed here", _ERROR_400)
+        self.client = client
+        self._box = _Box(shared)
+        nonce = self._next_nonce()
+        ready: bytes = crypto_box_easy_afternm(metadata, b"CurveZMQREADY---" + nonce, shared)
+        return b"\x05READY" + nonce + ready, opened[_KEY + 96 :]
+
+
+class CurveClient(_Curve):
+    """The client's end of one connection.
+
+    Args:
+        public: the client's long-term public key C, 32 bytes.
+        secret: its long-term secret key c, 32 bytes.
+        server: the server's long-term public key S, 32 bytes.
+    """
+
+    is_server: Final = False
+
+    def __init__(self, public: bytes, secret: bytes, server: bytes) -> None:
+        super().__init__(b"C", b"S")
+        self._public = public
+        self._secret = secret
+        self._server = server
+        self._short_public, self._short_secret = _short_term_pair()
+
+    def begin(self) -> bytes:
+        """Return the body of HELLO."""
+        nonce = self._next_nonce()
+        key = crypto_box_beforenm(self._server, self._short_secret)
+        box = crypto_box_easy_afternm(_ZEROS, b"CurveZMQHELLO---" + nonce, key)
+        return _HELLO.pack(b"\x05HELLO", _VERSION, _PADDING, self._short_public, nonce, box)
+
+    def answer(self, command: bytes, metadata: bytes) -> tuple[bytes, bytes | None]:
+        """Return INITIATE in answer to WELCOME; or b"" and the server's metadata, which READY carries.
+
+        Args:
+            command: the body of the server's command.
+            metadata: our own, for INITIATE.
+
+        Raises:
+            RemoteProtocolError: the command is malformed, out of place, or not made by the owner of S.
+        """
+        try:
+            return (
+                self._take_ready(command) if self.server_known else (self._initiate(command, metadata), None)
+            )
+        except CryptoError:
+            raise RemoteProtocolError("inconsistent CURVE handshake") from None
+
+    @property
+    def server_known(self) -> bool:
+        """Whether the server has proved that it has the secret key that belongs to S."""
+        return self._box is not None
+
+    def _initiate(self, command: bytes, metadata: bytes) -> bytes:
+        if len(command) != _WELCOME.size or not command.startswith(b"\x07WELCOME"):
+            raise RemoteProtocolError("it did not answer HELLO with WELCOME")
+        _, nonce, box = _WELCOME.unpack(command)
+        shared = crypto_box_beforenm(self._server, self._short_secret)
+        opened = crypto_box_open_easy_afternm(box, b"WELCOME-" + nonce, shared)
+        partner, cookie = opened[:_KEY], opened[_KEY:]
+        self._box = _Box(crypto_box_beforenm(partner, self._short_secret))
+        nonce = chance.random_bytes(16)
+        vouched = self._short_public + self._server
+        key = crypto_box_beforenm(partner, self._secret)
+        vouch = nonce + crypto_box_easy_afternm(vouched, b"VOUCH---" + nonce, key)
+        nonce = self._next_nonce()
+        box = self._box.seal(self._public + vouch + metadata, b"CurveZMQINITIATE" + nonce)
+        initiate: bytes = _INITIATE.pack(b"\x08INITIATE", cookie, nonce) + box
+        return initiate
+
+    def _take_ready(self, command: bytes) -> tuple[bytes, bytes]:
+        if len(command) < _READY.size or not command.startswith(b"\x05READY"):
+            raise RemoteProtocolError("it did not answer INITIATE with READY")
+        _, nonce = _READY.unpack_from(command)
+        self._count(nonce)
+        assert self._box is not None
+        return b"", self._box.open(command[_READY.size :], b"CurveZMQREADY---" + nonce)

@@ -1,0 +1,182 @@
+"""The messages of one connection: bytes in, messages out, and messages in, bytes out.
+
+    stream = Stream(ROUTER, max_frame=2**20, max_body=2**20)
+    stream.receive_data(data)
+    while (event := stream.next_event()) is not None:
+        ...                                  # a Message, or bytes to be sent at once
+    head, body = stream.encode(message)
+
+Nearly all messages of an experiment are those of a step. Without encryption they are written and recognised
+as a whole, by the formats of `glue.wire.steps`; nobody else needs to know. A stream learns both formats of a
+session's steps when it writes the first one there: a hub has then sent a call, a player an answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from glue.errors import RemoteProtocolError
+from glue.wire import zmtp
+from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, decode, encode
+from glue.wire.limits import MAX_BODY
+from glue.wire.messages import Kind, Message
+from glue.wire.steps import STEPS, StepFormat, lead_of, step_formats
+
+__all__ = ["Malformed", "Stream"]
+
+_MAX_FORMATS: Final = 4096
+"""Maximum number of formats that a stream remembers; beyond it, all are forgotten and learnt again."""
+
+
+class Malformed(RemoteProtocolError):
+    """Frames were received that are not a message; those after them may be."""
+
+
+class Stream:
+    """Both directions of one connection.
+
+    Args:
+        own: this end of the connection, `zmtp.ROUTER` for the hub or `zmtp.DEALER` for a peer.
+        max_frame: size of the largest frame that is accepted, in bytes.
+        max_body: size of the largest body that is accepted, in bytes; may be set later.
+        mechanism: encryption; None for none.
+
+    Attributes:
+        max_body: as given.
+        empty: whether nothing is buffered: all bytes received were part of messages.
+    """
+
+    __slots__ = (
+        "_at",
+        "_at_hub",
+        "_data",
+        "_decoder",
+        "_incoming",
+        "_mechanism",
+        "_only",
+        "_outgoing",
+        "_read",
+        "_written",
+        "empty",
+        "max_body",
+    )
+
+    def __init__(
+        self, own: bytes, max_frame: int, max_body: int = MAX_BODY, mechanism: zmtp.Mechanism | None = None
+    ) -> None:
+        at_hub = own is zmtp.ROUTER
+        self.max_body: int = max_body
+        self.empty: bool = True
+        self._incoming, self._outgoing = (TO_HUB, FROM_HUB) if at_hub else (FROM_HUB, TO_HUB)
+        self._at_hub = at_hub
+        self._mechanism = mechanism
+        self._decoder = zmtp.Decoder(own, max_frame, mechanism)
+        self._written: dict[str, StepFormat] = {}  # by their session
+        self._read: dict[bytes, StepFormat] = {}  # by their lead
+        self._only: StepFormat | None = None  # if there is but one
+        self._data = b""  # begins with a message, of which the decoder knows nothing yet
+        self._at = 0  # bytes of it that have been read
+
+    @property
+    def ready(self) -> bool:
+        """Whether the handshake is complete."""
+        return self._decoder.ready
+
+    @property
+    def buffered(self) -> int:
+        """Bytes received that are not part of a message returned by `next_event`."""
+        return len(self._data) - self._at + self._decoder.buffered
+
+    def receive_data(self, data: bytes) -> None:
+        """Take bytes that were received."""
+        if self.empty and self._read and self._mechanism is None:
+            self._data = data
+        else:
+            self._decode_rest()
+            self._decoder.receive_data(data)
+        self.empty = False
+
+    def next_event(self) -> Message | bytes | None:
+        """Return the next message, or bytes to be sent at once, which may be none; None if more must arrive.
+
+        Raises:
+            UnknownKind: a well-formed message has a kind that is not known; those after it can be read.
+            Malformed: frames are not a message; those after them can be read.
+            RemoteProtocolError: this is not ZMTP 3, not what a partner says, or too large: nothing that
+                follows can be read. As `zmtp.Decoder.next_event`.
+        """
+        if self.empty:
+            return None
+        data, at = self._data, self._at
+        if data:
+            form = self._only or self._read.get(lead_of(data, at))
+            found = None if form is None else form.decode(data, at, self.max_body)
+            if found is not None:
+                message, self._at = found
+                if self._at == len(data):
+                    self._data, self._at, self.empty = b"", 0, True
+                return message
+            self._decode_rest()
+        event = self._decoder.next_event()
+        if self._read and event is not None:
+            self._data = self._decoder.take_back()
+        self.empty = not self._data and not self._decoder.buffered
+        if not isinstance(event, list):
+            return event
+        if self._mechanism is not None and (step := self._decrypted_step(event)) is not None:
+            return step
+        try:
+            return decode(event, self._incoming, self.max_body)
+        except UnknownKind:
+            raise
+        except RemoteProtocolError as error:
+            raise Malformed(str(error)) from None
+
+    def _decrypted_step(self, frames: list[bytes]) -> Message | None:
+        """Return the step in frames that were encrypted; None if they are not a step as usual."""
+        head, body = zmtp.encode_parts(frames)
+        form = self._read.get(lead_of(head, 0))
+        found = None if form is None else form.decode(head + body, 0, self.max_body)
+        return found[0] if found is not None and len(frames) == 2 else None
+
+    def _decode_rest(self) -> None:
+        """Leave the bytes that are not a step as usual to the decoder."""
+        if self._data:
+            self._decoder.receive_data(self._data[self._at :])
+            self._data, self._at = b"", 0
+
+    def encode(self, message: Message) -> tuple[bytes, bytes]:
+        """Return the bytes of a message in two parts, so that a large body need not be copied.
+
+        Raises:
+            LocalProtocolError: the header would be too long.
+        """
+        kind, session, seq, scalars, body = message
+        form = self._written.get(session)
+        if form is None or form.kind is not kind:
+            form = self._learn(kind, session) if kind in STEPS else None
+        if form is not None and seq <= StepFormat.max_seq:
+            head = form.head(seq, scalars, len(body))
+            if self._mechanism is None:
+                return head, body
+            frames: Sequence[bytes] = (head[2 : 2 + head[1]], body)
+        else:
+            frames = encode(message, self._outgoing)
+        if self._mechanism is not None:
+            return self._mechanism.encode(frames), b""
+        return zmtp.encode_parts(frames)
+
+    def _learn(self, kind: Kind, session: str) -> StepFormat | None:
+        """Remember the formats of a call and its answer; return the one that is written here, if any."""
+        formats = step_formats(kind, session)
+        if formats is None:
+            return None
+        if len(self._written) >= _MAX_FORMATS:
+            self._written.clear()
+            self._read.clear()
+        written, read = formats if self._at_hub else reversed(formats)
+        self._written[session] = written
+        self._read[read.lead] = read
+        self._only = read if len(self._read) == 1 else None
+        return written

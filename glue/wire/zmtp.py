@@ -1,0 +1,378 @@
+"""ZMTP 3, the protocol between ZeroMQ's sockets, without I/O: both ends of a DEALER's connection to a ROUTER.
+
+Bytes go in, messages come out, and bytes to answer at once:
+
+    decoder = Decoder(ROUTER, max_frame=2**20)
+    decoder.receive_data(data)
+    while (event := decoder.next_event()) is not None:
+        ...
+
+It speaks NULL, or CURVE if it is given one of its ends as the mechanism (see `glue.wire.curve`).
+Commands that are not understood are ignored, as the standard requires. Sizes are checked before anything of
+that size is kept; frames beyond those that a caller wants to see are not kept.
+
+Source: ZeroMQ RFC 23 (ZMTP 3.0) and RFC 37 (ZMTP 3.1).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Final, Protocol
+
+from glue.errors import RemoteProtocolError
+
+__all__ = [
+    "CURVE_CLIENT_GREETING",
+    "CURVE_GREETING",
+    "DEALER",
+    "GREETING",
+    "ROUTER",
+    "Decoder",
+    "HandshakeEnded",
+    "HandshakeRefused",
+    "Mechanism",
+    "OtherMechanism",
+    "encode",
+    "encode_parts",
+]
+
+DEALER: Final = b"DEALER"
+ROUTER: Final = b"ROUTER"
+
+
+def _greeting(mechanism: bytes, as_server: int) -> bytes:
+    return b"\xff" + bytes(8) + b"\x7f\x03\x01" + mechanism.ljust(20, b"\0") + bytes((as_server,)) + bytes(31)
+
+
+GREETING: Final = _greeting(b"NULL", 0)
+"""The first bytes of either side: a signature, version 3.1, the mechanism, and the role of a client, which
+means nothing with this mechanism."""
+
+CURVE_GREETING: Final = _greeting(b"CURVE", 1)
+"""The server's greeting where CURVE is used."""
+
+CURVE_CLIENT_GREETING: Final = _greeting(b"CURVE", 0)
+"""The client's greeting where CURVE is used."""
+
+_MORE: Final = 1
+_LONG: Final = 2
+_COMMAND: Final = 4
+_KNOWN_FLAGS: Final = _MORE | _LONG | _COMMAND
+
+_ENCRYPTED_COMMAND: Final = 2
+"""The flag of a command inside an encrypted frame."""
+
+_MAX_COMMAND: Final = 4096
+"""The largest command, in bytes: room for any READY."""
+
+_KEPT: Final = 3
+"""Frames of a message that are kept: one more than any message of ours has shows that it is too long."""
+
+_AT_ONCE: Final = 16
+"""Frames after which the caller may serve another connection, even if no message is complete."""
+
+_PIECE: Final = 4096
+"""Bytes below which what comes is put together at once: a little piece takes more room than it holds."""
+
+_SIZE: Final = struct.Struct(">Q")
+_SHORT_HEADS: Final = [[bytes((flags, size)) for size in range(256)] for flags in (0, _MORE)]
+
+
+def encode(frames: Sequence[bytes]) -> bytes:
+    """Return the bytes of a message of at least one frame."""
+    return b"".join(encode_parts(frames))
+
+
+def encode_parts(frames: Sequence[bytes]) -> tuple[bytes, bytes]:
+    """Return the bytes of a message in two parts, of which the second is the content of its last frame."""
+    parts = []
+    more = len(frames) - 1
+    for frame in frames:
+        size = len(frame)
+        flags = _MORE if more else 0
+        if size < 256:
+            parts.append(_SHORT_HEADS[flags][size])
+        else:
+            parts.append(bytes((flags | _LONG,)) + _SIZE.pack(size))
+        parts.append(frame)
+        more -= 1
+    return b"".join(parts[:-1]), parts[-1]
+
+
+def _command(body: bytes) -> bytes:
+    """Return the frame of a command; b"" for none."""
+    if not body:
+        return b""
+    size = len(body)
+    return (bytes((_COMMAND, size)) if size < 256 else bytes((_COMMAND | _LONG,)) + _SIZE.pack(size)) + body
+
+
+def _name(name: bytes) -> bytes:
+    return bytes((len(name),)) + name
+
+
+def _property(name: bytes, value: bytes) -> bytes:
+    return _name(name) + struct.pack(">I", len(value)) + value
+
+
+_METADATA: Final = {own: _property(b"Socket-Type", own) for own in (DEALER, ROUTER)}
+_READY: Final = {own: _command(_name(b"READY") + metadata) for own, metadata in _METADATA.items()}
+_PARTNER: Final = {DEALER: ROUTER, ROUTER: DEALER}
+
+
+class OtherMechanism(RemoteProtocolError):
+    """The other side speaks ZMTP 3, but authenticates in another way."""
+
+
+class HandshakeEnded(RemoteProtocolError):
+    """The other side has ended the handshake with ERROR."""
+
+
+class HandshakeRefused(RemoteProtocolError):
+    """The other side is not let in.
+
+    Args:
+        reason: why, for people on this side.
+        command: the body of the command that says so to the other side.
+
+    Attributes:
+        farewell: the bytes to be sent before the connection is ended.
+    """
+
+    def __init__(self, reason: str, command: bytes) -> None:
+        super().__init__(reason)
+        self.farewell: bytes = _command(command)
+
+
+class Mechanism(Protocol):
+    """One end's authentication and encryption on one connection."""
+
+    @property
+    def is_server(self) -> bool:
+        """Whether this end is the server of the handshake."""
+        ...
+
+    @property
+    def overhead(self) -> int:
+        """Bytes by which an encrypted frame is longer than the frame in it, at most."""
+        ...
+
+    def begin(self) -> bytes:
+        """Return the body of this end's first command, once greetings were exchanged; b"" at the server."""
+        ...
+
+    def answer(self, command: bytes, metadata: bytes) -> tuple[bytes, bytes | None]:
+        """Return the body of the answer to a command, and the other side's metadata.
+
+        The body is b"" if no answer is needed, the metadata None until the handshake is complete.
+        """
+        ...
+
+    def decrypt(self, frame: bytes) -> tuple[int, bytes]:
+        """Return the flags of a frame, 1 for more to come and 2 for a command, and its payload."""
+        ...
+
+    def encrypt(self, flags: int, payload: bytes) -> bytes:
+        """Return a frame, its head included."""
+        ...
+
+    def encode(self, frames: Sequence[bytes]) -> bytes:
+        """Return the bytes of a message of at least one frame."""
+        ...
+
+
+class Decoder:
+    """Decoder of the bytes that one connection receives, from the first on.
+
+    Args:
+        own: this end of the connection, ROUTER or DEALER; the other end has to be its partner.
+        max_frame: the largest frame that is accepted, in bytes.
+        mechanism: this end of CURVE; None for NULL.
+
+    Attributes:
+        ready: the handshake is complete.
+    """
+
+    def __init__(self, own: bytes, max_frame: int, mechanism: Mechanism | None = None) -> None:
+        self._own = own
+        self._max_frame = max_frame
+        self._mechanism = mechanism
+        self._buffer = b""
+        self._at = 0  # what comes before it is done with
+        self._later: list[bytes] = []  # what was received after it, until it is needed
+        self._size = 0  # bytes of both that are not done with
+        self._needed = len(GREETING)  # bytes without which there is nothing to do
+        self._frames: list[bytes] = []  # of a message that is not complete
+        self._greeted = False
+        self.ready: bool = False
+
+    def take_back(self) -> bytes:
+        """Return the bytes received that begin with a message in plain text, if any, and forget them."""
+        if not self._size or not self.ready or self._frames or self._mechanism is not None:
+            return b""
+        data = b"".join((self._buffer[self._at :], *self._later))
+        self._later.clear()
+        self._buffer, self._at, self._size, self._needed = b"", 0, 0, 2
+        return data
+
+    @property
+    def buffered(self) -> int:
+        """Bytes that are kept, waiting for more or for `next_event`."""
+        return self._size + sum(map(len, self._frames)) if self._frames else self._size
+
+    def receive_data(self, data: bytes) -> None:
+        """Take bytes that were received."""
+        if not self._size:
+            self._buffer = data
+            self._at = 0
+        elif self._later and len(self._later[-1]) < _PIECE:
+            self._later[-1] += data
+        else:
+            self._later.append(data)
+        self._size += len(data)
+
+    def next_event(self) -> list[bytes] | bytes | None:
+        """Return the frames of a message, or bytes that are to be sent at once; None if more must come.
+
+        There may be no bytes to be sent: what has come so far asks for nothing, but there is more of it.
+        Of a message of more than two frames, three are returned.
+
+        Raises:
+            HandshakeRefused: the mechanism does not let the other side in.
+            RemoteProtocolError: this is not ZMTP 3, not what a DEALER says, or too large.
+        """
+        for _ in range(_AT_ONCE):
+            if self._size < self._needed:
+                return None
+            if self._later:
+                self._buffer = b"".join((self._buffer[self._at :], *self._later))
+                self._at = 0
+                self._later.clear()
+            if not self._greeted:
+                self._check_greeting(self._take(0, len(GREETING)))
+                self._greeted = True
+                self._needed = 2
+                return _READY[self._own] if self._mechanism is None else _command(self._mechanism.begin())
+            flags, size = self._buffer[self._at], self._buffer[self._at + 1]
+            head = 2
+            if flags & _LONG:
+                head = 9
+                if self._size < head:
+                    self._needed = head
+                    return None
+                (size,) = _SIZE.unpack_from(self._buffer, self._at + 1)
+            if self._needed <= head:
+                self._check_head(flags, size)
+            if self._size < head + size:
+                self._needed = head + size
+                return None
+            self._needed = 2
+            frame = self._take(head, size)
+            if self._mechanism is not None:
+                if not self.ready:
+                    return self._shake_hands(self._mechanism, frame)
+                flags, frame = self._mechanism.decrypt(frame)
+                if flags > _MORE:
+                    if flags != _ENCRYPTED_COMMAND:
+                        raise RemoteProtocolError(f"an encrypted frame cannot have the flags {flags} in it")
+                    flags = _COMMAND
+            if flags & _COMMAND:
+                answer = self._obey(frame)
+                if answer:
+                    return answer
+                continue
+            frames = self._frames
+            if len(frames) < _KEPT:
+                frames.append(frame)
+            if not flags & _MORE:
+                self._frames = []
+                return frames
+        return b""
+
+    def _take(self, skipped: int, size: int) -> bytes:
+        """Return the next bytes, after some that are skipped."""
+        start = self._at + skipped
+        self._at = end = start + size
+        self._size -= skipped + size
+        taken = self._buffer[start:end]
+        if 2 * end >= len(self._buffer):
+            # What is done with may be large, and should not stay.
+            self._buffer = self._buffer[end:]
+            self._at = 0
+        return taken
+
+    def _check_greeting(self, greeting: bytes) -> None:
+        if greeting[0] != 0xFF or not greeting[9] & 1:
+            raise RemoteProtocolError("it does not speak ZeroMQ's protocol")
+        if greeting[10] < 3:
+            raise RemoteProtocolError("it speaks a ZMTP before 3: use a ZeroMQ library from 4.0 on")
+        wanted = b"NULL" if self._mechanism is None else b"CURVE"
+        mechanism = greeting[12:32].rstrip(b"\0")
+        if mechanism != wanted:
+            raise OtherMechanism(
+                f"it asks for the security mechanism {mechanism!r}; only {wanted.decode()} is supported here"
+            )
+        # The greeting of libzmq's server does not say that it is the server.
+        if self._mechanism is not None and self._mechanism.is_server and greeting[32]:
+            raise RemoteProtocolError("both sides are servers of the CURVE handshake")
+
+    def _check_head(self, flags: int, size: int) -> None:
+        if flags & ~_KNOWN_FLAGS or (flags & _COMMAND and flags & _MORE):
+            raise RemoteProtocolError(f"a frame cannot have the flags {flags}")
+        if not self.ready and not flags & _COMMAND:
+            raise RemoteProtocolError("a message was received before READY")
+        limit = _MAX_COMMAND if flags & _COMMAND else self._max_frame
+        if self._mechanism is not None and self.ready:
+            if flags & ~_LONG:
+                raise RemoteProtocolError(f"an encrypted frame cannot have the flags {flags}")
+            limit += self._mechanism.overhead
+        if size > limit:
+            raise RemoteProtocolError(f"a frame of {size} bytes was received; {limit} are allowed")
+
+    def _shake_hands(self, mechanism: Mechanism, command: bytes) -> bytes:
+        """Act on a command of a mechanism's handshake; return the reply."""
+        if command.startswith(b"\x05ERROR"):
+            self._obey(command)
+        answer, metadata = mechanism.answer(command, _METADATA[self._own])
+        if metadata is not None:
+            self._check_socket(metadata)
+            self.ready = True
+        return _command(answer)
+
+    def _obey(self, command: bytes) -> bytes:
+        """Act on a command; return the reply, which may be empty."""
+        end = command[0] + 1 if command else 0
+        name, data = command[1:end], command[end:]
+        if name == b"PING":
+            # Two bytes of time to live, which is the sender's own business, and a context to give back.
+            pong = _name(b"PONG") + data[2:18]
+            return (
+                _command(pong)
+                if self._mechanism is None
+                else self._mechanism.encrypt(_ENCRYPTED_COMMAND, pong)
+            )
+        if name == b"READY" and self._mechanism is None:
+            self._check_socket(data)
+            self.ready = True
+        elif name == b"ERROR":
+            raise HandshakeEnded(f"it ended the handshake: {data[1:]!r:.80}")
+        return b""
+
+    def _check_socket(self, properties: bytes) -> None:
+        at = 0
+        try:
+            while at < len(properties):
+                value_at = at + 1 + properties[at]
+                (size,) = struct.unpack_from(">I", properties, value_at)
+                name, value = properties[at + 1 : value_at], properties[value_at + 4 : value_at + 4 + size]
+                at = value_at + 4 + size
+                if name.lower() == b"socket-type":
+                    if value != _PARTNER[self._own]:
+                        raise RemoteProtocolError(
+                            f"it is a socket of type {value!r:.20}, not {_PARTNER[self._own].decode()}"
+                        )
+                    return
+        except struct.error:
+            pass
+        raise RemoteProtocolError("its READY does not say what socket it is")

@@ -1,0 +1,130 @@
+"""Threads that take turns in compiled code: they end, fail and are forgotten like any other."""
+
+from __future__ import annotations
+
+import gc
+import subprocess
+import sys
+import threading
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from glue.compiled.jit import entry
+from glue.compiled.threads import CALLER, Gate, Threads, begin_turn, claim, end_turn
+from tests.house.imports import ROOT
+
+COUNT = 10
+Numbers = npt.NDArray[np.int64]
+
+
+@entry
+def mark(gate: Gate, worker: int, numbers: Numbers) -> None:
+    while begin_turn(gate, worker):
+        first, last = claim(gate, worker)
+        while first < last:
+            for i in range(first, last):
+                numbers[i] += 1
+            first, last = claim(gate, worker)
+        if end_turn(gate, worker):
+            return
+
+
+@entry
+def mark_except_as_caller(gate: Gate, worker: int, numbers: Numbers) -> None:
+    """Leave all work of a turn to the workers."""
+    while begin_turn(gate, worker):
+        first, last = (0, 0) if worker == CALLER else claim(gate, worker)
+        while first < last:
+            for i in range(first, last):
+                numbers[i] += 1
+            first, last = claim(gate, worker)
+        if end_turn(gate, worker):
+            return
+
+
+def at_work() -> int:
+    return sum(thread.name == "worker" for thread in threading.enumerate())
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 2 * COUNT])
+def test_each_item_is_done_once_a_turn(count: int) -> None:
+    before = at_work()
+    threads, numbers = Threads(count, COUNT), np.zeros(COUNT, np.int64)
+    for _ in range(1000):
+        threads.run(mark, numbers)
+    assert numbers.tolist() == [1000] * COUNT
+    assert at_work() == before + count - 1
+    threads.close()
+    assert at_work() == before
+    threads.run(mark, numbers)  # by the calling thread
+    assert numbers.tolist() == [1001] * COUNT
+    threads.close()
+
+
+def test_the_caller_waits_for_no_worker_that_has_not_begun() -> None:
+    def late(gate: Gate, worker: int, numbers: Numbers) -> None:
+        if worker == CALLER:
+            mark(gate, worker, numbers)
+        else:
+            begun.wait(60)
+            mark(gate, worker, numbers)
+
+    begun = threading.Event()
+    threads, numbers = Threads(3, COUNT), np.zeros(COUNT, np.int64)
+    for _ in range(10):
+        threads.run(late, numbers)
+    assert numbers.tolist() == [10] * COUNT
+    begun.set()
+    threads.close()
+
+
+def test_workers_claim_what_the_caller_leaves() -> None:
+    threads, numbers = Threads(3, COUNT), np.zeros(COUNT, np.int64)
+    turns = 0
+    while numbers.min() == 0 and turns < 100_000:  # a turn ends without workers that have not begun
+        threads.run(mark_except_as_caller, numbers)
+        turns += 1
+    assert numbers.min() > 0
+    threads.close()
+
+
+def test_threads_that_nobody_closes_end_when_they_are_forgotten() -> None:
+    before = set(threading.enumerate())
+    threads = Threads(3, COUNT)
+    threads.run(mark, np.zeros(COUNT, np.int64))
+    new = set(threading.enumerate()) - before
+    assert len(new) == 2
+    del threads
+    gc.collect()
+    for thread in new:
+        thread.join(60)
+        assert not thread.is_alive()
+
+
+def test_what_a_thread_raises_is_raised_and_nobody_waits_for_it() -> None:
+    def broken(gate: Gate, worker: int, numbers: Numbers) -> None:
+        if worker == 1:
+            raise ValueError("broken")
+        mark(gate, worker, numbers)
+
+    def until_it_has_failed() -> None:
+        for _ in range(1000):
+            threads.run(broken, np.zeros(COUNT, np.int64))
+
+    threads = Threads(3, COUNT)
+    for _ in range(2):
+        with pytest.raises(ValueError, match="broken"):
+            until_it_has_failed()
+    threads.close()
+
+
+def test_a_program_ends_although_threads_wait() -> None:
+    code = (
+        f"from {__name__} import *; threads = Threads(3, COUNT); "
+        "threads.run(mark, np.zeros(COUNT, np.int64)); print(at_work())"
+    )
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120, check=False)
+    assert (done.returncode, done.stdout) == (0, "2\n"), done.stderr

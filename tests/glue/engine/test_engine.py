@@ -1,0 +1,686 @@
+"""The meaning of RL-Glue's calls, corner by corner. Source: RL-Glue 3.04, RL_glue.c and its behaviour."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from glue.engine.engine import Engine, Instruction, role_seed
+from glue.engine.local import LocalExperiment, local
+from glue.errors import LocalProtocolError, PeerLost, RemoteProtocolError
+from glue.types import Action, Observation, Step
+from glue.wire.messages import CALLS, Kind, Role
+from tests.players import ScriptedAgent, ScriptedEnvironment, SeededAgent, SeededEnvironment
+
+ANSWERS: dict[Kind, tuple[tuple[Any, ...], Any]] = {
+    Kind.ENV_SEED: ((), None),
+    Kind.ENV_INIT: ((), "spec"),
+    Kind.ENV_START: ((), "o0"),
+    Kind.ENV_STEP: ((1.0, False), "o"),
+    Kind.ENV_CLEANUP: ((), None),
+    Kind.ENV_MESSAGE: ((), "env answer"),
+    Kind.AGENT_SEED: ((), None),
+    Kind.AGENT_INIT: ((), None),
+    Kind.AGENT_START: ((), "a0"),
+    Kind.AGENT_STEP: ((), "a"),
+    Kind.AGENT_END: ((), None),
+    Kind.AGENT_CLEANUP: ((), None),
+    Kind.AGENT_MESSAGE: ((), "agent answer"),
+}
+"""Answers of players that are never done; bodies are names, since the engine never looks into them."""
+
+NEVER_ENDS = (1.0, False)
+ENDS = (1.0, True)
+
+
+def go_on(
+    engine: Engine, step: Instruction, env_step: tuple[float, bool] = NEVER_ENDS
+) -> tuple[list[str], Instruction]:
+    """Answer calls from `step` on until the verb is done; return the calls made and the reply."""
+    made = []
+    while engine.awaiting is not None:
+        made.append(step.kind.name)
+        scalars, body = ANSWERS[step.kind]
+        step = engine.resume(step.kind, env_step if step.kind is Kind.ENV_STEP else scalars, body)
+    return made, step
+
+
+def drive(
+    engine: Engine, verb: Kind, *scalars: Any, body: Any = b"", env_step: tuple[float, bool] = NEVER_ENDS
+) -> tuple[list[str], Instruction]:
+    """Carry `verb` out; return the calls made and the reply."""
+    return go_on(engine, engine.begin(verb, scalars, body), env_step)
+
+
+def initialised(seed: int | None = None) -> Engine:
+    engine = Engine("empty action")
+    drive(engine, Kind.RL_INIT, seed)
+    return engine
+
+
+def play(length: int = 3, reward: float = 1.0) -> tuple[LocalExperiment, list[str]]:
+    """An experiment in one process, and the list that the calls of both players go to."""
+    calls: list[str] = []
+    return local(ScriptedAgent(calls), ScriptedEnvironment(length, reward, calls)), calls
+
+
+def taken(calls: list[str]) -> list[str]:
+    """The names of the calls so far, without their arguments; forgets them."""
+    names = [call.split()[0].replace("agent_", "a:").replace("env_", "e:") for call in calls]
+    calls.clear()
+    return names
+
+
+def counters(glue: LocalExperiment) -> tuple[int, int, float]:
+    return glue.rl_num_steps(), glue.rl_num_episodes(), glue.rl_return()
+
+
+# RL_init
+
+
+def test_init_asks_the_environment_then_the_agent_with_its_task_spec() -> None:
+    glue, calls = play()
+    assert glue.rl_init() == "a task"
+    assert calls == ["env_init", "agent_init a task"]
+
+
+@pytest.mark.parametrize("spec", ["", "VERSION RL-Glue-3.0 PROBLEMTYPE episodic", "zero\0inside", "é✓"])
+def test_init_passes_any_task_spec_on_unchanged(spec: str) -> None:
+    agent, environment = ScriptedAgent(), ScriptedEnvironment()
+    environment.task_spec = spec
+    assert local(agent, environment).rl_init() == spec
+    assert agent.calls == [f"agent_init {spec}"]
+
+
+def test_init_with_an_empty_spec_after_another_yields_the_empty_one() -> None:
+    # The original would answer with the old one: a quirk that is not worth imitating.
+    environment = ScriptedEnvironment()
+    glue = local(ScriptedAgent(), environment)
+    glue.rl_init()
+    environment.task_spec = ""
+    assert glue.rl_init() == ""
+
+
+def test_init_sets_the_counters_only_when_both_have_answered() -> None:
+    engine = initialised()
+    drive(engine, Kind.RL_START)
+    step = engine.begin(Kind.RL_INIT, (None,))
+    step = engine.resume(Kind.ENV_INIT, (), "spec")
+    assert (step.kind, engine.num_steps) == (Kind.AGENT_INIT, 1)
+    engine.resume(Kind.AGENT_INIT, (), None)
+    assert (engine.num_steps, engine.num_episodes, engine.total_reward) == (0, 0, 0.0)
+
+
+def test_init_twice_runs_both_inits_again_and_keeps_the_last_action() -> None:
+    glue, calls = play()
+    glue.rl_init()
+    glue.rl_start()
+    glue.rl_init()
+    assert counters(glue) == (0, 0, 0.0)
+    taken(calls)
+    glue.rl_step()
+    assert calls[0] == "env_step [100]"
+
+
+# RL_start
+
+
+def test_start_shows_the_agent_the_first_observation_and_returns_both() -> None:
+    glue, calls = play()
+    glue.rl_init()
+    taken(calls)
+    assert glue.rl_start() == (Observation(ints=[0]), Action(ints=[100]))
+    assert calls == ["env_start", "agent_start [0]"]
+    assert counters(glue) == (1, 0, 0.0)
+
+
+def test_start_sets_the_counters_before_it_asks_the_environment() -> None:
+    engine = initialised()
+    drive(engine, Kind.RL_START)
+    drive(engine, Kind.RL_STEP)
+    engine.begin(Kind.RL_START)
+    assert (engine.num_steps, engine.total_reward) == (1, 0.0)
+
+
+def test_start_in_mid_episode_abandons_it_uncounted_and_without_agent_end() -> None:
+    glue, calls = play()
+    glue.rl_init()
+    glue.rl_start()
+    glue.rl_step()
+    taken(calls)
+    glue.rl_start()
+    assert taken(calls) == ["e:start", "a:start"]
+    assert counters(glue) == (1, 0, 0.0)
+
+
+# RL_step
+
+
+def test_step_executes_the_last_action_and_returns_the_next() -> None:
+    glue, calls = play()
+    glue.rl_init()
+    glue.rl_start()
+    taken(calls)
+    assert glue.rl_step() == Step(1.0, Observation(ints=[1]), False, action=Action(ints=[101]))
+    assert calls == ["env_step [100]", "agent_step 1 [1]"]
+    assert counters(glue) == (2, 0, 1.0)
+
+
+def test_terminal_step_ends_the_agent_counts_the_episode_and_not_the_step() -> None:
+    glue, calls = play(length=2)
+    glue.rl_init()
+    glue.rl_start()
+    glue.rl_step()
+    taken(calls)
+    reward, observation, terminal, _, action = glue.rl_step()
+    assert calls == ["env_step [101]", "agent_end 1"]
+    assert (reward, observation, terminal) == (1.0, Observation(ints=[2]), True)
+    assert action == Action(ints=[101]), "the action that was just executed"
+    assert counters(glue) == (2, 1, 2.0)
+
+
+def test_terminal_first_step_returns_the_executed_action() -> None:
+    # The original returns an empty action if it is the first step, or aborts.
+    glue, _ = play(length=1)
+    glue.rl_init()
+    glue.rl_start()
+    assert glue.rl_step().action == Action(ints=[100])
+    assert counters(glue) == (1, 1, 1.0)
+
+
+def test_stepping_past_the_end_repeats_the_last_action_and_counts_the_end_again() -> None:
+    glue, calls = play(length=1)
+    glue.rl_init()
+    glue.rl_start()
+    taken(calls)
+    for episodes in range(1, 6):
+        assert glue.rl_step().terminal
+        assert counters(glue) == (1, episodes, float(episodes))
+    assert calls == ["env_step [100]", "agent_end 1"] * 5
+
+
+@pytest.mark.parametrize(("raw", "expected"), [(0, False), (1, True), (2, True), (-1, True)])
+def test_terminal_is_normalised_to_a_truth_value(raw: int, expected: bool) -> None:
+    class Raw(ScriptedEnvironment):
+        def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+            return 0.0, Observation(), raw  # type: ignore[return-value]
+
+    glue = local(ScriptedAgent(), Raw())
+    glue.rl_init()
+    glue.rl_start()
+    assert glue.rl_step().terminal is expected
+
+
+# RL_episode
+
+
+def test_episode_returns_and_counts_as_the_original_for_every_limit() -> None:
+    glue, calls = play(length=3)
+    glue.rl_init()
+    taken(calls)
+    table = [
+        # limit, reached its end, steps, episodes so far, return, what the agent received
+        (0, True, 3, 1, 3.0, "start step step end"),
+        (1, False, 1, 1, 0.0, "start"),
+        (2, False, 2, 1, 1.0, "start step"),
+        (3, False, 3, 1, 2.0, "start step step"),
+        (4, True, 3, 2, 3.0, "start step step end"),
+        (5, True, 3, 3, 3.0, "start step step end"),
+    ]
+    for limit, ended, steps, episodes, total, received in table:
+        assert glue.rl_episode(limit) is ended
+        assert counters(glue) == (steps, episodes, total)
+        assert [name[2:] for name in taken(calls) if name.startswith("a:")] == received.split()
+
+
+def test_the_worked_run() -> None:
+    glue, calls = play(length=2)
+    # verb, its result, what the agent gets, what the environment gets, steps, episodes, return
+    table: list[tuple[Any, Any, str, str, int, int, float]] = [
+        (glue.rl_init, "a task", "init", "init", 0, 0, 0),
+        (glue.rl_start, ..., "start", "start", 1, 0, 0),
+        (glue.rl_step, ..., "step", "step", 2, 0, 1),
+        (glue.rl_step, ..., "end", "step", 2, 1, 2),
+        (lambda: glue.rl_episode(0), True, "start step end", "start step step", 2, 2, 2),
+        (lambda: glue.rl_episode(2), False, "start step", "start step", 2, 2, 1),
+        (glue.rl_start, ..., "start", "start", 1, 2, 0),
+        (glue.rl_cleanup, None, "cleanup", "cleanup", 1, 2, 0),
+        (glue.rl_init, "a task", "init", "init", 0, 0, 0),
+    ]
+    for verb, result, agent, environment, steps, episodes, total in table:
+        answer = verb()
+        assert result is ... or answer == result
+        names = taken(calls)
+        assert [name[2:] for name in names if name.startswith("a:")] == agent.split()
+        assert [name[2:] for name in names if name.startswith("e:")] == environment.split()
+        assert counters(glue) == (steps, episodes, total)
+
+
+def test_a_step_goes_on_after_an_episode_was_cut_off() -> None:
+    glue, calls = play(length=3)
+    glue.rl_init()
+    glue.rl_episode(2)
+    taken(calls)
+    assert not glue.rl_step().terminal
+    assert taken(calls) == ["e:step", "a:step"]
+    assert counters(glue) == (3, 0, 2.0)
+
+
+@pytest.mark.parametrize("limit", [-1, 2**32])
+def test_episode_refuses_a_limit_that_is_no_uint32(limit: int) -> None:
+    glue, _ = play()
+    with pytest.raises(LocalProtocolError, match=r"a step limit must be from 0 to 2\^32 - 1, not"):
+        glue.rl_episode(limit)
+
+
+# Counters
+
+
+def test_return_and_counters_are_kept_after_the_end_and_after_cleanup() -> None:
+    glue, _ = play(length=2, reward=-0.5)
+    glue.rl_init()
+    glue.rl_episode()
+    assert counters(glue) == (2, 1, -1.0)
+    glue.rl_cleanup()
+    assert counters(glue) == (2, 1, -1.0)
+
+
+def test_reward_is_summed_undiscounted_in_the_order_of_the_steps() -> None:
+    rewards = iter([1e16, 1.0, -1e16, 1.0])
+
+    class Rewarding(ScriptedEnvironment):
+        def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+            return next(rewards), Observation(), False
+
+    glue = local(ScriptedAgent(), Rewarding())
+    glue.rl_init()
+    glue.rl_episode(5)
+    assert glue.rl_return() == ((1e16 + 1.0) - 1e16) + 1.0
+
+
+# Messages and cleanup
+
+
+def test_messages_reach_the_players_at_any_time_and_change_nothing() -> None:
+    glue, calls = play()
+
+    def exchange() -> None:
+        before = counters(glue)
+        assert glue.rl_agent_message("x") == "agent heard x"
+        assert glue.rl_env_message("y") == "environment heard y"
+        assert counters(glue) == before
+
+    exchange()
+    glue.rl_init()
+    exchange()
+    glue.rl_start()
+    exchange()
+    glue.rl_cleanup()
+    exchange()
+    assert taken(calls).count("a:message") == 4
+
+
+@pytest.mark.parametrize("text", ["", "zero\0inside", "é✓", "x" * 100_000])
+def test_messages_carry_any_text(text: str) -> None:
+    glue, _ = play()
+    assert glue.rl_agent_message(text) == f"agent heard {text}"
+    assert glue.rl_env_message(text) == f"environment heard {text}"
+
+
+def test_a_null_answer_to_a_message_is_the_empty_text() -> None:
+    class Silent(ScriptedAgent):
+        def agent_message(self, message: str) -> str:
+            return None  # type: ignore[return-value]
+
+    assert local(Silent(), ScriptedEnvironment()).rl_agent_message("?") == ""
+
+
+def test_cleanup_is_the_environment_first_and_may_come_early_and_twice() -> None:
+    glue, calls = play()
+    glue.rl_cleanup()
+    glue.rl_cleanup()
+    assert calls == ["env_cleanup", "agent_cleanup"] * 2
+
+
+def test_several_runs_restart_the_counters() -> None:
+    glue, _ = play(length=2)
+    for _ in range(3):
+        glue.rl_init()
+        glue.rl_episode()
+        glue.rl_episode()
+        assert counters(glue) == (2, 2, 2.0)
+        glue.rl_cleanup()
+
+
+# Half steps
+
+
+def test_env_start_begins_an_episode_in_the_environment_alone() -> None:
+    glue, calls = play()
+    glue.rl_init()
+    glue.rl_episode()
+    taken(calls)
+    assert glue.rl_env_start() == Observation(ints=[0])
+    assert calls == ["env_start"]
+    assert counters(glue) == (1, 1, 0.0)
+
+
+def test_env_step_counts_rewards_steps_and_ends() -> None:
+    glue, calls = play(length=2)
+    glue.rl_init()
+    glue.rl_env_start()
+    taken(calls)
+    assert glue.rl_env_step(Action(ints=[7])) == Step(1.0, Observation(ints=[1]), False)
+    assert counters(glue) == (2, 0, 1.0)
+    assert glue.rl_env_step(Action(ints=[8])) == Step(1.0, Observation(ints=[2]), True)
+    assert counters(glue) == (2, 1, 2.0)
+    assert calls == ["env_step [7]", "env_step [8]"]
+
+
+def test_agent_half_steps_only_forward() -> None:
+    glue, calls = play()
+    glue.rl_init()
+    taken(calls)
+    assert glue.rl_agent_start(Observation(ints=[5])) == Action(ints=[105])
+    assert glue.rl_agent_step(-2.5, Observation(ints=[6])) == Action(ints=[106])
+    glue.rl_agent_end(0.25)
+    assert calls == ["agent_start [5]", "agent_step -2.5 [6]", "agent_end 0.25"]
+    assert counters(glue) == (0, 0, 0.0)
+
+
+def test_half_steps_do_not_touch_the_last_action() -> None:
+    glue, calls = play(length=9)
+    glue.rl_init()
+    glue.rl_start()
+    glue.rl_env_start()
+    glue.rl_env_step(Action(ints=[7]))
+    glue.rl_agent_start(Observation(ints=[50]))
+    glue.rl_agent_step(0.0, Observation(ints=[51]))
+    taken(calls)
+    glue.rl_step()
+    assert calls[0] == "env_step [100]", "what RL_start left"
+
+
+# Out of order
+
+
+def test_counters_before_any_init_are_zero() -> None:
+    glue, _ = play()
+    assert counters(glue) == (0, 0, 0.0)
+
+
+def test_step_before_any_start_executes_an_empty_action() -> None:
+    glue, calls = play()
+    glue.rl_step()
+    assert calls == ["env_step []", "agent_step 1 [1]"]
+    assert counters(glue) == (1, 0, 1.0)
+
+
+def test_start_without_init_works() -> None:
+    glue, calls = play()
+    glue.rl_start()
+    assert taken(calls) == ["e:start", "a:start"]
+
+
+# Empty and changing observations and actions
+
+
+def test_observations_and_actions_may_be_empty_and_change_their_counts() -> None:
+    shapes = [(0, 0, 0), (2, 4, 5), (0, 0, 0), (1, 0, 0), (0, 3, 1)]
+
+    class Changing(ScriptedEnvironment):
+        def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+            ints, doubles, chars = shapes[self._steps]
+            self._steps += 1
+            return 0.0, Observation([1] * ints, [0.5] * doubles, b"c" * chars), False
+
+    class Mirror(ScriptedAgent):
+        def agent_step(self, reward: float, observation: Observation) -> Action:
+            return Action.from_body(observation.body)
+
+    glue = local(Mirror(), Changing())
+    glue.rl_init()
+    glue.rl_start()
+    for shape in shapes:
+        _, observation, _, _, action = glue.rl_step()
+        assert observation.counts == action.counts == shape
+
+
+# The engine itself
+
+
+def test_engine_awaits_the_environment_and_then_the_agent() -> None:
+    engine = initialised()
+    seen = [engine.awaiting]
+    instruction = engine.begin(Kind.RL_START)
+    while engine.awaiting is not None:
+        seen.append(engine.awaiting)
+        instruction = engine.resume(instruction.kind, *ANSWERS[instruction.kind])
+    assert seen == [None, Kind.ENV_START, Kind.AGENT_START]
+
+
+@pytest.mark.parametrize("kind", [kind for kind, call in CALLS.items() if call.callee is not None])
+def test_a_call_to_a_player_is_no_verb(kind: Kind) -> None:
+    with pytest.raises(LocalProtocolError, match=kind.name):
+        Engine(b"").begin(kind)
+
+
+def test_engine_passes_bodies_through_untouched() -> None:
+    engine = Engine(b"")
+    body = object()
+    engine.begin(Kind.RL_ENV_MESSAGE, (), body)
+    assert engine.asked is not None
+    assert engine.asked.body is body
+    assert engine.resume(Kind.ENV_MESSAGE, (), body).body is body
+
+
+def test_a_verb_before_the_last_is_done_is_an_error_that_names_both() -> None:
+    engine = initialised()
+    engine.begin(Kind.RL_START)
+    with pytest.raises(
+        LocalProtocolError, match="RL_STEP was called while RL_START is still being carried out"
+    ):
+        engine.begin(Kind.RL_STEP)
+    assert engine.awaiting is Kind.ENV_START
+
+
+@pytest.mark.parametrize("kind", [Kind.ENV_STEP, Kind.AGENT_INIT, Kind.HELLO])
+def test_a_call_that_is_no_verb_is_an_error(kind: Kind) -> None:
+    with pytest.raises(LocalProtocolError, match="is not a verb of an experiment"):
+        Engine(b"").begin(kind)
+
+
+def test_an_answer_to_another_call_is_an_error_and_changes_nothing() -> None:
+    engine = initialised()
+    engine.begin(Kind.RL_START)
+    with pytest.raises(RemoteProtocolError, match="AGENT_START was answered; ENV_START was asked"):
+        engine.resume(Kind.AGENT_START, (), "a")
+    _, reply = go_on(engine, engine.resume(Kind.ENV_START, (), "o0"))
+    assert reply.kind is Kind.RL_START
+
+
+def test_an_answer_to_nothing_is_an_error() -> None:
+    with pytest.raises(RemoteProtocolError, match="nothing was asked"):
+        initialised().resume(Kind.ENV_START, (), "o")
+
+
+def test_after_an_abort_the_next_verb_begins_afresh() -> None:
+    engine = initialised()
+    drive(engine, Kind.RL_START)
+    engine.begin(Kind.RL_STEP)
+    engine.abort()
+    assert (engine.awaiting, engine.verb, engine.asked) == (None, None, None)
+    assert drive(engine, Kind.RL_STEP)[0] == ["ENV_STEP", "AGENT_STEP"]
+
+
+# Seeds
+
+
+def test_the_seed_reaches_each_player_before_its_init_and_each_another() -> None:
+    calls: list[str] = []
+    glue = local(SeededAgent(calls), SeededEnvironment(calls=calls))
+    glue.rl_init(seed=7)
+    env_seed, agent_seed = role_seed(7, Role.ENVIRONMENT), role_seed(7, Role.AGENT)
+    assert calls == [f"env_seed {env_seed}", "env_init", f"agent_seed {agent_seed}", "agent_init a task"]
+    assert env_seed != agent_seed
+
+
+def test_without_a_seed_no_player_is_seeded() -> None:
+    calls: list[str] = []
+    glue = local(SeededAgent(calls), SeededEnvironment(calls=calls))
+    glue.rl_init()
+    assert taken(calls) == ["e:init", "a:init"]
+
+
+def test_players_without_the_capability_are_passed_over() -> None:
+    glue, calls = play()
+    glue.rl_init(seed=7)
+    assert taken(calls) == ["e:init", "a:init"]
+
+
+def test_role_seeds_are_fixed_for_ever() -> None:
+    # Results that others published depend on these.
+    assert {
+        (seed, role): role_seed(seed, role) for seed in (0, 1) for role in (Role.AGENT, Role.ENVIRONMENT)
+    } == {
+        (0, Role.AGENT): 2440950710608614359,
+        (0, Role.ENVIRONMENT): 4334430513956379144,
+        (1, Role.AGENT): 2021340933837429789,
+        (1, Role.ENVIRONMENT): 4215923173971654960,
+    }
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63])
+def test_init_refuses_a_seed_out_of_range(seed: int) -> None:
+    glue, _ = play()
+    with pytest.raises(LocalProtocolError, match=r"from 0 to 2\^63 - 1"):
+        glue.rl_init(seed)
+
+
+# Players lost and replaced
+
+
+def test_losing_a_player_in_mid_episode_makes_it_void_for_verbs_that_go_on_with_it() -> None:
+    engine = initialised()
+    drive(engine, Kind.RL_START)
+    engine.void("the agent left")
+    for verb in (Kind.RL_STEP, Kind.RL_ENV_STEP, Kind.RL_AGENT_STEP, Kind.RL_AGENT_END):
+        with pytest.raises(PeerLost, match="the agent left; start another"):
+            engine.begin(verb)
+    assert drive(engine, Kind.RL_START)[0] == ["ENV_START", "AGENT_START"]
+    assert drive(engine, Kind.RL_STEP)[0] == ["ENV_STEP", "AGENT_STEP"]
+
+
+@pytest.mark.parametrize("verb", [Kind.RL_RETURN, Kind.RL_NUM_STEPS, Kind.RL_NUM_EPISODES])
+def test_counters_can_be_asked_of_a_void_episode(verb: Kind) -> None:
+    engine = initialised()
+    drive(engine, Kind.RL_START)
+    engine.void("the agent left")
+    assert drive(engine, verb)[0] == []
+
+
+def test_losing_a_player_between_episodes_voids_nothing() -> None:
+    engine = initialised()
+    drive(engine, Kind.RL_START)
+    drive(engine, Kind.RL_STEP, env_step=ENDS)
+    engine.void("the agent left")
+    assert drive(engine, Kind.RL_STEP)[0] == ["ENV_STEP", "AGENT_STEP"]
+
+
+def test_stepping_on_after_a_cut_off_is_an_episode_that_can_be_void() -> None:
+    engine = initialised()
+    drive(engine, Kind.RL_EPISODE, 2)
+    assert not engine.in_episode
+    drive(engine, Kind.RL_STEP)
+    assert engine.in_episode
+
+
+def test_an_end_that_the_agent_did_not_live_to_hear_is_not_counted() -> None:
+    engine = initialised()
+    drive(engine, Kind.RL_START)
+    engine.begin(Kind.RL_STEP)
+    assert engine.resume(Kind.ENV_STEP, ENDS, "o").kind is Kind.AGENT_END
+    engine.abort()
+    assert engine.num_episodes == 0
+
+
+@pytest.mark.parametrize(
+    ("role", "verb", "expected"),
+    [
+        (Role.AGENT, Kind.RL_START, "ENV_START AGENT_SEED AGENT_INIT AGENT_START"),
+        (Role.ENVIRONMENT, Kind.RL_START, "ENV_SEED ENV_INIT ENV_START AGENT_START"),
+        (Role.AGENT, Kind.RL_AGENT_MESSAGE, "AGENT_SEED AGENT_INIT AGENT_MESSAGE"),
+        (Role.ENVIRONMENT, Kind.RL_AGENT_MESSAGE, "AGENT_MESSAGE"),
+        (Role.AGENT, Kind.RL_CLEANUP, "ENV_CLEANUP AGENT_SEED AGENT_INIT AGENT_CLEANUP"),
+        (Role.AGENT, Kind.RL_NUM_STEPS, ""),
+        (Role.AGENT, Kind.RL_INIT, "ENV_SEED ENV_INIT AGENT_SEED AGENT_INIT"),
+    ],
+)
+def test_a_replaced_player_is_initialised_before_anything_else(role: Role, verb: Kind, expected: str) -> None:
+    engine = initialised(seed=3)
+    engine.replace(role)
+    scalars = (3,) if verb is Kind.RL_INIT else ()
+    assert drive(engine, verb, *scalars)[0] == expected.split()
+    again, _ = drive(engine, Kind.RL_START)
+    if verb is not Kind.RL_NUM_STEPS and not (role is Role.ENVIRONMENT and verb is Kind.RL_AGENT_MESSAGE):
+        assert again == ["ENV_START", "AGENT_START"], "once is enough"
+
+
+def test_both_players_replaced_are_initialised_each_in_turn() -> None:
+    engine = initialised()
+    engine.replace(Role.AGENT)
+    engine.replace(Role.ENVIRONMENT)
+    made, reply = drive(engine, Kind.RL_EPISODE, 3)
+    assert made == [
+        "ENV_INIT",
+        "ENV_START",
+        "AGENT_INIT",
+        "AGENT_START",
+        "ENV_STEP",
+        "AGENT_STEP",
+        "ENV_STEP",
+        "AGENT_STEP",
+    ]
+    assert reply == Instruction(Kind.RL_EPISODE, (False,), None)
+
+
+def test_a_replaced_environment_of_another_task_has_the_agent_initialised_again() -> None:
+    engine = initialised()
+    engine.replace(Role.ENVIRONMENT)
+    engine.begin(Kind.RL_START)
+    engine.resume(Kind.ENV_INIT, (), "another spec")
+    step = engine.resume(Kind.ENV_START, (), "o")
+    assert step == Instruction(Kind.AGENT_INIT, (), "another spec")
+    made, _ = go_on(engine, step)
+    assert made == ["AGENT_INIT", "AGENT_START"]
+
+
+def test_a_player_that_takes_an_empty_seat_while_it_is_asked_is_initialised_first() -> None:
+    engine = initialised(seed=3)
+    step = engine.begin(Kind.RL_START)
+    step = engine.resume(Kind.ENV_START, (), "o")
+    assert step.kind is Kind.AGENT_START
+    engine.replace(Role.AGENT)
+    assert engine.awaiting is Kind.AGENT_SEED
+    assert engine.asked is not None
+    made, reply = go_on(engine, engine.asked)
+    assert made == ["AGENT_SEED", "AGENT_INIT", "AGENT_START"]
+    assert reply.body == ("o", "a0")
+
+
+def test_a_player_that_comes_in_the_middle_of_init_is_initialised_once() -> None:
+    engine = initialised()
+    engine.begin(Kind.RL_INIT, (None,))
+    step = engine.resume(Kind.ENV_INIT, (), "spec")
+    assert step.kind is Kind.AGENT_INIT
+    engine.replace(Role.AGENT)
+    assert engine.asked == step
+    engine.resume(Kind.AGENT_INIT, (), None)
+    assert drive(engine, Kind.RL_START)[0] == ["ENV_START", "AGENT_START"]
+
+
+def test_a_player_replaced_before_any_init_is_not_initialised() -> None:
+    engine = Engine(b"")
+    engine.replace(Role.AGENT)
+    assert drive(engine, Kind.RL_START)[0] == ["ENV_START", "AGENT_START"]

@@ -1,0 +1,221 @@
+"""The glue in one process: what a user's mistakes look like, and what is left after them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from glue.engine.local import local
+from glue.errors import ConfigError, LocalProtocolError, PeerFailed, Unsupported
+from glue.options import build
+from glue.roles import Agent, AgentLike
+from glue.types import CUT_OFF, Action, Observation, Step
+from tests.hubs import over_the_hub
+from tests.players import ScriptedAgent, ScriptedEnvironment
+
+BOTH = pytest.mark.parametrize("glue", [local, over_the_hub])
+
+
+class Faulty(ScriptedAgent):
+    """Raises, or returns something else, at the call `at`."""
+
+    def __init__(self, at: str, error: BaseException) -> None:
+        super().__init__(before=self._fail)
+        self._at = at
+        self._error = error
+
+    def _fail(self, call: str) -> None:
+        if call.startswith(self._at):
+            raise self._error
+
+
+class Answering(ScriptedEnvironment):
+    """Answers a step, a start, an init and a message with what it is given."""
+
+    def __init__(self, **answers: Any) -> None:
+        super().__init__()
+        for name, answer in answers.items():
+            setattr(self, name, lambda *_, answer=answer: answer)
+
+
+def test_an_exception_of_the_agent_names_it_and_the_call_and_keeps_the_cause() -> None:
+    cause = ValueError("no such thing")
+    glue = local(Faulty("agent_step", cause), ScriptedEnvironment())
+    glue.rl_init()
+    with pytest.raises(PeerFailed, match="agent Faulty raised in agent_step: ValueError: no such thing") as e:
+        glue.rl_episode()
+    assert e.value.__cause__ is cause
+
+
+def test_a_glue_error_of_a_player_is_its_failure_too() -> None:
+    glue = local(Faulty("agent_init", LocalProtocolError("ints must be whole")), ScriptedEnvironment())
+    with pytest.raises(PeerFailed, match="agent Faulty raised in agent_init: ints must be whole"):
+        glue.rl_init()
+
+
+def test_an_interrupt_passes_through() -> None:
+    glue = local(Faulty("agent_step", KeyboardInterrupt()), ScriptedEnvironment())
+    glue.rl_init()
+    with pytest.raises(KeyboardInterrupt):
+        glue.rl_episode()
+    assert glue.rl_num_steps() == 2, "the experiment can still be asked"
+
+
+def test_after_a_failure_another_episode_can_be_started() -> None:
+    agent = Faulty("agent_step", ValueError())
+    glue = local(agent, ScriptedEnvironment(length=2))
+    glue.rl_init()
+    with pytest.raises(PeerFailed):
+        glue.rl_episode()
+    agent.before = lambda call: None
+    assert glue.rl_episode()
+    assert glue.rl_num_episodes() == 1
+
+
+@pytest.mark.parametrize(
+    ("answers", "complaint"),
+    [
+        ({"env_init": 5}, r"env_init of Answering must return a str; it returned int 5"),
+        ({"env_start": None}, "env_start of Answering must return an Observation; it returned NoneType None"),
+        ({"env_start": Action()}, r"must return an Observation; it returned Action Action\(\)"),
+        ({"env_step": None}, r"must return Step\(reward, observation, terminal\); it returned NoneType None"),
+        ({"env_step": (1.0, Observation())}, r"must return Step\(reward, observation, terminal\)"),
+        ({"env_step": ("high", Observation(), False)}, r"must return Step\(reward, observation, terminal\)"),
+        ({"env_step": (1.0, [0], False)}, r"must return a Step with an Observation; .* \[0\]"),
+        (
+            {"env_step": (1.0, Observation(), "no")},
+            r"must return Step\(reward, observation, terminal\); .* 'no'",
+        ),
+        ({"env_step": (1.0, Observation(), {})}, r"must return Step\(reward, observation, terminal\); .* {}"),
+        ({"env_step": (10**400, Observation(), True)}, r"must return Step\(reward, observation, terminal\)"),
+        ({"env_message": b"bytes"}, "env_message of Answering must return a str"),
+    ],
+)
+def test_a_wrong_answer_says_what_was_expected_and_what_came(answers: dict[str, Any], complaint: str) -> None:
+    glue = local(ScriptedAgent(), Answering(**answers))
+    with pytest.raises(PeerFailed, match=complaint):
+        (glue.rl_init(), glue.rl_env_message("?"), glue.rl_episode())
+
+
+@pytest.mark.parametrize(
+    ("terminal", "expected"),
+    [(1, True), (0, False), (2, True), (np.bool_(True), True), (np.int32(0), False), (np.False_, False)],
+)
+def test_terminal_may_be_a_number_or_of_numpy(terminal: Any, expected: bool) -> None:
+    glue = local(ScriptedAgent(), Answering(env_step=(1.0, Observation(), terminal)))
+    glue.rl_init()
+    glue.rl_start()
+    assert glue.rl_step().terminal is expected
+
+
+@pytest.mark.parametrize("method", ["agent_start", "agent_step"])
+def test_an_observation_returned_as_an_action_is_a_wrong_answer(method: str) -> None:
+    agent = ScriptedAgent()
+    setattr(agent, method, lambda *received: received[-1])
+    glue = local(agent, ScriptedEnvironment())
+    glue.rl_init()
+    with pytest.raises(PeerFailed, match=f"{method} of ScriptedAgent must return an Action"):
+        glue.rl_episode()
+
+
+def test_missing_methods_are_named_with_and_without_the_base_class() -> None:
+    class Half:
+        def agent_init(self, task_spec: str) -> None: ...
+
+    class Derived(Agent):
+        def agent_start(self, observation: Observation) -> Action:
+            return Action()
+
+    with pytest.raises(PeerFailed, match=r"Half is not an agent: it has no agent_start, agent_step$"):
+        local(Half(), ScriptedEnvironment())  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="agent_step"):
+        Derived()  # type: ignore[abstract]
+    with pytest.raises(ConfigError, match="Derived has no agent_step"):
+        build(Derived, {})
+
+
+class Plain:
+    """An agent without the base class: all that it has to have."""
+
+    def agent_start(self, observation: Observation) -> Action:
+        return Action(observation.ints)
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return Action(observation.ints)
+
+
+class Based(Plain, Agent):
+    """The same with the base class."""
+
+
+class Countdown:
+    """An environment without the base class, which returns `answer` as the result of its second step."""
+
+    def __init__(self, answer: Any) -> None:
+        self.answers = [answer, Step(1.0, Observation([1]), False)]
+
+    def env_init(self) -> str:
+        return ""
+
+    def env_start(self) -> Observation:
+        return Observation([0])
+
+    def env_step(self, action: Action) -> Step:
+        answer: Step = self.answers.pop()
+        return answer
+
+
+@pytest.mark.parametrize("agent", [Plain, Based])
+@pytest.mark.parametrize(
+    ("answer", "truncated"),
+    [
+        ((1.0, Observation([2]), True), False),
+        ((1.0, Observation([2]), 1), False),
+        ((1.0, Observation([2]), CUT_OFF), True),
+        (Step(1, Observation([2]), True), False),
+        (Step(1.0, Observation([2]), False, True), True),
+        (Step(1.0, Observation([2]), True, True), True),
+    ],
+)
+@BOTH
+def test_optional_methods_may_be_left_out(
+    glue: Callable[..., Any], agent: Callable[[], AgentLike], answer: Any, truncated: bool
+) -> None:
+    with glue(agent(), Countdown(answer)) as experiment:
+        experiment.rl_init()
+        experiment.rl_start()
+        assert experiment.rl_step() == Step(1.0, Observation([1]), False, False, Action([1]))
+        taken = experiment.rl_step()
+        assert taken == Step(1.0, Observation([2]), True, truncated, Action([2 if truncated else 1]))
+        assert (type(taken.terminal), experiment.rl_num_episodes()) == (bool, 0 if truncated else 1)
+        assert (experiment.rl_agent_message("?"), experiment.rl_env_message("?")) == ("", "")
+        experiment.rl_cleanup()
+
+
+def test_saving_what_cannot_be_saved_is_unsupported() -> None:
+    glue = local(ScriptedAgent(), ScriptedEnvironment())
+    with pytest.raises(Unsupported, match="agent ScriptedAgent does not support this: it has no agent_save"):
+        glue.rl_agent_save()
+    with pytest.raises(Unsupported, match=r"environment ScriptedEnvironment .* no env_load"):
+        glue.rl_env_load(b"")
+    assert glue.rl_init() == "a task"
+
+
+def test_save_and_load_pass_bytes_through() -> None:
+    class Saved(ScriptedAgent):
+        data = b"\0learned\xff"
+
+        def agent_save(self) -> bytes:
+            return self.data
+
+        def agent_load(self, data: bytes) -> None:
+            self.data = data
+
+    agent = Saved()
+    glue = local(agent, ScriptedEnvironment())
+    saved = glue.rl_agent_save()
+    glue.rl_agent_load(saved[::-1])
+    assert (saved, agent.data) == (b"\0learned\xff", b"\xffdenrael\0")

@@ -1,0 +1,77 @@
+"""The numbers of an agent: what it returns, what crosses the wire, what the experiment receives."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from agents.baselines import RandomAgent
+from env_server.toys import MinesEnvironment
+from glue.engine.local import local
+from glue.engine.metrics import MAX_METRICS, pack_metrics, unpack_metrics
+from glue.errors import PeerFailed, Unsupported
+from glue.types import Observation
+
+
+class Measured(RandomAgent):
+    def __init__(self, metrics: Any) -> None:
+        super().__init__()
+        self.metrics = metrics
+
+    def agent_metrics(self) -> Any:
+        return self.metrics
+
+
+@pytest.mark.parametrize("metrics", [{}, {"größe": -0.0, "a name of several words": math.inf}, {"n": 3}])
+def test_the_experiment_receives_the_agents_numbers_in_their_order(metrics: dict[str, float]) -> None:
+    glue = local(Measured(metrics), MinesEnvironment())
+    glue.rl_init()
+    assert list(glue.rl_agent_metrics().items()) == list(metrics.items())
+
+
+@pytest.mark.parametrize(
+    "metrics",
+    [
+        None,
+        [0.5],
+        {"": 1.0},
+        {"two\nlines": 1.0},
+        {"long" * 17: 1.0},
+        {3: 1.0},
+        {"text": "much"},
+        {f"{i}": 0.0 for i in range(MAX_METRICS + 1)},
+    ],
+)
+def test_anything_but_numbers_by_name_is_the_agents_fault(metrics: Any) -> None:
+    glue = local(Measured(metrics), MinesEnvironment())
+    glue.rl_init()
+    with pytest.raises(PeerFailed, match="agent_metrics of Measured"):
+        glue.rl_agent_metrics()
+
+
+def test_an_agent_without_metrics_is_not_asked() -> None:
+    glue = local(RandomAgent(), MinesEnvironment())
+    glue.rl_init()
+    with pytest.raises(Unsupported):
+        glue.rl_agent_metrics()
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        Observation([], [1.0]),
+        Observation([], [1.0], b"a\nb"),
+        Observation([], [1.0, 2.0], b"a\na"),
+        Observation([], [], b"a"),
+        Observation([], [1.0], b"\x1b[2J"),
+    ],
+)
+def test_a_body_whose_names_do_not_fit_is_refused(body: Observation) -> None:
+    with pytest.raises(PeerFailed):
+        unpack_metrics(body)
+
+
+def test_nan_crosses() -> None:
+    assert math.isnan(unpack_metrics(pack_metrics({"a": math.nan}))["a"])

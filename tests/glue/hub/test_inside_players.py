@@ -1,0 +1,196 @@
+"""A player in the hub's own process, and the other one in a program of its own: the results stay the same."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from glue import make, make_agent
+from glue.client.experiment import connect_over
+from glue.client.players import serve_agent, serve_environment
+from glue.engine.experiment import Experiment
+from glue.engine.local import local
+from glue.errors import ConfigError, GlueError, PeerFailed, PeerLost
+from glue.hub.config import HubConfig
+from glue.hub.io.hosting import host
+from glue.hub.io.inside import InsideTransport
+from glue.hub.io.server import Hub
+from glue.types import Action, Observation
+from glue.wire.messages import Role
+from tests.players import ScriptedAgent, ScriptedEnvironment, SeededAgent, SeededEnvironment
+
+TIMEOUT = 20.0
+"""Seconds until a test gives up waiting. Generous: machines are busy."""
+
+ARRANGEMENTS = [frozenset[Role](), {Role.ENVIRONMENT}, {Role.AGENT}, {Role.ENVIRONMENT, Role.AGENT}]
+
+every_arrangement = pytest.mark.parametrize(
+    "inside", ARRANGEMENTS, ids=["none", "environment", "agent", "both"]
+)
+
+
+def serve(role: Role, player: Any, url: str) -> threading.Thread:
+    """Serve a player over a socket until the hub ends, or the player leaves."""
+
+    def run() -> None:
+        with contextlib.suppress(GlueError, KeyboardInterrupt):
+            (serve_agent if role is Role.AGENT else serve_environment)(player, url, log=lambda line: None)
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    return thread
+
+
+@contextmanager
+def arranged(inside: Any, agent: Any, environment: Any) -> Iterator[tuple[Experiment, str]]:
+    """Give the experiment of a hub with some players inside and the others on sockets, and the hub's URL."""
+    players = {Role.AGENT: agent, Role.ENVIRONMENT: environment}
+    threads = []
+    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)).in_background() as hub:
+        url = hub.endpoints[0]
+        threads += [serve(role, player, url) for role, player in players.items() if role not in inside]
+        transport = InsideTransport(hub, {role: players[role] for role in inside})
+        with connect_over(transport) as glue:
+            glue.wait_for_players(lambda missing: None)
+            yield glue, url
+    for thread in threads:
+        thread.join(TIMEOUT)
+
+
+def play(glue: Experiment, seed: int, max_steps: int) -> list[object]:
+    """Play episodes as a whole and step by step; return everything that an experiment sees."""
+    shown: list[object] = [glue.rl_init(seed=seed)]
+    for _ in range(5):
+        shown += [glue.rl_episode(max_steps), glue.rl_return(), glue.rl_num_steps()]
+    shown.append(glue.rl_start())
+    shown += [glue.rl_step() for _ in range(3)]
+    shown += [glue.rl_num_episodes(), glue.rl_agent_message("how?"), glue.rl_env_message("where?")]
+    return shown
+
+
+@every_arrangement
+@pytest.mark.parametrize(("environment", "agent"), [("mines", "sarsa"), ("mines", "random")])
+@pytest.mark.parametrize(("seed", "max_steps"), [(1, 0), (2, 7), (3, 200)])
+def test_results_are_those_of_one_process(
+    inside: Any, environment: str, agent: str, seed: int, max_steps: int
+) -> None:
+    with arranged(inside, make_agent(agent), make(environment)) as (glue, _):
+        result = play(glue, seed, max_steps)
+        learned = glue.rl_agent_save() if agent == "sarsa" else b""
+    with local(make_agent(agent), make(environment)) as expected:
+        assert play(expected, seed, max_steps) == result
+        assert learned == (expected.rl_agent_save() if agent == "sarsa" else b"")
+
+
+@every_arrangement
+def test_calls_arrive_in_the_same_order(inside: Any) -> None:
+    calls: list[str] = []
+    expected: list[str] = []
+    with arranged(inside, SeededAgent(calls), SeededEnvironment(calls=calls)) as (glue, _):
+        shown = play(glue, 4, 9)
+        glue.rl_cleanup()
+    with local(SeededAgent(expected), SeededEnvironment(calls=expected)) as alone:
+        assert play(alone, 4, 9) == shown
+        alone.rl_cleanup()
+    assert calls == expected
+
+
+class _KilledAgent(ScriptedAgent):
+    """Ends at its tenth step."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._left = 10
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        self._left -= 1
+        if not self._left:
+            raise KeyboardInterrupt
+        return super().agent_step(reward, observation)
+
+
+class _KilledEnvironment(ScriptedEnvironment):
+    """Ends at its tenth step."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._left = 10
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        self._left -= 1
+        if not self._left:
+            raise KeyboardInterrupt
+        return super().env_step(action)
+
+
+def play_on(glue: Experiment, shown: list[object]) -> None:
+    """Play episodes, and write down what they show, until one fails."""
+    while True:
+        shown += [glue.rl_episode(4), glue.rl_return()]
+
+
+@pytest.mark.parametrize("killed", [Role.AGENT, Role.ENVIRONMENT])
+def test_an_outer_player_that_is_killed_is_replaced_as_without_inside(killed: Role) -> None:
+    results = []
+    for inside in (frozenset[Role](), frozenset({Role.AGENT, Role.ENVIRONMENT}) - {killed}):
+        agent = _KilledAgent() if killed is Role.AGENT else ScriptedAgent()
+        environment = _KilledEnvironment() if killed is Role.ENVIRONMENT else ScriptedEnvironment()
+        with arranged(inside, agent, environment) as (glue, url):
+            shown: list[object] = [glue.rl_init(seed=1)]
+            with pytest.raises(PeerLost):
+                play_on(glue, shown)
+            fresh = ScriptedAgent() if killed is Role.AGENT else ScriptedEnvironment()
+            thread = serve(killed, fresh, url)
+            for _ in range(3):
+                shown += [glue.rl_episode(4), glue.rl_return(), glue.rl_num_episodes()]
+            results.append(shown)
+        thread.join(TIMEOUT)
+    assert results[0] == results[1]
+    assert len(results[0]) > 9
+
+
+@pytest.mark.parametrize("role", [Role.AGENT, Role.ENVIRONMENT])
+def test_a_player_that_raises_inside_fails_the_verb_as_outside(
+    role: Role, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(call: str) -> None:
+        if call.startswith(("agent_step", "env_step")):
+            raise ValueError("out of ideas")
+
+    failures = []
+    for inside in (frozenset[Role](), {role}):
+        agent = ScriptedAgent(before=fail) if role is Role.AGENT else ScriptedAgent()
+        environment = ScriptedEnvironment(before=fail) if role is Role.ENVIRONMENT else ScriptedEnvironment()
+        with arranged(inside, agent, environment) as (glue, _):
+            glue.rl_init()
+            with pytest.raises(PeerFailed, match="ValueError: out of ideas") as failed:
+                glue.rl_episode(9)
+            failures.append(str(failed.value))
+        assert "out of ideas" in capsys.readouterr().err, "the traceback is shown"
+    assert failures[0] == failures[1]
+
+
+def test_a_notebook_hosts_an_environment_for_an_agent_from_outside(tmp_path: Path) -> None:
+    url = f"ipc://{tmp_path}/hub"
+    with local(make_agent("sarsa"), make("mines")) as alone:
+        expected = play(alone, 5, 50)
+    with host(environment=make("mines"), bind=url) as glue:
+        thread = serve(Role.AGENT, make_agent("sarsa"), url)
+        assert play(glue, 5, 50) == expected
+    thread.join(TIMEOUT)
+
+
+def test_hosting_needs_a_player_and_a_free_address() -> None:
+    with pytest.raises(ConfigError), host():
+        pass
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        url = f"tcp://127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(ConfigError), host(ScriptedAgent(), bind=url):
+            pass

@@ -1,0 +1,72 @@
+"""Parts of the hub's loop: connections, and the log, which makes nobody wait."""
+
+from __future__ import annotations
+
+import socket
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import pytest
+
+from glue.hub.io.connection import Connection
+from glue.hub.io.log import Log
+from glue.hub.io.loop import Loop
+
+
+@contextmanager
+def connected() -> Iterator[tuple[Connection, socket.socket]]:
+    """A connection, and the other side of it."""
+    loop = Loop(1.0, print)
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        other = socket.create_connection(listening.getsockname())
+        accepted, _ = listening.accept()
+    connection = Connection(loop, accepted, "other", 1.0)
+    with other:
+        yield connection, other
+    connection.close()
+    loop.close()
+
+
+@pytest.mark.parametrize("reading", [True, False])
+def test_last_words_are_received_after_nothing_can_be_sent(reading: bool) -> None:
+    with connected() as (connection, other):
+        connection.read(reading)
+        connection.send(b"not read, so that the close is a reset")
+        other.sendall(b"last words")
+        other.close()
+        connection.send(b"too late")
+        assert connection.unsent == 0
+        assert connection.receive() == b"last words"
+        assert connection.receive() == b""
+
+
+def test_lines_are_written_in_order_and_all_before_the_end() -> None:
+    written: list[str] = []
+    log = Log(written.append)
+    for number in range(500):
+        log(f"{number}")
+    log.close()
+    log("too late")
+    assert written == [f"{number}" for number in range(500)]
+
+
+def test_lines_that_do_not_fit_are_counted_and_dropped() -> None:
+    written: list[str] = []
+    stuck, go_on = threading.Event(), threading.Event()
+
+    def write(line: str) -> None:
+        stuck.set()
+        go_on.wait()
+        written.append(line)
+
+    log = Log(write)
+    log("first")
+    stuck.wait()
+    for number in range(5000):
+        log(f"{number}")
+    go_on.set()
+    log.close()
+    *lines, last = written
+    assert lines == ["first", *map(str, range(1000))]
+    assert last.startswith("4000 more lines were dropped")

@@ -1,0 +1,962 @@
+"""How the hub treats peers that join, leave, return, repeat messages and misbehave, without sockets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from glue.errors import RemoteProtocolError
+from glue.hub.config import Bind, HubConfig
+from glue.hub.sessions import INSTANCE_SIZE, Switchboard
+from glue.types import Action, Observation
+from glue.wire.codec import FROM_HUB, MAX_NAME, TO_HUB, UnknownKind, decode, encode
+from glue.wire.messages import CALLS, PROTOCOL_VERSION, THREE_ROLES, ErrorCode, Kind, Message, Role
+
+OBSERVATION = Observation(ints=[3], chars=b"o").body
+ACTION = Action(ints=[4]).body
+CONFIG = HubConfig(heartbeat=1.0, timeout=5.0, max_sessions=8)
+
+
+def instance(name: str) -> bytes:
+    return name.encode().ljust(INSTANCE_SIZE, b".")
+
+
+ANSWERS: dict[Kind, tuple[tuple[Any, ...], bytes]] = {
+    Kind.ENV_INIT: ((), b"spec"),
+    Kind.ENV_START: ((), OBSERVATION),
+    Kind.ENV_STEP: ((1.0, False), OBSERVATION),
+    Kind.ENV_MESSAGE: ((), b"env answer"),
+    Kind.AGENT_START: ((), ACTION),
+    Kind.AGENT_STEP: ((), ACTION),
+    Kind.AGENT_MESSAGE: ((), b"agent answer"),
+}
+
+
+class Named:
+    """A route of a rig."""
+
+    def __init__(self, rig: Rig, name: str) -> None:
+        self._rig = rig
+        self._name = name
+
+    def deliver(self, message: Message) -> bool:
+        return self._rig.deliver(self._name, message)
+
+    def admits(self, role: Role, session: str) -> bool:
+        return self._rig.admits(self._name, role, session)
+
+
+class Rig:
+    """A switchboard whose routes have names; what it sends waits in `inbox` until it is read.
+
+    Everything goes through the frames of the wire, both ways, so nothing impossible can be said.
+    """
+
+    def __init__(self, config: HubConfig = CONFIG, clock: Callable[[], float] | None = None) -> None:
+        self.board = Switchboard(config, self._log, clock)
+        self.routes: dict[str, Named] = {}
+        self.binds: dict[str, Bind] = {}
+        self.inbox: dict[str, list[Message]] = {}
+        self.gone: set[str] = set()
+        self.full: set[str] = set()
+        self.now = 0.0
+        self.logged: list[str] = []
+
+    def _log(self, line: str) -> None:
+        self.logged.append(line)
+
+    def route(self, name: str) -> Named:
+        """The route of that name."""
+        return self.routes.setdefault(name, Named(self, name))
+
+    def admits(self, route: str, role: Role, session: str) -> bool:
+        """Return whether the route's address admits the role; True if it has none."""
+        return route not in self.binds or self.binds[route].admits(role, session)
+
+    def deliver(self, route: str, message: Message) -> bool:
+        """Put `message` into the route's inbox."""
+        frames = encode(message, FROM_HUB)
+        if route in self.gone or route in self.full:
+            return False
+        self.inbox.setdefault(route, []).append(decode(frames, FROM_HUB))
+        return True
+
+    def put(
+        self, route: str, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "s"
+    ) -> None:
+        """Send a message from `route`."""
+        message = decode(encode(Message(kind, session, seq, scalars, body), TO_HUB), TO_HUB)
+        self.board.receive(self.route(route), message, self.now)
+
+    def say(
+        self, route: str, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "s"
+    ) -> list[Message]:
+        """Send a message from `route`; return everything it has received since the last call."""
+        self.put(route, kind, seq, *scalars, body=body, session=session)
+        return self.received(route)
+
+    def received(self, route: str) -> list[Message]:
+        """Return the messages sent to `route` since the last call."""
+        return self.inbox.pop(route, [])
+
+    def hello(
+        self,
+        route: str,
+        role: Role | str,
+        who: str | None = None,
+        session: str = "s",
+        abilities: tuple[str, ...] = (),
+    ) -> list[Message]:
+        """Let a peer in by `route`; by default it is known by the name of its route."""
+        name = who or route
+        scalars = ((PROTOCOL_VERSION,), str(role), instance(name), name, "test", abilities)
+        return self.say(route, Kind.HELLO, 0, *scalars, session=session)
+
+    def fill(self) -> None:
+        """Let in an agent, an environment and an experiment, by routes `a`, `e` and `x`."""
+        for route, role in (("a", Role.AGENT), ("e", Role.ENVIRONMENT), ("x", Role.EXPERIMENT)):
+            assert self.hello(route, role)[0].kind is Kind.WELCOME
+        self.received("x")
+
+    def ask(self, kind: Kind, seq: int, *scalars: Any, body: bytes = b"") -> None:
+        """Let the experiment ask for a verb, which takes a while."""
+        self.received("x")
+        assert self.say("x", kind, seq, *scalars, body=body) == []
+
+    def answer(self, route: str, *scalars: Any) -> Kind:
+        """Let a player answer the one call it was sent; return its kind."""
+        calls = [message for message in self.received(route) if message.kind in CALLS]
+        assert len(calls) == 1, f"{route} was asked {calls}"
+        (call,) = calls
+        standard, body = ANSWERS.get(call.kind, ((), b""))
+        self.put(route, call.kind, call.seq, *(scalars or standard), body=body)
+        return call.kind
+
+    def serve(self, *players: str) -> list[Kind]:
+        """Let players answer every call, until there are no more."""
+        made = []
+        while route := next((route for route in players or ("a", "e") if self.inbox.get(route)), None):
+            made.append(self.answer(route))
+        return made
+
+    def cut(self, route: str) -> None:
+        """Break the connection of a route."""
+        self.gone.add(route)
+
+    def tick(self, seconds: float) -> None:
+        """Let time pass, with one tick at the end; heartbeats are thrown away."""
+        self.now += seconds
+        self.board.tick(self.now)
+        for route, messages in self.inbox.items():
+            self.inbox[route] = [message for message in messages if message.kind is not Kind.HEARTBEAT]
+
+    def lose(self, route: str) -> None:
+        """Break the connection of a route, and wait until the hub gives it up."""
+        self.cut(route)
+        self.tick(CONFIG.heartbeat)
+        self.tick(CONFIG.timeout)
+
+
+@pytest.fixture
+def rig() -> Rig:
+    rig = Rig()
+    rig.fill()
+    return rig
+
+
+@pytest.fixture
+def playing(rig: Rig) -> Rig:
+    """In the middle of an RL_episode: the environment is asked for a step."""
+    rig.ask(Kind.RL_INIT, 1, None)
+    assert rig.serve() == [Kind.ENV_INIT, Kind.AGENT_INIT]
+    rig.received("x")
+    rig.ask(Kind.RL_EPISODE, 2, 0)
+    assert rig.answer("e") is Kind.ENV_START
+    assert rig.answer("a") is Kind.AGENT_START
+    return rig
+
+
+def error(messages: list[Message]) -> tuple[str, str]:
+    """The code and the text of the one message, which must be an error."""
+    (message,) = messages
+    assert message.kind in (Kind.ERROR, Kind.REFUSE), message
+    code, text = map(str, message.scalars)
+    return code, text
+
+
+def notices(messages: list[Message]) -> list[tuple[str, str]]:
+    return [(str(m.scalars[0]), str(m.scalars[1])) for m in messages if m.kind is Kind.NOTICE]
+
+
+# Greetings
+
+
+def test_hello_is_welcomed_with_what_the_hub_is_set_to() -> None:
+    (welcome,) = Rig().hello("a", Role.AGENT)
+    assert welcome == Message(Kind.WELCOME, "s", 0, (1, False, 1.0, 5.0, CONFIG.max_body))
+
+
+def test_the_experiment_is_told_who_is_there_and_who_comes() -> None:
+    rig = Rig()
+    rig.hello("a", Role.AGENT)
+    assert notices(rig.hello("x", Role.EXPERIMENT)) == [("joined", "agent")]
+    rig.hello("e", Role.ENVIRONMENT)
+    assert notices(rig.received("x")) == [("joined", "environment")]
+
+
+def test_a_second_agent_is_refused_while_the_first_can_be_reached(rig: Rig) -> None:
+    code, text = error(rig.hello("b", Role.AGENT))
+    assert code == ErrorCode.ROLE_TAKEN
+    assert text == "session 's' already has an agent: a (test)"
+    rig.ask(Kind.RL_AGENT_MESSAGE, 1)
+    assert rig.answer("a") is Kind.AGENT_MESSAGE
+
+
+def test_a_peer_of_another_protocol_version_is_refused_and_told_ours() -> None:
+    scalars = ((7, 9), "agent", instance("a"), "a", "test", ())
+    code, text = error(Rig().say("a", Kind.HELLO, 0, *scalars))
+    assert code == ErrorCode.VERSION
+    assert "supports protocol version 1, the peer [7, 9]" in text
+
+
+@pytest.mark.parametrize(
+    ("role", "instance", "session", "complaint"),
+    [
+        (
+            "king",
+            instance("a"),
+            "s",
+            "the role must be one of agent, environment, experiment, observer, not 'king'",
+        ),
+        ("agent", b"short", "s", "an instance must have 16 bytes, not 5"),
+        (
+            "agent",
+            instance("a"),
+            "",
+            "the name of a session must have printable characters, and at least one",
+        ),
+        (
+            "agent",
+            instance("a"),
+            "a\nb",
+            "the name of a session must have printable characters, and at least one",
+        ),
+    ],
+)
+def test_a_hello_that_makes_no_sense_is_refused(
+    role: str, instance: bytes, session: str, complaint: str
+) -> None:
+    rig = Rig()
+    scalars = ((PROTOCOL_VERSION,), role, instance, "a", "test", ())
+    assert error(rig.say("a", Kind.HELLO, 0, *scalars, session=session)) == (ErrorCode.MALFORMED, complaint)
+    assert error(rig.say("a", Kind.HEARTBEAT, 0, session=session))[0] == ErrorCode.UNKNOWN_PEER
+
+
+def test_one_connection_is_one_role_of_a_session(rig: Rig) -> None:
+    code, text = error(rig.hello("a", Role.EXPERIMENT, who="other"))
+    assert code == ErrorCode.MALFORMED
+    assert "this connection is already the agent of the session" in text
+
+
+def test_one_connection_may_serve_several_sessions(rig: Rig) -> None:
+    rig.hello("a", Role.AGENT, session="t")
+    rig.hello("e", Role.ENVIRONMENT, session="t")
+    rig.hello("y", Role.EXPERIMENT, session="t")
+    rig.received("y")
+    for session, experiment in (("t", "y"), ("s", "x")):
+        rig.say(experiment, Kind.RL_AGENT_MESSAGE, 1, session=session)
+        (call,) = rig.received("a")
+        assert call.session == session
+        rig.say("a", call.kind, call.seq, session=session, body=b"hm")
+        assert [reply.body for reply in rig.received(experiment)] == [b"hm"]
+
+
+def test_sessions_are_limited_and_a_freed_one_is_given_to_the_next() -> None:
+    rig = Rig()
+    for n in range(CONFIG.max_sessions):
+        assert rig.hello(f"r{n}", Role.AGENT, session=f"s{n}")[0].kind is Kind.WELCOME
+    code, text = error(rig.hello("late", Role.AGENT, session="late"))
+    assert (code, text) == (ErrorCode.FULL, "this hub serves 8 sessions at once, and all are in use")
+    rig.say("r3", Kind.GOODBYE, 0, "enough", session="s3")
+    assert rig.hello("late", Role.AGENT, session="late")[0].kind is Kind.WELCOME
+
+
+def test_a_connection_leaves_three_quarters_of_the_sessions_to_others(rig: Rig) -> None:
+    assert CONFIG.max_seats == 2
+    rig.hello("a", Role.AGENT, session="t")
+    for _ in range(2):
+        code, text = error(rig.hello("a", Role.AGENT, session="u"))
+        assert (code, "2 sessions" in text) == (ErrorCode.FULL, True)
+    assert rig.hello("a", Role.AGENT, session="t")[0].kind is Kind.WELCOME, "it is in already"
+    rig.say("a", Kind.GOODBYE, 0, "enough", session="t")
+    assert rig.hello("a", Role.AGENT, session="u")[0].kind is Kind.WELCOME
+    assert rig.hello("b", Role.AGENT, session="v")[0].kind is Kind.WELCOME
+
+
+def test_a_seat_that_is_not_open_at_an_address_cannot_be_taken_there(rig: Rig) -> None:
+    rig.binds["b"] = Bind("tcp://127.0.0.1:*", frozenset({Role.AGENT}), frozenset({"s", "t"}))
+    rig.say("a", Kind.GOODBYE, 0, "bye")
+    for role, session in ((Role.ENVIRONMENT, "s"), (Role.EXPERIMENT, "t"), (Role.AGENT, "u")):
+        code, text = error(rig.hello("b", role, session=session))
+        assert code == ErrorCode.NOT_ADMITTED
+        assert f"no {role} of session {session!r}" in text
+    for session in ("s", "t"):
+        assert rig.hello("b", Role.AGENT, session=session)[0].kind is Kind.WELCOME
+
+
+def test_who_knows_the_instance_of_a_peer_cannot_take_its_seat_from_an_address_that_is_not_open_to_it(
+    playing: Rig,
+) -> None:
+    playing.binds["b"] = Bind("tcp://127.0.0.1:*", frozenset({Role.AGENT}))
+    assert error(playing.hello("b", Role.ENVIRONMENT, who="e"))[0] == ErrorCode.NOT_ADMITTED
+    assert playing.answer("e") is Kind.ENV_STEP
+
+
+def test_the_longest_names_and_texts_still_fit_into_every_header() -> None:
+    # Each character takes four bytes; an error that quotes them must not exceed its own limit.
+    wide = "\N{GRINNING FACE}" * MAX_NAME
+    long = wide[:200]
+    rig = Rig()
+    for route, role in (("a", Role.AGENT), ("e", Role.ENVIRONMENT), ("x", Role.EXPERIMENT)):
+        scalars = ((PROTOCOL_VERSION,), str(role), instance(route), long, wide, ())
+        rig.put(route, Kind.HELLO, 0, *scalars, session=wide)
+    assert [message.kind for message in rig.received("x")] == [Kind.WELCOME, Kind.NOTICE, Kind.NOTICE]
+    assert error(rig.hello("b", Role.AGENT, session=wide))[0] == ErrorCode.ROLE_TAKEN
+    rig.received("a")
+    rig.say("x", Kind.RL_AGENT_MESSAGE, 1, session=wide)
+    (call,) = rig.received("a")
+    rig.say("a", Kind.ERROR, call.seq, "exception", wide + wide, session=wide)
+    assert error(rig.received("x"))[0] == ErrorCode.PEER_FAILED
+    assert error(rig.hello("v", "\0" * 2000, session=wide))[0] == ErrorCode.MALFORMED
+
+
+def test_when_there_is_no_room_for_more_the_session_that_keeps_most_is_ended_and_told_why() -> None:
+    rig = Rig(HubConfig(max_body=100_000, max_memory=400_000, max_sessions=64))
+    for n in range(6):
+        for route, role in ((f"a{n}", Role.AGENT), (f"x{n}", Role.EXPERIMENT)):
+            assert rig.hello(route, role, session=f"{n}")[0].kind is Kind.WELCOME
+            rig.received(f"x{n}")
+        size = 95_000 if n == 2 else 90_000
+        start = Observation(chars=bytes(size - 16)).body
+        rig.put(f"x{n}", Kind.RL_AGENT_START, 1, body=start, session=f"{n}")
+        rig.board.memory.relieve()
+    for n in range(6):
+        ended = [m for route in (f"x{n}", f"a{n}") for m in rig.received(route) if m.kind is Kind.GOODBYE]
+        # One is ended when there is a fifth, another, the first of equals, when there is a sixth.
+        assert len(ended) == (2 if n in (2, 0) else 0)
+        assert all("max_memory" in str(message.scalars[0]) for message in ended)
+
+
+def test_what_a_session_kept_is_free_again_when_it_is_done_with() -> None:
+    rig = Rig(HubConfig(max_body=100_000, max_memory=400_000))
+    start = Observation(chars=bytes(90_000)).body
+    for n in range(20):
+        rig.hello(f"a{n}", Role.AGENT, session=f"{n}")
+        rig.hello(f"x{n}", Role.EXPERIMENT, session=f"{n}")
+        rig.received(f"a{n}"), rig.received(f"x{n}")
+        rig.put(f"x{n}", Kind.RL_AGENT_START, 1, body=start, session=f"{n}")
+        rig.board.memory.relieve()
+        assert [message.kind for message in rig.received(f"a{n}")] == [Kind.AGENT_START]
+        rig.put(f"x{n}", Kind.GOODBYE, 0, "done", session=f"{n}")
+        assert rig.hello(f"y{n}", Role.EXPERIMENT, session=f"{n}")[0].kind is Kind.WELCOME
+        rig.put(f"y{n}", Kind.GOODBYE, 0, "done", session=f"{n}")
+        rig.put(f"a{n}", Kind.GOODBYE, 0, "done", session=f"{n}")
+
+
+# Exactly once
+
+
+def test_a_repeated_request_is_carried_out_once_and_answered_once_per_connection(rig: Rig) -> None:
+    rig.ask(Kind.RL_AGENT_MESSAGE, 1, body=b"hm")
+    assert rig.say("x", Kind.RL_AGENT_MESSAGE, 1, body=b"hm") == [], "still being carried out"
+    assert rig.serve() == [Kind.AGENT_MESSAGE]
+    assert [message.seq for message in rig.received("x")] == [1]
+    assert rig.say("x", Kind.RL_AGENT_MESSAGE, 1, body=b"hm") == []
+    assert rig.serve() == []
+
+
+def test_a_reconnected_player_is_sent_the_outstanding_call_again(playing: Rig) -> None:
+    (call,) = playing.received("e")
+    playing.cut("e")
+    welcome, again = playing.hello("e2", Role.ENVIRONMENT, who="e")
+    assert welcome.scalars[1] is True, "resumed"
+    assert again == call
+    assert playing.received("x") == [], "the experiment need not know"
+
+
+def test_a_repeated_answer_changes_nothing(playing: Rig) -> None:
+    (call,) = playing.received("e")
+    scalars, body = ANSWERS[call.kind]
+    playing.say("e", call.kind, call.seq, *scalars, body=body)
+    assert playing.say("e", call.kind, call.seq, *scalars, body=body) == []
+    assert len(playing.received("a")) == 1
+
+
+def test_a_reconnected_experiment_is_sent_the_last_reply_again(rig: Rig) -> None:
+    rig.ask(Kind.RL_AGENT_MESSAGE, 1)
+    rig.cut("x")
+    rig.serve()
+    welcome, *rest = rig.hello("x2", Role.EXPERIMENT, who="x")
+    assert welcome.scalars[1] is True
+    *known, reply = rest
+    assert notices(known) == [("joined", "agent"), ("joined", "environment")]
+    assert (reply.seq, reply.body) == (1, b"agent answer")
+    assert rig.say("x2", Kind.RL_AGENT_MESSAGE, 1) == [], "it is sent once"
+
+
+def test_a_reconnected_experiment_whose_request_was_lost_asks_again(rig: Rig) -> None:
+    rig.cut("x")
+    rig.hello("x2", Role.EXPERIMENT, who="x")
+    (reply,) = rig.say("x2", Kind.RL_NUM_STEPS, 1)
+    assert reply.scalars == (0,)
+
+
+def test_a_second_hello_over_the_same_connection_is_welcomed_and_nothing_else(playing: Rig) -> None:
+    assert len(playing.received("e")) == 1
+    assert [message.kind for message in playing.hello("e", Role.ENVIRONMENT)] == [Kind.WELCOME]
+    assert playing.received("x") == []
+
+
+def resumed(messages: list[Message]) -> bool:
+    """Return whether the WELCOME that was received first says `resumed`."""
+    assert messages[0].kind is Kind.WELCOME
+    return bool(messages[0].scalars[1])
+
+
+@pytest.mark.parametrize("role", THREE_ROLES)
+def test_an_instance_is_unknown_until_it_has_sent_something_that_only_a_welcomed_peer_can(role: Role) -> None:
+    # Each WELCOME may have been lost with its connection.
+    rig = Rig()
+    assert not resumed(rig.hello("1", role, who="p"))
+    rig.cut("1")
+    assert not resumed(rig.hello("2", role, who="p"))
+    assert resumed(rig.hello("2", role, who="p")), "over one connection nothing is lost"
+    rig.put("2", Kind.HEARTBEAT, 5)
+    rig.put("2", Kind.AGENT_STEP, 2337, body=ACTION)  # An answer to a call of another hub.
+    rig.cut("2")
+    assert not resumed(rig.hello("3", role, who="p"))
+
+
+def test_a_request_shows_that_the_experiment_was_welcomed(rig: Rig) -> None:
+    rig.ask(Kind.RL_AGENT_MESSAGE, 1)
+    rig.cut("x")
+    assert resumed(rig.hello("x2", Role.EXPERIMENT, who="x"))
+    rig.serve()
+    assert [message.kind for message in rig.received("x2")] == [Kind.RL_AGENT_MESSAGE]
+
+
+def test_a_player_whose_first_answer_was_lost_is_sent_the_same_call_and_not_known_before_it_answers(
+    rig: Rig,
+) -> None:
+    rig.ask(Kind.RL_INIT, 1, None)
+    (call,) = rig.received("e")
+    rig.cut("e")
+    welcome, again = rig.hello("e2", Role.ENVIRONMENT, who="e")
+    assert not resumed([welcome])
+    assert again == call
+    assert rig.say("e2", Kind.ENV_INIT, call.seq, body=b"spec") == []
+    rig.cut("e2")
+    assert resumed(rig.hello("e3", Role.ENVIRONMENT, who="e"))
+    assert rig.serve("a") == [Kind.AGENT_INIT]
+    assert notices(rig.received("x")) == [], "to the experiment it is one environment all the time"
+
+
+def test_an_answer_to_a_call_that_was_dropped_shows_that_the_player_was_welcomed(rig: Rig) -> None:
+    # Found by docs/model/Glue.tla: the player would forget its numbers, and carry its next call out twice.
+    rig.ask(Kind.RL_INIT, 1, None)
+    (call,) = rig.received("e")
+    rig.lose("x")
+    rig.put("e", call.kind, call.seq, body=b"spec")
+    rig.cut("e")
+    assert resumed(rig.hello("e2", Role.ENVIRONMENT, who="e"))
+
+
+def test_a_player_that_never_answered_joins_anew_after_it_was_lost(playing: Rig) -> None:
+    playing.say("a", Kind.GOODBYE, 0, "enough")
+    playing.hello("new", Role.AGENT)
+    playing.lose("new")
+    playing.received("x")
+    assert not resumed(playing.hello("new2", Role.AGENT, who="new"))
+    assert notices(playing.received("x")) == [("joined", "agent")]
+
+
+def test_a_peer_whose_queue_was_full_gets_what_it_missed_when_there_is_room(playing: Rig) -> None:
+    playing.full.add("a")
+    assert playing.answer("e") is Kind.ENV_STEP
+    playing.tick(1.0)
+    assert playing.received("a") == []
+    playing.full.clear()
+    playing.tick(1.0)
+    assert [message.kind for message in playing.received("a")] == [Kind.AGENT_STEP]
+
+
+def test_an_experiment_whose_queue_was_full_gets_its_reply_when_there_is_room(rig: Rig) -> None:
+    rig.ask(Kind.RL_AGENT_MESSAGE, 1)
+    rig.full.add("x")
+    rig.serve()
+    rig.tick(1.0)
+    rig.full.clear()
+    rig.tick(1.0)
+    assert [message.kind for message in rig.received("x")] == [Kind.RL_AGENT_MESSAGE]
+
+
+def test_a_player_that_does_not_answer_is_mentioned_again_and_again_but_ever_more_rarely(
+    playing: Rig,
+) -> None:
+    playing.logged.clear()
+    for _ in range(200):
+        playing.tick(1.0)
+    expected = [f"environment e has not answered env_step for {seconds} s" for seconds in (5, 30, 180)]
+    assert playing.logged == [f"session 's': {line}" for line in expected]
+    shown = [m.scalars for m in playing.received("x") if m.kind is Kind.NOTICE]
+    assert [f"{role!s} {text!s}" for event, role, text in shown if event == "slow"] == expected
+    playing.logged.clear()
+    playing.answer("e")
+    playing.tick(1.0)
+    playing.tick(4.0)
+    assert playing.logged == [], "the next call has a time of its own"
+    playing.tick(1.0)
+    assert "agent a has not answered agent_step for 5 s" in playing.logged[0]
+
+
+def test_a_player_may_say_once_why_its_answer_takes_long(playing: Rig) -> None:
+    playing.received("x")
+    playing.logged.clear()
+    (call,) = playing.inbox["e"]
+    for seq, route in ((call.seq + 1, "e"), (call.seq, "a"), (call.seq, "x")):
+        playing.put(route, Kind.NOTICE, seq, "slow", "environment", "nothing")
+    assert playing.logged == []
+    assert playing.received("x") == []
+    assert playing.received("a") == []
+    for _ in range(2):
+        playing.put("e", Kind.NOTICE, call.seq, "slow", "environment", "compiling\n12 s")
+    shown = ("slow", "environment", "e: compiling 12 s")
+    assert [(m.kind, m.scalars) for m in playing.received("x")] == [(Kind.NOTICE, shown)]
+    assert playing.logged == ["session 's': environment e: compiling 12 s"]
+    assert playing.answer("e") is Kind.ENV_STEP
+    assert playing.answer("a") is Kind.AGENT_STEP
+
+
+def test_an_empty_role_is_not_slow(rig: Rig) -> None:
+    rig.say("a", Kind.GOODBYE, 0, "enough")
+    rig.ask(Kind.RL_AGENT_MESSAGE, 1)
+    rig.logged.clear()
+    for _ in range(60):
+        rig.tick(1.0)
+    assert rig.logged == []
+
+
+# Lost and replaced
+
+
+@pytest.mark.parametrize("lost", ["a", "e"])
+def test_a_player_unreachable_for_longer_than_the_timeout_makes_the_episode_void(
+    playing: Rig, lost: str
+) -> None:
+    playing.cut(lost)
+    playing.tick(CONFIG.heartbeat)
+    playing.tick(CONFIG.timeout - 0.1)
+    assert playing.received("x") == []
+    playing.tick(0.1)
+    notice, failed = playing.received("x")
+    assert notices([notice]) == [("lost", "agent" if lost == "a" else "environment")]
+    code, text = error([failed])
+    assert code == ErrorCode.PEER_LOST
+    assert f"{lost} was unreachable for 5.0 s" in text
+
+
+def test_a_player_that_says_goodbye_makes_the_episode_void_at_once(playing: Rig) -> None:
+    playing.say("a", Kind.GOODBYE, 0, "interrupted")
+    _, failed = playing.received("x")
+    assert error([failed]) == (ErrorCode.PEER_LOST, "the agent a left: interrupted")
+
+
+def test_a_late_answer_to_a_void_episode_changes_nothing(playing: Rig) -> None:
+    (call,) = playing.received("e")
+    playing.lose("a")
+    playing.received("x")
+    scalars, body = ANSWERS[call.kind]
+    assert playing.say("e", call.kind, call.seq, *scalars, body=body) == []
+    code, text = error(playing.say("x", Kind.RL_STEP, 3))
+    assert code == ErrorCode.PEER_LOST
+    assert "start another" in text
+
+
+@pytest.mark.parametrize("early", [True, False], ids=["before the next verb", "while a verb waits for it"])
+@pytest.mark.parametrize(
+    ("lost", "role", "calls"),
+    [
+        ("a", Role.AGENT, [Kind.ENV_START, Kind.AGENT_INIT, Kind.AGENT_START, Kind.ENV_STEP]),
+        ("e", Role.ENVIRONMENT, [Kind.ENV_INIT, Kind.ENV_START, Kind.AGENT_START, Kind.ENV_STEP]),
+    ],
+)
+def test_a_replacement_is_initialised_and_a_new_episode_goes_on_with_it(
+    playing: Rig, lost: str, role: Role, calls: list[Kind], early: bool
+) -> None:
+    rig = playing
+    rig.received("e")
+    rig.lose(lost)
+    rig.received("x")
+    made: list[Kind] = []
+    if early:
+        rig.hello("new", role)
+    rig.ask(Kind.RL_EPISODE, 3, 2)
+    if not early:
+        made += rig.serve()
+        (welcome, call) = rig.hello("new", role)
+        assert welcome.scalars[1] is False, "not resumed"
+        rig.inbox["new"] = [call]
+    made += rig.serve("a", "e", "new")
+    assert made == [*calls, Kind.AGENT_STEP]
+    *_, reply = rig.received("x")
+    assert (reply.kind, reply.scalars) == (Kind.RL_EPISODE, (False,))
+
+
+@pytest.mark.parametrize("max_steps", [0, 2])
+@pytest.mark.parametrize("abilities", [(), ("outcome", "of-the-future")])
+def test_an_experiment_that_wants_it_is_told_the_outcome_of_an_episode(
+    abilities: tuple[str, ...], max_steps: int
+) -> None:
+    rig = Rig()
+    rig.hello("a", Role.AGENT)
+    rig.hello("e", Role.ENVIRONMENT)
+    rig.hello("x", Role.EXPERIMENT, abilities=abilities)
+    rig.ask(Kind.RL_EPISODE, 1, max_steps)
+    for route, scalars in (("e", ()), ("a", ()), ("e", (0.5, max_steps == 0)), ("a", ())):
+        rig.answer(route, *scalars)
+    (reply,) = rig.received("x")
+    terminal = max_steps == 0
+    assert reply.scalars == ((terminal, 0.5, 1 if terminal else 2) if abilities else (terminal,))
+    rig.cut("x")
+    assert reply in rig.hello("x2", Role.EXPERIMENT, who="x", abilities=abilities), "the same again"
+
+
+def test_a_replacement_is_seeded_if_it_can_be(rig: Rig) -> None:
+    rig.ask(Kind.RL_INIT, 1, 5)
+    rig.serve()
+    rig.lose("a")
+    rig.ask(Kind.RL_AGENT_MESSAGE, 2)
+    _, call = rig.hello("a2", Role.AGENT, abilities=("seed",))
+    assert call.kind is Kind.AGENT_SEED
+
+
+def test_a_player_that_returns_after_it_was_given_up_goes_on_without_init(playing: Rig) -> None:
+    rig = playing
+    rig.received("e")
+    rig.lose("e")
+    rig.received("x")
+    rig.ask(Kind.RL_EPISODE, 3, 0)
+    welcome, call = rig.hello("e2", Role.ENVIRONMENT, who="e")
+    assert welcome.scalars[1] is True
+    assert call.kind is Kind.ENV_START
+    assert notices(rig.received("x")) == [("returned", "environment")]
+
+
+def test_a_player_that_returns_is_not_asked_for_a_capability_it_lacks(rig: Rig) -> None:
+    rig.lose("e")
+    rig.received("x")
+    rig.ask(Kind.RL_INIT, 1, 5)
+    _, call = rig.hello("e2", Role.ENVIRONMENT, who="e")
+    assert call.kind is Kind.ENV_INIT
+
+
+def test_a_player_unreachable_just_now_is_replaced_without_waiting(playing: Rig) -> None:
+    playing.cut("a")
+    assert playing.hello("b", Role.AGENT)[0].kind is Kind.WELCOME
+    lost, failed, joined = playing.received("x")
+    assert notices([lost, joined]) == [("lost", "agent"), ("joined", "agent")]
+    assert error([failed])[0] == ErrorCode.PEER_LOST
+
+
+def test_the_end_of_the_experiment_leaves_the_players_to_the_next(playing: Rig) -> None:
+    rig = playing
+    (call,) = rig.received("e")
+    rig.say("x", Kind.GOODBYE, 0, "over")
+    assert rig.say("e", call.kind, call.seq, 1.0, False, body=OBSERVATION) == []
+    assert rig.received("a") == []
+    rig.hello("y", Role.EXPERIMENT)
+    rig.put("y", Kind.RL_INIT, 1, None)
+    assert rig.serve() == [Kind.ENV_INIT, Kind.AGENT_INIT]
+
+
+def test_a_new_experiment_finds_a_new_engine(playing: Rig) -> None:
+    playing.say("x", Kind.GOODBYE, 0, "over")
+    playing.hello("y", Role.EXPERIMENT)
+    (reply,) = playing.say("y", Kind.RL_NUM_STEPS, 1)
+    assert reply.scalars == (0,)
+
+
+def test_a_session_that_all_have_left_is_forgotten(playing: Rig) -> None:
+    for route in ("a", "e", "x"):
+        playing.say(route, Kind.GOODBYE, 0, "over")
+    assert playing.hello("a", Role.AGENT)[0].scalars[1] is False
+
+
+# A slow or dead session
+
+
+def test_a_session_waits_only_for_its_own_peers(rig: Rig) -> None:
+    for route, role in (("ta", Role.AGENT), ("te", Role.ENVIRONMENT), ("tx", Role.EXPERIMENT)):
+        rig.hello(route, role, session="t")
+    rig.received("tx")
+    rig.ask(Kind.RL_AGENT_MESSAGE, 1)
+    rig.say("tx", Kind.RL_ENV_MESSAGE, 1, session="t")
+    (call,) = rig.received("te")
+    rig.say("te", call.kind, call.seq, session="t", body=b"here")
+    assert [message.body for message in rig.received("tx")] == [b"here"]
+    rig.lose("a")
+    assert rig.received("tx") == []
+
+
+# Out of place
+
+
+def test_an_unknown_peer_is_asked_to_send_hello() -> None:
+    code, text = error(Rig().say("a", Kind.HEARTBEAT, 5))
+    assert code == ErrorCode.UNKNOWN_PEER
+    assert "say HELLO first" in text
+
+
+def test_a_known_peer_is_unknown_in_other_sessions(rig: Rig) -> None:
+    assert error(rig.say("a", Kind.HEARTBEAT, session="t"))[0] == ErrorCode.UNKNOWN_PEER
+
+
+@pytest.mark.parametrize("kind", [Kind.RL_START, Kind.ENV_START])
+def test_an_agent_that_speaks_for_another_role_gets_an_error(playing: Rig, kind: Kind) -> None:
+    body = OBSERVATION if kind is Kind.ENV_START else b""
+    code, text = error(playing.say("a", kind, 1, body=body))
+    assert code == ErrorCode.NOT_ASKED
+    assert text == f"{kind.name} 1 was never sent to this agent"
+    assert playing.received("x") == []
+
+
+def test_an_experiment_that_answers_calls_gets_an_error(playing: Rig) -> None:
+    code, text = error(playing.say("x", Kind.ENV_STEP, 3, 1.0, False, body=OBSERVATION))
+    assert (code, text) == (
+        ErrorCode.BUSY,
+        "ENV_STEP was received while RL_EPISODE is still being carried out",
+    )
+    playing.lose("a")
+    playing.received("x")
+    code, text = error(playing.say("x", Kind.ENV_STEP, 3, 1.0, False, body=OBSERVATION))
+    assert (code, text) == (ErrorCode.NOT_ASKED, "an experiment must not send ENV_STEP")
+
+
+def test_the_number_of_a_request_refused_as_busy_may_be_used_again(playing: Rig) -> None:
+    code, _ = error(playing.say("x", Kind.RL_RETURN, 50))
+    assert code == ErrorCode.BUSY
+    playing.lose("a")
+    playing.received("x")
+    (reply,) = playing.say("x", Kind.RL_RETURN, 50)
+    assert reply.kind is Kind.RL_RETURN
+
+
+def test_a_hello_repeated_over_one_connection_is_not_noticed(rig: Rig) -> None:
+    rig.received("x")
+    (welcome,) = rig.hello("a", Role.AGENT)
+    assert welcome.kind is Kind.WELCOME
+    assert rig.received("x") == []
+
+
+def test_a_request_below_the_one_before_gets_an_error_and_a_repeated_one_none(rig: Rig) -> None:
+    assert rig.say("x", Kind.RL_RETURN, 0)[0].scalars == (
+        ErrorCode.NOT_ASKED,
+        "request 0 was received after 0; sequence numbers increase from 1",
+    )
+    assert rig.say("x", Kind.RL_RETURN, 5)[0].kind is Kind.RL_RETURN
+    assert rig.say("x", Kind.RL_RETURN, 5) == []
+    code, text = error(rig.say("x", Kind.RL_RETURN, 4))
+    assert (code, text) == (
+        ErrorCode.NOT_ASKED,
+        "request 4 was received after 5; sequence numbers increase from 1",
+    )
+
+
+@pytest.mark.parametrize("seq", [0, 99])
+def test_an_answer_without_a_call_is_an_error(playing: Rig, seq: int) -> None:
+    code, text = error(playing.say("a", Kind.AGENT_STEP, seq, body=ACTION))
+    assert code == ErrorCode.NOT_ASKED
+    assert text == f"AGENT_STEP {seq} was never sent to this agent"
+
+
+def test_an_answer_of_the_wrong_kind_fails_the_verb_and_names_the_player(playing: Rig) -> None:
+    (call,) = playing.received("e")
+    code, text = error(playing.say("e", Kind.ENV_START, call.seq, body=OBSERVATION))
+    assert (code, text) == (ErrorCode.NOT_ASKED, "ENV_START was answered; ENV_STEP was asked")
+    code, text = error(playing.received("x"))
+    assert code == ErrorCode.PEER_FAILED
+    assert text.startswith("environment e broke the protocol")
+
+
+def test_an_exception_of_a_player_fails_the_verb_and_names_the_player(playing: Rig) -> None:
+    (call,) = playing.received("e")
+    playing.say("e", Kind.ERROR, call.seq, "exception", "ValueError: no such thing\nas this")
+    code, text = error(playing.received("x"))
+    assert code == ErrorCode.PEER_FAILED
+    assert text == "environment e raised in env_step: ValueError: no such thing as this"
+
+
+def test_a_capability_that_a_player_lacks_is_an_error_for_the_experiment(rig: Rig) -> None:
+    code, text = error(rig.say("x", Kind.RL_AGENT_SAVE, 1))
+    assert code == ErrorCode.UNSUPPORTED
+    assert text == "agent a does not support this: it has no agent_save"
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        (Kind.WELCOME, 1, True, 1.0, 1.0, 5),
+        (Kind.REFUSE, "code", "text"),
+        (Kind.NOTICE, "lost", "agent", "a"),
+    ],
+)
+def test_what_only_the_hub_says_is_an_error_from_a_peer(rig: Rig, message: tuple[Any, ...]) -> None:
+    kind, *scalars = message
+    code, text = error(rig.say("a", kind, 0, *scalars))
+    assert (code, text) == (ErrorCode.NOT_ASKED, f"{kind.name} is not for this agent to send")
+
+
+def test_an_unknown_kind_is_an_error_and_costs_no_seat(playing: Rig) -> None:
+    playing.board.malformed(playing.route("e"), UnknownKind(999, "s", 7), playing.now)
+    *_, answer = playing.received("e")
+    assert (answer.seq, answer.scalars[0]) == (7, ErrorCode.UNKNOWN_KIND)
+    assert playing.received("x") == []
+
+
+def test_a_malformed_message_costs_its_sender_its_seat_and_fails_what_waits_for_it(playing: Rig) -> None:
+    playing.received("e")
+    playing.board.malformed(playing.route("e"), RemoteProtocolError("no sense in it"), playing.now)
+    assert error(playing.received("e")) == (ErrorCode.MALFORMED, "no sense in it")
+    lost, failed = playing.received("x")
+    assert notices([lost]) == [("lost", "environment")]
+    assert error([failed])[0] == ErrorCode.PEER_FAILED
+    assert error(playing.say("e", Kind.HEARTBEAT))[0] == ErrorCode.UNKNOWN_PEER
+
+
+def test_a_heartbeat_is_returned(rig: Rig) -> None:
+    assert rig.say("a", Kind.HEARTBEAT, 8) == [Message(Kind.HEARTBEAT, "s", 8)]
+
+
+def test_every_peer_is_told_when_the_hub_ends(rig: Rig) -> None:
+    rig.hello("a", Role.AGENT, session="t")
+    rig.board.close("SIGTERM")
+    told = {route: [(m.session, m.scalars) for m in rig.received(route)] for route in ("a", "e", "x")}
+    s = ("s", ("SIGTERM",))
+    assert told == {"a": [s, ("t", ("SIGTERM",))], "e": [s], "x": [s]}
+
+
+# Anything at all
+
+roles = st.sampled_from([*map(str, Role), "king"])
+routes = st.sampled_from(["r0", "r1", "r2", "r3", "r4"])
+sessions = st.sampled_from(["s", "t", "", "\N{GRINNING FACE}" * MAX_NAME])
+instances = st.sampled_from([instance("1"), instance("2"), instance("3"), b""])
+texts = st.sampled_from(["", "text", "\0\n", "\N{GRINNING FACE}" * 220])
+names = st.sampled_from(["", "name", "\N{GRINNING FACE}" * 60])
+VALUES: dict[type, st.SearchStrategy[Any]] = {
+    int: st.integers(0, 2**63 - 1),
+    float: st.floats(),
+    bool: st.booleans(),
+    str: texts,
+    bytes: instances,
+    tuple: st.just(()),
+}
+BODIES = {"an observation": OBSERVATION, "an action": ACTION, "an observation, then at once an action": b""}
+
+
+@st.composite
+def events(draw: st.DrawFn) -> tuple[Any, ...]:
+    """Something that can happen: a legal message from any peer, a connection cut or restored, time, noise."""
+    what = draw(
+        st.sampled_from(["hello", "hello", "answer", "answer", "answer", "say", "cut", "time", "noise"])
+    )
+    route, session = draw(routes), draw(sessions)
+    if what == "hello":
+        abilities = draw(st.sampled_from([(), ("seed",), ("save", "seed")]))
+        versions = draw(st.sampled_from([(1,), (1, 2), (2,), ()]))
+        hello = (versions, draw(roles), draw(instances), draw(texts), draw(names), abilities)
+        return "say", route, Message(Kind.HELLO, session, 0, hello)
+    if what == "say":
+        kind = draw(st.sampled_from(sorted(TO_HUB)))
+        shape = TO_HUB[kind]
+        scalars = tuple(() if scalar.type is tuple else draw(VALUES[scalar.type]) for scalar in shape.scalars)
+        seq = draw(st.integers(0, 12))
+        return "say", route, Message(kind, session, seq, scalars, BODIES.get(shape.body.value, b"text"))
+    if what == "cut":
+        return "cut", route, draw(st.booleans())
+    if what == "time":
+        return "time", draw(st.sampled_from([0.5, 1.0, 5.0]))
+    return what, route
+
+
+@given(st.lists(events(), max_size=60))
+@settings(max_examples=300, deadline=None)
+def test_the_switchboard_survives_any_behaviour_of_peers_and_sends_only_what_can_be_encoded(
+    story: list[tuple[Any, ...]],
+) -> None:
+    rig = Rig(HubConfig(max_sessions=8))
+    for what, *details in story:
+        if what == "say":
+            route, message = details
+            rig.board.receive(rig.route(route), decode(encode(message, TO_HUB), TO_HUB), rig.now)
+        elif what == "answer":
+            (route,) = details
+            calls = [m for m in rig.inbox.get(route, []) if m.kind in CALLS and CALLS[m.kind].callee]
+            if calls:
+                scalars, body = ANSWERS.get(calls[-1].kind, ((), b""))
+                answer = Message(calls[-1].kind, calls[-1].session, calls[-1].seq, scalars, body)
+                rig.board.receive(rig.route(route), decode(encode(answer, TO_HUB), TO_HUB), rig.now)
+        elif what == "cut":
+            route, cut = details
+            (rig.gone.add if cut else rig.gone.discard)(route)
+        elif what == "time":
+            rig.tick(details[0])
+        else:
+            rig.board.malformed(rig.route(details[0]), RemoteProtocolError("noise"), rig.now)
+    rig.board.close("over")
+
+
+# Losses of which a returning experiment has not heard
+
+
+def lost_while_away(rig: Rig) -> list[Message]:
+    """Lose the agent to a newcomer while the experiment is away; return what it is sent on its return."""
+    rig.cut("x")
+    rig.cut("a")
+    rig.hello("a2", Role.AGENT)
+    return rig.hello("x2", Role.EXPERIMENT, "x")
+
+
+def test_an_experiment_that_returns_is_told_of_the_loss_behind_the_reply_that_it_may_know(rig: Rig) -> None:
+    rig.ask(Kind.RL_INIT, 1, None)
+    rig.serve()
+
+    sent = lost_while_away(rig)
+
+    told = [message.kind if message.kind is not Kind.NOTICE else message.scalars[:2] for message in sent]
+    assert told[0] is Kind.WELCOME
+    assert told.index(Kind.RL_INIT) < told.index(("lost", "agent")) < len(told) - 1
+    assert told[-1] == ("joined", "agent")
+
+
+def test_a_loss_in_a_request_is_told_before_its_reply(playing: Rig) -> None:
+    sent = lost_while_away(playing)
+
+    told = [message.kind if message.kind is not Kind.NOTICE else message.scalars[:2] for message in sent]
+    assert told.index(("lost", "agent")) < told.index(Kind.ERROR)
+
+
+def test_a_loss_is_told_until_the_request_after_the_next(rig: Rig) -> None:
+    rig.ask(Kind.RL_INIT, 1, None)
+    rig.serve()
+    sent = lost_while_away(rig)
+    for seq in (2, 3):
+        assert ("lost", "agent") in notices(sent)
+        rig.put(f"x{seq}", Kind.RL_NUM_STEPS, seq)
+        rig.cut(f"x{seq}")
+        sent = rig.hello(f"x{seq + 1}", Role.EXPERIMENT, "x")
+    assert ("lost", "agent") not in notices(sent)

@@ -1,0 +1,154 @@
+"""An agent's time, by a clock that the test turns; in the session, without sockets."""
+
+from __future__ import annotations
+
+import pytest
+
+from glue.errors import ConfigError
+from glue.hub.config import HubConfig, TimeLimits
+from glue.hub.time_bank import TimeBank
+from glue.wire.messages import ErrorCode, Kind, Role
+from tests.glue.hub.test_sessions import Rig
+
+LIMITS = TimeLimits(step_seconds=1.0, bank_seconds=3.0, start_seconds=5.0, total_seconds=100.0)
+
+
+class Clock:
+    """Stands still until it is turned."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+class Timed:
+    """A bank whose agent takes the given time for each answer."""
+
+    def __init__(self, limits: TimeLimits = LIMITS) -> None:
+        self.clock = Clock()
+        self.bank = TimeBank(limits, self.clock)
+
+    def take(self, seconds: float, kind: Kind = Kind.AGENT_STEP) -> str | None:
+        self.bank.called(kind)
+        self.clock.now += seconds
+        return self.bank.answered()
+
+
+def test_each_answer_drains_what_it_takes_beyond_the_limit() -> None:
+    timed = Timed()
+    for _ in range(20):
+        assert timed.take(1.0) is None  # the whole limit, and nothing of the bank
+    assert timed.take(3.0) is None  # two of three seconds are gone
+    assert timed.take(2.0) is None  # all three, exactly
+    assert "bank of 3 s" in str(timed.take(1.25))
+
+
+def test_time_between_an_answer_and_the_next_call_is_free() -> None:
+    timed = Timed()
+    timed.take(1.0)
+    timed.clock.now += 1e6
+    assert timed.bank.overdue() is None
+    assert timed.take(1.0) is None
+
+
+def test_an_agent_that_never_answers_is_overdue_when_the_bank_is_empty() -> None:
+    timed = Timed()
+    timed.take(2.0)
+    timed.bank.called(Kind.AGENT_STEP)
+    timed.clock.now += 3.0
+    assert timed.bank.overdue() is None
+    timed.clock.now += 0.25
+    assert "bank" in str(timed.bank.overdue())
+
+
+def test_a_call_sent_again_is_one_call() -> None:
+    timed = Timed()
+    assert timed.take(3.0) is None
+    timed.clock.now += 50.0
+    assert timed.bank.answered() is None  # nothing was asked
+
+
+def test_initialising_has_a_limit_of_its_own() -> None:
+    timed = Timed()
+    assert timed.take(2.0, Kind.AGENT_SEED) is None
+    assert timed.take(3.0, Kind.AGENT_INIT) is None
+    assert timed.take(4.0) is None  # the bank is whole
+    assert "initialise" in str(timed.take(0.25, Kind.AGENT_INIT))
+
+
+def test_all_answers_together_have_a_limit() -> None:
+    timed = Timed(TimeLimits(total_seconds=10.0))
+    for _ in range(10):
+        assert timed.take(1.0) is None
+    assert "10 s in all" in str(timed.take(0.25))
+
+
+@pytest.mark.parametrize("seconds", [-1.0, float("nan"), float("inf"), 1e9])
+def test_a_limit_is_a_time(seconds: float) -> None:
+    with pytest.raises(ConfigError, match="bank_seconds"):
+        TimeLimits(bank_seconds=seconds)
+
+
+@pytest.fixture
+def timed() -> tuple[Rig, Clock]:
+    """In the middle of an episode: the agent is asked for a step."""
+    clock = Clock()
+    rig = Rig(HubConfig(heartbeat=1.0, timeout=5.0, time=LIMITS), clock)
+    rig.fill()
+    rig.ask(Kind.RL_INIT, 1, None)
+    rig.serve()
+    rig.ask(Kind.RL_EPISODE, 2, 0)
+    assert [rig.answer(route) for route in "eae"] == [Kind.ENV_START, Kind.AGENT_START, Kind.ENV_STEP]
+    return rig, clock
+
+
+def test_a_slow_answer_is_the_last(timed: tuple[Rig, Clock]) -> None:
+    rig, clock = timed
+    clock.now += 3.0
+    assert rig.answer("a") is Kind.AGENT_STEP
+    assert rig.answer("e") is Kind.ENV_STEP
+    clock.now += 3.0
+    rig.received("x")
+    assert rig.answer("a") is Kind.AGENT_STEP
+    errors = [message for message in rig.received("x") if message.kind is Kind.ERROR]
+    assert [message.scalars[0] for message in errors] == [ErrorCode.PEER_FAILED]
+    assert "bank of 3 s is empty" in str(errors[0].scalars[1])
+    assert [message.kind for message in rig.received("a")] == [Kind.GOODBYE]
+    assert not rig.inbox.get("e")  # the late answer is not carried out
+
+
+def test_an_agent_that_sleeps_is_dismissed_at_a_tick(timed: tuple[Rig, Clock]) -> None:
+    rig, clock = timed
+    rig.received("x")
+    rig.received("a")
+    clock.now += 4.0
+    rig.tick(1.0)
+    assert not rig.received("x")
+    clock.now += 0.5
+    rig.tick(1.0)
+    assert Kind.ERROR in [message.kind for message in rig.received("x")]
+    assert [message.kind for message in rig.received("a")] == [Kind.GOODBYE]
+
+
+def test_the_environment_has_all_the_time(timed: tuple[Rig, Clock]) -> None:
+    rig, clock = timed
+    assert rig.answer("a") is Kind.AGENT_STEP
+    clock.now += 1e4
+    rig.tick(1.0)
+    assert rig.answer("e") is Kind.ENV_STEP
+    assert rig.answer("a") is Kind.AGENT_STEP
+    assert Kind.ERROR not in [message.kind for message in rig.received("x")]
+
+
+def test_without_limits_nothing_is_measured() -> None:
+    clock = Clock()
+    rig = Rig(clock=clock)
+    rig.fill()
+    rig.ask(Kind.RL_INIT, 1, None)
+    assert rig.answer("e") is Kind.ENV_INIT
+    clock.now += 1e6
+    rig.tick(1.0)
+    assert rig.answer("a") is Kind.AGENT_INIT
+    assert Role.AGENT in rig.board._sessions["s"].peers

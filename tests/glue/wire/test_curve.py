@@ -1,0 +1,448 @@
+"""Both ends of CURVE without sockets, and each against libzmq: who gets in, and what is refused."""
+
+from __future__ import annotations
+
+import socket
+import struct
+from collections.abc import Callable
+
+import pytest
+import zmq
+
+pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
+
+from glue.errors import RemoteProtocolError
+from glue.keys.certificates import encode as key_text
+from glue.types import Observation
+from glue.wire import curve
+from glue.wire.codec import FROM_HUB, TO_HUB
+from glue.wire.codec import encode as frames_of
+from glue.wire.curve import CurveServer, public_key
+from glue.wire.messages import Kind, Message
+from glue.wire.stream import Stream
+from glue.wire.zmtp import (
+    CURVE_CLIENT_GREETING,
+    CURVE_GREETING,
+    DEALER,
+    GREETING,
+    ROUTER,
+    Decoder,
+    HandshakeEnded,
+    HandshakeRefused,
+    OtherMechanism,
+    encode,
+)
+from tests.glue.wire.test_zmtp import events
+from tests.scripted.curve import GREETING as CLIENT_GREETING
+from tests.scripted.curve import METADATA, CurveClient, Pair, command
+
+MAX_FRAME = 100_000
+BODY = bytes(Observation([1, 2], [0.5], b"abc").body)
+CALL = Message(Kind.ENV_STEP, "a", 1, (), BODY)
+ANSWER = Message(Kind.ENV_STEP, "a", 1, (-0.5, False), BODY)
+SERVER, CAROL, STRANGER = Pair.new(), Pair.new(), Pair.new()
+
+
+def server(*known: bytes) -> CurveServer:
+    return CurveServer(SERVER.secret, (known or (CAROL.public,)).__contains__)
+
+
+def greeted(mechanism: CurveServer | None = None) -> Decoder:
+    """A decoder that has received a client's greeting."""
+    decoder = Decoder(ROUTER, MAX_FRAME, mechanism or server())
+    assert events(decoder, CLIENT_GREETING) == []
+    return decoder
+
+
+def said(decoder: Decoder, data: bytes) -> bytes:
+    """The body of the one command that comes of `data`."""
+    [answer] = events(decoder, data)
+    assert isinstance(answer, bytes)
+    assert answer[0] == 4
+    assert answer[1] == len(answer) - 2
+    return answer[2:]
+
+
+def welcomed(decoder: Decoder, client: CurveClient) -> None:
+    client.welcome(said(decoder, command(client.hello())))
+
+
+def connected(mechanism: CurveServer | None = None) -> tuple[Decoder, CurveClient]:
+    """Both ends of a connection, the handshake complete."""
+    decoder, client = greeted(mechanism), CurveClient(CAROL, SERVER.public)
+    welcomed(decoder, client)
+    assert client.ready(said(decoder, command(client.initiate()))) == METADATA.replace(b"DEALER", b"ROUTER")
+    assert decoder.ready
+    return decoder, client
+
+
+def test_a_public_key_belongs_to_its_secret_one() -> None:
+    assert public_key(SERVER.secret) == SERVER.public
+
+
+def test_the_greeting_of_the_server_says_that_it_is_one() -> None:
+    assert CLIENT_GREETING[:32] + b"\x01" + bytes(31) == CURVE_GREETING
+    assert CLIENT_GREETING == CURVE_CLIENT_GREETING
+
+
+def test_messages_go_both_ways_with_their_flags_encrypted() -> None:
+    mechanism = server()
+    decoder, client = connected(mechanism)
+    assert mechanism.client == CAROL.public
+    large = bytes(MAX_FRAME)
+    assert events(decoder, client.message(b"header", 1) + client.message(large)) == [[b"header", large]]
+    first, second = mechanism.encode([b"header"]), mechanism.encode([b"x", large])
+    assert client.read(first[2:]) == (0, b"header")
+    assert client.read(second[2 : 2 + second[1]]) == (1, b"x")
+    assert client.read(second[2 + second[1] + 9 :]) == (0, large)
+    for data in (first, second):
+        assert b"header" not in data
+        assert data[0] == 0, "neither flag of ZMTP is set outside of the box"
+    assert first[2:10] == b"\x07MESSAGE"
+
+
+def test_bytes_that_come_one_by_one_are_understood() -> None:
+    decoder, client = Decoder(ROUTER, MAX_FRAME, server()), CurveClient(CAROL, SERVER.public)
+
+    def one_by_one(data: bytes) -> list[list[bytes] | bytes]:
+        return [event for at in range(len(data)) for event in events(decoder, data[at : at + 1])]
+
+    assert one_by_one(CLIENT_GREETING) == []
+    [welcome] = one_by_one(command(client.hello()))
+    assert isinstance(welcome, bytes)
+    client.welcome(welcome[2:])
+    assert len(one_by_one(command(client.initiate()))) == 1
+    assert one_by_one(client.message(bytes(300), 1) + client.message(b"")) == [[bytes(300), b""]]
+
+
+def test_a_ping_is_answered_encrypted() -> None:
+    decoder, client = connected()
+    [pong] = events(decoder, client.message(b"\x04PING\x00\x10abc", 2))
+    assert isinstance(pong, bytes)
+    assert client.read(pong[2:]) == (2, b"\x04PONGabc")
+    assert events(decoder, client.message(b"\x03SUB", 2) + client.message(b"x")) == [[b"x"]]
+
+
+def test_nothing_in_plain_text_is_read_quickly() -> None:
+    decoder, _ = connected()
+    decoder.receive_data(b"\0\1x")
+    assert not decoder.take_back(), "a step in plain text would be taken for one of the peer's"
+
+
+def test_an_unknown_key_is_told_400_and_refused() -> None:
+    decoder, client = greeted(), CurveClient(STRANGER, SERVER.public)
+    welcomed(decoder, client)
+    with pytest.raises(HandshakeRefused, match="key is not allowed") as refused:
+        events(decoder, command(client.initiate()))
+    assert refused.value.farewell == b"\x04\x0a\x05ERROR\x03400"
+    assert not decoder.ready
+
+
+def test_another_public_key_of_the_server_is_refused() -> None:
+    with pytest.raises(HandshakeRefused) as refused:
+        events(greeted(), command(CurveClient(CAROL, STRANGER.public).hello()))
+    assert refused.value.farewell == b"\x04\x0a\x05ERROR\x03400"
+
+
+Bent = Callable[[CurveClient], bytes]
+
+BENT: dict[str, Bent] = {
+    "another C' in the vouch": lambda client: client.initiate(vouched=STRANGER.public + SERVER.public),
+    "another S in the vouch": lambda client: client.initiate(vouched=client.short.public + STRANGER.public),
+    "half a vouch": lambda client: client.initiate(vouched=client.short.public),
+    "another's C": lambda client: client.initiate(claimed=CAROL.public),
+    "a cookie of its own": lambda client: client.initiate(cookie=bytes(96)),
+    "too short": lambda client: client.initiate()[:-30],
+    "no INITIATE": lambda client: client.hello(),
+    "an old nonce": lambda client: (setattr(client, "number", 0), client.initiate())[1],  # type: ignore[func-returns-value]
+    "another socket": lambda client: client.initiate(METADATA.replace(b"DEALER", b"SUB".ljust(6))),
+    "no socket": lambda client: client.initiate(b""),
+}
+
+
+@pytest.mark.parametrize("bent", BENT.values(), ids=BENT)
+def test_an_initiate_is_checked_whoever_made_it(bent: Bent) -> None:
+    # The key is known, but for the one who claims another's: what is refused is the rest.
+    own = STRANGER if bent is BENT["another's C"] else CAROL
+    decoder, client = greeted(), CurveClient(own, SERVER.public)
+    welcomed(decoder, client)
+    with pytest.raises(RemoteProtocolError):
+        events(decoder, command(bent(client)))
+    assert not decoder.ready
+
+
+def _with_bit(data: bytes, at: int, bit: int) -> bytes:
+    return data[:at] + bytes((data[at] | bit,)) + data[at + 1 :]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [
+        CurveClient(CAROL, SERVER.public).hello(version=b"\x02\x00"),
+        CurveClient(CAROL, SERVER.public).hello(zeros=bytes(63) + b"\1"),
+        CurveClient(CAROL, SERVER.public, number=-1).hello(),
+        CurveClient(CAROL, SERVER.public).hello() + b"\0",
+        CurveClient(CAROL, SERVER.public, Pair(bytes(32), CAROL.secret)).hello(),
+        _with_bit(CurveClient(CAROL, SERVER.public).hello(), 80 + 31, 0x80),
+        b"\x05READY" + METADATA,
+        b"",
+    ],
+    ids=["version", "box", "nonce 0", "too long", "low order", "ignored bit", "NULL's READY", "empty"],
+)
+def test_a_hello_is_checked(body: bytes) -> None:
+    with pytest.raises(RemoteProtocolError) as raised:
+        events(greeted(), command(body))
+    assert str(raised.value).isprintable()
+
+
+def test_what_was_recorded_of_one_connection_opens_no_other() -> None:
+    first, second, third = greeted(), greeted(), greeted()
+    client = CurveClient(CAROL, SERVER.public)
+    hello = command(client.hello())
+    client.welcome(said(first, hello))
+    initiate = command(client.initiate())
+    said(first, initiate)
+    assert first.ready
+    said(second, hello)  # a HELLO proves nothing, and its answer says nothing to who repeats it
+    with pytest.raises(RemoteProtocolError, match="inconsistent"):
+        events(second, initiate)
+    with pytest.raises(RemoteProtocolError, match="HELLO"):
+        events(third, initiate)
+    assert not second.ready
+    assert not third.ready
+
+
+def test_within_a_connection_neither_handshake_nor_message_can_be_repeated() -> None:
+    for repeat in ("hello", "initiate", "message"):
+        decoder, client = greeted(), CurveClient(CAROL, SERVER.public)
+        sent = {"hello": command(client.hello())}
+        client.welcome(said(decoder, sent["hello"]))
+        if repeat != "hello":
+            sent["initiate"] = command(client.initiate())
+            said(decoder, sent["initiate"])
+            sent["message"] = client.message(b"once")
+            assert events(decoder, sent["message"]) == [[b"once"]]
+        with pytest.raises(RemoteProtocolError):
+            events(decoder, sent[repeat])
+
+
+def test_nonces_may_leave_gaps_and_never_go_back() -> None:
+    decoder, client = connected()
+    late = client.message(b"late")
+    client.number += 1000
+    assert events(decoder, client.message(b"x")) == [[b"x"]]
+    with pytest.raises(RemoteProtocolError, match="a replay"):
+        events(decoder, late)
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        (encode([b"plain"]), "not encrypted"),
+        (encode([bytes(100)]), "not encrypted"),
+        (encode([b"first", b"second"]), "cannot have the flags 1"),
+        (b"\x04\x07\x04PING\x00\x00", "cannot have the flags 4"),
+        (b"\x04\x0a\x05ERROR\x03400", "cannot have the flags 4"),
+        (b"\x02" + struct.pack(">Q", MAX_FRAME + 34), f"{MAX_FRAME + 33} are allowed"),
+    ],
+    ids=["short", "long", "two frames", "command", "error", "too large"],
+)
+def test_after_the_handshake_all_is_encrypted(said: bytes, why: str) -> None:
+    decoder, _ = connected()
+    with pytest.raises(RemoteProtocolError, match=why):
+        events(decoder, said)
+
+
+@pytest.mark.parametrize("flags", [3, 4, 255])
+def test_flags_in_the_box_are_checked(flags: int) -> None:
+    decoder, client = connected()
+    with pytest.raises(RemoteProtocolError, match=f"flags {flags} in it"):
+        events(decoder, client.message(b"x", flags))
+
+
+def test_a_message_changed_on_its_way_is_refused() -> None:
+    for at in range(2, 40):
+        decoder, client = connected()
+        frame = bytearray(client.message(b"15 bytes are 40"[:7]))
+        frame[at] ^= 1
+        with pytest.raises(RemoteProtocolError):
+            events(decoder, bytes(frame))
+
+
+def test_each_mechanism_refuses_the_other_clearly() -> None:
+    with pytest.raises(RemoteProtocolError, match="b'NULL'; only CURVE is supported here"):
+        events(Decoder(ROUTER, MAX_FRAME, server()), GREETING)
+    with pytest.raises(RemoteProtocolError, match="b'CURVE'; only NULL is supported here"):
+        events(Decoder(DEALER, MAX_FRAME), CURVE_GREETING)
+    with pytest.raises(RemoteProtocolError, match="both sides are servers"):
+        events(Decoder(ROUTER, MAX_FRAME, server()), CURVE_GREETING)
+
+
+def test_a_client_that_gives_up_is_heard() -> None:
+    with pytest.raises(HandshakeEnded):
+        events(greeted(), b"\x04\x0a\x05ERROR\x03500")
+
+
+# The client's end.
+
+
+def client_of(own: Pair = CAROL, expected: bytes = SERVER.public) -> tuple[curve.CurveClient, Decoder]:
+    """Return the client's end of a connection, and its decoder."""
+    mechanism = curve.CurveClient(own.public, own.secret, expected)
+    return mechanism, Decoder(DEALER, MAX_FRAME, mechanism)
+
+
+def shake_hands(client: Decoder, hub: Decoder, piece: int = MAX_FRAME) -> None:
+    """Pass on what both ends say, a piece at a time, until neither says anything more."""
+    pending = [(hub, CURVE_CLIENT_GREETING), (client, CURVE_GREETING)]
+    while pending:
+        receiver, data = pending.pop(0)
+        sender = client if receiver is hub else hub
+        for at in range(0, len(data), piece):
+            for event in events(receiver, data[at : at + piece]):
+                assert isinstance(event, bytes)
+                pending.append((sender, event))
+
+
+@pytest.mark.parametrize("piece", [1, 7, MAX_FRAME])
+def test_both_ends_understand_each_other(piece: int) -> None:
+    (ours, client), hub_end = client_of(), server()
+    hub = Decoder(ROUTER, MAX_FRAME, hub_end)
+    shake_hands(client, hub, piece)
+    assert client.ready
+    assert hub.ready
+    assert hub_end.client == CAROL.public
+    large = bytes(MAX_FRAME)
+    for sender, receiver in ((ours, hub), (hub_end, client)):
+        first, second = sender.encode([b"header", large]), sender.encode([b""])
+        assert b"header" not in first
+        assert events(receiver, first + second) == [[b"header", large], [b""]]
+        with pytest.raises(RemoteProtocolError, match="a replay"):
+            events(receiver, first)
+
+
+def test_no_two_connections_use_the_same_keys() -> None:
+    hellos = {client_of()[0].begin() for _ in range(3)}
+    assert len(hellos) == 3
+
+
+def test_a_client_tells_its_unknown_key_from_a_wrong_key_of_the_hub() -> None:
+    for own, expected, known in ((STRANGER, SERVER.public, True), (CAROL, STRANGER.public, False)):
+        mechanism, client = client_of(own, expected)
+        hub = greeted()
+        [hello] = events(client, CURVE_GREETING)
+        assert isinstance(hello, bytes)
+        with pytest.raises(HandshakeRefused) as refused:
+            events(hub, said_to(client, events(hub, hello)))
+        with pytest.raises(HandshakeEnded):
+            events(client, refused.value.farewell)
+        assert mechanism.server_known is known
+        assert not client.ready
+
+
+def said_to(receiver: Decoder, answers: list[list[bytes] | bytes]) -> bytes:
+    """Return a decoder's answers to the answers of the other end."""
+    heard = b"".join(answer for answer in answers if isinstance(answer, bytes))
+    return b"".join(event for event in events(receiver, heard) if isinstance(event, bytes))
+
+
+def test_a_client_believes_no_changed_handshake() -> None:
+    for changed in ("welcome", "ready"):
+        for at in (0, 5, 10, 40, -1):
+            (_, client), hub = client_of(), greeted()
+            [hello] = events(client, CURVE_GREETING)
+            [answer] = events(hub, bytes(hello))  # type: ignore[arg-type]
+            if changed == "ready":
+                [initiate] = events(client, bytes(answer))  # type: ignore[arg-type]
+                [answer] = events(hub, bytes(initiate))  # type: ignore[arg-type]
+            body = bytearray(answer[2:])  # type: ignore[arg-type]
+            body[at] ^= 1
+            with pytest.raises(RemoteProtocolError):
+                events(client, command(bytes(body)))
+            assert not client.ready
+
+
+@pytest.mark.parametrize(
+    "body", [b"\x05READY", b"\x07WELCOME" + bytes(159), b"\x07WELCOME" + bytes(161), b"x"], ids=str
+)
+def test_a_client_takes_only_a_welcome_for_its_hello(body: bytes) -> None:
+    _, client = client_of()
+    events(client, CURVE_GREETING)
+    with pytest.raises(RemoteProtocolError):
+        events(client, command(body))
+
+
+def test_a_client_refuses_a_hub_in_plain_text() -> None:
+    with pytest.raises(OtherMechanism):
+        events(client_of()[1], GREETING)
+
+
+def test_a_client_and_a_router_of_libzmq_understand_each_other() -> None:
+    with zmq.Context() as context, context.socket(zmq.ROUTER) as router:
+        router.setsockopt(zmq.RCVTIMEO, 20_000)
+        router.curve_server = True
+        router.curve_secretkey = key_text(SERVER.secret).encode()
+        router.setsockopt(zmq.HEARTBEAT_IVL, 20)
+        port = router.bind_to_random_port("tcp://127.0.0.1")
+        mechanism, decoder = client_of()
+        with socket.create_connection(("127.0.0.1", port), 20) as peer:
+
+            def read() -> list[bytes] | None:
+                """Return the next message, or None once the handshake is complete."""
+                for event in events(decoder, peer.recv(65_536)):
+                    if isinstance(event, list):
+                        return event
+                    peer.sendall(event)
+                return None
+
+            peer.sendall(CURVE_CLIENT_GREETING)
+            while not decoder.ready:
+                read()
+            sent = [b"header", bytes(MAX_FRAME)]
+            peer.sendall(mechanism.encode(sent))
+            received = router.recv_multipart()
+            assert received[1:] == sent
+            router.send_multipart(received)
+            while (answer := read()) is None:
+                pass
+            assert answer == sent
+
+
+def streams() -> tuple[Stream, Stream]:
+    """Return a hub's and a peer's end of an encrypted connection, which have exchanged a step."""
+    hub = Stream(ROUTER, MAX_FRAME, mechanism=server())
+    peer = Stream(DEALER, MAX_FRAME, mechanism=client_of()[0])
+    hub.receive_data(CURVE_CLIENT_GREETING)
+    peer.receive_data(CURVE_GREETING)
+    while not (hub.ready and peer.ready):
+        for one, other in ((hub, peer), (peer, hub)):
+            while (said := one.next_event()) is not None:
+                assert isinstance(said, bytes)
+                if said:
+                    other.receive_data(said)
+    for _ in range(2):
+        for one, other, message in ((hub, peer, CALL), (peer, hub, ANSWER)):
+            other.receive_data(b"".join(one.encode(message)))
+            assert other.next_event() == message
+    return hub, peer
+
+
+def test_steps_cross_an_encrypted_connection_as_they_are() -> None:
+    for body in (BODY, bytes(Observation(range(20_000)).body)):
+        hub, peer = streams()
+        for seq in (3, 200, 70_000, 2**32):
+            answer = ANSWER._replace(seq=seq, body=body)
+            data = b"".join(peer.encode(answer))
+            assert body not in data
+            for at in range(0, len(data), 1000):
+                hub.receive_data(data[at : at + 1000])
+            assert hub.next_event() == answer
+            assert hub.next_event() is None
+
+
+def test_a_step_in_plain_text_is_never_taken_for_an_encrypted_one() -> None:
+    hub, peer = streams()
+    for receiver, message, table in ((hub, ANSWER, TO_HUB), (peer, CALL, FROM_HUB)):
+        receiver.receive_data(encode(frames_of(message, table)))
+        with pytest.raises(RemoteProtocolError):
+            receiver.next_event()

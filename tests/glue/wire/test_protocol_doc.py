@@ -1,0 +1,443 @@
+"""docs/protocol.md says what the program does: its examples to the byte, its tables, its limits."""
+
+from __future__ import annotations
+
+import re
+import struct
+from typing import Any, Final
+
+import msgpack
+import pytest
+
+from glue.engine.local import local
+from glue.errors import LocalProtocolError, RemoteProtocolError
+from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
+from glue.hub.io.channels import GREETING_SECONDS, MAX_UNSEATED, MAX_UNSENT
+from glue.hub.io.server import Hub
+from glue.hub.sessions import INSTANCE_SIZE, ONE_RUN, Switchboard
+from glue.types import CUT_OFF, AbstractType, Action, Observation, body_size
+from glue.wire.codec import FROM_HUB, MAX_BODY, MAX_HEADER, MAX_NAME, TO_HUB, decode, encode
+from glue.wire.messages import (
+    CALLS,
+    CONTROL,
+    OBSERVING,
+    OUTCOME,
+    PROTOCOL_VERSION,
+    Body,
+    ErrorCode,
+    Event,
+    Kind,
+    Message,
+    Role,
+    Scalar,
+    Shape,
+)
+from tests.glue.wire.examples import DOCS, EXAMPLES, TEXT, Example, blocks
+from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.scripted.peer import ScriptedPeer, framed
+
+NOTHING: Final = "–"
+
+
+def tables(*head: str) -> list[list[list[str]]]:
+    """Return the rows of every table with these column heads."""
+    line = re.escape("| " + " | ".join(head) + " |")
+    found = re.findall(rf"^{line}\n\|[- |]+\|\n((?:\|.*\|\n)+)", TEXT, re.MULTILINE)
+    return [[[cell.strip() for cell in row.strip("|").split("|")] for row in t.splitlines()] for t in found]
+
+
+def table(*head: str) -> list[list[str]]:
+    (rows,) = tables(*head)
+    return rows
+
+
+# --- The examples -------------------------------------------------------------------------------------
+
+
+KINDS_HEAD: Final = ("code", "kind", "request: scalars", "request: body", "reply: scalars", "reply: body")
+CONTROL_HEAD: Final = ("code", "kind", "direction", "scalars")
+OBSERVING_HEAD: Final = ("code", "kind", "direction", "scalars", "body")
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=str)
+def test_example_decodes_to_what_it_means(example: Example) -> None:
+    message = decode(example.frames, example.shapes)
+
+    kind, session, seq, *scalars = example.meant
+    assert message[:3] == (example.kind, session, seq)
+    assert kind == example.kind
+    assert list(message.scalars) == [tuple(s) if isinstance(s, list) else s for s in scalars]
+    assert b"".join(example.frames[1:]) == message.body
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=str)
+def test_example_is_what_its_meaning_encodes_to(example: Example) -> None:
+    kind, session, seq, *scalars = example.meant
+    message = Message(Kind(kind), session, seq, tuple(scalars), b"".join(example.frames[1:]))
+
+    frames = encode(message, example.shapes)
+
+    assert [f.hex(" ") for f in frames] == [f.hex(" ") for f in example.frames]
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=str)
+def test_commentary_of_an_example_is_true(example: Example) -> None:
+    shape = example.shapes[example.kind]
+    body = b"".join(example.frames[1:])
+    if shape.body in (Body.OBSERVATION, Body.ACTION):
+        expected = comments_on(body)
+    elif shape.body is Body.OBSERVATION_ACTION:
+        cut = body_size(body)
+        expected = comments_on(body[:cut]) + comments_on(body[cut:])
+    elif shape.body is Body.TEXT and body:
+        quoted = [comment.split('"')[1] for comment in example.comments]
+        assert "".join(quoted) == body.decode()
+        return
+    else:
+        return
+    assert example.comments == expected
+
+
+def comments_on(body: bytes) -> list[str]:
+    value = AbstractType.from_body(body)
+    ints, doubles, chars = value.counts
+    counts = [
+        f"{count} {name}{'' if count == 1 else 's'}"
+        for count, name in ((ints, "int"), (doubles, "double"), (chars, "char"))
+    ]
+    text = [f'"{value.chars.decode()}"'.replace("\n", "\\n")] if chars else []
+    return [*counts, "zero", *map(repr, value.doubles.tolist()), *map(str, value.ints.tolist()), *text]
+
+
+def test_every_kind_has_an_example_in_every_direction() -> None:
+    expected = set()
+    for kind, call in CALLS.items():
+        asker = "experiment" if call.callee is None else "hub"
+        answerer = "hub" if call.callee is None else str(call.callee)
+        expected |= {(kind, asker, answerer), (kind, answerer, asker)}
+    for _, name, direction, _ in table(*CONTROL_HEAD):
+        for way in ("peer → hub", "hub → peer") if direction == "either" else (direction,):
+            sender, receiver = way.split(" → ")
+            expected.add((Kind[name], sender, receiver))
+    for _, name, direction, _, _ in table(*OBSERVING_HEAD):
+        sender, receiver = direction.split(" → ")
+        expected.add((Kind[name], sender, receiver))
+
+    assert {(e.kind, e.sender, e.receiver) for e in EXAMPLES} == expected
+
+
+def test_the_example_of_a_body_is_right() -> None:
+    block, *_ = blocks("body")
+    lines = [line.partition(";") for line in block.splitlines()]
+    body = b"".join(bytes.fromhex(data) for data, _, _ in lines)
+
+    assert body == Observation([11, -2], [0.5], b"abc").body
+    assert [comment.strip() for _, _, comment in lines] == comments_on(body)
+
+
+def test_code_in_the_text_is_that_of_the_examples() -> None:
+    (c,) = blocks("c")
+    (javascript,) = blocks("js")
+
+    assert c in (DOCS / "examples/c/peer.h").read_text()
+    assert javascript in (DOCS.parent / "clients/javascript/src/body.js").read_text()
+
+
+# --- The tables ---------------------------------------------------------------------------------------
+
+TYPES: Final = {int: "int", float: "float", bool: "bool", str: "text", bytes: "binary"}
+
+BODIES: Final = {
+    Body.NONE: NOTHING,
+    Body.OBSERVATION: "observation",
+    Body.ACTION: "action",
+    Body.OBSERVATION_ACTION: "observation, action",
+    Body.TEXT: "text",
+    Body.BLOB: "bytes",
+}
+
+
+def scalars_cell(shape: Shape) -> str:
+    cells = [
+        ", ".join(f"`{scalar.name}` {type_cell(scalar)}" for scalar in s) for s in (shape.scalars, shape.more)
+    ]
+    return f"; with [`{OUTCOME}`](#capabilities) also ".join(filter(None, cells)) or NOTHING
+
+
+def type_cell(scalar: Scalar) -> str:
+    if scalar.items is not None:
+        return f"array of {TYPES[scalar.items]}"
+    return TYPES[scalar.type] + (" or nil" if scalar.optional else "")
+
+
+def call_row(kind: Kind) -> list[str]:
+    request, reply = CALLS[kind].request, CALLS[kind].reply
+    cells = [scalars_cell(request), BODIES[request.body], scalars_cell(reply), BODIES[reply.body]]
+    return [str(int(kind)), kind.name, *cells]
+
+
+def test_tables_of_the_players_calls_are_those_of_the_program() -> None:
+    environment, agent = tables(*KINDS_HEAD, "capability")
+
+    for rows, role in ((environment, Role.ENVIRONMENT), (agent, Role.AGENT)):
+        expected = [
+            [*call_row(kind), f"`{call.capability}`" if call.capability else NOTHING]
+            for kind, call in CALLS.items()
+            if call.callee is role
+        ]
+        assert sorted(rows) == sorted(expected)
+
+
+def test_table_of_the_experiments_requests_is_that_of_the_program() -> None:
+    expected = [call_row(kind) for kind, call in CALLS.items() if call.callee is None]
+
+    assert sorted(table(*KINDS_HEAD)) == sorted(expected)
+
+
+def test_table_of_control_messages_is_that_of_the_program() -> None:
+    rows = [[code, kind, scalars] for code, kind, _, scalars in table(*CONTROL_HEAD)]
+
+    assert sorted(rows) == sorted([str(int(k)), k.name, scalars_cell(s)] for k, s in CONTROL.items())
+    assert {shape.body for shape in CONTROL.values()} == {Body.NONE}
+
+
+def test_table_of_what_observers_are_shown_is_that_of_the_program() -> None:
+    rows = [[code, kind, scalars, body] for code, kind, _, scalars, body in table(*OBSERVING_HEAD)]
+
+    assert sorted(rows) == sorted(
+        [str(int(kind)), kind.name, scalars_cell(shape), BODIES[shape.body]]
+        for kind, shape in OBSERVING.items()
+    )
+
+
+class Sent:
+    """A route that keeps what is sent."""
+
+    def __init__(self) -> None:
+        self.messages: list[Message] = []
+
+    def deliver(self, message: Message) -> bool:
+        self.messages.append(message)
+        return True
+
+    def admits(self, role: Role, session: str) -> bool:
+        return True
+
+
+def test_what_only_the_hub_sends_is_refused_from_a_peer() -> None:
+    for example in EXAMPLES:
+        if example.kind not in CONTROL or example.sender != "hub":
+            continue
+        board, answers = Switchboard(HubConfig(), lambda line: None), Sent()
+        hello = next(decode(e.frames, TO_HUB) for e in EXAMPLES if e.kind is Kind.HELLO)
+        board.receive(answers, hello, 0.0)
+        answers.messages.clear()
+        board.receive(answers, decode(example.frames, TO_HUB)._replace(session=hello.session), 0.0)
+
+        direction = next(row[2] for row in table(*CONTROL_HEAD) if row[1] == example.kind.name)
+        refused = [m.scalars[0] for m in answers.messages if m.kind is Kind.ERROR] == [ErrorCode.NOT_ASKED]
+        # An ERROR may be sent by either, but here it is the answer to a call that was not made.
+        assert refused == (direction.startswith("hub") or example.kind is Kind.ERROR)
+
+
+def test_tables_of_scalars_of_the_greeting_are_complete() -> None:
+    hello, welcome = tables("scalar", "meaning")
+
+    for rows, kind in ((hello, Kind.HELLO), (welcome, Kind.WELCOME)):
+        assert [row[0].strip("`") for row in rows] == [scalar.name for scalar in CONTROL[kind].scalars]
+
+
+def test_table_of_errors_is_that_of_the_program() -> None:
+    rows = table("code", "in", "from", "meaning")
+
+    assert sorted(row[0].strip("`") for row in rows) == sorted(ErrorCode)
+
+
+def test_table_of_capabilities_is_that_of_the_program() -> None:
+    rows = table("capability", "calls", "meaning")
+
+    documented = {(row[0].strip("`"), name) for row in rows for name in row[1].split(", ")}
+    with_calls = {(c.capability, k.name) for k, c in CALLS.items() if c.capability is not None}
+    others = (ONE_RUN, OUTCOME, "truncate", "batch")
+    assert documented == with_calls | {(name, NOTHING) for name in others}
+
+
+def test_every_event_of_a_notice_is_named() -> None:
+    for event in Event:
+        assert f"`{event}`" in TEXT
+
+
+def test_limits_and_defaults_are_those_of_the_program() -> None:
+    config = HubConfig()
+
+    limits = [row[1] for row in table("limit", "value")]
+    assert limits == [
+        f"{MAX_HEADER} bytes",
+        f"{config.max_body} bytes",
+        "64",
+        f"1 to {MAX_NAME} characters, all printable",
+        "0 to 2^63 - 1",
+        f"{INSTANCE_SIZE} bytes",
+    ]
+    assert config.max_body == MAX_BODY
+    room = [row[1] for row in table("room", "value", "beyond it")]
+    assert room == [
+        "a quarter of those of the hub",
+        f"{GREETING_SECONDS:g} s",
+        f"{MAX_UNSEATED}",
+        "a quarter of the machine's memory, or as the hub is configured",
+        f"{MAX_UNSENT} bytes",
+    ]
+    defaults = [row[1] for row in table("default", "value")]
+    assert defaults == [
+        f"`{DEFAULT_HUB}`",
+        f"`{DEFAULT_SESSION}`",
+        f"{config.heartbeat:g} s",
+        f"{config.timeout:g} s",
+        f"{config.max_sessions}",
+    ]
+    assert (config.bind, PROTOCOL_VERSION) == ((DEFAULT_HUB,), 1)
+
+
+# --- The limits ---------------------------------------------------------------------------------------
+
+
+def hello(**changes: Any) -> tuple[bytes]:
+    scalars = {
+        "versions": [1],
+        "role": "agent",
+        "instance": bytes(16),
+        "name": "n",
+        "codec": "c",
+        "capabilities": [],
+    }
+    return (msgpack.packb([Kind.HELLO, "walk", 0, *(scalars | changes).values()]),)
+
+
+def test_header_may_be_as_long_as_said_and_no_longer() -> None:
+    spare = MAX_HEADER - len(hello(name="n" * 300)[0])
+    longest = hello(name="n" * (300 + spare))
+
+    assert len(longest[0]) == MAX_HEADER
+    assert decode(longest, TO_HUB).kind is Kind.HELLO
+    with pytest.raises(RemoteProtocolError, match=f"{MAX_HEADER} are allowed"):
+        decode(hello(name="n" * (301 + spare)), TO_HUB)
+    with pytest.raises(LocalProtocolError, match=f"{MAX_HEADER} are allowed"):
+        encode(Message(Kind.GOODBYE, "walk", 0, ("x" * MAX_HEADER,)), TO_HUB)
+
+
+def test_array_in_a_header_may_have_64_items_and_no_more() -> None:
+    assert decode(hello(versions=[1] * 64), TO_HUB).scalars[0] == (1,) * 64
+    with pytest.raises(RemoteProtocolError):
+        decode(hello(versions=[1] * 65), TO_HUB)
+
+
+@pytest.mark.parametrize("seed", [0, 2**31, 2**63 - 1])
+def test_whole_number_within_its_range_is_taken(seed: int) -> None:
+    frames = encode(Message(Kind.RL_INIT, "walk", 2**63 - 1, (seed,)), TO_HUB)
+
+    assert decode(frames, TO_HUB) == (Kind.RL_INIT, "walk", 2**63 - 1, (seed,), b"")
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63, 2**64 - 1, 1.0, True, "1"])
+def test_anything_else_in_its_place_is_refused(seed: object) -> None:
+    with pytest.raises(RemoteProtocolError, match="seed of RL_INIT is a whole number from 0 to 2"):
+        decode((msgpack.packb([Kind.RL_INIT, "walk", 1, seed]),), TO_HUB)
+    with pytest.raises(RemoteProtocolError):
+        decode((msgpack.packb([Kind.RL_RETURN, "walk", seed if seed != 1 else -1]),), TO_HUB)
+
+
+@pytest.mark.parametrize(
+    ("field", "items"), [("versions", ["1"]), ("versions", [-1.5]), ("capabilities", [1]), ("versions", 1)]
+)
+def test_array_of_other_things_than_said_is_refused(field: str, items: object) -> None:
+    with pytest.raises(RemoteProtocolError, match=f"{field} of HELLO is an array, each item"):
+        decode(hello(**{field: items}), TO_HUB)
+
+
+@pytest.mark.parametrize(
+    ("sent", "taken"),
+    [(b"\xca\x3f\x00\x00\x00", 0.5), (b"\x01", 1.0), (b"\xd3" + struct.pack(">q", -(2**53)), -(2.0**53))],
+    ids=["float 32", "fixint", "int 64"],
+)
+def test_reward_may_come_in_any_format_that_holds_it(sent: bytes, taken: float) -> None:
+    header = b"\x95\x0d\xa4walk\x07" + sent + b"\xc2"
+
+    assert decode((header, Observation().body), TO_HUB).scalars == (taken, False)
+
+
+def test_terminal_may_be_any_integer() -> None:
+    taken = [
+        decode((msgpack.packb([Kind.ENV_STEP, "walk", 7, 0.0, value]), Observation().body), TO_HUB).scalars[1]
+        for value in (0, 1, 2, 3, -1)
+    ]
+
+    assert taken == [False, True, CUT_OFF, True, True]
+
+
+def test_body_frame_is_there_even_when_it_is_empty() -> None:
+    with pytest.raises(RemoteProtocolError, match="needs a body frame"):
+        decode((msgpack.packb([Kind.ENV_INIT, "walk", 7]),), TO_HUB)
+    with pytest.raises(RemoteProtocolError, match="has no body"):
+        decode((msgpack.packb([Kind.AGENT_END, "walk", 7]), b""), TO_HUB)
+
+
+# --- What it says the program does --------------------------------------------------------------------
+
+
+def test_episodes_of_the_worked_table_come_out_as_said() -> None:
+    agent = ScriptedAgent()
+    heads = ("`max_steps`", "terminal", "RL_NUM_STEPS", "RL_NUM_EPISODES", "RL_RETURN", "the agent received")
+    with local(agent, ScriptedEnvironment(length=3, reward=1.0)) as glue:
+        glue.rl_init()
+        for max_steps, *expected in table(*heads):
+            del agent.calls[:]
+            terminal = str(glue.rl_episode(int(max_steps))).lower()
+            received = ", ".join(call.split()[0].removeprefix("agent_") for call in agent.calls)
+            counters = [glue.rl_num_steps(), glue.rl_num_episodes(), glue.rl_return()]
+            assert [terminal, *map(str, counters), received] == expected
+
+
+def test_zmtp_of_the_appendix_is_understood_by_a_hub() -> None:
+    parts = []
+    for block in blocks("zmtp"):
+        parts.append(b"".join(bytes.fromhex(line.partition(";")[0]) for line in block.splitlines()))
+    greeting, ready, ping, pong = parts
+    (greeted,) = next(e.frames for e in EXAMPLES if e.kind is Kind.HELLO)
+    with (
+        Hub(HubConfig(bind=("tcp://127.0.0.1:*",))).in_background() as hub,
+        ScriptedPeer(hub.endpoints[0]).connect() as peer,
+    ):
+        peer.send_bytes(greeting)
+        theirs = peer.read(len(greeting))
+        peer.send_bytes(ready)
+        commands = [peer.read_frame()[1]]
+        peer.send_bytes(framed(greeted) + ping)
+        messages: list[bytes] = []
+        while pong[2:] not in commands or not messages:
+            flags, data = peer.read_frame()
+            (messages if flags == 0 else commands).append(data)
+
+    assert theirs[10:32] == greeting[10:32]
+    assert commands[0].startswith(b"\x05READY\x0bSocket-Type\0\0\0\x06ROUTER")
+    assert decode((messages[0],), FROM_HUB).kind is Kind.WELCOME
+
+
+def test_links_lead_somewhere() -> None:
+    headings = re.findall(r"^#+ (.*)$", TEXT, re.MULTILINE)
+    anchors = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+    for target in re.findall(r"\]\(([^)]+)\)", TEXT):
+        if target.startswith("#"):
+            assert target[1:] in anchors
+        elif "://" not in target:
+            assert (DOCS / target).exists()
+
+
+def test_steps_to_build_an_agent_name_the_right_codes() -> None:
+    section = TEXT.partition("## What to build first")[2].partition("\n## ")[0]
+    named = re.findall(r"\b(\d+) \(([A-Z_]+)\)", section)
+
+    assert len(named) > 8
+    assert all(Kind(int(code)).name == name for code, name in named)
+    assert Action([5]).body == bytes.fromhex("01000000") + bytes(12) + struct.pack("<i", 5)

@@ -1,0 +1,144 @@
+"""Both ends of a connection: steps are recognised by their bytes, and nothing but speed shows it."""
+
+from __future__ import annotations
+
+import pytest
+
+from glue.errors import RemoteProtocolError
+from glue.types import CUT_OFF, Action, Observation
+from glue.wire import zmtp
+from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, encode
+from glue.wire.messages import Kind, Message
+from glue.wire.stream import Malformed, Stream
+
+BODY = bytes(Observation([1, 2], [0.5], b"abc").body)
+LONG = bytes(Action(range(100)).body)
+NUMBERS = [1, 127, 128, 255, 256, 65_535, 65_536, 2**32 - 1, 2**32]
+"""Both ends of each form that msgpack has for a whole number, and one for which there is no format."""
+
+SHAPES: list[tuple[Kind, bool, tuple[float | bool, ...]]] = [
+    (Kind.ENV_STEP, True, ()),
+    (Kind.ENV_STEP, False, (-0.25, True)),
+    (Kind.ENV_STEP, False, (1.0, CUT_OFF)),
+    (Kind.AGENT_STEP, True, (-0.25,)),
+    (Kind.AGENT_STEP, False, ()),
+]
+"""A kind, whether the hub sends it, and its scalars."""
+
+every_step = pytest.mark.parametrize(("kind", "from_hub", "scalars"), SHAPES)
+
+
+def connected() -> tuple[Stream, Stream]:
+    """Return the hub's end and a peer's, their handshake complete."""
+    hub, peer = Stream(zmtp.ROUTER, 2**20), Stream(zmtp.DEALER, 2**20)
+    hub.receive_data(zmtp.GREETING)
+    peer.receive_data(zmtp.GREETING)
+    for one, other in ((hub, peer), (peer, hub)):
+        ready = one.next_event()
+        assert isinstance(ready, bytes)
+        other.receive_data(ready)
+    assert hub.next_event() is peer.next_event() is None
+    assert hub.ready
+    assert peer.ready
+    return hub, peer
+
+
+def acquainted(kind: Kind, from_hub: bool, *sessions: str) -> tuple[Stream, Stream]:
+    """Return the sender and the receiver of a message of `kind`, who know its format in these sessions."""
+    hub, peer = connected()
+    for session in sessions:
+        hub.encode(Message(kind, session, 1, (1.0,) if kind is Kind.AGENT_STEP else (), BODY))
+        peer.encode(Message(kind, session, 1, (1.0, False) if kind is Kind.ENV_STEP else (), BODY))
+    return (hub, peer) if from_hub else (peer, hub)
+
+
+def read(stream: Stream, data: bytes) -> list[object]:
+    """Return all that a stream makes of `data`, errors included."""
+    stream.receive_data(data)
+    events: list[object] = []
+    while True:
+        try:
+            event = stream.next_event()
+        except (Malformed, UnknownKind) as error:
+            events.append((type(error), str(error)))
+            continue
+        except RemoteProtocolError as error:
+            return [*events, (type(error), str(error))]
+        if event is None:
+            return events
+        events.append(event)
+
+
+def plainly(message: Message, from_hub: bool) -> bytes:
+    """Return the bytes of a message by way of the codec."""
+    return zmtp.encode(encode(message, FROM_HUB if from_hub else TO_HUB))
+
+
+@every_step
+@pytest.mark.parametrize("body", [BODY, LONG], ids=["short", "long"])
+@pytest.mark.parametrize("session", ["s", "n" * 31, "n" * 32, "ä" * 255])
+def test_steps_are_written_as_by_the_codec_and_read_back(
+    kind: Kind, from_hub: bool, scalars: tuple[float | bool, ...], body: bytes, session: str
+) -> None:
+    sender, receiver = acquainted(kind, from_hub, session)
+    for seq in NUMBERS:
+        message = Message(kind, session, seq, scalars, body)
+        data = b"".join(sender.encode(message))
+        assert data == plainly(message, from_hub)
+        assert read(receiver, data) == [message]
+        assert receiver.empty
+        assert receiver.buffered == 0
+
+
+@every_step
+def test_a_damaged_step_is_read_as_by_the_codec(
+    kind: Kind, from_hub: bool, scalars: tuple[float | bool, ...]
+) -> None:
+    message = Message(kind, "s", 200, scalars, BODY)
+    data = plainly(message, from_hub)
+    for at in range(len(data) - len(BODY) + 16):
+        for bit in (0x01, 0x04, 0x80):
+            damaged = bytearray(data)
+            damaged[at] ^= bit
+            _, quick = acquainted(kind, from_hub, "s")
+            hub, peer = connected()
+            plain = peer if from_hub else hub
+            assert read(quick, bytes(damaged) + data) == read(plain, bytes(damaged) + data), (at, bit)
+
+
+@every_step
+def test_steps_of_several_sessions_are_read_however_they_are_cut(
+    kind: Kind, from_hub: bool, scalars: tuple[float | bool, ...]
+) -> None:
+    steps = [Message(kind, session, 7, scalars, LONG) for session in ("s", "t", "unknown")]
+    messages = [*steps, Message(Kind.HEARTBEAT, "s", 0), *steps, *steps]
+    data = b"".join(plainly(message, from_hub) for message in messages)
+    for size in (1, 7, 100, 500, len(data)):
+        _, receiver = acquainted(kind, from_hub, "s", "t")
+        events = [e for at in range(0, len(data), size) for e in read(receiver, data[at : at + size])]
+        assert events == messages
+        assert receiver.empty
+
+
+def test_a_step_that_is_too_large_is_malformed() -> None:
+    _, hub = acquainted(Kind.ENV_STEP, False, "s")
+    hub.max_body = len(BODY)
+    for body, expected in ((BODY, Message), (LONG, tuple)):
+        (event,) = read(hub, plainly(Message(Kind.ENV_STEP, "s", 2, (1.0, False), body), False))
+        assert type(event) is expected
+
+
+def test_the_middle_of_a_message_is_never_taken_for_a_step() -> None:
+    _, hub = acquainted(Kind.ENV_STEP, False, "s")
+    step = plainly(Message(Kind.ENV_STEP, "s", 2, (1.0, False), BODY), False)
+    (event,) = read(hub, b"\x01\x01x" + step)
+    assert isinstance(event, tuple)
+    assert event[0] is Malformed
+
+
+def test_formats_are_learnt_again_when_there_were_too_many() -> None:
+    sessions = [str(number) for number in range(5000)]
+    sender, receiver = acquainted(Kind.ENV_STEP, True, *sessions)
+    for session in ("0", "4999"):
+        message = Message(Kind.ENV_STEP, session, 2, (), BODY)
+        assert read(receiver, b"".join(sender.encode(message))) == [message]

@@ -1,0 +1,360 @@
+"""Messages to frames and back; and whatever else comes in is refused, before it costs anything."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+import msgpack
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from glue.errors import LocalProtocolError, RemoteProtocolError
+from glue.types import Action, Observation
+from glue.wire.codec import FROM_HUB, MAX_HEADER, MAX_NAME, TO_HUB, UnknownKind, clip, decode, encode
+from glue.wire.messages import CALLS, OBSERVING, Body, Kind, Message, Scalar, Shape
+
+int32s = st.lists(st.integers(-(2**31), 2**31 - 1), max_size=5)
+doubles = st.lists(st.floats(), max_size=5)
+observations = st.builds(Observation, int32s, doubles, st.binary(max_size=9))
+actions = st.builds(Action, int32s, doubles, st.binary(max_size=9))
+bodies: dict[Body, st.SearchStrategy[bytes]] = {
+    Body.NONE: st.just(b""),
+    Body.OBSERVATION: observations.map(lambda o: o.body),
+    Body.ACTION: actions.map(lambda a: a.body),
+    Body.OBSERVATION_ACTION: st.builds(lambda o, a: o.body + a.body, observations, actions),
+    Body.TEXT: st.text(max_size=30).map(str.encode),
+    Body.BLOB: st.binary(max_size=30),
+}
+numbers = st.integers(0, 2**63 - 1)
+scalars: dict[type, st.SearchStrategy[Any]] = {
+    bool: st.booleans(),
+    bytes: st.binary(max_size=20),
+    float: st.floats(),
+    int: numbers,
+    str: st.text(max_size=20),
+}
+
+
+def scalar_values(scalar: Scalar) -> st.SearchStrategy[Any]:
+    if scalar.items is not None:
+        return st.lists(scalars[scalar.items], max_size=8).map(tuple)
+    return scalars[scalar.type] | st.none() if scalar.optional else scalars[scalar.type]
+
+
+@st.composite
+def messages(draw: st.DrawFn, shapes: Mapping[Kind, Shape]) -> Message:
+    """Any legal message that goes the way of `shapes`."""
+    kind = draw(st.sampled_from(sorted(shapes)))
+    shape = shapes[kind]
+    values = tuple(draw(scalar_values(scalar)) for scalar in shape.scalars)
+    session = draw(st.text(max_size=20))
+    return Message(kind, session, draw(numbers), values, draw(bodies[shape.body]))
+
+
+def header(*values: Any) -> bytes:
+    packed: bytes = msgpack.packb(values)
+    return packed
+
+
+def env_step(
+    reward: Any = 0.0, terminal: Any = False, body: bytes = Observation().body
+) -> tuple[bytes, bytes]:
+    """The frames of an environment's answer to a step."""
+    return header(13, "s", 1, reward, terminal), body
+
+
+def rejected(*frames: bytes, shapes: Mapping[Kind, Shape] = TO_HUB, **limits: int) -> str:
+    """Why `frames` are refused."""
+    with pytest.raises(RemoteProtocolError) as caught:
+        decode(frames, shapes, **limits)
+    return str(caught.value)
+
+
+# Round trips
+
+
+@given(messages(TO_HUB))
+def test_what_a_peer_sends_arrives_unchanged(message: Message) -> None:
+    assert repr(decode(encode(message, TO_HUB), TO_HUB)) == repr(message)
+
+
+@given(messages(FROM_HUB))
+def test_what_the_hub_sends_arrives_unchanged(message: Message) -> None:
+    assert repr(decode(encode(message, FROM_HUB), FROM_HUB)) == repr(message)
+
+
+@pytest.mark.parametrize("shapes", [TO_HUB, FROM_HUB], ids=["to the hub", "from the hub"])
+def test_every_kind_goes_both_ways_with_a_request_and_its_reply(shapes: Mapping[Kind, Shape]) -> None:
+    shown = OBSERVING.keys() - {Kind.OBSERVE}
+    assert shapes.keys() == (set(Kind) - shown if shapes is TO_HUB else set(Kind))
+    for kind, call in CALLS.items():
+        assert {id(TO_HUB[kind]), id(FROM_HUB[kind])} == {id(call.request), id(call.reply)}
+
+
+def test_a_message_is_a_header_and_at_most_one_body() -> None:
+    frames = encode(Message(Kind.ENV_STEP, "s", 7, (1.5, True), Observation(ints=[3]).body), TO_HUB)
+    assert frames == (header(13, "s", 7, 1.5, True), Observation(ints=[3]).body)
+    assert encode(Message(Kind.HEARTBEAT, "s", 0), TO_HUB) == (header(67, "s", 0),)
+
+
+def test_an_empty_body_is_a_frame_of_its_own() -> None:
+    assert encode(Message(Kind.ENV_MESSAGE, "s", 1), TO_HUB) == (header(19, "s", 1), b"")
+
+
+def test_a_header_too_long_to_be_sent_is_a_local_error() -> None:
+    with pytest.raises(LocalProtocolError, match="header of GOODBYE would take"):
+        encode(Message(Kind.GOODBYE, "s", 0, ("x" * MAX_HEADER,)), TO_HUB)
+
+
+# Values that are as good as others
+
+
+@pytest.mark.parametrize("reward", [0, -7, 2**53, -(2**53)])
+def test_a_whole_reward_is_a_number(reward: int) -> None:
+    message = decode(env_step(reward=reward), TO_HUB)
+    assert message.scalars[0] == reward
+    assert type(message.scalars[0]) is float
+
+
+@pytest.mark.parametrize(("terminal", "expected"), [(0, False), (1, True), (3, True), (-1, True)])
+def test_a_terminal_of_the_original_kind_is_a_truth_value(terminal: int, expected: bool) -> None:
+    assert decode(env_step(terminal=terminal), TO_HUB).scalars[1] is expected
+
+
+def test_a_seed_may_be_missing() -> None:
+    assert decode([header(20, "s", 1, None)], TO_HUB).scalars == (None,)
+
+
+# Headers that are refused
+
+
+@pytest.mark.parametrize(
+    ("scalars", "complaint"),
+    [
+        ((), "has 2 scalars; 0 received"),
+        ((0.0,), "has 2 scalars; 1 received"),
+        ((0.0, False, 0), "has 2 scalars; 3 received"),
+        (("1", False), "reward of ENV_STEP is a number; '1' received"),
+        ((None, False), "reward of ENV_STEP is a number; None received"),
+        ((True, False), "reward of ENV_STEP is a number; True received"),
+        ((2**53 + 1, False), "reward of ENV_STEP is a number; 9007199254740993 received"),
+        ((0.0, 1.0), "terminal of ENV_STEP is true or false; 1.0 received"),
+        ((0.0, None), "terminal of ENV_STEP is true or false; None received"),
+        ((0.0, []), "terminal of ENV_STEP is true or false; [] received"),
+        ((0.0, {}), "terminal of ENV_STEP is true or false; {} received"),
+        (
+            (0.0, msgpack.ExtType(5, b"")),
+            "terminal of ENV_STEP is true or false; ExtType(code=5, data=b'') received",
+        ),
+    ],
+)
+def test_scalars_of_the_wrong_number_or_type_are_refused(scalars: tuple[Any, ...], complaint: str) -> None:
+    assert complaint in rejected(header(13, "s", 1, *scalars), Observation().body)
+
+
+@pytest.mark.parametrize("seed", [-1, 2**63, 2**64 - 1, 1.0, True, "1", b"1", [1]])
+def test_a_seed_out_of_range_is_refused(seed: Any) -> None:
+    assert "a whole number from 0 to 2^63 - 1" in rejected(header(20, "s", 1, seed))
+
+
+@pytest.mark.parametrize("limit", [-1, 2**63, None, 1.0])
+def test_a_step_limit_out_of_range_is_refused(limit: Any) -> None:
+    assert "a whole number from 0 to 2^63 - 1" in rejected(header(27, "s", 1, limit))
+
+
+@pytest.mark.parametrize(
+    ("versions", "abilities"),
+    [("1", []), ([1.0], []), ([True], []), ([[1]], []), ([1], [1]), ([1], "seed"), (1, [])],
+)
+def test_arrays_of_the_wrong_things_are_refused(versions: Any, abilities: Any) -> None:
+    assert "an array" in rejected(header(64, "s", 0, versions, "agent", b"i" * 16, "n", "c", abilities))
+
+
+@pytest.mark.parametrize("kind", [0, 3, 9, 63, 79, 255, -1, 2**63, 2**64 - 1])
+def test_an_unknown_kind_names_its_session_and_number(kind: int) -> None:
+    with pytest.raises(UnknownKind) as caught:
+        decode([header(kind, "s", 9)], TO_HUB)
+    assert (caught.value.session, caught.value.seq) == ("s", 9)
+
+
+@pytest.mark.parametrize(
+    ("frame", "complaint"),
+    [
+        (header("ENV_STEP", "s", 1), "a kind is a whole number"),
+        (header(13.0, "s", 1), "a kind is a whole number"),
+        (header(True, "s", 1), "a kind is a whole number"),
+        (header(13, b"s", 1), "a session is a text"),
+        (header(13, None, 1), "a session is a text"),
+        (header(13, "s" * (MAX_NAME + 1), 1), "a session is a text"),
+        (header(13, "s", -1), "a sequence number"),
+        (header(13, "s", 2**63), "a sequence number"),
+        (header(13, "s", 1.0), "a sequence number"),
+        (header(13, "s", None), "a sequence number"),
+        (header(13, "s"), "a header is an array"),
+        (header(), "a header is an array"),
+        (b"\x01", "a header is an array"),
+        (b"\x80", "a header is an array"),
+        (b"", "not msgpack within the limits"),
+        (b"\xc1", "not msgpack within the limits"),
+        (header(67, "s", 0) + b"\x00", "not msgpack within the limits"),
+        (header(67, "s", 0)[:-1], "not msgpack within the limits"),
+        (b"\x93\x43\xa1\xff\x00", "not msgpack within the limits"),
+    ],
+    ids=lambda value: value.hex() if isinstance(value, bytes) else "",
+)
+def test_what_is_no_header_is_refused(frame: bytes, complaint: str) -> None:
+    assert complaint in rejected(frame)
+
+
+BOMBS = {
+    "a header one byte too long": header(68, "s", 0, "x" * (MAX_HEADER - 7)),
+    "an array of four billion": b"\xdd\xff\xff\xff\xff",
+    "an array of 65535": b"\xdc\xff\xff",
+    "a map of four billion": b"\xdf\xff\xff\xff\xff",
+    "a map of one": b"\x94\x43\xa1s\x00\x81\x00\x00",
+    "a text of four billion": b"\xdb\xff\xff\xff\xff",
+    "binary of four billion": b"\xc6\xff\xff\xff\xff",
+    "an extension of four billion": b"\xc9\xff\xff\xff\xff\x05",
+    "arrays in arrays": b"\x91" * MAX_HEADER,
+    "arrays in arrays, each of 15": b"\x9f" * MAX_HEADER,
+    "maps in maps": b"\x81\x00" * (MAX_HEADER // 2),
+    "a timestamp": b"\x94\x43\xa1s\x00\xd6\xff\x00\x00\x00\x00",
+    "an array too many": header(67, "s", 0, [0] * 65),
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_a_header_that_would_grow_is_refused(name: str) -> None:
+    text = rejected(BOMBS[name])
+    assert len(text) < 500
+
+
+@pytest.mark.parametrize("count", [0, 3, 1000])
+def test_a_message_has_one_or_two_frames(count: int) -> None:
+    assert rejected(*[header(67, "s", 0)] * count) == f"a message has one or two frames; {count} received"
+
+
+# Bodies that are refused
+
+
+def counts(ints: int, doubles: int, chars: int, reserved: int = 0) -> bytes:
+    return struct.pack("<4I", ints, doubles, chars, reserved)
+
+
+@pytest.mark.parametrize(
+    ("body", "complaint"),
+    [
+        (b"", "starts with 16 bytes of counts; 0 are"),
+        (counts(0, 0, 0)[:15], "starts with 16 bytes of counts; 15 are"),
+        (counts(1, 0, 0), "say 20 bytes; it has 16"),
+        (counts(0, 1, 0) + bytes(7), "say 24 bytes; it has 23"),
+        (counts(0, 0, 1) + bytes(2), "say 17 bytes; it has 18"),
+        (counts(0, 0, 0, reserved=1), "bytes 12 to 15 of an abstract type must be zero"),
+        (counts(2**32 - 1, 2**32 - 1, 2**32 - 1), "say 55834574851 bytes; it has 16"),
+    ],
+)
+def test_an_abstract_type_whose_counts_do_not_add_up_is_refused(body: bytes, complaint: str) -> None:
+    assert complaint in rejected(*env_step(body=body))
+
+
+def test_a_body_is_refused_by_its_size_before_anything_else() -> None:
+    assert "101 bytes; 100 are allowed" in rejected(header(19, "s", 1), bytes(101), max_body=100)
+
+
+def test_a_body_that_is_missing_or_too_many_is_refused() -> None:
+    assert "ENV_STEP needs a body frame; none received" in rejected(env_step()[0])
+    assert "HEARTBEAT has no body; one of 2 bytes was received" in rejected(header(67, "s", 0), b"xx")
+
+
+def test_an_observation_and_an_action_are_each_within_the_limit() -> None:
+    observation, action = Observation(chars=bytes(84)).body, Action(chars=bytes(84)).body
+    frames = header(21, "s", 1), observation + action
+    assert decode(frames, FROM_HUB, max_body=100).body == observation + action
+    assert "are allowed" in rejected(frames[0], frames[1] + b"x", shapes=FROM_HUB, max_body=100)
+
+
+@pytest.mark.parametrize(
+    "pair",
+    [
+        b"",
+        Observation(ints=[1]).body,
+        Observation(ints=[1]).body + Action().body[:-1],
+        Observation(ints=[1]).body + Action().body + b"x",
+        counts(9, 0, 0) + Action().body,
+        counts(2**32 - 1, 0, 0) + Action().body,
+    ],
+)
+def test_an_observation_without_a_whole_action_behind_it_is_refused(pair: bytes) -> None:
+    assert "-" not in rejected(header(21, "s", 1), pair, shapes=FROM_HUB), "no negative sizes"
+
+
+# Anything at all
+
+
+def either_refused_or_sound(frames: list[bytes], shapes: Mapping[Kind, Shape]) -> None:
+    """Decode; what is not refused must be fit to be sent on."""
+    try:
+        message = decode(frames, shapes)
+    except RemoteProtocolError:
+        return
+    assert repr(decode(encode(message, shapes), shapes)) == repr(message)
+
+
+any_header = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text() | st.binary(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=2), inner, max_size=2),
+).map(msgpack.packb)
+likely_header = st.builds(
+    lambda kind, values: msgpack.packb([kind, "s", 1, *values]),
+    st.sampled_from(sorted(Kind)).map(int),
+    st.lists(st.none() | st.booleans() | st.integers(-3, 3) | st.floats() | st.just("s"), max_size=6),
+)
+frames = st.binary(max_size=60) | any_header | likely_header | observations.map(lambda o: o.body)
+
+
+@given(st.lists(frames, max_size=3), st.sampled_from([TO_HUB, FROM_HUB]))
+@example([b"\x91" * 4096], TO_HUB)
+@example([bytes(2000), bytes(2000)], TO_HUB)
+def test_random_frames_are_refused_or_sound(frames: list[bytes], shapes: Mapping[Kind, Shape]) -> None:
+    either_refused_or_sound(frames, shapes)
+
+
+@given(messages(TO_HUB), st.data())
+def test_damaged_messages_are_refused_or_sound(message: Message, data: st.DataObject) -> None:
+    whole = list(encode(message, TO_HUB))
+    which = data.draw(st.integers(0, len(whole) - 1))
+    frame = bytearray(whole[which])
+    if frame and data.draw(st.booleans()):
+        frame[data.draw(st.integers(0, len(frame) - 1))] ^= 1 << data.draw(st.integers(0, 7))
+    else:
+        del frame[data.draw(st.integers(0, len(frame))) :]
+    whole[which] = bytes(frame)
+    either_refused_or_sound(whole, TO_HUB)
+
+
+# Texts for people
+
+
+@given(st.text(max_size=40), st.integers(0, 30))
+def test_a_clipped_text_is_printable_and_short(text: str, limit: int) -> None:
+    clipped = clip(text, limit)
+    assert clipped.isprintable()
+    assert len(clipped.encode()) <= limit + len("...")
+
+
+@pytest.mark.parametrize("text", ["", "short", "\N{GRINNING FACE}" * 250, "x" * 1000])
+def test_a_text_within_the_limit_is_left_alone(text: str) -> None:
+    assert clip(text) == text
+
+
+def test_a_text_is_clipped_between_characters_and_without_control_characters() -> None:
+    assert clip("\N{GRINNING FACE}" * 3, 10) == "\N{GRINNING FACE}" * 2 + "..."
+    assert clip("a\nb\x1b[31mc\ud800") == "a b [31mc "
+
+
+def test_the_greatest_body_has_room_for_a_million_of_each() -> None:
+    million = 10**6
+    assert decode(env_step(body=counts(million, million, million) + bytes(13 * million)), TO_HUB)
