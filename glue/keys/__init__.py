@@ -1,1 +1,1 @@
-"""Keys for hubs that others reach over a network: their files, and who may join with which."""
+"""Keys for hubs that others reach over a network: key files, and the roles permitted to each key."""

@@ -1,7 +1,11 @@
-"""A hub's directory of keys, which says who may join it and as what:
+"""A hub's directory of keys, which determines who may join it, and in which roles and sessions:
 
     keys/hub.key_secret    the hub's own pair, made by `glue-keys new hub --dir keys`
-    keys/hub.key           its public half, to be handed to everyone who is to join
+    keys/hub.key           its public half, for everyone who may join
+    keys/carol.key         the public key that Carol sent
+    keys/allow.toml        what each may be
+    keys/carol.key         the public key that Carol sent
+    keys/allow.toml        the roles and sessions of each key
     keys/carol.key         the public key that Carol sent
     keys/allow.toml        what each may be
 
@@ -11,24 +15,24 @@
     session = ["a", "b"]                      # left out: every session
     key = "carol.pub"                         # left out: carol.key or carol.pub; or the 40 characters
 
-What a key may be stands in this one file of the hub's owner, and not in the file of the key: that one comes
-from who is to be let in.
+The permissions of a key are in this one file of the hub's owner, not in the file of the key, which comes from
+the key's owner.
 """
 
 from __future__ import annotations
 
-import os
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from glue.core.config import check_session
-from glue.core.keys import Keys, Permit
 from glue.errors import ConfigError
+from glue.hub.config import check_session
+from glue.hub.keys import Keys, Permit
 from glue.keys.certificates import PUBLIC, SECRET, KeyPair, read_pair, read_public
-from glue.protocol.messages import Role
+from glue.keys.files import check_directory, read_own
 from glue.suggestions import did_you_mean
+from glue.wire.messages import Role
 
 __all__ = ["HUB", "LIST", "read_keys"]
 
@@ -40,20 +44,27 @@ LIST: Final = "allow.toml"
 _MAX_LIST: Final = 2**20
 _FIELDS: Final = ("role", "session", "key")
 _ENDINGS: Final = (PUBLIC, ".pub")
-_OTHERS_WRITE: Final = 0o002
 
 
 def read_keys(directory: Path) -> Keys:
-    """Return the keys of the hub whose directory this is.
+    """Read the keys in the directory of a hub.
 
     Raises:
-        ConfigError: a file is missing or damaged, open to other users, or says what cannot be.
+        ConfigError: a file is missing, damaged or open to other users, or its content is not valid.
     """
-    from glue.protocol.curve import public_key  # needs an extra
+    try:
+        return _read(directory)
+    except OSError as error:
+        raise ConfigError(f"cannot read the keys in {directory}: {error.strerror}") from None
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"cannot read the keys in {directory}: {type(error).__name__}") from None
+
+
+def _read(directory: Path) -> Keys:
+    from glue.wire.curve import public_key  # needs an extra
 
     pair = _own_pair(directory)
-    if directory.stat().st_mode & _OTHERS_WRITE:
-        raise ConfigError(f"--keys: other users can exchange the files in {directory}: chmod o-w {directory}")
+    check_directory(directory)
     if public_key(pair.secret) != pair.public:
         raise ConfigError(f"{directory / HUB}{SECRET} is damaged: its two keys do not belong together")
     text = _read_list(directory / LIST)
@@ -80,27 +91,21 @@ def _own_pair(directory: Path) -> KeyPair:
     path = directory / f"{HUB}{SECRET}"
     if not path.exists():
         raise ConfigError(
-            f"--keys: there is no {path}, the hub's own key: glue-keys new {HUB} --dir {directory}"
+            f"there is no {path}, the hub's own key: make it in {directory} with glue-keys new {HUB}",
+            settings=("keys",),
         )
     return read_pair(path)
 
 
 def _read_list(path: Path) -> str:
     try:
-        with path.open("rb") as file:
-            data = file.read(_MAX_LIST + 1)
-            mode = os.fstat(file.fileno()).st_mode
+        data = read_own(path, _MAX_LIST)
     except FileNotFoundError:
         raise ConfigError(
-            f"--keys: there is no {path}, which says who may join. For a key carol{PUBLIC} beside it "
-            'write:\n[carol]\nrole = "agent"\nsession = "a"'
+            f"there is no {path}, the list of those who may join. For a key carol{PUBLIC} in {path.parent} "
+            'write:\n[carol]\nrole = "agent"\nsession = "a"',
+            settings=("keys",),
         ) from None
-    except OSError as error:
-        raise ConfigError(f"cannot read {path}: {error.strerror}") from None
-    if mode & _OTHERS_WRITE:
-        raise ConfigError(f"{path} says who may join, and other users can change it: chmod o-w {path}")
-    if len(data) > _MAX_LIST:
-        raise ConfigError(f"{path} is larger than {_MAX_LIST} bytes")
     try:
         return data.decode()
     except UnicodeDecodeError as error:

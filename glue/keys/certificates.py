@@ -1,7 +1,7 @@
 """Key pairs in files, in the format of `zmq.auth`, which programs of any ZeroMQ library read and write.
 
-A pair is two files: NAME.key with the public key, to be handed out, and NAME.key_secret with both, to be
-kept. In them, and wherever people see it, a key is 40 characters of Z85.
+A pair is two files: NAME.key with the public key, to hand out, and NAME.key_secret with both keys, to keep
+secret. In files, messages and options a key is 40 characters of Z85.
 
 Source: ZeroMQ RFC 32 (Z85), pyzmq's zmq.auth.
 """
@@ -16,12 +16,13 @@ from pathlib import Path
 from typing import Final
 
 from glue.errors import ConfigError
+from glue.keys.files import read_own
 
 __all__ = ["PUBLIC", "SECRET", "KeyPair", "decode", "encode", "read_pair", "read_public", "write_pair"]
 
 PUBLIC: Final = ".key"
 SECRET: Final = ".key_secret"
-"""What is appended to the name of a pair for its files."""
+"""The suffix of the file with the secret key of a pair; that of its public key is `PUBLIC`."""
 
 _ALPHABET: Final = "0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ.-:+=^!/*?&<>()[]{}@%$#"
 _VALUES: Final = {character: value for value, character in enumerate(_ALPHABET)}
@@ -32,10 +33,7 @@ _NAME: Final = re.compile(r"[\w@][\w.@-]{0,99}", re.ASCII)
 _LINE: Final = re.compile(r"""\s*(public-key|secret-key)\s*=\s*["']?(\S*?)["']?\s*""")
 
 _MAX_FILE: Final = 65_536
-"""Bytes; a certificate has less than a thousand."""
-
-_OTHERS: Final = 0o077
-_OTHERS_WRITE: Final = 0o002
+"""Maximum size of a file, in bytes; a certificate has less than a thousand."""
 
 _PUBLIC_FILE: Final = """\
 #   ZeroMQ CURVE Public Certificate of {name}
@@ -59,7 +57,7 @@ curve
 
 @dataclass(frozen=True, slots=True)
 class KeyPair:
-    """A public key and the secret one that belongs to it, 32 bytes each."""
+    """A public key and its secret key, 32 bytes each."""
 
     public: bytes
     secret: bytes = field(repr=False)
@@ -73,10 +71,10 @@ def encode(key: bytes) -> str:
 
 
 def decode(text: str) -> bytes:
-    """Return the key that a text stands for.
+    """Return the key, 32 bytes, of a text.
 
     Raises:
-        ValueError: it is not 40 characters of Z85.
+        ValueError: the text is not 40 characters of Z85.
     """
     if len(text) != _CHARACTERS or not _VALUES.keys() >= set(text):
         raise ValueError("not a key")
@@ -94,7 +92,7 @@ def decode(text: str) -> bytes:
 def write_pair(directory: Path, name: str, pair: KeyPair) -> tuple[Path, Path]:
     """Write a pair into two new files; return the paths of the public and of the secret one.
 
-    A directory that does not exist is made, for this user alone.
+    A directory that does not exist is created, readable only by this user.
 
     Raises:
         ConfigError: the name cannot be that of a file, one of the files exists, or they cannot be written.
@@ -124,15 +122,15 @@ def write_pair(directory: Path, name: str, pair: KeyPair) -> tuple[Path, Path]:
     return public, secret
 
 
-def read_public(source: str | Path, option: str = "--hub-key") -> bytes:
-    """Return a public key.
+def read_public(source: str | Path, setting: str = "hub_key") -> bytes:
+    """Return a public key, 32 bytes.
 
     Args:
-        source: the key as text; or a file that holds it so, or as `zmq.auth` writes it.
-        option: where it was given, for the message.
+        source: the key as text; or the path of a file with this text, or in the format of `zmq.auth`.
+        setting: the name of the setting that gave it, for error messages.
 
     Raises:
-        ConfigError: it is neither a key nor a file with one, or others can write to the file.
+        ConfigError: it is neither a key nor a file with one, or other users can change or replace the file.
     """
     path = Path(source)
     if not _exists(path):
@@ -140,7 +138,8 @@ def read_public(source: str | Path, option: str = "--hub-key") -> bytes:
             return decode(str(source))
         except ValueError:
             raise ConfigError(
-                f"{option}: {str(source)!r:.120} is neither a file nor a key of {_CHARACTERS} characters"
+                f"{setting}: {str(source)!r:.120} is neither a file nor a key of {_CHARACTERS} characters",
+                settings=(setting,),
             ) from None
     text = _read(path)
     try:
@@ -149,18 +148,20 @@ def read_public(source: str | Path, option: str = "--hub-key") -> bytes:
         raise ConfigError(f"{path} holds no public key: it should be a file that glue-keys wrote") from None
 
 
-def read_pair(path: Path, option: str = "--key") -> KeyPair:
+def read_pair(path: Path, setting: str = "key") -> KeyPair:
     """Return the pair in a secret file.
 
     Args:
         path: the file.
-        option: where it was given, for the message.
+        setting: the name of the setting that gave it, for error messages.
 
     Raises:
-        ConfigError: it cannot be read, holds no secret key, or can be read by others.
+        ConfigError: it cannot be read, has no secret key, or other users can read, change or replace it.
     """
     if not _exists(path):
-        raise ConfigError(f"{option}: there is no file {path}; make a pair with: glue-keys new NAME")
+        raise ConfigError(
+            f"{setting}: there is no file {path}; make a pair with: glue-keys new NAME", settings=(setting,)
+        )
     keys = _keys_in(_read(path, secret=True))
     if "secret-key" not in keys:
         hint = f": give {path.with_suffix(SECRET)}" if path.suffix == PUBLIC else ""
@@ -180,23 +181,9 @@ def _exists(path: Path) -> bool:
 
 def _read(path: Path, secret: bool = False) -> str:
     try:
-        with path.open("rb") as file:
-            mode = os.fstat(file.fileno()).st_mode
-            if mode & _OTHERS_WRITE and not secret:
-                raise ConfigError(
-                    f"other users of this machine can exchange the key in {path} for theirs: chmod o-w {path}"
-                )
-            if secret and mode & _OTHERS:
-                raise ConfigError(
-                    f"{path} holds a secret key, and other users of this machine can read it: "
-                    f"chmod 600 {path} (and make a new pair if somebody may have)"
-                )
-            data = file.read(_MAX_FILE + 1)
-    except OSError as error:
+        return read_own(path, _MAX_FILE, secret).decode("utf-8", "replace")
+    except FileNotFoundError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from None
-    if len(data) > _MAX_FILE:
-        raise ConfigError(f"{path} is too large for a file with a key")
-    return data.decode("utf-8", "replace")
 
 
 def _keys_in(text: str) -> dict[str, str]:

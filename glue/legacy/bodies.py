@@ -8,16 +8,19 @@ from collections.abc import Callable, Mapping
 from typing import Final, NamedTuple
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
-from glue.protocol.messages import Body
 from glue.types import body_size
+from glue.wire.messages import Body
 
 __all__ = ["BODIES", "MAX_COUNT", "MAX_STRING", "BodyForm", "too_short", "until_zero"]
 
 MAX_COUNT: Final = 1_000_000
-"""Maximum of ints, doubles or chars in one abstract type; the original's own limit."""
+"""Maximum number of ints, doubles or chars in one abstract type; the original's own limit."""
 
 MAX_STRING: Final = 1_000_000
 """Maximum size of a text, in bytes. The original had no limit."""
+
+_MAX_REMEMBERED: Final = 65_536
+"""Maximum size of a cached body, in bytes, which bounds the memory of a hub."""
 
 _COUNT: Final = struct.Struct(">I")
 _THEIR_COUNTS: Final = struct.Struct(">3I")
@@ -25,11 +28,11 @@ _OUR_COUNTS: Final = struct.Struct("<4I")
 
 
 class BodyForm(NamedTuple):
-    """How one kind of body is read and written.
+    """Functions that read and write one kind of body.
 
     Args:
-        read: takes a payload and an offset; returns our body, and the offset behind it.
-        write: takes our body, and returns its bytes in a payload.
+        read: takes a payload and an offset; returns our body, and the offset after it.
+        write: takes our body; returns its bytes in a payload.
         largest: maximum size in a payload, in bytes.
     """
 
@@ -62,54 +65,85 @@ def until_zero(text: bytes) -> bytes:
     return text.partition(b"\0")[0]
 
 
-def _read_type(payload: bytes, offset: int) -> tuple[bytes, int]:
-    at_ints = offset + _THEIR_COUNTS.size
-    if at_ints > len(payload):
-        raise too_short(_THEIR_COUNTS.size, payload, offset)
-    ints, doubles, chars = counts = _THEIR_COUNTS.unpack_from(payload, offset)
-    if max(counts) > MAX_COUNT:
-        raise RemoteProtocolError(_too_many(ints, doubles, chars))
-    at_doubles = at_ints + 4 * ints
-    at_chars = at_doubles + 8 * doubles
-    end = at_chars + chars
-    if end > len(payload):
-        raise too_short(end - at_ints, payload, at_ints)
-    body = (
-        _OUR_COUNTS.pack(ints, doubles, chars, 0),
-        _reversed("q", payload[at_doubles:at_chars]),
-        _reversed("i", payload[at_ints:at_doubles]),
-        payload[at_chars:end],
-    )
-    return b"".join(body), end
+class _Type:
+    """One abstract type in both formats.
+
+    The latest value is cached: an environment's observation is written for the agent right after it was
+    read, and an action is often the same as in the previous step.
+    """
+
+    def __init__(self) -> None:
+        self._latest = b"", b""  # in their format and in ours
+
+    def read(self, payload: bytes, offset: int) -> tuple[bytes, int]:
+        """Return our body of a type in a payload, and the offset after it."""
+        theirs, ours = self._latest
+        if payload.startswith(theirs, offset) and theirs:
+            return ours, offset + len(theirs)
+        at_ints = offset + _THEIR_COUNTS.size
+        if at_ints > len(payload):
+            raise too_short(_THEIR_COUNTS.size, payload, offset)
+        ints, doubles, chars = counts = _THEIR_COUNTS.unpack_from(payload, offset)
+        if max(counts) > MAX_COUNT:
+            raise RemoteProtocolError(_too_many(ints, doubles, chars))
+        at_doubles = at_ints + 4 * ints
+        at_chars = at_doubles + 8 * doubles
+        end = at_chars + chars
+        if end > len(payload):
+            raise too_short(end - at_ints, payload, at_ints)
+        body = b"".join(
+            (
+                _OUR_COUNTS.pack(ints, doubles, chars, 0),
+                _reversed("q", payload[at_doubles:at_chars]),
+                _reversed("i", payload[at_ints:at_doubles]),
+                payload[at_chars:end],
+            )
+        )
+        self._remember(payload[offset:end], body)
+        return body, end
+
+    def write(self, body: bytes) -> bytes:
+        """Return the bytes of our body in a payload."""
+        theirs, ours = self._latest
+        if body == ours and ours:
+            return theirs
+        size = body_size(body)
+        if size != len(body):
+            raise LocalProtocolError(f"an abstract type of {size} bytes by its counts has {len(body)}")
+        ints, doubles, chars, _ = _OUR_COUNTS.unpack_from(body)
+        if max(ints, doubles, chars) > MAX_COUNT:
+            raise LocalProtocolError(_too_many(ints, doubles, chars))
+        at_ints = _OUR_COUNTS.size + 8 * doubles
+        at_chars = at_ints + 4 * ints
+        payload = b"".join(
+            (
+                _THEIR_COUNTS.pack(ints, doubles, chars),
+                _reversed("i", body[at_ints:at_chars]),
+                _reversed("q", body[_OUR_COUNTS.size : at_ints]),
+                body[at_chars:],
+            )
+        )
+        self._remember(payload, body)
+        return payload
+
+    def _remember(self, theirs: bytes, ours: bytes) -> None:
+        if len(ours) <= _MAX_REMEMBERED:
+            self._latest = theirs, ours
 
 
-def _write_type(body: bytes) -> bytes:
-    size = body_size(body)
-    if size != len(body):
-        raise LocalProtocolError(f"an abstract type of {size} bytes by its counts has {len(body)}")
-    ints, doubles, chars, _ = _OUR_COUNTS.unpack_from(body)
-    if max(ints, doubles, chars) > MAX_COUNT:
-        raise LocalProtocolError(_too_many(ints, doubles, chars))
-    at_ints = _OUR_COUNTS.size + 8 * doubles
-    at_chars = at_ints + 4 * ints
-    payload = (
-        _THEIR_COUNTS.pack(ints, doubles, chars),
-        _reversed("i", body[at_ints:at_chars]),
-        _reversed("q", body[_OUR_COUNTS.size : at_ints]),
-        body[at_chars:],
-    )
-    return b"".join(payload)
+_OBSERVATION: Final = _Type()
+_ACTION: Final = _Type()
 
 
 def _read_two_types(payload: bytes, offset: int) -> tuple[bytes, int]:
-    observation, offset = _read_type(payload, offset)
-    action, offset = _read_type(payload, offset)
+    observation, offset = _OBSERVATION.read(payload, offset)
+    action, offset = _ACTION.read(payload, offset)
     return observation + action, offset
 
 
 def _write_two_types(body: bytes) -> bytes:
     size = body_size(body)
-    return _write_type(body[:size]) + _write_type(body[size:])
+    return _OBSERVATION.write(body[:size]) + _ACTION.write(body[size:])
 
 
 def _reversed(typecode: str, run: bytes) -> bytes:
@@ -135,11 +169,10 @@ def too_short(needed: int, payload: bytes, offset: int) -> RemoteProtocolError:
 
 
 _LARGEST_TYPE: Final = _THEIR_COUNTS.size + (4 + 8 + 1) * MAX_COUNT
-_TYPE: Final = BodyForm(_read_type, _write_type, _LARGEST_TYPE)
 BODIES: Final[Mapping[Body, BodyForm]] = {
     Body.NONE: BodyForm(lambda _, offset: (b"", offset), lambda _: b"", 0),
-    Body.OBSERVATION: _TYPE,
-    Body.ACTION: _TYPE,
+    Body.OBSERVATION: BodyForm(_OBSERVATION.read, _OBSERVATION.write, _LARGEST_TYPE),
+    Body.ACTION: BodyForm(_ACTION.read, _ACTION.write, _LARGEST_TYPE),
     Body.OBSERVATION_ACTION: BodyForm(_read_two_types, _write_two_types, 2 * _LARGEST_TYPE),
     Body.TEXT: BodyForm(_read_text, _write_text, _COUNT.size + MAX_STRING),
 }

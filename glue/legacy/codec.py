@@ -1,8 +1,8 @@
 """The binary format of the original RL-Glue 3.x, without I/O: bytes in, messages out, and back.
 
     frame          int32 kind, uint32 payload size, payload
-    payload        the scalars, then the body, that `glue.protocol.messages.CALLS` gives its kind;
-                   but the scalars in reverse: terminal before reward
+    payload        the scalars, then the body, as `glue.wire.messages.CALLS` has them for its kind,
+                   but the scalars in reverse order: terminal before reward
     terminal       int32; anything but zero means true
     reward, return float64
     steps, counts  int32; max_steps uint32
@@ -10,13 +10,13 @@
     abstract type  uint32 number of ints I, of doubles D, of chars C,
                    then I int32, D float64 and C bytes; nothing in between
 
-Everything is big-endian. On our side of the codec, scalars and bodies are those of our own protocol. Of an
-abstract type only whole bytes are moved, so every bit of a NaN survives.
+Everything is big-endian. On our side of the codec, scalars and bodies are those of our own protocol. The
+numbers of an abstract type are only byte-swapped, so every bit of a NaN survives.
 
-What the original server did with odd input, and what is done here:
+Irregular input, in the original server and here:
 
 - A payload longer than needed: the surplus is ignored, up to `SURPLUS` bytes.
-- A payload shorter than needed: the original read on in old memory; here it is an error.
+- A payload shorter than needed: the original read stale memory; here it is an error.
 - A zero byte in a text ends the text, in both directions, as in the original's C strings.
 - More than a million ints, doubles or chars: the original server exited; here it is an error.
 - The Java client counts a text in UTF-16 units, yet sends UTF-8. Beyond ASCII its count and the size of
@@ -36,8 +36,8 @@ from enum import IntEnum
 from typing import Final, NamedTuple
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
-from glue.legacy.bodies import BODIES, MAX_STRING, too_short, until_zero
-from glue.protocol.messages import CALLS, Body, Call, Kind, Role, Shape, Value
+from glue.legacy.bodies import BODIES, MAX_STRING, BodyForm, too_short, until_zero
+from glue.wire.messages import CALLS, Body, Call, Kind, Role, Shape, Value
 
 __all__ = [
     "FROM_AGENT",
@@ -60,11 +60,15 @@ SURPLUS: Final = 65_536
 """Maximum number of bytes in a payload beyond the longest content of its kind."""
 
 _HEADER: Final = struct.Struct(">iI")
+
+_PIECE: Final = 4096
+"""Size in bytes below which pieces are joined as they arrive: a small object has more overhead than data."""
+
 _KINDS_OF_2: Final = frozenset((9, 15, 16, 17, 18, 28, 29, 30, 31, 32))
 
 
 class Control(IntEnum):
-    """The messages about the connection itself: a program's first, and the server's last."""
+    """The messages that open and end a connection: a program's first, and the server's last."""
 
     CONNECT_EXPERIMENT = 1
     CONNECT_AGENT = 2
@@ -73,7 +77,7 @@ class Control(IntEnum):
 
 
 class Frame(NamedTuple):
-    """One message: its kind, scalars and body as in `protocol.messages.Message`, without a seed."""
+    """One message: its kind, scalars and body as in `glue.wire.messages.Message`, without a seed."""
 
     kind: Kind | Control
     scalars: tuple[Value, ...] = ()
@@ -81,12 +85,24 @@ class Frame(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """What the payload of one kind holds, and its maximum size in bytes."""
+    """The frame of one kind.
+
+    Attributes:
+        kind: the kind.
+        head: the kind, the size of the payload, and the scalars in reverse.
+        types: the types of the scalars.
+        terminal: the index of the terminal among the scalars; None if there is none.
+        body: the content of the body.
+        form: functions that read and write the body.
+        limit: maximum size of the payload, in bytes.
+    """
 
     kind: Kind | Control
-    scalars: struct.Struct
+    head: struct.Struct
     types: tuple[type, ...]
+    terminal: int | None
     body: Body
+    form: BodyForm
     limit: int
 
 
@@ -95,34 +111,43 @@ Vocabulary = Mapping[int, Layout]
 
 
 class Decoder:
-    """Decodes the messages of one direction of a connection, however the network split them.
+    """Decoder of the messages in one direction of a connection, however the network splits them.
 
     Args:
         vocabulary: the kinds that may be received; `expect` changes it once the role is known.
 
     After each `receive_data`, call `next_event` until it returns None. Then at most one incomplete message is
     held, whose size has been checked.
+
+    Attributes:
+        buffered: bytes received and not yet returned as a message.
     """
 
     def __init__(self, vocabulary: Vocabulary) -> None:
         self._vocabulary = vocabulary
-        self._buffer = bytearray()
+        self._buffer = b""
+        self._at = 0  # offset of the first byte in it that is still needed
+        self._later: list[bytes] = []  # received after the buffer, and not needed yet
+        self._needed = _HEADER.size  # bytes of the next frame, as far as known
+        self.buffered: int = 0
         self._overhang = 0
         self._error: str | None = None
 
     def expect(self, vocabulary: Vocabulary) -> None:
-        """Decode what is received from here on by `vocabulary`."""
+        """Decode further messages by `vocabulary`."""
         self._vocabulary = vocabulary
 
-    @property
-    def buffered(self) -> int:
-        """Bytes received and not yet returned as a message."""
-        return len(self._buffer)
-
     def receive_data(self, data: bytes) -> None:
-        """Take bytes as they were received from the connection."""
-        if self._error is None:
-            self._buffer += data
+        """Add bytes received from the connection."""
+        if self._error is not None:
+            return
+        if not self.buffered:
+            self._buffer, self._at = data, 0
+        elif self._later and len(self._later[-1]) < _PIECE:
+            self._later[-1] += data
+        else:
+            self._later.append(data)
+        self.buffered += len(data)
 
     def next_event(self) -> Frame | None:
         """Return the next message, or None until more bytes are received.
@@ -132,20 +157,25 @@ class Decoder:
         """
         if self._error is not None:
             raise RemoteProtocolError(self._error)
+        if self.buffered < self._needed and not self._overhang:
+            return None
         try:
             return self._next()
         except RemoteProtocolError as error:
             self._error = str(error)
-            self._buffer.clear()
+            self._buffer, self._at, self.buffered = b"", 0, 0
+            self._later.clear()
             raise
 
     def _next(self) -> Frame | None:
-        buffer = self._buffer
+        if self._later:
+            self._buffer, self._at = b"".join((self._buffer[self._at :], *self._later)), 0
+            self._later.clear()
         if self._overhang:
             self._take_overhang()
-        if len(buffer) < _HEADER.size:
-            return None
-        kind, size = _HEADER.unpack_from(buffer)
+            if self.buffered < _HEADER.size:
+                return None
+        kind, size = _HEADER.unpack_from(self._buffer, self._at)
         layout = self._vocabulary.get(kind)
         if layout is None:
             raise RemoteProtocolError(_unknown(kind, self._vocabulary))
@@ -155,18 +185,38 @@ class Decoder:
                 f"its header announces {size}"
             )
         end = _HEADER.size + size
-        if len(buffer) < end:
+        if self.buffered < end:
+            self._needed = end
             return None
-        payload = bytes(buffer[_HEADER.size : end])
-        del buffer[:end]
+        self._needed = _HEADER.size
+        frame = self._take(end)
+        head = layout.head
+        if end < head.size:
+            raise RemoteProtocolError(
+                f"{layout.kind.name}: {too_short(head.size - _HEADER.size, frame[_HEADER.size :], 0)}"
+            )
+        _, _, *values = head.unpack_from(frame)
         try:
-            scalars, offset = _read_scalars(layout, payload)
-            body, offset = BODIES[layout.body].read(payload, offset)
+            body, offset = layout.form.read(frame, head.size)
         except RemoteProtocolError as error:
             raise RemoteProtocolError(f"{layout.kind.name}: {error}") from None
         if layout.body is Body.TEXT:
-            body = until_zero(body if offset < size else self._with_overhang(body))
-        return Frame(layout.kind, scalars, body)
+            body = until_zero(body if offset < end else self._with_overhang(body))
+        values.reverse()
+        if layout.terminal is not None:
+            values[layout.terminal] = values[layout.terminal] != 0
+        return Frame(layout.kind, tuple(values), body)
+
+    def _take(self, size: int) -> bytes:
+        """Return the next bytes, and drop them from the buffer."""
+        start, end = self._at, self._at + size
+        taken = self._buffer[start:end]
+        self.buffered -= size
+        if 2 * end >= len(self._buffer):
+            self._buffer, self._at = self._buffer[end:], 0
+        else:
+            self._at = end
+        return taken
 
     def _with_overhang(self, text: bytes) -> bytes:
         if text.isascii():
@@ -176,10 +226,10 @@ class Decoder:
         return text + self._take_overhang()
 
     def _take_overhang(self) -> bytes:
-        overhang = until_zero(bytes(self._buffer[: self._overhang]))
-        del self._buffer[: len(overhang)]
-        # A zero byte begins a frame: no more can hang over.
-        self._overhang = 0 if self._buffer else self._overhang - len(overhang)
+        overhang = until_zero(self._buffer[self._at : self._at + self._overhang])
+        self._take(len(overhang))
+        # If bytes are left, a frame begins here: the overhang is complete.
+        self._overhang = 0 if self.buffered else self._overhang - len(overhang)
         return overhang
 
 
@@ -195,24 +245,17 @@ def encode(frame: Frame, vocabulary: Vocabulary) -> bytes:
     if layout is None:
         raise LocalProtocolError(_unknown(kind, vocabulary))
     try:
-        payload = layout.scalars.pack(*reversed(scalars)) + BODIES[layout.body].write(body)
+        written = layout.form.write(body)
+        head = layout.head
+        return head.pack(kind, head.size - _HEADER.size + len(written), *reversed(scalars)) + written
     except (struct.error, LocalProtocolError, RemoteProtocolError) as error:
         raise LocalProtocolError(f"{layout.kind.name} cannot be sent: {error}") from None
-    return _HEADER.pack(kind, len(payload)) + payload
 
 
 def _unknown(kind: int, vocabulary: Vocabulary) -> str:
     expected = ", ".join(f"{known} ({layout.kind.name})" for known, layout in vocabulary.items())
     hint = "; it belongs to RL-Glue 2.x, which is not supported" if kind in _KINDS_OF_2 else ""
     return f"expected a message of kind {expected}; received kind {int(kind)}{hint}"
-
-
-def _read_scalars(layout: Layout, payload: bytes) -> tuple[tuple[Value, ...], int]:
-    packer = layout.scalars
-    if len(payload) < packer.size:
-        raise too_short(packer.size, payload, 0)
-    values = reversed(packer.unpack_from(payload))
-    return tuple([of_type(value) for of_type, value in zip(layout.types, values, strict=True)]), packer.size
 
 
 _SCALAR_FORMS: Final = {
@@ -227,9 +270,12 @@ _SCALAR_FORMS: Final = {
 
 def _layout(kind: Kind | Control, shape: Shape) -> Layout:
     scalars = [scalar for scalar in shape.scalars if not scalar.optional]
-    packer = struct.Struct(">" + "".join(_SCALAR_FORMS[scalar.name] for scalar in reversed(scalars)))
-    limit = packer.size + BODIES[shape.body].largest + SURPLUS
-    return Layout(kind, packer, tuple(scalar.type for scalar in scalars), shape.body, limit)
+    head = struct.Struct(">iI" + "".join(_SCALAR_FORMS[scalar.name] for scalar in reversed(scalars)))
+    form = BODIES[shape.body]
+    limit = head.size - _HEADER.size + form.largest + SURPLUS
+    types = tuple(scalar.type for scalar in scalars)
+    terminal = types.index(bool) if bool in types else None
+    return Layout(kind, head, types, terminal, shape.body, form, limit)
 
 
 def _controls(*kinds: Control) -> dict[int, Layout]:

@@ -1,28 +1,35 @@
-"""Original programs as experiments: between the frames of their protocol and the hub's messages.
+"""Original programs as experiments: translation between frames of their protocol and messages.
 
-The two sides' rules about each other are in `glue.legacy.gateway`, those about states in
-`glue.legacy.states`.
+`glue.legacy.gateway` explains the rules for original programs; `glue.legacy.states` has the states.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
-from glue.core.engine import EPISODE_VERBS
+from glue.engine.engine import EPISODE_VERBS
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.legacy.codec import TO_EXPERIMENT, Control, Frame, encode
-from glue.legacy.peers import Peer
-from glue.legacy.states import EXPERIMENT, ExperimentEvent, ExperimentState, after
-from glue.protocol.messages import Event, Kind, Message
+from glue.legacy.peers import LegacyPeer
+from glue.legacy.states import (
+    EXPERIMENT,
+    SENDING,
+    ExperimentEvent,
+    ExperimentState,
+    Sending,
+    SendingEvent,
+    after,
+)
 from glue.types import Action, body_size
+from glue.wire.messages import Event, Kind, Message
 
-__all__ = ["READ_AHEAD", "Experiment"]
+__all__ = ["READ_AHEAD", "LegacyExperiment"]
 
 READ_AHEAD: Final = 2**20
-"""Bytes of requests that are received before it is their turn; the rest stays in the network."""
+"""Maximum size in bytes of requests received before their turn; the rest stays in the network."""
 
 
-class Experiment(Peer):
+class LegacyExperiment(LegacyPeer):
     """An experiment, which makes requests."""
 
     _state = ExperimentState.IDLE
@@ -30,25 +37,21 @@ class Experiment(Peer):
     _seq = 0
 
     _request: Message | None = None
-    """The request that is being carried out, or is to be made again."""
+    """The request in progress, or the one to repeat."""
 
     _lost_player = ""
-    """The player that was lost last, for people."""
+    """The role and name of the player lost last, for the log."""
 
     _failure = ""
-    """Why the connection is to be reset."""
+    """The reason for which the connection will be reset."""
 
     _has_stepped = False
-    """Whether a step was made after which the episode went on."""
+    """Whether any step so far did not end its episode."""
 
-    _pipelines = False
-    """Whether the newest request did not wait for the reply before it, or another follows it already."""
+    _sending = Sending.ONE_BY_ONE
 
     _ahead: Frame | None = None
-    """What it sent behind the newest request, if that has been looked at already."""
-
-    _ended = False
-    """Whether it has closed its sending half, and is still owed replies."""
+    """The request after the newest one, if it was read before its turn."""
 
     def _take(self, message: Message) -> bool:
         if self._state is ExperimentState.GONE:
@@ -76,7 +79,7 @@ class Experiment(Peer):
     def _reply(self, reply: Message) -> None:
         kind, _, _, scalars, body = reply
         if kind is Kind.RL_STEP and scalars[1] and not self._has_stepped:
-            # The original takes the action of a terminal step from the step before: so far there is none.
+            # The original repeats the previous step's action in a terminal step; so far there is none.
             body = body[: body_size(body)] + Action().body
         elif kind is Kind.RL_STEP or (kind is Kind.RL_EPISODE and self._num_steps() > 1):
             self._has_stepped = True
@@ -88,9 +91,12 @@ class Experiment(Peer):
             return
         self._on(ExperimentEvent.REPLY)
         self._connection.send(frame)
-        if self._ended:
+        if kind is Kind.RL_STEP:
+            self._pending.hub.loop.expect(self._connection)  # the next request soon follows
+        ended = self._sending is Sending.CLOSED
+        if ended:
             self._expect_end()
-        if self._decoder.buffered or self._ended:
+        if self._decoder.buffered or ended:
             self._connection.later()
 
     def _num_steps(self) -> int:
@@ -127,25 +133,24 @@ class Experiment(Peer):
             switchboard.malformed(self, error, now)
 
     def _take_up(self, now: float) -> None:
-        """Take up at most one request, so that every session gets its turn, and receive more."""
+        """Start at most one request, so that every session gets its turn, and receive more data."""
         connection, decoder = self._connection, self._decoder
         if self._state is ExperimentState.RETRYING:
             assert self._request is not None
             self._carry_out(self._request, now)
         request = self._next_request()
-        pipelined = request is not None and self._request is not None
+        early = request is not None and self._request is not None
         if request is None:
-            # Only now, so that what was requested before the connection was closed is carried out.
-            data = b"" if self._ended and self._is_free else connection.receive()
-            if data == b"":
-                if self._ended or self._is_free or not self._is_owed():
-                    self._end(now)
-                    return
-                self._ended = True
-                self._expect_end()
-            elif data:
+            # Not before, so that requests made before the connection was closed are executed.
+            data = connection.receive() if self._sending is not Sending.CLOSED or not self._is_free else b""
+            if data:
                 decoder.receive_data(data)
                 request = self._next_request()
+            elif data == b"":
+                self._end_sending()
+                if self._sending is Sending.OVER:
+                    self._end(now)
+                    return
         incomplete = request is None and self._is_free
         if request is not None:
             if request.kind is Control.TERMINATE:
@@ -153,15 +158,17 @@ class Experiment(Peer):
                 self._leave(now)
                 return
             assert isinstance(request.kind, Kind)
-            self._pipelines = pipelined or decoder.buffered > 0
+            is_ahead = early or decoder.buffered > 0
+            self._on_sending(SendingEvent.REQUEST_AHEAD if is_ahead else SendingEvent.REQUEST)
             self._carry_out(Message(request.kind, "", 0, request.scalars, request.body), now)
             if self._is_free and decoder.buffered:
                 connection.later()
-        connection.read(not self._ended and (incomplete or decoder.buffered < READ_AHEAD))
+        wanted = incomplete or decoder.buffered < READ_AHEAD
+        connection.read(wanted and self._sending is not Sending.CLOSED)
 
     @property
     def _is_free(self) -> bool:
-        """Whether the next request can be taken up: the reply to the one before has left."""
+        """Whether the next request can be started: the reply to the previous one has been sent."""
         return self._state is ExperimentState.IDLE and not self._connection.unsent
 
     def _next_request(self) -> Frame | None:
@@ -170,14 +177,21 @@ class Experiment(Peer):
         ahead, self._ahead = self._ahead, None
         return ahead or self._next_frame()
 
-    def _is_owed(self) -> bool:
-        """Return whether a program that has closed its sending half may still wait for replies.
+    def _on_sending(self, event: SendingEvent) -> None:
+        self._sending = after(SENDING, self._sending, event)
 
-        One that makes a request and waits for its reply has left, and may have said so: only one that sends
-        requests ahead closes that half while the other is needed.
-        """
-        self._ahead = self._next_frame()
-        return self._pipelines or (self._ahead is not None and self._ahead.kind is not Control.TERMINATE)
+    def _end_sending(self) -> None:
+        """Handle the end of the program's data."""
+        if self._is_free:
+            self._on_sending(SendingEvent.END_AFTER_REPLIES)
+            return
+        if self._ahead is None:
+            self._ahead = self._next_frame()
+            if self._ahead is not None and self._ahead.kind is not Control.TERMINATE:
+                self._on_sending(SendingEvent.REQUEST_AHEAD)
+        self._on_sending(SendingEvent.END)
+        if self._sending is Sending.CLOSED:
+            self._expect_end()
 
     def _carry_out(self, request: Message, now: float) -> None:
         self._on(ExperimentEvent.REQUEST)
@@ -186,7 +200,7 @@ class Experiment(Peer):
         self._send(self._request, now)
 
     def _expect_end(self) -> None:
-        """Apply the hub's timeout to the pending request: its sender may be gone for good."""
+        """Apply the hub's timeout to the pending request: its sender may be gone."""
         self._pending.add(self._connection, self._end, closing=True)
 
     def _end(self, now: float) -> None:

@@ -1,38 +1,38 @@
 """Original RL-Glue programs as peers of the hub: listeners in the hub's own loop.
 
-To a session an original program is a peer like any other. What it sends is translated into messages to the
+To a session an original program is a peer like any other. Its frames are translated into messages to the
 switchboard, and the switchboard's messages are translated into frames, one at a time:
 
-- A player, that is an agent or environment, is sent a call only after it has answered the one before, even
+- A player, that is an agent or environment, is sent a call only after it has answered the previous one, even
   if that answer is no longer needed: a Java program loses a frame that arrives together with another.
-- An experiment's next request is taken up only after the reply to the one before has been sent. If it sends
-  several ahead and closes its sending half, it still gets their replies.
-- A player takes part in one run, as the originals do. It is sent message 35, on which it ends, when the
-  experiment leaves, when the hub closes, when its role is taken, and when it breaks the protocol. If the
-  connection were merely closed, C programs would go on with stale data and Python programs would hang.
-- An experiment cannot be sent a failure of a call. If a player was lost, and the call can be carried out from
-  its beginning with another, it is made again. If not, the connection is reset: if it were merely closed,
-  C programs would go on with old numbers, and Python programs would hang.
+- An experiment's next request is started only after the reply to the previous one has been sent. If it sends
+  several requests ahead and closes its sending half, it still gets their replies.
+- A player takes part in one run, as the originals do. It is sent message 35, on which it exits, when the
+  experiment leaves, when the hub closes, when its role is taken, and when it violates the protocol. If the
+  connection were merely closed, C programs would continue with stale data and Python programs would hang.
+- The protocol cannot report a failed call to an experiment. If a player was lost, and the call can be
+  repeated from its beginning with another, it is. If not, the connection is reset: if it were merely closed,
+  C programs would continue with stale data, and Python programs would hang.
 
-The first two rules, and what follows when a player is lost, are the tables of `glue.legacy.states`.
+The first two rules, and the consequences of a lost player, are the tables of `glue.legacy.states`.
 
 Source: RL-Glue core 3.04, RL_network_glue.c; rl-glue-ext, the C, Java and Python codecs.
 """
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from typing import Final
 
-from glue.core.config import LegacyPort
+from glue.doors import network
 from glue.errors import RemoteProtocolError
-from glue.hub.connection import Connection
-from glue.hub.listener import Listener, OpenAddress, open_address
-from glue.hub.log import Log
-from glue.hub.server import Hub
+from glue.hub.config import LegacyPort
+from glue.hub.io.connection import Connection
+from glue.hub.io.listener import Listener, OpenAddress, open_address
+from glue.hub.io.log import Log
+from glue.hub.io.server import Hub
 from glue.legacy.codec import (
     FROM_AGENT,
     FROM_ENVIRONMENT,
@@ -42,10 +42,10 @@ from glue.legacy.codec import (
     Decoder,
     Vocabulary,
 )
-from glue.legacy.experiment import Experiment
-from glue.legacy.peers import Player
+from glue.legacy.experiment import LegacyExperiment
+from glue.legacy.peers import LegacyPlayer
 from glue.legacy.pending import Pending
-from glue.protocol.messages import Kind, Role
+from glue.wire.messages import Kind, Role
 
 __all__ = ["Gateway", "open_legacy_port"]
 
@@ -65,18 +65,18 @@ _NONE: Final[Mapping[LegacyPort, OpenAddress]] = {}
 
 
 class Gateway:
-    """Lets original programs into the sessions of `hub`, from the moment it is made until the hub closes.
+    """Listeners that admit original programs to the sessions of a hub, from construction until it closes.
 
     Args:
         hub: a hub that does not run yet.
-        ports: where to listen, and which session is joined there.
-        log: takes a line for people about each connection that is refused, dropped or in trouble, in a thread
-            of its own: nothing in the hub waits for it. Or a `Log`, which its owner closes.
+        ports: the ports to listen on, with their sessions.
+        log: called with a line about each connection that is refused, dropped or has an error, in a separate
+            thread, so that the hub does not wait for it. Or a `Log`, which its owner closes.
         opened: those of `ports` that are open already, see `open_legacy_port`; they stay open when the hub
             closes.
 
     Attributes:
-        ports: the same, free ports resolved.
+        ports: the same ports, with the numbers of free ports resolved.
 
     Raises:
         ConfigError: an address is in use, or cannot be listened on.
@@ -107,7 +107,7 @@ class Gateway:
     def _listen(self, port: LegacyPort, address: OpenAddress) -> None:
         pending, hub = self._pending, self._pending.hub
 
-        def accept(connected: socket.socket, name: str, now: float) -> None:
+        def accept(connected: network.socket, name: str, now: float) -> None:
             pending.make_room(now)
             _Handshake(pending, Connection(hub.loop, connected, name, hub.config.heartbeat), port)
 
@@ -127,21 +127,22 @@ def open_legacy_port(port: LegacyPort) -> OpenAddress:
         ConfigError: it is in use, or its host is not one of this machine.
     """
     host = f"[{port.host}]" if ":" in port.host else port.host
-    return open_address(f"tcp://{host}:{port.port or '*'}", "--legacy-port")
+    return open_address(f"tcp://{host}:{port.port or '*'}", "legacy_port")
 
 
 class _Handshake:
-    """A connection that has not said which role it is to have."""
+    """A connection that has not stated its role yet."""
 
     def __init__(self, pending: Pending, connection: Connection, port: LegacyPort) -> None:
         self._pending = pending
         self._connection = connection
         self._port = port
         self._decoder = Decoder(HANDSHAKE)
-        connection.ready = self._ready
+        connection.owner = self
         pending.add(connection, self._time_out)
 
-    def _ready(self, now: float) -> None:
+    def ready(self, now: float) -> None:
+        """Handle received data."""
         connection, decoder = self._connection, self._decoder
         data = connection.receive()
         if data is None:
@@ -160,8 +161,11 @@ class _Handshake:
             self._pending.remove(connection)
             role = _ROLES[frame.kind]
             decoder.expect(_FROM[role])
-            peer = Experiment if role is Role.EXPERIMENT else Player
+            peer = LegacyExperiment if role is Role.EXPERIMENT else LegacyPlayer
             peer(self._pending, connection, decoder, role, self._port).join(now)
+
+    def failed(self, now: float) -> None:
+        """Do nothing: it had no role."""
 
     def _time_out(self, now: float) -> None:
         self._pending.drop(self._connection, "it did not say which role it is to have", "", now)

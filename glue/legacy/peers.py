@@ -1,20 +1,19 @@
-"""Original programs as peers, and as players: between the frames of their protocol and the hub's messages.
+"""Original programs as peers and players: translation between frames of their protocol and messages.
 
-The two sides' rules about each other, and why original clients need them, are in `glue.legacy.gateway`; those
-about states in `glue.legacy.states`.
+`glue.legacy.gateway` explains the rules for original programs and their reasons; `glue.legacy.states` has the
+states.
 """
 
 from __future__ import annotations
 
-import os
-import time
 from collections.abc import Mapping
 from typing import Final
 
-from glue.core.config import LegacyPort
-from glue.core.sessions import INSTANCE_SIZE, ONE_RUN
+from glue.doors import chance, clock
 from glue.errors import LocalProtocolError, RemoteProtocolError
-from glue.hub.connection import Connection
+from glue.hub.config import LegacyPort
+from glue.hub.io.connection import Connection
+from glue.hub.sessions import INSTANCE_SIZE, ONE_RUN
 from glue.legacy.codec import (
     TO_AGENT,
     TO_ENVIRONMENT,
@@ -30,16 +29,16 @@ from glue.legacy.states import (
     PlayerState,
     after,
 )
-from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
+from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
-__all__ = ["Peer", "Player"]
+__all__ = ["LegacyPeer", "LegacyPlayer"]
 
 _CODEC: Final = "RL-Glue 3.x"
 
 _TO_PLAYER: Final[Mapping[Role, Vocabulary]] = {Role.AGENT: TO_AGENT, Role.ENVIRONMENT: TO_ENVIRONMENT}
 
 
-class Peer:
+class LegacyPeer:
     """An original program in its role; a route of the switchboard."""
 
     def __init__(
@@ -52,15 +51,14 @@ class Peer:
         self._session = port.session
         self._port = port
         self._held = 0
-        connection.ready = self._ready
-        connection.failed = self._failed
+        connection.owner = self
         connection.in_turn = True
         pending.on_tick(self._weigh)
 
     def join(self, now: float) -> None:
         """Ask the switchboard for the role."""
         capabilities = () if self._role is Role.EXPERIMENT else (ONE_RUN,)
-        instance = os.urandom(INSTANCE_SIZE)
+        instance = chance.random_bytes(INSTANCE_SIZE)
         name = self._connection.name
         scalars = ((PROTOCOL_VERSION,), str(self._role), instance, name, _CODEC, capabilities)
         self._send(Message(Kind.HELLO, self._session, 0, scalars), now)
@@ -68,25 +66,25 @@ class Peer:
             self._connection.later()
 
     def deliver(self, message: Message) -> bool:
-        """Take a message from the switchboard; return False if the program is gone."""
+        """Accept a message from the switchboard; return False if the program is gone."""
         connection = self._connection
         if connection.closed:
             return False
         try:
             delivered = self._take(message)
         except Exception:
-            # An error about this program must not end what another one is doing.
+            # An error of this program's connection must not interrupt another program.
             connection.fail()
             return False
         self._weigh()
         return delivered
 
     def _take(self, message: Message) -> bool:
-        """Act on a message from the switchboard; return False if the program is gone."""
+        """Handle a message from the switchboard; return False if the program is gone."""
         raise NotImplementedError
 
     def admits(self, role: Role, session: str) -> bool:
-        """Return whether `role` of `session` can be taken from here."""
+        """Return whether `role` of `session` can be taken at this port."""
         return role in self._port.roles and session == self._port.session
 
     @property
@@ -97,13 +95,14 @@ class Peer:
     def evict(self, why: str) -> None:
         """Drop the connection: it uses too much memory."""
         self._connection.reset()
-        self._pending.hub.switchboard.lose(self, f"was dropped: {why}", time.monotonic())
+        self._pending.hub.switchboard.lose(self, f"was dropped: {why}", clock.monotonic())
 
-    def _failed(self, now: float) -> None:
+    def failed(self, now: float) -> None:
+        """Leave the session: the connection was reset after an error of the hub."""
         self._pending.hub.switchboard.lose(self, "was dropped after an error of the hub", now)
 
     def _weigh(self) -> bool:
-        """Account for data not acted on yet and not sent; return False once the connection has closed."""
+        """Account for data not handled yet or not sent; return False once the connection has closed."""
         connection = self._connection
         held = 0 if connection.closed else self._decoder.buffered + connection.unsent
         if held != self._held:
@@ -111,20 +110,21 @@ class Peer:
             self._pending.hub.switchboard.memory.hold(self, held)
         return not connection.closed
 
-    def _ready(self, now: float) -> None:
+    def ready(self, now: float) -> None:
+        """Handle received data, and account for its memory."""
         self._work(now)
         self._weigh()
         self._pending.hub.switchboard.memory.relieve()
 
     def _work(self, now: float) -> None:
-        """Receive, and act on what was received."""
+        """Receive and handle data."""
         raise NotImplementedError
 
     def _next_frame(self) -> Frame | None:
         """Return the next frame, or None until more bytes are received.
 
         Raises:
-            RemoteProtocolError: it is malformed, not one of this role, or too long for this hub.
+            RemoteProtocolError: the frame is malformed, not one of this role, or too long for this hub.
         """
         frame = self._decoder.next_event()
         limit = self._pending.hub.config.max_body
@@ -138,19 +138,19 @@ class Peer:
         self._pending.hub.switchboard.receive(self, message, now)
 
 
-class Player(Peer):
+class LegacyPlayer(LegacyPeer):
     """An agent or environment, which answers calls."""
 
     _state = PlayerState.IDLE
 
     _call: Message | None = None
-    """The call that it was sent."""
+    """The call that the player was sent last."""
 
     _next: Message | None = None
-    """The call to send when it has answered."""
+    """The call to send after its answer."""
 
     _substitute: Message | None = None
-    """What answers in its stead a call that cannot be written in its format."""
+    """The answer to a call that is not sent, since it cannot be written in the player's format."""
 
     def _take(self, message: Message) -> bool:
         if self._state is PlayerState.GONE:
@@ -173,7 +173,7 @@ class Player(Peer):
     def _dismiss(self) -> None:
         self._on(PlayerEvent.DISMISSED)
         if self._state is PlayerState.LEAVING:
-            # It may never answer.
+            # The player may never answer.
             self._pending.add(self._connection, self._time_out, closing=True)
         else:
             self._pending.terminate(self._connection)
@@ -192,7 +192,7 @@ class Player(Peer):
             self._connection.later()
         else:
             self._connection.send(frame)
-            self._pending.hub.loop.expect()
+            self._pending.hub.loop.expect(self._connection)
 
     def _work(self, now: float) -> None:
         connection, switchboard = self._connection, self._pending.hub.switchboard
@@ -216,10 +216,10 @@ class Player(Peer):
             switchboard.lose(self, "closed its connection", now)
 
     def _answer(self, frame: Frame) -> Message:
-        """Return the answer that `frame` is to the call.
+        """Return `frame` as the answer to the call.
 
         Raises:
-            RemoteProtocolError: it is not an answer to it.
+            RemoteProtocolError: `frame` does not answer the call.
         """
         call = self._call
         if call is None or self._substitute or PlayerEvent.ANSWER not in PLAYER[self._state]:

@@ -1,27 +1,27 @@
-"""Connections of original programs that have no role: not yet, or not any more."""
+"""Connections of original programs that have no role yet, or no longer have one."""
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from glue.hub.connection import Connection, take_leave
-from glue.hub.log import Log
-from glue.hub.server import Hub
+from glue.doors import clock
+from glue.hub.io.connection import Connection, take_leave
+from glue.hub.io.log import Log
+from glue.hub.io.server import Hub
 from glue.legacy.codec import TO_AGENT, Control, Frame, encode
 
 __all__ = ["MAX_PENDING", "Pending"]
 
 MAX_PENDING: Final = 256
-"""Connections without a role that are kept at once; one more makes the oldest close."""
+"""Maximum number of connections without a role; one more closes the oldest."""
 
 _CLOSING_SECONDS: Final = 1.0
-"""How long the end of the hub is delayed, at most, for programs to finish and close."""
+"""Maximum delay of the end of the hub while programs finish and close."""
 
 _SUMMARY_SECONDS: Final = 60.0
-"""How often the connections that were dropped are summed up in the log."""
+"""Interval at which dropped connections are summed up in the log."""
 
 _TERMINATE: Final = encode(Frame(Control.TERMINATE), TO_AGENT)
 
@@ -31,9 +31,9 @@ class _Entry:
     """A connection without a role.
 
     Attributes:
-        time_out: ends it, given the time.
-        closing: a program is about to end; the hub waits for it a moment.
-        since: when its timeout began.
+        time_out: closes the connection; called with the time.
+        closing: the program is about to exit; the hub waits for it briefly.
+        since: the time at which its timeout began, in seconds; None before.
     """
 
     time_out: Callable[[float], None]
@@ -46,7 +46,7 @@ class Pending:
 
     Args:
         hub: a hub that does not run yet.
-        log: takes a line for people about each connection that is refused, dropped or in trouble.
+        log: called with a line about each connection that is refused, dropped or has an error.
     """
 
     def __init__(self, hub: Hub, log: Log) -> None:
@@ -63,15 +63,15 @@ class Pending:
         self._entries[connection] = _Entry(time_out, closing)
 
     def on_tick(self, weigh: Callable[[], bool]) -> None:
-        """Call `weigh` at every tick until it returns False: its connection has closed."""
+        """Call `weigh` at every tick until it returns False, which means that its connection has closed."""
         self._weighing.append(weigh)
 
     def remove(self, connection: Connection) -> None:
-        """Forget `connection`, which has a role now."""
+        """Remove `connection`, which has a role now."""
         del self._entries[connection]
 
     def make_room(self, now: float) -> None:
-        """Make room for one more connection, at the expense of the oldest."""
+        """Make room for one more connection; close the oldest if there are too many."""
         if len(self._entries) >= MAX_PENDING:
             self._entries = {known: entry for known, entry in self._entries.items() if not known.closed}
         while len(self._entries) >= MAX_PENDING:
@@ -88,7 +88,7 @@ class Pending:
         connection.close()
 
     def terminate(self, connection: Connection) -> None:
-        """Send message 35, on which original programs end, and ignore what is received after it."""
+        """Send message 35, on which original programs exit, and ignore later data."""
         connection.send(_TERMINATE)
         connection.finish()
         self.add(connection, lambda now: connection.close(), closing=True)
@@ -106,11 +106,11 @@ class Pending:
         self._dropped.tick(now)
 
     def _close(self) -> None:
-        """Give programs that are about to end a moment: their last answer should find an open connection."""
+        """Close all; wait briefly for programs about to exit, whose last answer needs an open connection."""
         take_leave(
             lambda: [known for known, entry in self._entries.items() if entry.closing], _CLOSING_SECONDS
         )
-        now = time.monotonic()
+        now = clock.monotonic()
         for connection, entry in list(self._entries.items()):
             if not connection.closed:
                 if entry.closing:
@@ -120,9 +120,9 @@ class Pending:
 
 
 class _DroppedLog:
-    """Lines about dropped connections: for each reason the first one in full, and then a sum now and then.
+    """Log of dropped connections: for each reason the first one in full, then a count at intervals.
 
-    A crowd of connections, or one that comes back again and again, would fill the log otherwise.
+    Otherwise many connections, or one that reconnects repeatedly, would fill the log.
     """
 
     def __init__(self, log: Log) -> None:

@@ -1,13 +1,13 @@
-"""The states of original programs in their roles, and what may happen in each.
+"""The states of original programs in their roles, and the events possible in each.
 
-A player, that is an agent or environment, is sent one call at a time. A call that arrives while it works on
-another one replaces the call that waits behind it, since the older one is no longer needed.
+A player, that is an agent or environment, is sent one call at a time. A call that arrives while the player
+executes another one replaces the waiting call, if any, since the older one is no longer needed.
 
-An experiment cannot be sent the failure of a request. If a player was lost meanwhile, a request that can be
-carried out from its beginning is made again; otherwise the connection is reset.
+The protocol cannot report a failed request to an experiment. If a player was lost meanwhile, a request that
+can be executed from its beginning is repeated; otherwise the connection is reset.
 
-States and events are numbers: tables of any other enum would be looked up by a function in Python, several
-times for each message.
+States and events are ints: the hash of any other enum is a function in Python, called several times for each
+message.
 """
 
 from __future__ import annotations
@@ -19,38 +19,41 @@ from typing import Final, TypeVar
 __all__ = [
     "EXPERIMENT",
     "PLAYER",
+    "SENDING",
     "ExperimentEvent",
     "ExperimentState",
     "PlayerEvent",
     "PlayerState",
+    "Sending",
+    "SendingEvent",
     "after",
 ]
 
 
 class PlayerState(IntEnum):
-    """What a player is doing."""
+    """The state of a player."""
 
     IDLE = auto()
     BUSY = auto()
-    """It has been sent a call."""
+    """A call has been sent, and not answered yet."""
     SUPERSEDED = auto()
-    """Its answer is no longer needed, and another call is to be sent after it."""
+    """The answer to the call is no longer needed; another call will be sent after it."""
     LEAVING = auto()
-    """Its answer is no longer needed, and it is terminated after it."""
+    """The answer to the call is no longer needed; the player will be terminated after it."""
     GONE = auto()
 
 
 class PlayerEvent(IntEnum):
-    """What happens to a player."""
+    """An event that changes the state of a player."""
 
     CALL = auto()
-    """The hub has a call for it."""
+    """The hub has a call for the player."""
     ANSWER = auto()
-    """It has answered the call that it was sent."""
+    """The player has answered its call."""
     DISMISSED = auto()
-    """The hub has said goodbye to it, or refused it."""
+    """The hub has sent the player GOODBYE or REFUSE."""
     LOST = auto()
-    """It has closed its connection, or broken the protocol."""
+    """The player has closed its connection, violated the protocol, or not answered in time."""
 
 
 PLAYER: Final[Mapping[PlayerState, Mapping[PlayerEvent, PlayerState]]] = {
@@ -80,35 +83,35 @@ PLAYER: Final[Mapping[PlayerState, Mapping[PlayerEvent, PlayerState]]] = {
 
 
 class ExperimentState(IntEnum):
-    """What becomes of an experiment's requests."""
+    """The state of an experiment's request."""
 
     IDLE = auto()
     WAITING = auto()
-    """A request is being carried out."""
+    """A request is in progress."""
     BEREFT = auto()
-    """A request is being carried out, and a player has been lost meanwhile."""
+    """A request is in progress, and a player has been lost meanwhile."""
     RETRYING = auto()
-    """The request has failed, and is made again in the next turn."""
+    """The request has failed, and will be repeated in the next turn."""
     FAILED = auto()
-    """The request has failed, and the connection is reset in the next turn."""
+    """The request has failed, and the connection will be reset in the next turn."""
     GONE = auto()
 
 
 class ExperimentEvent(IntEnum):
-    """What happens to an experiment."""
+    """An event that changes the state of an experiment."""
 
     REQUEST = auto()
-    """Its next request is taken up, or the last one again."""
+    """The next request starts, or the last one is repeated."""
     REPLY = auto()
     """The request has succeeded."""
     PLAYER_LOST = auto()
     """The session has lost a player."""
     REPEATABLE_FAILURE = auto()
-    """The request has failed; it could be carried out again from its beginning."""
+    """The request has failed; it could be repeated from its beginning."""
     FAILURE = auto()
-    """The request has failed for good, for instance since it goes on with an episode that is void."""
+    """The request has failed and cannot be repeated, for example because it continues a void episode."""
     LEFT = auto()
-    """It has left, broken the protocol, or been sent away by the hub."""
+    """The experiment has left, violated the protocol, or been dismissed by the hub."""
 
 
 EXPERIMENT: Final[Mapping[ExperimentState, Mapping[ExperimentEvent, ExperimentState]]] = {
@@ -143,14 +146,65 @@ EXPERIMENT: Final[Mapping[ExperimentState, Mapping[ExperimentEvent, ExperimentSt
     ExperimentState.GONE: {},
 }
 
+
+class Sending(IntEnum):
+    """The way in which an experiment sends requests, which tells whether it may still wait for replies."""
+
+    ONE_BY_ONE = auto()
+    """Each request was sent after the reply to the previous one."""
+    AHEAD = auto()
+    """The newest request was sent before the reply to the previous one, or is followed by another."""
+    CLOSED = auto()
+    """The sending half is closed, and the experiment waits for replies."""
+    OVER = auto()
+    """The connection is closed, or its sending half was closed after the last reply."""
+
+
+class SendingEvent(IntEnum):
+    """A request from an experiment, or the end of its data."""
+
+    REQUEST = auto()
+    """A request that no other data follows."""
+    REQUEST_AHEAD = auto()
+    """A request that was sent before a reply, or is followed by another."""
+    END = auto()
+    """The end of the data, or of the connection, while a reply is outstanding."""
+    END_AFTER_REPLIES = auto()
+    """The end of the data after the last reply."""
+
+
+SENDING: Final[Mapping[Sending, Mapping[SendingEvent, Sending]]] = {
+    # A program that waits for each reply has left if its data ends; only a program that sends requests ahead
+    # closes its sending half while it still needs the other half.
+    Sending.ONE_BY_ONE: {
+        SendingEvent.REQUEST: Sending.ONE_BY_ONE,
+        SendingEvent.REQUEST_AHEAD: Sending.AHEAD,
+        SendingEvent.END: Sending.OVER,
+        SendingEvent.END_AFTER_REPLIES: Sending.OVER,
+    },
+    Sending.AHEAD: {
+        SendingEvent.REQUEST: Sending.ONE_BY_ONE,
+        SendingEvent.REQUEST_AHEAD: Sending.AHEAD,
+        SendingEvent.END: Sending.CLOSED,
+        SendingEvent.END_AFTER_REPLIES: Sending.OVER,
+    },
+    Sending.CLOSED: {
+        SendingEvent.REQUEST: Sending.CLOSED,
+        SendingEvent.REQUEST_AHEAD: Sending.CLOSED,
+        SendingEvent.END: Sending.OVER,
+        SendingEvent.END_AFTER_REPLIES: Sending.OVER,
+    },
+    Sending.OVER: {},
+}
+
 State = TypeVar("State")
 Event = TypeVar("Event")
 
 
 def after(table: Mapping[State, Mapping[Event, State]], state: State, event: Event) -> State:
-    """Return the state that follows `state` when `event` happens.
+    """Return the state after `event` in `state`.
 
     Raises:
-        KeyError: it cannot happen in that state; check `event in table[state]` where a program decides.
+        KeyError: `event` is impossible in `state`; check `event in table[state]` if a peer can cause it.
     """
     return table[state][event]

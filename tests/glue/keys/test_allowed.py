@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -11,8 +12,10 @@ pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 from glue.errors import ConfigError
 from glue.keys.allowed import read_keys
 from glue.keys.certificates import encode, read_pair, read_public, write_pair
-from glue.protocol.messages import Role
+from glue.wire.messages import Role
 from tests.keyed import KeyFolder
+
+NOBODY = 65534
 
 
 @pytest.fixture
@@ -77,17 +80,15 @@ def test_a_mistake_in_the_list_names_file_and_table(folder: KeyFolder, text: str
 
 
 def test_a_directory_that_is_not_ready_is_refused_with_the_next_step(folder: KeyFolder) -> None:
-    with pytest.raises(ConfigError, match="glue-keys new hub --dir nowhere"):
+    with pytest.raises(ConfigError, match="make it in nowhere with glue-keys new hub") as caught:
         read_keys(Path("nowhere"))
+    assert caught.value.settings == ("keys",)
     folder.path.chmod(0o777)
-    with pytest.raises(ConfigError, match=f"other users can exchange the files in .*chmod o-w {folder.path}"):
+    with pytest.raises(ConfigError, match=f"chmod go-w {folder.path}"):
         read_keys(folder.path)
     folder.path.chmod(0o755)
-    (folder.path / "allow.toml").chmod(0o666)
-    with pytest.raises(ConfigError, match="other users can change it: chmod o-w"):
-        read_keys(folder.path)
     (folder.path / "allow.toml").unlink()
-    with pytest.raises(ConfigError, match=r"there is no .*allow\.toml, which says who may join"):
+    with pytest.raises(ConfigError, match=r"there is no .*allow\.toml"):
         read_keys(folder.path)
     (folder.path / "allow.toml").write_bytes(b"\xff")
     with pytest.raises(ConfigError, match="is not UTF-8"):
@@ -97,6 +98,64 @@ def test_a_directory_that_is_not_ready_is_refused_with_the_next_step(folder: Key
         read_keys(folder.path)
     (folder.path / "hub.key_secret").chmod(0o644)
     with pytest.raises(ConfigError, match="chmod 600"):
+        read_keys(folder.path)
+
+
+@pytest.mark.parametrize("name", [".", "allow.toml", "carol.key", "hub.key_secret"])
+@pytest.mark.parametrize("mode", [0o020, 0o002])
+def test_files_that_others_can_change_are_refused(folder: KeyFolder, name: str, mode: int) -> None:
+    folder.entrant("carol")
+    folder.allow('[carol]\nrole = "agent"')
+    assert len(read_keys(folder.path).permits) == 1
+    path = folder.path / name
+    path.chmod(path.stat().st_mode | mode)
+    with pytest.raises(ConfigError, match="chmod"):
+        read_keys(folder.path)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give a file away")
+@pytest.mark.parametrize("name", [".", "allow.toml", "carol.key", "hub.key_secret"])
+def test_files_of_another_user_are_refused(folder: KeyFolder, name: str) -> None:
+    folder.entrant("carol")
+    folder.allow('[carol]\nrole = "agent"')
+    os.chown(folder.path / name, NOBODY, NOBODY)
+    with pytest.raises(ConfigError, match=f"belongs to another user .*{NOBODY}"):
+        read_keys(folder.path)
+
+
+@pytest.mark.parametrize("spoilt", ["folder of the link", "folder of the target", "target"])
+@pytest.mark.parametrize("name", [".", "allow.toml", "carol.key", "hub.key_secret"])
+def test_symbolic_links_lead_only_to_files_that_others_cannot_exchange(
+    folder: KeyFolder, tmp_path: Path, name: str, spoilt: str
+) -> None:
+    folder.entrant("carol")
+    folder.allow('[carol]\nrole = "agent"')
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    link, target = folder.path / name, elsewhere / "target"
+    link.rename(target)
+    link.symlink_to("../elsewhere/target" if name != "." else "elsewhere/target")
+    assert len(read_keys(folder.path).permits) == 1
+    path = {"folder of the link": link.parent, "folder of the target": elsewhere, "target": target}[spoilt]
+    path.chmod(path.stat().st_mode | 0o020)
+    with pytest.raises(ConfigError, match="chmod"):
+        read_keys(folder.path)
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to give a link away")
+def test_a_symbolic_link_of_another_user_is_refused(folder: KeyFolder) -> None:
+    link = folder.path / "allow.toml"
+    link.rename(folder.path / "list")
+    link.symlink_to("list")
+    os.chown(link, NOBODY, NOBODY, follow_symlinks=False)
+    with pytest.raises(ConfigError, match=f"belongs to another user .*{NOBODY}"):
+        read_keys(folder.path)
+
+
+def test_only_regular_files_are_read(folder: KeyFolder) -> None:
+    (folder.path / "allow.toml").unlink()
+    os.mkfifo(folder.path / "allow.toml", 0o600)
+    with pytest.raises(ConfigError, match="no regular file"):
         read_keys(folder.path)
 
 
@@ -110,7 +169,7 @@ def test_a_pair_that_does_not_belong_together_is_refused(folder: KeyFolder) -> N
 
 def test_a_pair_of_glue_keys_fits_together_for_the_hub(tmp_path: Path) -> None:
     from glue.client.libzmq import new_pair
-    from glue.protocol.curve import public_key
+    from glue.wire.curve import public_key
 
     _, secret = write_pair(tmp_path, "any", new_pair())
     pair = read_pair(secret)

@@ -30,8 +30,8 @@ from glue.legacy.codec import (
     Vocabulary,
     encode,
 )
-from glue.protocol.messages import Body, Kind
 from glue.types import Action, Observation, body_size
+from glue.wire.messages import Body, Kind
 
 CAPTURES = sorted((Path(__file__).parents[2] / "golden" / "captures").glob("*.json"))
 VOCABULARIES = {

@@ -27,28 +27,22 @@ from pathlib import Path
 from glue import make, make_agent
 from glue.client.experiment import RemoteExperiment, connect
 from glue.client.players import serve_agent, serve_environment
-from glue.core.local import local
+from glue.engine.local import local
 from glue.errors import GlueError
 from glue.keys.certificates import read_pair, read_public
-from glue.protocol.messages import Kind, Message
-from glue.protocol.wire import TO_HUB, encode
-from tests.curve_client import GREETING, CurveClient, Pair, command
+from glue.wire.messages import Kind
 from tests.keyed import KeyFolder
+from tests.scripted.curve import GREETING, CurveClient, Pair, command
+from tests.scripted.peer import ScriptedPeer, hello_scalars
 
 STAGES = ("greeting", "hello", "initiate", "message", "replay")
 SESSION = "attacked"
 SEED = 20260731
+REFUSAL = b"\x04\x0a\x05ERROR\x03400"
 _TIMEOUT = 60.0
 _MAX_STEPS = 200
 _GROWTH = 4 * 2**20
 """Bytes by which the hub may have grown in the end: its allocator's, and its log's queue."""
-
-
-def hello_of(session: str) -> bytes:
-    """The header of the HELLO of an experiment."""
-    scalars = ((1,), "experiment", bytes(16), "mutant", "test", ())
-    [header] = encode(Message(Kind.HELLO, session, 1, scalars), TO_HUB)
-    return header
 
 
 def mutated(data: bytes, chance: random.Random) -> bytes:
@@ -90,8 +84,7 @@ class Mutant:
     """
 
     def __init__(self, url: str, own: Pair, server: bytes, seed: int) -> None:
-        host, _, port = url.removeprefix("tcp://").rpartition(":")
-        self._address = host, int(port)
+        self._url = url
         self._own, self._server = own, server
         self._short = Pair.new()
         self._chance = random.Random(seed)
@@ -103,56 +96,55 @@ class Mutant:
         """Try one handshake; fail if anything of it was let in."""
         stage = self._chance.choice(STAGES)
         self.tried[stage] += 1
-        with socket.create_connection(self._address, _TIMEOUT) as peer, suppress(ConnectionError):
-            peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            answer = self._go_through(peer, stage)
+        keys = CurveClient(self._own, self._server, self._short)
+        with ScriptedPeer(self._url, keys, session=SESSION) as peer, suppress(ConnectionError):
+            answer = self._go_through(peer.connect(), keys, stage)
+            if stage == "hello":
+                answer = answer.removeprefix(REFUSAL)  # its box cannot be opened
             assert answer == b"", f"a mutated {stage} was answered with {answer[:20]!r}"
 
-    def _go_through(self, peer: socket.socket, stage: str) -> bytes:
+    def _go_through(self, peer: ScriptedPeer, keys: CurveClient, stage: str) -> bytes:
         """Say everything up to a stage, and that mutated; return what the hub answers to it."""
-        client = CurveClient(self._own, self._server, self._short)
-        read = peer.makefile("rb").read
-        hello = command(client.hello())
+        hello = command(keys.hello())
         if stage == "greeting":
             greeting = mutated(GREETING, self._chance)
-            peer.sendall(greeting + hello)
-            peer.shutdown(socket.SHUT_WR)
-            read(64)
-            return b"" if _may_greet(greeting) else read()
-        peer.sendall(GREETING)
-        read(64)
+            answer = self._end(peer, greeting + hello)
+            return b"" if _may_greet(greeting) else answer[64:]
+        peer.send_bytes(GREETING)
+        peer.read(64)
         if stage == "hello":
-            return self._end(peer, mutated(hello, self._chance), read)
+            return self._end(peer, mutated(hello, self._chance))
         if stage == "replay" and self._recorded:
             recorded = self._chance.choice(self._recorded)
             if self._chance.random() < 0.5:
-                return self._end(peer, b"".join(recorded[1:]), read)
-            peer.sendall(recorded[0])
-            read(170)  # WELCOME: a HELLO proves nothing
-            return self._end(peer, b"".join(recorded[1:]), read)
-        peer.sendall(hello)
-        client.welcome(self._expect(read(170), 170)[2:])
-        initiate = command(client.initiate())
+                return self._end(peer, b"".join(recorded[1:]))
+            peer.send_bytes(recorded[0])
+            peer.read_frame()  # WELCOME: a HELLO proves nothing
+            return self._end(peer, b"".join(recorded[1:]))
+        peer.send_bytes(hello)
+        keys.welcome(self._answer(peer))
+        initiate = command(keys.initiate())
         if stage == "initiate":
-            return self._end(peer, mutated(initiate, self._chance), read)
-        peer.sendall(initiate)
-        client.ready(read(self._expect(read(2), 2)[1]))
-        message = client.message(hello_of(SESSION))
+            return self._end(peer, mutated(initiate, self._chance))
+        peer.send_bytes(initiate)
+        keys.ready(self._answer(peer))
+        message = peer.encoded(*peer.frames_of(Kind.HELLO, 1, *hello_scalars("experiment", "mutant")))
         if len(self._recorded) < 100:
             self._recorded.append((hello, initiate, message))
-        return self._end(peer, mutated(message, self._chance), read)
+        return self._end(peer, mutated(message, self._chance))
 
-    def _expect(self, data: bytes, size: int) -> bytes:
-        """Return what should come; a hub on a busy machine may have dropped the peer, which took a second."""
-        if len(data) < size:
+    def _answer(self, peer: ScriptedPeer) -> bytes:
+        """Return the hub's command, unless a busy hub has dropped the peer, after a second."""
+        try:
+            return peer.read_frame()[1]
+        except ConnectionError:
             self.late += 1
-            raise ConnectionAbortedError
-        return data
+            raise
 
-    def _end(self, peer: socket.socket, data: bytes, read: Callable[[], bytes]) -> bytes:
-        peer.sendall(data)
-        peer.shutdown(socket.SHUT_WR)
-        return read()
+    def _end(self, peer: ScriptedPeer, data: bytes) -> bytes:
+        peer.send_bytes(data)
+        peer.socket.shutdown(socket.SHUT_WR)
+        return peer.read_to_end()
 
 
 @dataclass
@@ -186,7 +178,7 @@ class Honest:
 @contextmanager
 def keyed_hub(folder: KeyFolder, log: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
     """A hub of these keys in a process of its own, and its URL."""
-    program = "from glue.hub.command import main; main()"
+    program = "from glue.cli.hub import main; main()"
     options = ["--bind", "tcp://127.0.0.1:*", "--keys", str(folder.path), "--heartbeat", "0.2"]
     with log.open("wb") as output:
         hub = subprocess.Popen([sys.executable, "-c", program, *options], stderr=output)

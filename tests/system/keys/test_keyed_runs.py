@@ -21,14 +21,14 @@ pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 from glue import make, make_agent
 from glue.client.experiment import connect
 from glue.client.players import serve_agent, serve_environment
-from glue.core.config import Bind, HubConfig
 from glue.errors import GlueError
-from glue.hub.server import Hub
+from glue.hub.config import Bind, HubConfig
+from glue.hub.io.server import Hub
 from glue.keys.allowed import read_keys
 from tests import forked
 from tests.keyed import KeyFolder
+from tests.scripted.peer import TIMEOUT
 from tests.system.keys.handshakes import keyed_hub, run
-from tests.system.peer import TIMEOUT
 from tests.system.proxy import Proxy
 from tests.system.runs import COMMAND, start, wait_until
 
@@ -118,7 +118,7 @@ def test_a_key_from_its_making_to_its_end(tmp_path: Path) -> None:
         done = subprocess.run(command, env=environment, **run_here)  # type: ignore[call-overload]
         assert done.returncode == 0, done.stderr
         assert "2/2" in done.stdout
-        agent = [sys.executable, "-c", "from agents.command import main; main()", "random"]
+        agent = [sys.executable, "-c", "from agents.cli.agent import main; main()", "random"]
         keys.allow('[erin]\nrole = "agent"\n')
         hub.send_signal(signal.SIGHUP)
         wait_until(lambda: "read again: 1 key may join" in (tmp_path / "log").read_text(), "the new list")
@@ -131,6 +131,88 @@ def test_a_key_from_its_making_to_its_end(tmp_path: Path) -> None:
         assert "chmod 600 carol.key_secret" in refused.stderr
 
 
+def test_a_hub_takes_no_list_that_others_can_write(tmp_path: Path) -> None:
+    keys = KeyFolder(tmp_path)
+    keys.entrant("carol")
+    keys.allow('[carol]\nrole = "agent"')
+    listed = keys.path / "allow.toml"
+    listed.chmod(0o664)
+    options = ("--bind", "tcp://127.0.0.1:*", "--keys", str(keys.path))
+    refused = forked.run("glue-hub", *options, cwd=tmp_path, timeout=TIMEOUT)
+    assert refused.returncode == 2, refused.stderr
+    assert f"chmod go-w {listed}" in refused.stderr
+    listed.chmod(0o644)
+    with keyed_hub(keys, tmp_path / "log") as (hub, _):
+        listed.rename(tmp_path / "list")
+        listed.symlink_to(tmp_path / "list")
+        (tmp_path / "list").chmod(0o664)
+        hub.send_signal(signal.SIGHUP)
+        wait_until(lambda: "the keys stay as they were" in (tmp_path / "log").read_text(), "the refusal")
+        (tmp_path / "list").chmod(0o644)
+        hub.send_signal(signal.SIGHUP)
+        wait_until(lambda: "read again: 1 key may join" in (tmp_path / "log").read_text(), "the new list")
+
+
+def spoiled(keys: KeyFolder) -> Iterator[str]:
+    """Spoil a directory of keys in one way after the other; give a name of each."""
+    listed, aside = keys.path / "allow.toml", keys.path.with_name("aside")
+    good = listed.read_text()
+    for name, text in {
+        "not TOML": "[agent",
+        "a long name": f'["{"x" * 300}"]\nrole = "agent"\n',
+        "a name with a zero byte": '["a\\u0000b"]\nrole = "agent"\n',
+        "deep arrays": f"[carol]\nrole = {'[' * 5000}{']' * 5000}\n",
+        "deep keys": f"[carol]\nrole{'.a' * 5000} = 1\n",
+        "too long": f"{good}# {'x' * 2**20}\n",
+    }.items():
+        listed.write_text(text)
+        yield name
+    listed.unlink()
+    yield "no list"
+    os.mkfifo(listed)
+    yield "a FIFO"
+    listed.unlink()
+    listed.symlink_to(listed)
+    yield "a link to itself"
+    listed.unlink()
+    listed.write_text(good)
+    keys.path.rename(aside)
+    keys.path.write_text("")
+    yield "a file in place of the directory"
+    keys.path.unlink()
+    aside.rename(keys.path)
+
+
+def test_keys_that_cannot_be_read_cost_one_line_and_change_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    keys = KeyFolder(folder)
+    carol = keys.entrant("carol")
+    keys.allow('[carol]\nrole = "experiment"\n')
+    log = tmp_path / "log"
+    with keyed_hub(keys, log) as (hub, url), connect(url, "s", key=carol, hub_key=keys.hub_key) as glue:
+        glue.rl_num_episodes()
+        for number, name in enumerate(spoiled(keys), 1):
+            refused = forked.run(
+                "glue-hub",
+                "--bind",
+                "tcp://127.0.0.1:*",
+                "--keys",
+                str(keys.path),
+                cwd=tmp_path,
+                timeout=TIMEOUT,
+            )
+            assert (refused.returncode, "Traceback" in refused.stderr) == (2, False), (name, refused.stderr)
+            hub.send_signal(signal.SIGHUP)
+            wait_until(lambda: log.read_text().count("the keys stay as they were") == number, name)  # noqa: B023
+            assert glue.rl_num_episodes() == 0
+        before = len(log.read_text().splitlines())
+        hub.send_signal(signal.SIGHUP)
+        wait_until(lambda: "read again: 1 key may join" in log.read_text(), "the list as it was")
+        assert len(log.read_text().splitlines()) == before + 1
+        assert "Traceback" not in log.read_text()
+
+
 @contextmanager
 def open_temporary_directory() -> Iterator[Path]:
     """A folder that every user may enter, as /tmp is."""
@@ -140,7 +222,7 @@ def open_temporary_directory() -> Iterator[Path]:
 
 
 def as_nobody(path: Path) -> str:
-    """What happens when another user connects to a Unix socket."""
+    """Return the name of the error that another user gets on connecting to a Unix socket; empty if none."""
     program = (
         "import os, socket, sys\n"
         f"os.setgroups([]); os.setgid({NOBODY}); os.setuid({NOBODY})\n"
@@ -198,7 +280,7 @@ def test_who_else_can_join_is_said_where_players_from_outside_are_expected(tmp_p
             said += process.stderr.readline()
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=TIMEOUT)
-    assert "any user of this machine can join, unless --keys DIR says whose key you know" in said
+    assert "any user of this machine can join, unless the hub requires keys" in said
 
 
 def test_an_experiment_with_keys_lets_only_them_in(tmp_path: Path) -> None:

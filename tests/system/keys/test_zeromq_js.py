@@ -13,15 +13,14 @@ import pytest
 
 pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
 
-from glue.core.config import Bind, HubConfig
-from glue.hub.server import Hub
+from glue.hub.config import Bind, HubConfig
+from glue.hub.io.server import Hub
 from glue.keys.allowed import read_keys
 from glue.keys.certificates import encode, read_pair, read_public
-from glue.protocol.messages import Kind
-from glue.protocol.wire import FROM_HUB, decode
+from glue.wire.codec import FROM_HUB, decode
+from glue.wire.messages import Kind
 from tests.keyed import KeyFolder
-from tests.system.keys.handshakes import hello_of
-from tests.system.peer import TIMEOUT
+from tests.scripted.peer import TIMEOUT, ScriptedPeer, hello_scalars
 
 NODE = shutil.which("node")
 
@@ -45,10 +44,13 @@ def test_zeromq_js_joins_with_its_key_what_its_key_opens(tmp_path: Path) -> None
     said = {}
     bind = Bind("tcp://127.0.0.1:*", keys=read_keys(keys.path))
     with Hub(HubConfig(bind=(bind,))).in_background() as hub:
+        (hello,) = ScriptedPeer(hub.endpoints[0], session="a").frames_of(
+            Kind.HELLO, 1, *hello_scalars("experiment")
+        )
         for name, secret in secrets.items():
             pair = read_pair(secret)
             arguments = [hub.endpoints[0], encode(pair.public), encode(pair.secret)]
-            arguments += [encode(read_public(keys.hub_key)), hello_of("a").hex()]
+            arguments += [encode(read_public(keys.hub_key)), hello.hex()]
             program = [str(NODE), str(Path(__file__).with_name("curve.cjs")), *arguments]
             done = subprocess.run(program, capture_output=True, text=True, timeout=TIMEOUT)
             assert done.returncode == 0, done.stderr

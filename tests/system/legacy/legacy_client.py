@@ -66,7 +66,6 @@ class Style:
         greedy: reads all that is available, uses the first frame and discards the rest.
         utf16_counts: counts a text in UTF-16 units although it sends UTF-8.
         farewell: what answers the server's last message.
-        cleans_up: its test experiments call RL_cleanup before they leave.
         byte_at_a_time: sends every byte on its own.
         retry: seconds between two attempts to connect; C and Python programs wait for two seconds.
     """
@@ -76,17 +75,14 @@ class Style:
     greedy: bool = False
     utf16_counts: bool = False
     farewell: str = "echo"
-    cleans_up: bool = True
     byte_at_a_time: bool = False
     retry: float = 0.02
 
 
 STYLES = {
     "c": Style(split=True),
-    "java": Style(
-        nodelay=False, greedy=True, utf16_counts=True, farewell="repeat", cleans_up=False, retry=0.0003
-    ),
-    "python": Style(farewell="repeat", cleans_up=False),
+    "java": Style(nodelay=False, greedy=True, utf16_counts=True, farewell="repeat", retry=0.0003),
+    "python": Style(farewell="repeat"),
     "lisp": Style(farewell="nothing"),
     "drip": Style(byte_at_a_time=True),
 }
@@ -252,7 +248,7 @@ class Connection:
 
 
 class Agent(Protocol):
-    """What an agent program implements."""
+    """The methods that an agent program implements."""
 
     def init(self, task_spec: str) -> None: ...
     def start(self, observation: Numbers) -> Numbers: ...
@@ -263,7 +259,7 @@ class Agent(Protocol):
 
 
 class Environment(Protocol):
-    """What an environment program implements; `step` returns reward, observation and terminal."""
+    """The methods that an environment program implements; `step` returns reward, observation and terminal."""
 
     def init(self) -> str: ...
     def start(self) -> Numbers: ...

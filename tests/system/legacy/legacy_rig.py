@@ -1,8 +1,14 @@
-"""A hub with ports for original programs, and adapters that make programs of ours look original."""
+"""A hub with ports for original programs, and adapters that make programs of ours look original.
+
+A program of a scenario of `tests.system.conformance` can be started from a shell:
+
+    python -m tests.system.legacy.legacy_rig agent test_1 4096 java
+"""
 
 from __future__ import annotations
 
 import socket
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -13,14 +19,15 @@ import zmq
 from glue.client.experiment import RemoteExperiment, connect
 from glue.client.libzmq import Context
 from glue.client.players import serve_agent, serve_environment
-from glue.core.config import HubConfig, LegacyPort
-from glue.core.experiment import Experiment
-from glue.hub.server import Hub
+from glue.engine.experiment import Experiment
+from glue.hub.config import HubConfig, LegacyPort
+from glue.hub.io.server import Hub
 from glue.legacy.gateway import Gateway
-from glue.protocol.limits import MAX_BODY
-from glue.protocol.messages import Kind, Value
 from glue.roles import Agent, Environment
 from glue.types import AbstractType, Action, Observation
+from glue.wire.limits import MAX_BODY
+from glue.wire.messages import Kind, Value
+from tests.system.conformance import SCENARIOS
 from tests.system.legacy import legacy_client
 from tests.system.legacy.legacy_client import STYLES, TIMEOUT, Connection, Numbers, Style
 from tests.system.runs import wait_until
@@ -99,20 +106,22 @@ class Rig:
         """Connect as an experiment of ours."""
         return connect(self.url, session, context=self._context, log=self.log)
 
-    def agent(self, agent: legacy_client.Agent, style: Style = C, session: str = "default") -> None:
-        """Let an original agent play, in a thread."""
+    def disguised(self, style: Style = C, session: str = "default") -> DisguisedExperiment:
+        """Connect as an original experiment with the verbs of ours."""
+        return DisguisedExperiment(self.experiment(style, session))
+
+    def agent(self, agent: Agent, style: Style = C, session: str = "default") -> None:
+        """Let an agent play as an original program, in a thread."""
         self.serve_agent(agent, self.connect(style, session))
 
-    def serve_agent(self, agent: legacy_client.Agent, connection: Connection) -> None:
-        """Let an original agent play over a connection that the test controls."""
-        self._start(lambda: legacy_client.serve_agent(agent, connection))
+    def serve_agent(self, agent: Agent, connection: Connection) -> None:
+        """Let an agent play as an original program over a connection that the test controls."""
+        self._start(lambda: play_agent(agent, connection))
 
-    def environment(
-        self, environment: legacy_client.Environment, style: Style = C, session: str = "default"
-    ) -> None:
-        """Let an original environment play, in a thread."""
+    def environment(self, environment: Environment, style: Style = C, session: str = "default") -> None:
+        """Let an environment play as an original program, in a thread."""
         connection = self.connect(style, session)
-        self._start(lambda: legacy_client.serve_environment(environment, connection))
+        self._start(lambda: play_environment(environment, connection))
 
     def native_agent(self, agent: Agent, session: str = "default") -> None:
         """Let an agent of ours play, in a thread."""
@@ -177,8 +186,18 @@ def free_ports(count: int) -> list[int]:
 
 
 def to_numbers(value: AbstractType) -> Numbers:
-    """Return what an original program has for an observation or action of ours."""
+    """Convert an observation or action of ours to that of an original program."""
     return Numbers(tuple(value.ints.tolist()), tuple(value.doubles.tolist()), value.chars)
+
+
+def play_agent(agent: Agent, connection: Connection) -> None:
+    """Serve an agent as an original program does."""
+    legacy_client.serve_agent(DisguisedAgent(agent), connection)
+
+
+def play_environment(environment: Environment, connection: Connection) -> None:
+    """Serve an environment as an original program does."""
+    legacy_client.serve_environment(DisguisedEnvironment(environment), connection)
 
 
 class DisguisedAgent:
@@ -219,7 +238,7 @@ class DisguisedEnvironment:
         return to_numbers(self._environment.env_start())
 
     def step(self, action: Numbers) -> tuple[float, Numbers, int]:
-        reward, observation, terminal = self._environment.env_step(Action(*action))
+        reward, observation, terminal, *_ = self._environment.env_step(Action(*action))
         return reward, to_numbers(observation), int(terminal)
 
     def cleanup(self) -> None:
@@ -267,3 +286,20 @@ class DisguisedExperiment(Experiment):
                 glue.cleanup()
                 return (), None
         raise AssertionError(f"an original experiment has no {kind.name}")
+
+
+def main(role: str, scenario: str, port: str, style: str) -> None:
+    connection = Connection(int(port), STYLES[style])
+    chosen = SCENARIOS[scenario]
+    if role == "agent":
+        play_agent(chosen.agent(), connection)
+    elif role == "environment":
+        play_environment(chosen.environment(), connection)
+    else:
+        with DisguisedExperiment(legacy_client.Experiment(connection)) as glue:
+            chosen.run(glue)
+        print(f"{scenario} passed")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

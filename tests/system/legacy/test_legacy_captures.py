@@ -4,68 +4,45 @@ from __future__ import annotations
 
 import json
 import socket
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.scripted.peer import ScriptedPeer
 from tests.system.conformance import FiveStepEnvironment, MirrorAgent
-from tests.system.legacy.legacy_client import TIMEOUT
 from tests.system.legacy.legacy_rig import Rig, gateway
 
 CAPTURES = sorted((Path(__file__).parents[2] / "golden" / "captures").glob("*.json"))
 ROLES = ("agent", "environment", "experiment")
 
 
-class Player:
-    """One recorded connection, played by its client's side."""
-
-    def __init__(self, port: int, role: str) -> None:
-        self._role = role
-        self._socket = socket.create_connection(("127.0.0.1", port), TIMEOUT)
-        self._served = False
-        self._left = False
-
-    def play(self, event: dict[str, Any]) -> None:
-        """Send what the client sent; receive what the server sent.
-
-        Raises:
-            AssertionError: the server sends anything else.
-        """
-        where = f"{self._role}, number {event['seq']}"
-        recorded = bytes.fromhex(event.get("hex", ""))
-        if event["from"] == "client":
-            self._socket.sendall(recorded)
-            if event.get("event") == "eof":
-                self._socket.shutdown(socket.SHUT_WR)
-        elif event.get("event") == "eof":
-            assert self._socket.recv(1) == b"", where
-        else:
-            assert self._receive(len(recorded)) == recorded, where
-
-    def _receive(self, size: int) -> bytes:
-        data = b""
-        while len(data) < size and (chunk := self._socket.recv(size - len(data))):
-            data += chunk
-        return data
-
-    def close(self) -> None:
-        self._socket.close()
+def play(client: ScriptedPeer, event: dict[str, Any]) -> None:
+    """Send what a client sent; receive what the server sent."""
+    where = f"{event['role']}, number {event['seq']}"
+    recorded = bytes.fromhex(event.get("hex", ""))
+    if event["from"] == "client":
+        client.send_bytes(recorded)
+        if event.get("event") == "eof":
+            client.socket.shutdown(socket.SHUT_WR)
+    elif event.get("event") == "eof":
+        assert client.read_to_end() == b"", where
+    else:
+        assert client.read(len(recorded)) == recorded, where
 
 
 def replay(capture: Path, rig: Rig, roles: tuple[str, ...] = ROLES) -> int:
     """Play the connections of `roles` in the order of the recording; return the number of events."""
     events = [event for event in json.loads(capture.read_text())["frames"] if event["role"] in roles]
-    players: dict[str, Player] = {}
-    try:
+    with ExitStack() as stack:
+        clients: dict[str, ScriptedPeer] = {}
         for event in events:
             if event.get("event") == "connect":
-                players[event["role"]] = Player(rig.port(), event["role"])
+                client = ScriptedPeer(f"tcp://127.0.0.1:{rig.port()}").connect()
+                clients[event["role"]] = stack.enter_context(client)
             else:
-                players[event["role"]].play(event)
-    finally:
-        for player in players.values():
-            player.close()
+                play(clients[event["role"]], event)
     return len(events)
 
 

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.plan import Plan, RoleSweep
-from experiment_runner.players import HubOptions, Meeting, listening, open_experiment
-from glue.core.config import LegacyPort
-from tests.system.legacy.legacy_client import STYLES, TIMEOUT, Connection, serve_agent
-from tests.system.legacy.legacy_programs import AGENTS
-from tests.system.legacy.legacy_rig import free_ports
+from experiment_runner.meeting.players import HubOptions, Meeting, listening, open_experiment
+from experiment_runner.plan.plan import Plan, RoleSweep
+from glue.hub.config import LegacyPort
+from tests.system.conformance import SCENARIOS
+from tests.system.legacy.legacy_client import STYLES, TIMEOUT, Connection
+from tests.system.legacy.legacy_rig import free_ports, play_agent
 
 BIN = Path(sys.executable).parent
 ROOT = Path(__file__).parents[3]
@@ -65,11 +65,10 @@ def command(*arguments: str, ports: int = 1, before: Callable[[], None] = lambda
 
 
 @contextmanager
-def program(role: str, name: str, port: int, style: str) -> Iterator[subprocess.Popen[str]]:
+def program(role: str, scenario: str, port: int, style: str) -> Iterator[subprocess.Popen[str]]:
     """Run an original program."""
-    arguments = [role, name, "--port", str(port), "--style", style]
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.system.legacy.legacy_programs", *arguments],
+        [sys.executable, "-m", "tests.system.legacy.legacy_rig", role, scenario, str(port), style],
         cwd=ROOT,
         stdout=subprocess.PIPE,
         text=True,
@@ -87,12 +86,12 @@ def test_a_hub_joins_original_programs_by_their_ports_and_says_goodbye_when_it_i
     with command("glue-hub", "--bind", bind, *options, ports=2) as hub:
         port, other = hub.ports["default"], hub.ports["other"]
         with (
-            program("agent", "A1", port, "java") as agent,
-            program("environment", "E1", port, "python") as environment,
-            program("agent", "A1", other, "c") as waiting,
+            program("agent", "test_1", port, "java") as agent,
+            program("environment", "test_1", port, "python") as environment,
+            program("agent", "test_1", other, "c") as waiting,
             program("experiment", "test_1", port, "c") as experiment,
         ):
-            assert experiment.communicate(timeout=TIMEOUT)[0] == "test_1: 56 checks passed\n"
+            assert experiment.communicate(timeout=TIMEOUT)[0] == "test_1 passed\n"
             assert agent.wait(TIMEOUT) == environment.wait(TIMEOUT) == experiment.returncode == 0
             assert waiting.poll() is None
             assert hub.process.stderr is not None
@@ -118,7 +117,7 @@ def test_an_experiment_waits_for_an_original_agent(tmp_path: Path) -> None:
 
 def play_skeleton(port: int, style: str) -> None:
     """Connect as an original agent as soon as the port is open, and play until the goodbye."""
-    serve_agent(AGENTS["skeleton"](), Connection(port, STYLES[style]))
+    play_agent(SCENARIOS["skeleton"].agent(), Connection(port, STYLES[style]))
 
 
 @pytest.mark.parametrize("style", ["c", "java", "python"])
@@ -155,44 +154,6 @@ def test_an_original_agent_that_connects_before_there_is_a_hub_joins_the_first_t
             agent.result(TIMEOUT)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "complaint"),
-    [
-        (["glue-hub", "--legacy-port", "0.0.0.0:4096"], "--insecure"),
-        (["glue-hub", "--legacy-port", "4096="], "the name of a session"),
-        (["glue-hub", "--legacy-port", "http"], "write [HOST:]PORT[=SESSION]"),
-        (
-            ["glue-experiment", "--episodes", "1", "--hub", "tcp://127.0.0.1:4097", "--legacy-port", "4096"],
-            "--hub",
-        ),
-        (["glue-experiment", "--episodes", "1", "--in-process", "--legacy-port", "4096"], "--in-process"),
-    ],
-)
-def test_a_mistake_is_told_in_one_line(arguments: list[str], complaint: str, tmp_path: Path) -> None:
-    done = subprocess.run(
-        [BIN / arguments[0], *arguments[1:]], cwd=tmp_path, capture_output=True, text=True, timeout=TIMEOUT
-    )
-    assert done.returncode == 2
-    assert complaint in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_port_in_use_is_told_in_one_line() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = str(taken.getsockname()[1])
-        done = subprocess.run(
-            [BIN / "glue-hub", "--bind", "tcp://127.0.0.1:*", "--legacy-port", port],
-            capture_output=True,
-            text=True,
-            timeout=TIMEOUT,
-        )
-    assert done.returncode == 2
-    assert f"127.0.0.1:{port} is in use" in done.stderr
-    assert "--legacy-port" in done.stderr
-    assert done.stderr.count("\n") == 1
-
-
 def test_a_hub_out_of_descriptors_serves_those_it_has_and_later_the_others() -> None:
     def few_descriptors() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (40, 40))
@@ -202,12 +163,12 @@ def test_a_hub_out_of_descriptors_serves_those_it_has_and_later_the_others() -> 
         port = hub.ports["default"]
         crowd = [socket.create_connection(("127.0.0.1", port), TIMEOUT) for _ in range(60)]
         with (
-            program("agent", "A1", port, "c") as agent,
-            program("environment", "E1", port, "c") as environment,
+            program("agent", "test_sanity", port, "c") as agent,
+            program("environment", "test_sanity", port, "c") as environment,
             program("experiment", "test_sanity", port, "c") as experiment,
         ):
             # The crowd says nothing, and so is dropped after a while.
-            assert experiment.communicate(timeout=TIMEOUT)[0] == "test_sanity: 1 checks passed\n"
+            assert experiment.communicate(timeout=TIMEOUT)[0] == "test_sanity passed\n"
             assert agent.wait(TIMEOUT) == environment.wait(TIMEOUT) == 0
         for connection in crowd:
             connection.close()

@@ -10,14 +10,17 @@ from pathlib import Path
 import click
 import pytest
 
-from experiment_runner.commands.experiment import experiment
+from experiment_runner.cli.experiment import experiment
+from glue.cli.hub import hub
 from glue.errors import Unsupported
-from glue.hub.command import hub
 from glue.legacy import bodies, codec, pending
 from glue.legacy.experiment import READ_AHEAD
-from tests.system.legacy.legacy_client import STYLES, Connection, Id, Numbers, serve_agent
-from tests.system.legacy.legacy_programs import FiveStepEnvironment, MirrorAgent, SkeletonAgent
-from tests.system.legacy.legacy_rig import free_ports, gateway
+from glue.roles import Agent
+from glue.types import Action, Observation
+from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.system.conformance import MirrorAgent
+from tests.system.legacy.legacy_client import STYLES, Connection, Id
+from tests.system.legacy.legacy_rig import free_ports, gateway, play_agent
 from tests.terminal import Terminal
 
 TEXT = (Path(__file__).parents[3] / "docs" / "legacy.md").read_text(encoding="utf-8")
@@ -88,14 +91,14 @@ COMPILATION = 300.0
 """Seconds allowed for compiling the simulator at its first start, even on a busy machine."""
 
 
-class Runner(MirrorAgent):
+class Runner(Agent):
     """Runs to the right."""
 
-    def start(self, observation: Numbers) -> Numbers:
-        return Numbers((1, 0, 1))
+    def agent_start(self, observation: Observation) -> Action:
+        return Action([1, 0, 1])
 
-    def step(self, reward: float, observation: Numbers) -> Numbers:
-        return Numbers((1, 0, 1))
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return Action([1, 0, 1])
 
 
 def test_the_mixed_example_runs_as_shown(tmp_path: Path) -> None:
@@ -112,7 +115,7 @@ def test_the_mixed_example_runs_as_shown(tmp_path: Path) -> None:
         for line in re.findall(r"^    (listening .*)$", text, re.MULTILINE):
             hub.wait_for(f"^{re.escape(local(line))}$")
         with closing(Terminal(*shlex.split(local(second)), cwd=tmp_path)) as experiment:
-            serve_agent(Runner(), Connection(b, STYLES["java"], timeout=COMPILATION))
+            play_agent(Runner(), Connection(b, STYLES["java"], timeout=COMPILATION))
             assert experiment.end() == 0
             experiment.wait_for(r"/mario/0 .* 3/3 ")
         for line in re.findall(rf"^    {TIME} (session .*)$", text, re.MULTILINE):
@@ -120,27 +123,8 @@ def test_the_mixed_example_runs_as_shown(tmp_path: Path) -> None:
     options = ["--bind", "tcp://127.0.0.1:*", "--out", "alone"]
     with closing(Terminal(*shlex.split(local(alone)), *options, cwd=tmp_path)) as experiment:
         experiment.wait_for(f"127.0.0.1:{default}")
-        serve_agent(Runner(), Connection(default, STYLES["c"]))
+        play_agent(Runner(), Connection(default, STYLES["c"]))
         assert experiment.end() == 0
-
-
-class Noting(SkeletonAgent):
-    """Writes down what it is asked."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.calls: list[str] = []
-
-    def start(self, observation: Numbers) -> Numbers:
-        self.calls.append("start")
-        return super().start(observation)
-
-    def step(self, reward: float, observation: Numbers) -> Numbers:
-        self.calls.append("step")
-        return super().step(reward, observation)
-
-    def end(self, reward: float) -> None:
-        self.calls.append("end")
 
 
 def test_each_trial_takes_another_original_agent_and_goes_on_without_a_seed_for_it(tmp_path: Path) -> None:
@@ -149,34 +133,24 @@ def test_each_trial_takes_another_original_agent_and_goes_on_without_a_seed_for_
     arguments = [*options.split(), "--bind", "tcp://127.0.0.1:*", "--json", "--out", "run"]
     with closing(Terminal("glue-experiment", *arguments, cwd=tmp_path)) as experiment:
         for _ in range(2):
-            agent = Noting()
-            serve_agent(agent, Connection(port, STYLES["python"]))
+            agent = ScriptedAgent()
+            play_agent(agent, Connection(port, STYLES["python"]))
             # Truncated after its first step, an episode ends without a call.
-            assert agent.calls == ["start"] * 2
+            assert [call.split()[0] for call in agent.calls[1:-1]] == ["agent_start"] * 2
         assert experiment.end() == 0, experiment.lines
 
 
 def test_an_original_experiment_and_environment_are_shown_no_terminal_after_a_truncation() -> None:
-    calls: list[str] = []
-
-    class Endless(FiveStepEnvironment):
-        def start(self) -> Numbers:
-            calls.append("start")
-            return super().start()
-
-        def step(self, action: Numbers) -> tuple[float, Numbers, int]:
-            calls.append("step")
-            return super().step(action)
-
+    environment = ScriptedEnvironment(length=5)
     with gateway() as rig:
         rig.agent(MirrorAgent())
-        rig.environment(Endless())
+        rig.environment(environment)
         glue = rig.experiment()
         glue.init()
         for _ in range(2):
             assert (glue.episode(3), glue.num_steps()) == (0, 3)
         glue.close()
-    assert calls == ["start", "step", "step"] * 2
+    assert [call.split()[0] for call in environment.calls[1:]] == ["env_start", "env_step", "env_step"] * 2
 
 
 def test_an_original_player_cannot_be_saved() -> None:

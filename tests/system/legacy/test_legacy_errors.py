@@ -10,15 +10,15 @@ from contextlib import closing, suppress
 
 import pytest
 
-from glue.core.config import HubConfig, LegacyPort
 from glue.errors import PeerLost
-from glue.hub.server import Hub
-from glue.legacy.experiment import Experiment
+from glue.hub.config import HubConfig, LegacyPort
+from glue.hub.io.server import Hub
+from glue.legacy.experiment import LegacyExperiment
 from glue.legacy.gateway import Gateway
-from glue.legacy.peers import Player
-from glue.protocol.messages import Kind, Message
+from glue.legacy.peers import LegacyPlayer
+from glue.wire.messages import Kind, Message
+from tests.system.conformance import FiveStepEnvironment, MirrorAgent
 from tests.system.legacy.legacy_client import TIMEOUT, Closed, Connection, Id
-from tests.system.legacy.legacy_programs import FiveStepEnvironment, MirrorAgent
 from tests.system.legacy.legacy_rig import Rig, gateway
 
 FAULTY = "faulty"
@@ -60,7 +60,7 @@ def test_an_error_in_a_handler_costs_its_connection_and_role_alone(
     connection.send(role)
     rig.log.wait_for("joined", times=3)
     with monkeypatch.context() as patch:
-        patch.setattr(Player if role is Id.AGENT_CONNECTION else Experiment, "_work", raise_fault)
+        patch.setattr(LegacyPlayer if role is Id.AGENT_CONNECTION else LegacyExperiment, "_work", raise_fault)
         connection.send(Id.RL_NUM_STEPS)
         rig.log.wait_for("please report this")
     check_ended(connection)
@@ -72,14 +72,14 @@ def test_an_error_in_a_handler_costs_its_connection_and_role_alone(
 def test_an_error_in_a_delivery_costs_the_receiver_and_not_the_sender(
     rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    deliver = Player._take
+    deliver = LegacyPlayer._take
 
-    def take(player: Player, message: Message) -> bool:
+    def take(player: LegacyPlayer, message: Message) -> bool:
         if message.session == FAULTY and message.kind is Kind.AGENT_MESSAGE:
             raise_fault()
         return deliver(player, message)
 
-    monkeypatch.setattr(Player, "_take", take)
+    monkeypatch.setattr(LegacyPlayer, "_take", take)
     agent = rig.connect(session=FAULTY)
     agent.send(Id.AGENT_CONNECTION)
     rig.log.wait_for("joined", times=3)

@@ -13,14 +13,15 @@ import numpy as np
 import pytest
 
 from glue.client.experiment import RemoteExperiment
-from glue.core.config import HubConfig, LegacyPort
-from glue.core.sessions import Route
 from glue.errors import HubClosed, LocalProtocolError, PeerFailed, PeerLost
-from glue.hub.server import Hub
+from glue.hub.config import HubConfig, LegacyPort
+from glue.hub.io.server import Hub
+from glue.hub.sessions import Route
 from glue.legacy.gateway import Gateway
-from glue.protocol.messages import Message
-from glue.types import Observation
+from glue.types import Action, Observation
+from glue.wire.messages import Message
 from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.system.conformance import SCENARIOS, FiveStepEnvironment, MirrorAgent
 from tests.system.legacy.legacy_client import (
     STYLES,
     TIMEOUT,
@@ -32,10 +33,7 @@ from tests.system.legacy.legacy_client import (
     pack_numbers,
     probe,
 )
-from tests.system.legacy.legacy_programs import FiveStepEnvironment, MirrorAgent, test_1
 from tests.system.legacy.legacy_rig import Rig, gateway
-
-test_1.__test__ = False  # type: ignore[attr-defined]
 
 ROLES = (Id.AGENT_CONNECTION, Id.ENVIRONMENT_CONNECTION, Id.EXPERIMENT_CONNECTION)
 EMPTY = pack_numbers(Numbers())
@@ -56,7 +54,7 @@ def join(rig: Rig, role: Id, session: str = "default") -> Connection:
 
 
 def ending(connection: Connection) -> bytes:
-    """Return what is received until the server closes, and close as well."""
+    """Return the bytes received until the server closes, and close as well."""
     with closing(connection):
         return connection.receive_until_closed()
 
@@ -71,28 +69,27 @@ def run_test_1(rig: Rig, session: str = "default") -> None:
     """Let an original trio show that everything works."""
     rig.agent(MirrorAgent(), session=session)
     rig.environment(FiveStepEnvironment(), session=session)
-    glue = rig.experiment(session=session)
-    assert len(test_1(glue)) == 56
-    glue.close()
+    with rig.disguised(session=session) as glue:
+        SCENARIOS["test_1"].run(glue)
     rig.join()
 
 
 class MortalAgent(MirrorAgent):
     """Dies in its third step."""
 
-    def step(self, reward: float, observation: Numbers) -> Numbers:
-        if self.counter == 2:
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        if self._counter == 2:
             raise Die
-        return super().step(reward, observation)
+        return super().agent_step(reward, observation)
 
 
 class MortalEnvironment(FiveStepEnvironment):
     """Dies in its third step."""
 
-    def step(self, action: Numbers) -> tuple[float, Numbers, int]:
-        if self.counter == 2:
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        if self._counter == 2:
             raise Die
-        return super().step(action)
+        return super().env_step(action)
 
 
 def let_die(rig: Rig, mortal: str) -> None:
@@ -452,9 +449,8 @@ def test_a_program_with_an_unknown_id_is_dropped_and_the_others_stay(
         rig.agent(MirrorAgent())
     elif role == Id.ENVIRONMENT_CONNECTION:
         rig.environment(FiveStepEnvironment())
-    glue = rig.experiment()
-    assert len(test_1(glue)) == 56
-    glue.close()
+    with rig.disguised() as glue:
+        SCENARIOS["test_1"].run(glue)
 
 
 WRONG_ANSWERS = {
@@ -489,9 +485,9 @@ def test_a_wrong_answer_costs_its_sender_the_place_and_an_original_episode_is_ru
 
 def test_our_experiment_learns_who_broke_the_protocol(rig: Rig) -> None:
     class Liar(MirrorAgent):
-        def start(self, observation: Numbers) -> Numbers:
+        def agent_start(self, observation: Observation) -> Action:
             connection.send(Id.AGENT_END)
-            return observation
+            return super().agent_start(observation)
 
     connection = rig.connect()
     rig.serve_agent(Liar(), connection)
@@ -586,10 +582,10 @@ def test_a_hub_that_ends_lets_an_agent_finish_its_thought() -> None:
     begun, ended = threading.Event(), threading.Event()
 
     class Thinker(MirrorAgent):
-        def start(self, observation: Numbers) -> Numbers:
+        def agent_start(self, observation: Observation) -> Action:
             begun.set()
             assert ended.wait(TIMEOUT)
-            return observation
+            return super().agent_start(observation)
 
     def ask(glue: RemoteExperiment) -> None:
         with glue, suppress(HubClosed):

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from tests.system.conformance import FiveStepEnvironment, MirrorAgent
 from tests.system.legacy.legacy_client import Connection, Id, Numbers, pack_numbers
-from tests.system.legacy.legacy_programs import FiveStepEnvironment, MirrorAgent
 from tests.system.legacy.legacy_rig import Rig, gateway
 
 ATTACKED = "attacked"
@@ -233,7 +233,7 @@ FLOODS = {
     "agent, abandoned": (b"\1" * 65_536, 0),
     "agent, idle": (struct.pack(">iI", Id.AGENT_STEP, LONGEST), LONGEST),
 }
-"""What is sent over and over, or before endless zeros, and how many bytes of it may be held."""
+"""Data to send repeatedly, or before endless zeros, and the number of bytes of it that may be held."""
 
 
 @pytest.mark.parametrize("scene", FLOODS)

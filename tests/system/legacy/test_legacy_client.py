@@ -1,4 +1,4 @@
-"""The test client and its programs are themselves held against the recordings of original programs."""
+"""The test client is itself held against the recordings of original programs."""
 
 from __future__ import annotations
 
@@ -12,16 +12,23 @@ from typing import Any
 
 import pytest
 
+from env_server.toys import SkeletonEnvironment
+from glue.roles import Agent, Environment
+from tests.system.conformance import (
+    EPISODES,
+    FiveStepEnvironment,
+    MessageAgent,
+    MessageEnvironment,
+    MirrorAgent,
+)
 from tests.system.legacy.legacy_client import (
     STYLES,
     TIMEOUT,
     Closed,
     Connection,
     Experiment,
-    serve_agent,
-    serve_environment,
 )
-from tests.system.legacy.legacy_programs import AGENTS, CASES, ENVIRONMENTS, EXPERIMENTS
+from tests.system.legacy.legacy_rig import play_agent, play_environment
 
 CAPTURES = Path(__file__).parents[2] / "golden" / "captures"
 
@@ -95,45 +102,122 @@ def play_against(replay: Replay, client: Callable[[], object]) -> None:
     assert replay.frames > 0
 
 
-RECORDED = [
-    ("c_test_sanity", "A1", "E1", "test_sanity"),
-    ("c_test_1", "A1", "E1", "test_1"),
-    ("c_test_rl_episode", "A1", "E1", "test_rl_episode"),
-    ("c_test_message", "A-message", "E-message", "test_message"),
-    ("raw_term", "A1", "E1", None),
-    ("c_skeleton", None, "skeleton", "skeleton"),
-]
+class OriginalSkeleton(SkeletonEnvironment):
+    """The skeleton environment with the task spec of the original."""
+
+    def env_init(self) -> str:
+        return (
+            "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1.0 OBSERVATIONS INTS (0 20) "
+            "ACTIONS INTS (0 1)  REWARDS (-1.0 1.0)  EXTRA skeleton_environment(C/C++) by Brian Tanner."
+        )
 
 
-@pytest.mark.parametrize(("capture", "agent"), [(row[0], row[1]) for row in RECORDED if row[1]])
-def test_our_agents_send_what_the_originals_sent(capture: str, agent: str) -> None:
+AGENTS: dict[str, Callable[[], Agent]] = {
+    "c_test_sanity": MirrorAgent,
+    "c_test_1": MirrorAgent,
+    "c_test_rl_episode": MirrorAgent,
+    "c_test_message": MessageAgent,
+    "raw_term": MirrorAgent,
+}
+ENVIRONMENTS: dict[str, Callable[[], Environment]] = {
+    "c_test_sanity": FiveStepEnvironment,
+    "c_test_1": FiveStepEnvironment,
+    "c_test_rl_episode": FiveStepEnvironment,
+    "c_test_message": MessageEnvironment,
+    "raw_term": FiveStepEnvironment,
+    "c_skeleton": OriginalSkeleton,
+}
+
+
+@pytest.mark.parametrize("capture", AGENTS)
+def test_agents_send_what_the_originals_sent(capture: str) -> None:
     replay = Replay(capture, "agent")
-    play_against(replay, lambda: serve_agent(AGENTS[agent](), Connection(replay.port)))
+    play_against(replay, lambda: play_agent(AGENTS[capture](), Connection(replay.port)))
 
 
-@pytest.mark.parametrize(("capture", "environment"), [(row[0], row[2]) for row in RECORDED])
-def test_our_environments_send_what_the_originals_sent(capture: str, environment: str) -> None:
+@pytest.mark.parametrize("capture", ENVIRONMENTS)
+def test_environments_send_what_the_originals_sent(capture: str) -> None:
     replay = Replay(capture, "environment")
-    play_against(replay, lambda: serve_environment(ENVIRONMENTS[environment](), Connection(replay.port)))
+    play_against(replay, lambda: play_environment(ENVIRONMENTS[capture](), Connection(replay.port)))
 
 
-@pytest.mark.parametrize(("capture", "experiment"), [(row[0], row[3]) for row in RECORDED if row[3]])
-def test_our_experiments_send_what_the_originals_sent(capture: str, experiment: str) -> None:
+Verbs = Callable[[Experiment], None]
+
+
+def sanity(glue: Experiment) -> None:
+    assert glue.init() == "sample task spec"
+    glue.cleanup()
+
+
+def one(glue: Experiment) -> None:
+    glue.init()
+    glue.start()
+    for word in ("one", "two", "three", "four", "five"):
+        glue.step()
+        assert glue.env_message(word).startswith(f"{word}|")
+        assert glue.agent_message(word).startswith(f"{word}|")
+    reward, observation, terminal, _ = glue.step()
+    assert (reward, observation.counts, terminal) == (-2.0, (5, 5, 5), 0)
+    glue.cleanup()
+
+
+def rl_episode(glue: Experiment) -> None:
+    glue.init()
+    assert [(glue.episode(limit), glue.num_steps()) for limit in EPISODES] == [*EPISODES.values()]
+    glue.cleanup()
+
+
+def message(glue: Experiment) -> None:
+    glue.init()
+    environment, agent = glue.env_message, glue.agent_message
+    for send, text in (
+        *((environment, None), (environment, ""), (agent, None), (agent, "")),
+        *((send, text) for text in ("empty", "null", "1", f"1{21 * '0'}") for send in (environment, agent)),
+        (environment, f"2{55 * '1'}3{55 * '1'}3"),
+        (agent, f"4{55 * '5'}6{55 * '5'}9"),
+    ):
+        assert send(text) == {None: "empty", "": "empty", "empty": "", "null": ""}.get(text, text)
+    glue.cleanup()
+
+
+def skeleton(glue: Experiment) -> None:
+    assert "skeleton_environment" in glue.init()
+    for send in (glue.agent_message, glue.env_message):
+        assert send("what is your name?").startswith("my name is skeleton_")
+        send("If at first you don't succeed; call it version 1.0")
+    for limit in (100, 100, 100, 100, 100, 1, 0):
+        terminal = glue.episode(limit)
+        assert abs(glue.episode_return()) == terminal
+        glue.num_steps()
+    glue.cleanup()
+    glue.init()
+    glue.start()
+    while not glue.step()[2]:
+        pass
+    glue.episode_return()
+    glue.num_steps()
+    glue.cleanup()
+
+
+EXPERIMENTS: dict[str, Verbs] = {
+    "c_test_sanity": sanity,
+    "c_test_1": one,
+    "c_test_rl_episode": rl_episode,
+    "c_test_message": message,
+    "c_skeleton": skeleton,
+}
+
+
+@pytest.mark.parametrize("capture", EXPERIMENTS)
+def test_experiments_send_what_the_originals_sent(capture: str) -> None:
     replay = Replay(capture, "experiment")
 
     def client() -> None:
         connection = Connection(replay.port)
-        EXPERIMENTS[experiment](Experiment(connection))
+        EXPERIMENTS[capture](Experiment(connection))
         connection.close()
 
     play_against(replay, client)
-
-
-def test_every_case_names_programs_that_exist() -> None:
-    assert CASES.keys() == EXPERIMENTS.keys()
-    for agent, environment in CASES.values():
-        assert agent in AGENTS
-        assert environment in ENVIRONMENTS
 
 
 @pytest.mark.parametrize(
@@ -146,7 +230,7 @@ def test_each_style_answers_the_goodbye_in_its_own_way(style: str, expected: byt
         server, _ = listener.accept()
         with server:
             server.sendall(struct.pack(">iI", 35, 0))
-            serve_agent(AGENTS["A1"](), connection)
+            play_agent(MirrorAgent(), connection)
             assert receive(server, 8) == bytes.fromhex("0000000200000000")
             assert receive(server, 8) == expected
 
