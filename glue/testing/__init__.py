@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
-TYPE_CHECKING = False  # not imported: see glue.entry
+TYPE_CHECKING = False  # not imported: see glue.cli.entry
 if TYPE_CHECKING:
     from typing import Any, Final
 

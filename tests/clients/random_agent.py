@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+from glue.roles import Agent
 from glue.types import Action, Observation
 
 __all__ = ["Generator", "RandomAgent", "bounds_of"]
@@ -36,7 +37,7 @@ def bounds_of(task_spec: str) -> list[tuple[int, int]]:
     ]
 
 
-class RandomAgent:
+class RandomAgent(Agent):
     """Acts at random within the bounds of the task spec, from a generator that any language has."""
 
     name = "random"
@@ -56,15 +57,6 @@ class RandomAgent:
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
         return self._act()
-
-    def agent_end(self, reward: float) -> None:
-        pass
-
-    def agent_cleanup(self) -> None:
-        pass
-
-    def agent_message(self, message: str) -> str:
-        return ""
 
     def _act(self) -> Action:
         return Action([low + self._generator.draw(high - low + 1) for low, high in self._bounds])

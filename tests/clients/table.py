@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from typing import IO, Final
 
 from glue import serve_agent, serve_environment
-from glue.core.config import HubConfig
-from glue.core.experiment import Experiment
-from glue.hub.server import Hub
+from glue.engine.experiment import Experiment
+from glue.hub.config import HubConfig
+from glue.hub.io.server import Hub
 from glue.roles import Agent, Environment
 
 __all__ = ["SECONDS", "Episode", "hub", "play", "program", "read_episodes", "serving"]

@@ -13,8 +13,8 @@ import pytest
 from env_server.mario.environment import InfiniteMario
 from env_server.toys import SkeletonEnvironment
 from glue import connect
-from glue.core.experiment import Experiment
-from glue.core.local import local
+from glue.engine.experiment import Experiment
+from glue.engine.local import local
 from glue.errors import PeerLost
 from tests.clients.languages import LANGUAGES, SWITCH, Language
 from tests.clients.random_agent import RandomAgent
@@ -45,7 +45,7 @@ def language(request: pytest.FixtureRequest) -> Language:
 
 
 def expecting(glue: Experiment) -> Expected:
-    """Return what tells the episode of a seed, as it is with our players in one process."""
+    """Return a function from a seed to its episode, played by our players in one process."""
     return lambda seed: play(glue, seed)
 
 
@@ -124,7 +124,7 @@ def test_environment_is_killed_in_mid_episode_and_started_again(
 
 
 def walked(episodes: int, seed: int) -> list[Episode]:
-    """Return what the example of an experiment prints, with our players."""
+    """Return the episodes that the example of an experiment prints, played by our players."""
     glue = local(RandomAgent(), SkeletonEnvironment())
     glue.rl_init(seed)
     result = []

@@ -16,13 +16,13 @@ import pytest
 
 from env_server.toys import SkeletonEnvironment
 from glue import connect
-from glue.protocol.messages import THREE_ROLES, Role
+from glue.wire.messages import THREE_ROLES, Role
 from tests.clients.languages import CLIENTS, CPP, JAVASCRIPT, LANGUAGES, ROOT, RUST, SWITCH, Language, run
-from tests.clients.table import hub, program, serving
+from tests.clients.table import SECONDS, hub, program, serving
 
 FULL: Final = pytest.mark.skipif(not os.environ.get(SWITCH), reason=f"packages are made with {SWITCH}=1")
 
-CONFORM: Final = (sys.executable, "-c", "from glue.testing.conform.entry import conform; conform()")
+CONFORM: Final = (sys.executable, "-c", "from glue_rl.commands import conform; conform()")
 
 KIT_SECONDS: Final = 280.0
 
@@ -53,14 +53,29 @@ def test_kit_finds_no_fault(language: Language, role: Role) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     lines = done.stdout.splitlines()
     unjudged = [before for before, line in pairwise(lines) if line.strip().startswith("not judged")]
-    # They have all capabilities of players; their experiments ask for return and number of steps.
-    assert all(" outcome: " in line for line in unjudged), done.stdout
+    # They have all capabilities of players but `batch`; their experiments ask for return and number of steps.
+    assert all(" outcome: " in line or " batch: " in line for line in unjudged), done.stdout
+    assert "broken" not in lines[-1]
+
+
+@FULL
+@pytest.mark.parametrize("role", THREE_ROLES)
+def test_scripts_of_random_faults_find_none(language: Language, role: Role) -> None:
+    mirror = language.programs["mirror"]
+    done = subprocess.run(
+        [*CONFORM, role, "--seeds", "6", "--transport", "tcp", "--wait", "20", "--", *mirror, role],
+        capture_output=True,
+        text=True,
+        timeout=KIT_SECONDS,
+    )
+
+    assert (done.returncode, done.stdout) == (0, "survives (6 passed)\n"), done.stdout + done.stderr
 
 
 FIRST: Final = {
     "cpp": (
         "agent.cpp",
-        ("g++", "-std=c++17", f"-I{CLIENTS / 'cpp/include'}", "agent.cpp", "-lzmq"),
+        ("g++", "-std=c++17", f"-I{CLIENTS / 'cpp/include'}", "agent.cpp"),
         ("./a.out",),
     ),
     "java": ("Walker.java", (), ("java", "-cp", str(CLIENTS / "java/build/glue-rl.jar"), "Walker.java")),
@@ -127,7 +142,21 @@ def test_first_agent_in_python_walks(tmp_path: Path) -> None:
 
 
 def walks(start: Sequence[str]) -> None:
-    """Check that an agent walks to the end."""
+    """Check that an agent walks to the end, reports a refusal, and passes the kit without a mirror."""
+    with hub() as url, program(start, url), connect(url, log=lambda line: None) as glue:
+        glue.rl_agent_message("are you there?")
+        second = subprocess.run(
+            start, env={**os.environ, "GLUE_HUB": url}, capture_output=True, text=True, timeout=SECONDS
+        )
+        assert second.returncode == 1
+        assert "already has an agent" in second.stdout + second.stderr
+    kit = subprocess.run(
+        [*CONFORM, "agent", "--transport", "tcp", "--wait", "20", "--", *start],
+        capture_output=True,
+        text=True,
+    )
+    assert kit.returncode == 0, kit.stdout
+    assert "plays, as far as can be told without the mirror" in kit.stdout.splitlines()[-1]
     with (
         hub() as url,
         serving(SkeletonEnvironment(), url),
@@ -211,7 +240,7 @@ def test_another_cmake_project_finds_the_installed_package(tmp_path: Path) -> No
     run(["cmake", "--install", "build", "--prefix", str(tmp_path / "installed")], CPP.folder)
     shutil.copy(CPP.folder / "examples" / "skeleton.cpp", tmp_path / "own.cpp")
     (tmp_path / "CMakeLists.txt").write_text(
-        "cmake_minimum_required(VERSION 3.16)\nproject(own CXX)\nfind_package(glue_rl 0.2 REQUIRED)\n"
+        "cmake_minimum_required(VERSION 3.16)\nproject(own CXX)\nfind_package(glue_rl 0.3 REQUIRED)\n"
         "add_executable(own own.cpp)\ntarget_link_libraries(own PRIVATE glue_rl::glue_rl)\n"
     )
     run(["cmake", "-B", "build", f"-DCMAKE_PREFIX_PATH={tmp_path / 'installed'}"], tmp_path)

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 import pytest
 
 from env_server.toys import SkeletonEnvironment
-from glue.core.local import local
+from glue.engine.local import local
 from tests.clients.languages import LANGUAGES, PYTHON, SWITCH
 from tests.clients.random_agent import RandomAgent
 from tests.clients.table import SECONDS, Episode, hub, program, read_episodes

@@ -56,8 +56,9 @@ class Mirror : public glue_rl::Seedable, public glue_rl::Saveable {
   std::uint64_t seed_ = 0;
 };
 
-class MirrorAgent : public Mirror, public glue_rl::Agent {
+class MirrorAgent : public Mirror, public glue_rl::Agent, public glue_rl::Measured {
  public:
+  glue_rl::Metrics metrics() override { return {{"count", count_}, {"half the count", count_ / 2.0}}; }
   void init(std::string_view) override { count_ = 0; }
   Action start(const AbstractView& observation) override { return step(0, observation); }
   Action step(double reward, const AbstractView& observation) override {
@@ -158,6 +159,15 @@ class MirrorExperiment {
     if (verb == "RL_AGENT_START") return both({}, glue_.agent_start(given));
     if (verb == "RL_AGENT_STEP") return both({}, glue_.agent_step(order.reward, given));
     if (verb == "RL_AGENT_SAVE") return words(glue_.agent_save());
+    if (verb == "RL_AGENT_METRICS") {
+      std::vector<double> values;
+      std::string names;
+      for (const auto& [name, value] : glue_.agent_metrics()) {
+        names += (values.empty() ? "" : "\n") + name;
+        values.push_back(value);
+      }
+      return result({}, values, names);
+    }
     if (verb == "RL_ENV_SAVE") return words(glue_.env_save());
     if (verb == "notices") return words(std::exchange(notices_, {}));
     if (verb == "RL_CLEANUP") {

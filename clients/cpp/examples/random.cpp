@@ -4,7 +4,6 @@
 
 #include <cstdint>
 #include <glue_rl/glue_rl.hpp>
-#include <iostream>
 #include <sstream>
 #include <string>
 #include <vector>
@@ -76,11 +75,6 @@ class RandomAgent : public glue_rl::Agent, public glue_rl::Seedable {
 }  // namespace
 
 int main() {
-  try {
-    RandomAgent agent;
-    std::cout << glue_rl::serve(agent, glue_rl::Options("random")) << std::endl;
-  } catch (const glue_rl::Error& error) {
-    std::cerr << "Error: " << error.what() << std::endl;
-    return 1;
-  }
+  RandomAgent agent;
+  return glue_rl::run(agent, glue_rl::Options("random"));
 }

@@ -3,7 +3,6 @@
 // glue-experiment --agent random --episodes 10      and, beside it: build/skeleton
 
 #include <glue_rl/glue_rl.hpp>
-#include <iostream>
 #include <stdexcept>
 #include <string>
 
@@ -41,11 +40,6 @@ class Walk : public glue_rl::Environment {
 }  // namespace
 
 int main() {
-  try {
-    Walk walk;
-    std::cout << glue_rl::serve(walk, glue_rl::Options("skeleton")) << std::endl;
-  } catch (const glue_rl::Error& error) {
-    std::cerr << "Error: " << error.what() << std::endl;
-    return 1;
-  }
+  Walk walk;
+  return glue_rl::run(walk, glue_rl::Options("skeleton"));
 }

@@ -5,6 +5,7 @@ import gluerl.Environment;
 import gluerl.Experiment;
 import gluerl.Glue;
 import gluerl.GlueException;
+import gluerl.Measured;
 import gluerl.Observation;
 import gluerl.Options;
 import gluerl.Saveable;
@@ -12,7 +13,9 @@ import gluerl.Seedable;
 import java.nio.charset.StandardCharsets;
 import java.util.ArrayList;
 import java.util.Arrays;
+import java.util.LinkedHashMap;
 import java.util.List;
+import java.util.Map;
 import java.util.stream.DoubleStream;
 import java.util.stream.IntStream;
 import java.util.stream.Stream;
@@ -85,7 +88,15 @@ abstract class Mirror implements Seedable, Saveable {
         return text.getBytes(StandardCharsets.UTF_8);
     }
 
-    static final class MirrorAgent extends Mirror implements Agent {
+    static final class MirrorAgent extends Mirror implements Agent, Measured {
+        @Override
+        public Map<String, Double> metrics() {
+            Map<String, Double> metrics = new LinkedHashMap<>();
+            metrics.put("count", (double) count);
+            metrics.put("half the count", count / 2.0);
+            return metrics;
+        }
+
         @Override
         public void init(String taskSpec) {
             count = 0;
@@ -210,6 +221,10 @@ abstract class Mirror implements Seedable, Saveable {
                     return result(new int[0], glue.agentSave());
                 case "RL_ENV_SAVE":
                     return result(new int[0], glue.envSave());
+                case "RL_AGENT_METRICS":
+                    Map<String, Double> metrics = glue.agentMetrics();
+                    double[] values = metrics.values().stream().mapToDouble(Double::doubleValue).toArray();
+                    return result(new int[0], utf8(String.join("\n", metrics.keySet())), values);
                 case "RL_AGENT_LOAD":
                     glue.agentLoad(argument);
                     break;

@@ -68,6 +68,10 @@ class MirrorAgent extends Mirror {
   end() {
     this.count += 1;
   }
+
+  metrics() {
+    return { count: this.count, "half the count": this.count / 2 };
+  }
 }
 
 class MirrorEnvironment extends Mirror {
@@ -147,6 +151,10 @@ async function carryOut(glue, verb, argument, reward, { ints, doubles }, notices
     case "RL_AGENT_END": await glue.agentEnd(reward); return result();
     case "RL_AGENT_SAVE": return result([], [], await glue.agentSave());
     case "RL_ENV_SAVE": return result([], [], await glue.envSave());
+    case "RL_AGENT_METRICS": {
+      const metrics = await glue.agentMetrics();
+      return result([], Object.values(metrics), Buffer.from(Object.keys(metrics).join("\n")));
+    }
     case "RL_AGENT_LOAD": await glue.agentLoad(argument); return result();
     case "RL_ENV_LOAD": await glue.envLoad(argument); return result();
     case "notices": return words(notices.splice(0).join("\n"));

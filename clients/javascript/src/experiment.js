@@ -120,6 +120,12 @@ export class Experiment {
     await this.#ask(RL.AGENT_LOAD, [], data);
   }
 
+  async agentMetrics() {
+    const { doubles, chars } = (await this.#ask(RL.AGENT_METRICS)).value;
+    const names = Buffer.from(chars).toString().split("\n");
+    return Object.fromEntries(Array.from(doubles, (value, i) => [names[i], value]));
+  }
+
   async envSave() {
     return (await this.#ask(RL.ENV_SAVE)).value;
   }

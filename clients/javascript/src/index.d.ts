@@ -25,7 +25,7 @@ export type Awaitable<T> = T | Promise<T>;
 
 /**
  * An agent: it learns. With the method `seed` it offers the capability of that name, with `save` and `load` the
- * capability `save`.
+ * capability `save`, with `metrics` the capability of that name.
  */
 export interface Agent {
   /** Prepare for a task: forget what was learned before. */
@@ -45,6 +45,8 @@ export interface Agent {
   save?(): Awaitable<Uint8Array>;
   /** Go on from what `save` returned; check it, it may come from someone else. */
   load?(data: Uint8Array): Awaitable<void>;
+  /** The agent's own numbers by name, such as its step size; asking changes nothing. */
+  metrics?(): Awaitable<Readonly<Record<string, number>>>;
 }
 
 /** The outcome of an action. */
@@ -131,6 +133,8 @@ export interface Experiment {
 
   agentSave(): Promise<Uint8Array>;
   agentLoad(data: Uint8Array): Promise<void>;
+  /** The agent's own numbers by name. */
+  agentMetrics(): Promise<Record<string, number>>;
   envSave(): Promise<Uint8Array>;
   envLoad(data: Uint8Array): Promise<void>;
 

@@ -5,7 +5,7 @@ import { readAbstract, readBoth, writeAbstract } from "./body.js";
 import { ProtocolError } from "./errors.js";
 import { HeaderReader, HeaderWriter } from "./header.js";
 
-export const AGENT = { INIT: 4, START: 5, STEP: 6, END: 7, CLEANUP: 8, MESSAGE: 10, SEED: 80, SAVE: 81, LOAD: 82 };
+export const AGENT = { INIT: 4, START: 5, STEP: 6, END: 7, CLEANUP: 8, MESSAGE: 10, SEED: 80, SAVE: 81, LOAD: 82, METRICS: 86 };
 
 export const ENV = { INIT: 11, START: 12, STEP: 13, CLEANUP: 14, MESSAGE: 19, SEED: 83, SAVE: 84, LOAD: 85 };
 
@@ -13,6 +13,7 @@ export const RL = {
   INIT: 20, START: 21, STEP: 22, CLEANUP: 23, RETURN: 24, NUM_STEPS: 25, NUM_EPISODES: 26, EPISODE: 27,
   AGENT_MESSAGE: 33, ENV_MESSAGE: 34, ENV_START: 36, ENV_STEP: 37, AGENT_START: 38, AGENT_STEP: 39, AGENT_END: 40,
   AGENT_SAVE: 90, AGENT_LOAD: 91, ENV_SAVE: 92, ENV_LOAD: 93,
+  AGENT_METRICS: 94,
 };
 
 export const HELLO = 64, WELCOME = 65, REFUSE = 66, HEARTBEAT = 67, GOODBYE = 68, ERROR = 69, NOTICE = 70;
@@ -49,6 +50,7 @@ const CALLS = [
   [AGENT.SEED, shape("none", "int"), shape("none")],
   [AGENT.SAVE, shape("none"), shape("bytes")],
   [AGENT.LOAD, shape("bytes"), shape("none")],
+  [AGENT.METRICS, shape("none"), shape("abstract")],
   [ENV.INIT, shape("none"), shape("text")],
   [ENV.START, shape("none"), shape("abstract")],
   [ENV.STEP, shape("abstract"), shape("abstract", "float", "terminal")],
@@ -80,6 +82,7 @@ const REQUESTS = [
   [RL.AGENT_LOAD, shape("bytes"), shape("none")],
   [RL.ENV_SAVE, shape("none"), shape("bytes")],
   [RL.ENV_LOAD, shape("bytes"), shape("none")],
+  [RL.AGENT_METRICS, shape("none"), shape("abstract")],
 ];
 
 /** @type {ReadonlyMap<number, Shape>} */

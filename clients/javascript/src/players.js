@@ -18,6 +18,7 @@ const AGENT_CALLS = new Map([
   [AGENT.SEED, { method: "seed" }],
   [AGENT.SAVE, { method: "save" }],
   [AGENT.LOAD, { method: "load" }],
+  [AGENT.METRICS, { method: "metrics" }],
 ]);
 
 /** @type {ReadonlyMap<number, Call>} */
@@ -31,6 +32,12 @@ const ENVIRONMENT_CALLS = new Map([
   [ENV.SAVE, { method: "save" }],
   [ENV.LOAD, { method: "load" }],
 ]);
+
+/** @param {Readonly<Record<string, number>>} metrics */
+const packed = (metrics) => ({
+  doubles: Object.values(metrics),
+  chars: Buffer.from(Object.keys(metrics).join("\n")),
+});
 
 const NEEDED = ["init", "start", "step"];
 
@@ -66,6 +73,7 @@ class Player {
     const capabilities = [];
     if (player.save && player.load) capabilities.push("save");
     if (player.seed) capabilities.push("seed");
+    if (player.metrics && calls === AGENT_CALLS) capabilities.push("metrics");
     if (calls === ENVIRONMENT_CALLS) capabilities.push("truncate");
     /** @type {(reason: string) => void} */
     let resolve;
@@ -139,7 +147,7 @@ class Player {
     const answer =
       kind === ENV.STEP
         ? encode(kind, this.#link.session, seq, [result.reward, result.truncated ? CUT_OFF : result.terminal], result.observation)
-        : encode(kind, this.#link.session, seq, [], result);
+        : encode(kind, this.#link.session, seq, [], kind === AGENT.METRICS ? packed(result) : result);
     if (answer.length === 2 && answer[1].length > this.#link.maxBody) {
       throw new RangeError(`the answer has ${answer[1].length} bytes; the hub takes ${this.#link.maxBody}`);
     }

@@ -53,7 +53,12 @@ fn sum(ints: &[i32]) -> f64 {
 
 impl Agent for Mirror {
     fn capabilities(&self) -> &[Capability] {
-        &[Capability::Seed, Capability::Save]
+        &[Capability::Seed, Capability::Save, Capability::Metrics]
+    }
+
+    fn metrics(&self) -> Outcome<Vec<(String, f64)>> {
+        let count = f64::from(self.count);
+        Ok(vec![("count".to_owned(), count), ("half the count".to_owned(), count / 2.0)])
     }
 
     fn init(&mut self, _: &str) -> Outcome<()> {
@@ -202,6 +207,10 @@ fn carry_out(
         "RL_AGENT_END" => glue.agent_end(order.reward).map(|()| words(""))?,
         "RL_AGENT_SAVE" => result(vec![], vec![], glue.agent_save()?),
         "RL_ENV_SAVE" => result(vec![], vec![], glue.env_save()?),
+        "RL_AGENT_METRICS" => {
+            let (names, values): (Vec<_>, Vec<_>) = glue.agent_metrics()?.into_iter().unzip();
+            result(vec![], values, names.join("\n").into_bytes())
+        }
         "RL_AGENT_LOAD" => glue.agent_load(argument).map(|()| words(""))?,
         "RL_ENV_LOAD" => glue.env_load(argument).map(|()| words(""))?,
         "notices" => words(&notices.take().join("\n")),

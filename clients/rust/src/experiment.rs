@@ -176,6 +176,14 @@ impl<'a> Experiment<'a> {
         self.ask(kind::RL_AGENT_LOAD, &[], Some(data)).map(drop)
     }
 
+    /// Returns the agent's own numbers with their names.
+    pub fn agent_metrics(&mut self) -> Result<Vec<(String, f64)>, Error> {
+        self.ask(kind::RL_AGENT_METRICS, &[], None)?;
+        let packed = self.one();
+        let names = String::from_utf8_lossy(&packed.chars).into_owned();
+        Ok(names.split('\n').map(str::to_owned).zip(packed.doubles).collect())
+    }
+
     /// Saves the environment.
     pub fn env_save(&mut self) -> Result<Vec<u8>, Error> {
         self.ask(kind::RL_ENV_SAVE, &[], None)?;

@@ -19,6 +19,7 @@ pub(crate) mod kind {
     pub(crate) const AGENT_SEED: u64 = 80;
     pub(crate) const AGENT_SAVE: u64 = 81;
     pub(crate) const AGENT_LOAD: u64 = 82;
+    pub(crate) const AGENT_METRICS: u64 = 86;
 
     pub(crate) const ENV_INIT: u64 = 11;
     pub(crate) const ENV_START: u64 = 12;
@@ -48,6 +49,7 @@ pub(crate) mod kind {
     pub(crate) const RL_AGENT_LOAD: u64 = 91;
     pub(crate) const RL_ENV_SAVE: u64 = 92;
     pub(crate) const RL_ENV_LOAD: u64 = 93;
+    pub(crate) const RL_AGENT_METRICS: u64 = 94;
 
     pub(crate) const HELLO: u64 = 64;
     pub(crate) const WELCOME: u64 = 65;
@@ -166,10 +168,12 @@ fn from_hub(kind: u64) -> Option<(&'static [Type], Body)> {
     use Type::{Bool, End, Float, Int, Text};
     Some(match kind {
         ENV_INIT | ENV_START | ENV_CLEANUP | ENV_SAVE | AGENT_CLEANUP | AGENT_SAVE | RL_CLEANUP | RL_AGENT_END
-        | RL_AGENT_LOAD | RL_ENV_LOAD | HEARTBEAT => (&[], Body::None),
+        | RL_AGENT_LOAD | RL_ENV_LOAD | AGENT_METRICS | HEARTBEAT => (&[], Body::None),
         AGENT_INIT | AGENT_MESSAGE | AGENT_LOAD | ENV_MESSAGE | ENV_LOAD | RL_INIT | RL_AGENT_MESSAGE
         | RL_ENV_MESSAGE | RL_AGENT_SAVE | RL_ENV_SAVE => (&[], Body::Bytes),
-        AGENT_START | ENV_STEP | RL_ENV_START | RL_AGENT_START | RL_AGENT_STEP => (&[], Body::Abstract),
+        AGENT_START | ENV_STEP | RL_ENV_START | RL_AGENT_START | RL_AGENT_STEP | RL_AGENT_METRICS => {
+            (&[], Body::Abstract)
+        }
         AGENT_STEP => (&[Float], Body::Abstract),
         RL_ENV_STEP => (&[Float, End], Body::Abstract),
         RL_START => (&[], Body::Both),

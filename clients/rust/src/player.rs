@@ -33,6 +33,10 @@ pub fn serve_agent(agent: &mut dyn Agent, options: &Options) -> Result<String, E
             kind::AGENT_SEED => agent.seed(message.int(0))?,
             kind::AGENT_SAVE => *answer.body() = agent.save()?,
             kind::AGENT_LOAD => agent.load(body)?,
+            kind::AGENT_METRICS => {
+                let (names, doubles): (Vec<_>, Vec<_>) = agent.metrics()?.into_iter().unzip();
+                AbstractType { ints: vec![], doubles, chars: names.join("\n").into_bytes() }.write(answer.body());
+            }
             _ => return Ok(false),
         }
         Ok(true)
@@ -104,6 +108,7 @@ fn serve<'a>(
         .map(|capability| match capability {
             Capability::Seed => "seed",
             Capability::Save => "save",
+            Capability::Metrics => "metrics",
         })
         .collect();
     if role == "environment" {

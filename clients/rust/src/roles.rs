@@ -10,6 +10,8 @@ pub enum Capability {
     Seed,
     /// It can be saved and loaded between episodes.
     Save,
+    /// An agent that has numbers of its own.
+    Metrics,
 }
 
 /// An agent: it learns.
@@ -58,6 +60,11 @@ pub trait Agent {
     /// Goes on from what `save` returned, after `init`; check it, it may come from someone else.
     fn load(&mut self, _data: &[u8]) -> Outcome<()> {
         Err("this agent cannot be loaded".into())
+    }
+
+    /// Returns numbers of the agent, such as its step size, with their names of 1 to 64 characters without line breaks.
+    fn metrics(&self) -> Outcome<Vec<(String, f64)>> {
+        Err("this agent has no metrics".into())
     }
 }
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import struct
 
-from glue.core.local import local
-from glue.testing.mirror import MirrorAgent, MirrorEnvironment, play, result
-from glue.types import Action, Observation
+from glue.conform.hub.mirror import MirrorAgent, MirrorEnvironment, play, result
+from glue.engine.local import local
+from glue.types import Action, Observation, Step
 
 
 def test_the_action_of_the_page() -> None:
@@ -23,14 +23,14 @@ def test_the_environment_rewards_and_ends_as_its_action_says() -> None:
     environment = MirrorEnvironment()
     environment.env_init()
     assert environment.env_start() == Observation([1])
-    assert environment.env_step(Action([7], [-0.0, 2.0], b"a!")) == (
+    assert environment.env_step(Action([7], [-0.0, 2.0], b"a!"))[:3] == (
         0.0,
         Observation([7, 2], [2.0, -0.0, 7.0], b"!a"),
         True,
     )
     reward = environment.env_step(Action(doubles=[-0.0]))[0]
     assert struct.pack("<d", reward) == struct.pack("<d", -0.0)
-    assert environment.env_step(Action()) == (0.0, Observation(), False)
+    assert environment.env_step(Action())[:3] == (0.0, Observation(), False)
 
 
 class Ordering(MirrorEnvironment):
@@ -41,11 +41,11 @@ class Ordering(MirrorEnvironment):
         self.orders = list(orders)
         self.shown: list[Action] = []
 
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+    def env_step(self, action: Action) -> Step:
         if not self.orders:
-            return 1.0, Observation([20]), True
+            return Step(1.0, Observation([20]), True)
         self.shown.append(action)
-        return 0.25, self.orders.pop(0), False
+        return Step(0.25, self.orders.pop(0), False)
 
 
 def test_the_experiment_shows_what_came_of_its_orders() -> None:

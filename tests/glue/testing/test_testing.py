@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 import struct
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import pytest
 
 from glue.errors import GlueError, LocalProtocolError, SimulatorError
 from glue.random_state import load_generator, save_generator
+from glue.roles import Agent, Environment
 from glue.testing import ContractBroken, Rule, check_agent, check_environment
 from glue.types import Action, Observation
 
@@ -23,7 +25,7 @@ TASK_SPEC = (
 )
 
 
-class Corridor:
+class Corridor(Environment):
     """Ten fields in a row, from a random one to the last; each observed with a random number."""
 
     task_spec = TASK_SPEC
@@ -71,7 +73,7 @@ class Corridor:
         return Observation([self.field], [self.generator.random()])
 
 
-class Wanderer:
+class Wanderer(Agent):
     """Acts at random, more to the right the more it has been rewarded."""
 
     def __init__(self) -> None:
@@ -141,22 +143,22 @@ def test_rounds_may_be_of_any_length(episodes: int, steps: int, seed: int) -> No
 
 
 class PlainCorridor(Corridor):
-    """Offers nothing beyond the role, and begins otherwise each time."""
+    """Offers nothing beyond the role, and begins differently with each state of the global generator."""
 
     env_seed = env_save = env_load = None  # type: ignore[assignment]
 
     def env_init(self) -> str:
-        self.generator = np.random.default_rng()
+        self.generator = np.random.default_rng(random.getrandbits(32))
         return super().env_init()
 
 
 class PlainWanderer(Wanderer):
-    """Offers nothing beyond the role, and begins otherwise each time."""
+    """Offers nothing beyond the role, and begins differently with each state of the global generator."""
 
     agent_seed = agent_save = agent_load = None  # type: ignore[assignment]
 
     def agent_init(self, task_spec: str) -> None:
-        self.generator = np.random.default_rng()
+        self.generator = np.random.default_rng(random.getrandbits(32))
         super().agent_init(task_spec)
 
 
@@ -182,7 +184,7 @@ def test_private_task_spec_needs_a_partner(task_spec: str) -> None:
 def test_numpy_numbers_are_numbers() -> None:
     class Numpy(Corridor):
         def env_step(self, action: Action) -> Any:
-            reward, observation, terminal = super().env_step(action)
+            reward, observation, terminal, *_ = super().env_step(action)
             return np.float64(reward), observation, np.bool_(terminal)
 
     check_environment(Numpy)
@@ -208,8 +210,8 @@ def test_no_test_framework_is_needed() -> None:
 # Environments that break one rule
 
 
-class NoMessage(Corridor):
-    env_message = None  # type: ignore[assignment]
+class NoStart(Corridor):
+    env_start = None  # type: ignore[assignment]
 
 
 class SpeaksOnlyWhenReady(Corridor):
@@ -342,6 +344,18 @@ class Unseeded(Corridor):
         return Observation(super().observe().ints, [self.noise.random()])
 
 
+class DrawsWithoutSeed(Unseeded):
+    env_seed = None  # type: ignore[assignment]
+
+
+class DrawsFromGlobals(DrawsWithoutSeed):
+    env_save = env_load = None  # type: ignore[assignment]
+
+    def observe(self) -> Observation:
+        assert self.field is not None
+        return Observation([self.field], [random.random() * np.random.random()])
+
+
 class Remembers(Corridor):
     """The more starts there have been, init or no init, the nearer the end it begins."""
 
@@ -388,7 +402,7 @@ class LoadsWithATraceback(Corridor):
 
 
 BROKEN_ENVIRONMENTS: list[tuple[type[Corridor], Rule]] = [
-    (NoMessage, Rule.METHODS),
+    (NoStart, Rule.METHODS),
     (SpeaksOnlyWhenReady, Rule.CALLS),
     (SpeaksOnlyInEpisodes, Rule.CALLS),
     (CleansUpOnlyWhatInitTook, Rule.CALLS),
@@ -410,13 +424,24 @@ BROKEN_ENVIRONMENTS: list[tuple[type[Corridor], Rule]] = [
     (Generous, Rule.REWARD_RANGE),
     (UnclearEnd, Rule.TERMINAL),
     (Unseeded, Rule.SEED),
+    (DrawsWithoutSeed, Rule.REPEATABLE),
     (Remembers, Rule.AFRESH),
     (SavesText, Rule.SAVE),
     (SavesNothing, Rule.SAVE),
     (LoadsAnything, Rule.DAMAGE),
     (LoadsEmptyBytes, Rule.DAMAGE),
-    (LoadsWithATraceback, Rule.DAMAGE),
 ]
+
+
+def test_player_without_seed_may_draw_from_the_global_generators_whose_state_stays() -> None:
+    before = random.getstate(), repr(np.random.get_state())
+    check_environment(DrawsFromGlobals)
+    assert (random.getstate(), repr(np.random.get_state())) == before
+
+
+def test_damaged_data_may_be_refused_with_any_exception() -> None:
+    check_environment(LoadsWithATraceback)
+    check_agent(LoadsWithAStructError, TASK_SPEC)
 
 
 @pytest.mark.parametrize(("environment", "rule"), BROKEN_ENVIRONMENTS)
@@ -427,8 +452,8 @@ def test_broken_environment_is_found_by_name(environment: type[Corridor], rule: 
 # Agents that break one rule
 
 
-class NoEnd(Wanderer):
-    agent_end = None  # type: ignore[assignment]
+class NoStep(Wanderer):
+    agent_step = None  # type: ignore[assignment]
 
 
 class AnswersOnlyWhenReady(Wanderer):
@@ -546,7 +571,7 @@ class LoadsWithAStructError(Wanderer):
 
 
 BROKEN_AGENTS: list[tuple[type[Wanderer], Rule]] = [
-    (NoEnd, Rule.METHODS),
+    (NoStep, Rule.METHODS),
     (AnswersOnlyWhenReady, Rule.CALLS),
     (CleansUpOnlyAfterInit, Rule.CALLS),
     (InitsOnlyAfterCleanup, Rule.CALLS),
@@ -563,7 +588,6 @@ BROKEN_AGENTS: list[tuple[type[Wanderer], Rule]] = [
     (SavesNoChance, Rule.SAVE),
     (SavesAnArray, Rule.SAVE),
     (LoadsCutValues, Rule.DAMAGE),
-    (LoadsWithAStructError, Rule.DAMAGE),
 ]
 
 

@@ -8,11 +8,11 @@ from typing import Any, Final
 import pytest
 
 from glue.errors import RemoteProtocolError
-from glue.protocol import zmtp
-from glue.protocol.limits import MAX_BODY, MAX_HEADER
-from glue.protocol.messages import CALLS, CONTROL, OBSERVING, Kind
-from glue.protocol.wire import FROM_HUB, TO_HUB, decode, encode
 from glue.types import CUT_OFF
+from glue.wire import zmtp
+from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
+from glue.wire.limits import MAX_BODY, MAX_HEADER
+from glue.wire.messages import CALLS, CONTROL, OBSERVING, Kind
 from tests.glue.testing.vectors import FILE, body_document, content, tagged
 
 VECTORS: Final = json.loads(FILE.read_text(encoding="utf-8"))

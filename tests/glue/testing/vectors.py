@@ -16,12 +16,12 @@ import msgpack
 import numpy as np
 
 import glue.testing
-from glue.protocol import zmtp
-from glue.protocol.limits import MAX_BODY, MAX_HEADER
-from glue.protocol.messages import OBSERVING, PROTOCOL_VERSION, Body, Kind, Message, Value
-from glue.protocol.wire import FROM_HUB, TO_HUB, decode, encode
 from glue.types import CUT_OFF, Action, Observation, body_size
-from tests.glue.protocol.examples import EXAMPLES
+from glue.wire import zmtp
+from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
+from glue.wire.limits import MAX_BODY, MAX_HEADER
+from glue.wire.messages import OBSERVING, PROTOCOL_VERSION, Body, Kind, Message, Value
+from tests.glue.wire.examples import EXAMPLES
 
 FILE: Final = Path(glue.testing.__file__).with_name("vectors.json")
 
@@ -312,7 +312,7 @@ def refused() -> Iterator[Document]:
 
 
 def streams() -> Document:
-    """What crosses a connection beside messages."""
+    """Return the vectors of bytes other than messages on a connection."""
     return {
         "greeting": zmtp.GREETING.hex(),
         "ready": "04290552454144590b536f636b65742d54797065000000064445414c4552084964656e7469747900000000",

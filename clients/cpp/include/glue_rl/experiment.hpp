@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <functional>
 #include <optional>
@@ -124,6 +125,19 @@ class Experiment {
 
   /// Loads the agent from what `agent_save` returned.
   void agent_load(std::string_view data) { with_bytes(detail::kRlAgentLoad, data); }
+
+  /// Returns the agent's own numbers with their names.
+  Metrics agent_metrics() {
+    const Observation packed(ask(begin(0, detail::kRlAgentMetrics)).first);
+    Metrics metrics;
+    std::size_t start = 0;
+    for (const double value : packed.doubles) {
+      const auto end = std::min(packed.chars.find('\n', start), packed.chars.size());
+      metrics.emplace_back(packed.chars.substr(start, end - start), value);
+      start = std::min(end + 1, packed.chars.size());
+    }
+    return metrics;
+  }
 
   /// Saves the environment.
   std::string env_save() { return std::string(ask(begin(0, detail::kRlEnvSave)).body); }

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <exception>
+#include <iostream>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -69,6 +70,17 @@ inline bool call_load(Saveable* player, const Message& message) {
   return player != nullptr;
 }
 
+inline bool call_metrics(Measured* agent, Answer& answer) {
+  if (agent == nullptr) return false;
+  AbstractType packed;
+  for (const auto& [name, value] : agent->metrics()) {
+    packed.chars += (packed.doubles.empty() ? "" : "\n") + name;
+    packed.doubles.push_back(value);
+  }
+  answer.abstract(packed);
+  return true;
+}
+
 /// Carries a call out; returns false if it is not one of an agent's.
 inline bool carry_out(Agent& agent, const Message& message, Answer& answer) {
   switch (message.kind) {
@@ -81,6 +93,7 @@ inline bool carry_out(Agent& agent, const Message& message, Answer& answer) {
     case kAgentSeed: return call_seedable(dynamic_cast<Seedable*>(&agent), message);
     case kAgentSave: return call_save(dynamic_cast<Saveable*>(&agent), answer);
     case kAgentLoad: return call_load(dynamic_cast<Saveable*>(&agent), message);
+    case kAgentMetrics: return call_metrics(dynamic_cast<Measured*>(&agent), answer);
     default: return false;
   }
 }
@@ -126,6 +139,7 @@ class Player {
     std::vector<std::string> capabilities;
     if (dynamic_cast<Saveable*>(&player) != nullptr) capabilities.emplace_back("save");
     if (dynamic_cast<Seedable*>(&player) != nullptr) capabilities.emplace_back("seed");
+    if (dynamic_cast<Measured*>(&player) != nullptr) capabilities.emplace_back("metrics");
     if (std::is_same_v<Role, Environment>) capabilities.emplace_back("truncate");
     return capabilities;
   }
@@ -195,6 +209,19 @@ inline std::string serve(Agent& agent, const Options& options) {
 /// Lets an environment take part in a session, as `serve` does an agent.
 inline std::string serve(Environment& environment, const Options& options) {
   return detail::Player<Environment>("environment", environment, options).serve();
+}
+
+/// Serves an agent or environment as the whole of a program: prints the reason of the hub's goodbye, or the error, and
+/// returns the exit code.
+template <class Role>
+int run(Role& player, const Options& options) {
+  try {
+    std::cout << serve(player, options) << std::endl;
+    return 0;
+  } catch (const std::exception& error) {
+    std::cerr << "Error: " << error.what() << std::endl;
+    return 1;
+  }
 }
 
 }  // namespace glue_rl

@@ -3,10 +3,15 @@
 #include <cstdint>
 #include <string>
 #include <string_view>
+#include <utility>
+#include <vector>
 
 #include "abstract_type.hpp"
 
 namespace glue_rl {
+
+/// Numbers with their names.
+using Metrics = std::vector<std::pair<std::string, double>>;
 
 /// An agent: it learns. If it is also `Seedable` or `Saveable`, it offers these capabilities.
 class Agent {
@@ -78,6 +83,15 @@ class Saveable {
   virtual std::string save() = 0;
   /// Goes on from what `save` returned, after `init`; check it, it may come from someone else.
   virtual void load(std::string_view data) = 0;
+};
+
+/// An agent with numbers of its own, such as its step size: the capability `metrics`.
+class Measured {
+ public:
+  virtual ~Measured() = default;
+
+  /// Returns each number with its name, of 1 to 64 characters without line breaks; this changes nothing in the agent.
+  virtual Metrics metrics() = 0;
 };
 
 }  // namespace glue_rl

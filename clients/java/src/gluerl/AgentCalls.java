@@ -1,5 +1,7 @@
 package gluerl;
 
+import java.util.Map;
+
 /** The calls to an agent. */
 final class AgentCalls implements Calls {
     private final Agent agent;
@@ -28,8 +30,15 @@ final class AgentCalls implements Calls {
                 return new Result(Message.utf8(agent.message(message.text())));
             case AGENT_SEED, AGENT_SAVE, AGENT_LOAD:
                 return Calls.common(agent, message);
+            case AGENT_METRICS:
+                return agent instanceof Measured measured ? new Result(packed(measured.metrics()).body()) : null;
             default:
                 return null;
         }
+    }
+
+    private static Observation packed(Map<String, Double> metrics) {
+        double[] values = metrics.values().stream().mapToDouble(Double::doubleValue).toArray();
+        return new Observation(new int[0], values, Message.utf8(String.join("\n", metrics.keySet())));
     }
 }

@@ -1,5 +1,9 @@
 package gluerl;
 
+import java.nio.charset.StandardCharsets;
+import java.util.LinkedHashMap;
+import java.util.Map;
+
 /**
  * RL-Glue's verbs over a hub. Each waits for the players, and throws {@link GlueException.PeerLost},
  * {@link GlueException.PeerFailed}, {@link GlueException.Unsupported} or {@link GlueException.HubClosed}. One thread at a
@@ -247,6 +251,23 @@ public final class Experiment implements AutoCloseable {
      */
     public void envLoad(byte[] data) {
         ask(Kind.RL_ENV_LOAD, data);
+    }
+
+    /**
+     * RL_agent_metrics.
+     *
+     * @return the agent's own numbers by name, in its order
+     */
+    public Map<String, Double> agentMetrics() {
+        Observation metrics = new Observation(ask(Kind.RL_AGENT_METRICS, null).reader());
+        String names = new String(metrics.chars(), StandardCharsets.UTF_8);
+        Map<String, Double> found = new LinkedHashMap<>();
+        double[] values = metrics.doubles();
+        String[] all = names.split("\n", -1);
+        for (int i = 0; i < Math.min(values.length, all.length); i++) {
+            found.put(all[i], values[i]);
+        }
+        return found;
     }
 
     /** Says goodbye to the hub, and leaves. */

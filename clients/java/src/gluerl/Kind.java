@@ -26,6 +26,7 @@ enum Kind {
     AGENT_SEED(80, "", NONE, "i", NONE),
     AGENT_SAVE(81, "", BYTES, "", NONE),
     AGENT_LOAD(82, "", NONE, "", BYTES),
+    AGENT_METRICS(86, "", ABSTRACT, "", NONE),
 
     ENV_INIT(11, "", TEXT, "", NONE),
     ENV_START(12, "", ABSTRACT, "", NONE),
@@ -55,6 +56,7 @@ enum Kind {
     RL_AGENT_LOAD(91, "", BYTES, "", NONE),
     RL_ENV_SAVE(92, "", NONE, "", BYTES),
     RL_ENV_LOAD(93, "", BYTES, "", NONE),
+    RL_AGENT_METRICS(94, "", NONE, "", ABSTRACT),
 
     HELLO(64, "ItxttT", NONE, null, NONE),
     WELCOME(65, null, NONE, "ibffi", NONE),

@@ -19,6 +19,9 @@ final class Player {
         if (player instanceof Saveable) {
             capabilities.add("save");
         }
+        if (player instanceof Measured) {
+            capabilities.add("metrics");
+        }
         if (player instanceof Seedable) {
             capabilities.add("seed");
         }

@@ -10,8 +10,11 @@
 #include <vector>
 
 #include "../options.hpp"
-#include "curve_dealer.hpp"
+#include "message.hpp"
 #include "plain_dealer.hpp"
+#if GLUE_RL_KEYS  // needs libzmq
+#include "curve_dealer.hpp"
+#endif
 
 namespace glue_rl::detail {
 
@@ -38,7 +41,13 @@ class Link {
     if (options.key.empty() && options.hub_key.empty()) {
       dealer_ = std::make_unique<PlainDealer>(options.hub, options.log);
     } else {
+#if GLUE_RL_KEYS
       dealer_ = std::make_unique<CurveDealer>(options.hub, read_keys(options.key, options.hub_key));
+#else
+      throw ConfigError(
+          "this program was built without keys: build it with libzmq and -DGLUE_RL_KEYS=1, or unset GLUE_KEY and "
+          "GLUE_HUB_KEY");
+#endif
     }
   }
 

@@ -26,6 +26,7 @@ enum Kind : std::uint64_t {
   kAgentSeed = 80,
   kAgentSave = 81,
   kAgentLoad = 82,
+  kAgentMetrics = 86,
 
   kEnvInit = 11,
   kEnvStart = 12,
@@ -55,6 +56,7 @@ enum Kind : std::uint64_t {
   kRlAgentLoad = 91,
   kRlEnvSave = 92,
   kRlEnvLoad = 93,
+  kRlAgentMetrics = 94,
 
   kHello = 64,
   kWelcome = 65,
@@ -77,12 +79,13 @@ struct Shape {
 inline Shape from_hub(std::uint64_t kind) {
   switch (kind) {
     case kEnvInit: case kEnvStart: case kEnvCleanup: case kEnvSave: case kAgentCleanup: case kAgentSave:
-    case kRlCleanup: case kRlAgentEnd: case kRlAgentLoad: case kRlEnvLoad: case kHeartbeat:
+    case kAgentMetrics: case kRlCleanup: case kRlAgentEnd: case kRlAgentLoad: case kRlEnvLoad: case kHeartbeat:
       return {"", Body::kNone};
     case kAgentInit: case kAgentMessage: case kAgentLoad: case kEnvMessage: case kEnvLoad: case kRlInit:
     case kRlAgentMessage: case kRlEnvMessage: case kRlAgentSave: case kRlEnvSave:
       return {"", Body::kBytes};
     case kAgentStart: case kEnvStep: case kRlEnvStart: case kRlAgentStart: case kRlAgentStep:
+    case kRlAgentMetrics:
       return {"", Body::kAbstract};
     case kAgentStep: return {"f", Body::kAbstract};
     case kRlEnvStep: return {"fb", Body::kAbstract};

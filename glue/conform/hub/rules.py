@@ -1,0 +1,114 @@
+"""Rules of the protocol: their text, their section of docs/protocol.md, and the scene that tests each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, Final
+
+from glue.errors import GlueError
+from glue.wire.messages import THREE_ROLES, Role
+
+__all__ = ["EVERYONE", "PLAYERS", "Broken", "Level", "NotJudged", "Rule", "Rules", "Scene", "Tier"]
+
+PLAYERS: Final = (Role.AGENT, Role.ENVIRONMENT)
+EVERYONE: Final = THREE_ROLES
+
+
+class Tier(StrEnum):
+    """Degrees of reliability of a client; each tier includes those before it."""
+
+    PLAYS = "plays"
+    SURVIVES = "survives"
+    COMPLETE = "complete"
+
+
+class Level(StrEnum):
+    """Requirement levels of RFC 2119."""
+
+    MUST = "MUST"
+    SHOULD = "SHOULD"
+    MAY = "MAY"
+
+
+class Broken(GlueError):
+    """A rule is broken.
+
+    Attributes:
+        expected: the expected message or behaviour.
+        received: a description of what was received instead.
+        frames: the bytes received.
+    """
+
+    def __init__(self, expected: str, received: str, frames: Sequence[bytes] = ()) -> None:
+        super().__init__(f"expected {expected}; received {received}")
+        self.expected = expected
+        self.received = received
+        self.frames: tuple[bytes, ...] = tuple(frames)
+
+
+class NotJudged(GlueError):
+    """A rule cannot be judged, for the reason in the text."""
+
+
+Scene = Callable[[Any], None]
+"""A test of a rule, which raises Broken or NotJudged."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One rule.
+
+    Attributes:
+        name: a short identifier, unique within a role.
+        tier: the tier that requires it.
+        section: the anchor of its heading in docs/protocol.md.
+        text: the behaviour that it demands.
+        roles: the roles that it applies to.
+        scene: its test.
+        needs: names of rules that the scene depends on; its failure is not counted if one of them failed.
+        level: the requirement level. MAY: the client need not offer it, but what it offers has to work.
+        capability: the capability that it tests; a client without it is not judged.
+        mirror: whether the scene can only judge the mirror of docs/clients.md.
+    """
+
+    name: str
+    tier: Tier
+    section: str
+    text: str
+    roles: tuple[Role, ...]
+    scene: Scene
+    needs: tuple[str, ...] = ()
+    level: Level = Level.MUST
+    capability: str = ""
+    mirror: bool = False
+
+
+class Rules(list[Rule]):
+    """Rules in the order in which they are judged.
+
+    Args:
+        roles: the roles that the rules apply to by default.
+    """
+
+    def __init__(self, roles: tuple[Role, ...] = ()) -> None:
+        super().__init__()
+        self._roles = roles
+
+    def add(self, tier: Tier, section: str, **more: Any) -> Callable[[Scene], Scene]:
+        """Return a decorator that adds the rule of a scene.
+
+        The scene's docstring is the text of the rule, and its name the rule's name unless `more`, the other
+        fields of `Rule`, has another.
+        """
+
+        def keep(scene: Scene) -> Scene:
+            text = " ".join((scene.__doc__ or "").split()).removesuffix(".")
+            text = text if text[1].isupper() else text[0].lower() + text[1:]
+            name = more.pop("name", scene.__name__.replace("_", "-"))
+            roles = more.pop("roles", self._roles)
+            self.append(Rule(name, tier, section, text, roles, scene, **more))
+            return scene
+
+        return keep

@@ -1,0 +1,164 @@
+"""Scripts of faults: an episode in which the connection breaks at random, drawn from a seed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from glue.conform.hub.connection import Gone
+from glue.conform.hub.harness import Exchange, Harness
+from glue.conform.hub.rules import Broken
+from glue.doors import clock
+from glue.wire import zmtp
+from glue.wire.codec import FROM_HUB, encode
+from glue.wire.messages import ErrorCode, Kind, Message, Role
+
+__all__ = ["play_script"]
+
+_EPISODES: Final = 2
+_MOST_PIECES: Final = 12
+_LONGEST: Final = 0.05
+"""Seconds between two pieces of a message, at most, and before a break."""
+
+_LONGEST_ABSENCE: Final = 0.3
+"""Seconds without a hub, at most."""
+
+Fault = Callable[[Harness, np.random.Generator, Exchange], None]
+"""Carries out an exchange in spite of something."""
+
+
+def play_script(kit: Harness, seed: int) -> None:
+    """Carry out episodes, with a fault at most exchanges.
+
+    Args:
+        kit: the harness of a client that is idle.
+        seed: of the choices; the same one chooses the same faults.
+
+    Raises:
+        Broken: an answer was not as expected; the message has the faults until then.
+    """
+    rng = np.random.default_rng(seed)
+    known = [fault for fault in _FAULTS if kit.role is not Role.EXPERIMENT or fault not in _OF_PLAYERS]
+    script: list[str] = []
+    try:
+        for _ in range(_EPISODES * kit.exchanges()):
+            exchange = kit.prepare()
+            fault = known[rng.integers(len(known))]
+            script.append((fault.__doc__ or "").removesuffix(".").lower())
+            fault(kit, rng, exchange)
+        kit.exchange()
+    except Broken as broken:
+        expected = f"{broken.expected}, after {', '.join(script)}"
+        raise Broken(expected, broken.received, broken.frames) from None
+
+
+def _undisturbed(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
+    """Nothing."""
+    kit.run(exchange)
+
+
+def _pieces(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
+    """A message in pieces."""
+    data = zmtp.encode(exchange.frames)
+    ends = np.sort(rng.integers(0, len(data), rng.integers(1, _MOST_PIECES)))
+    for begin, end in zip([0, *ends], [*ends, len(data)], strict=True):
+        kit.send_bytes(data[begin:end])
+        clock.sleep(rng.uniform(0, _LONGEST / _MOST_PIECES))
+    kit.take(exchange.expected)
+
+
+def _heartbeats(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
+    """HEARTBEATs around a message."""
+    beat = zmtp.encode(encode(Message(Kind.HEARTBEAT, "", 0), FROM_HUB))
+    before, after = rng.integers(0, 20, 2)
+    kit.send_bytes(beat * int(before) + zmtp.encode(exchange.frames) + beat * int(after))
+    kit.take(exchange.expected)
+
+
+def _broken_within(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
+    """A break within a message."""
+    data = zmtp.encode(exchange.frames)
+    kit.send_bytes(data[: rng.integers(len(data))])
+    _break(kit, rng)
+    kit.reconnect()
+    kit.run(exchange)
+
+
+def _broken_behind(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
+    """A break behind a call, whose answer is lost or has not been given."""
+    kit.send_frames(exchange.frames)
+    clock.sleep(rng.choice([0.0, rng.uniform(0, _LONGEST)]))
+    _break(kit, rng)
+    kit.reconnect(queued=exchange.expected)
+    kit.run(exchange)
+
+
+def _repeated(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
+    """A call repeated over the same connection."""
+    frames = kit.run(exchange)
+    for _ in range(rng.integers(1, 4)):
+        kit.repeat(exchange, frames)
+
+
+def _answers_lost(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
+    """A break behind an answer, as if that were lost, and again."""
+    frames = kit.run(exchange)
+    for _ in range(rng.integers(1, 4)):
+        _break(kit, rng)
+        kit.connect()
+        kit.welcome()
+        kit.repeat(exchange, frames)
+
+
+def _handshakes_lost(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
+    """Breaks in handshakes and greetings."""
+    for _ in range(rng.integers(1, 4)):
+        _break(kit, rng)
+        kit.adopt(kit.accept())
+        try:
+            if rng.integers(3):
+                kit.connection.greet(kit.wait)
+            else:
+                kit.connection.send_bytes(zmtp.GREETING[: rng.integers(len(zmtp.GREETING) + 1)])
+        except Gone:
+            pass  # libzmq sometimes gives a connection up before its greeting
+    if rng.integers(2):
+        kit.connect()
+        _break(kit, rng)  # HELLO was heard, and never answered
+    kit.reconnect()
+    kit.run(exchange)
+
+
+def _no_hub(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
+    """No hub for a while."""
+    kit.listener.close()
+    try:
+        _break(kit, rng)
+        clock.sleep(rng.uniform(0, _LONGEST_ABSENCE))
+    finally:
+        kit.listener.open()
+    kit.reconnect()
+    kit.run(exchange)
+
+
+def _forgotten(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
+    """The error unknown-peer."""
+    kit.send(Kind.ERROR, ErrorCode.UNKNOWN_PEER, "say HELLO", seq=0)
+    kit.greeted_again()
+    kit.resume()
+    kit.run(exchange)
+
+
+def _break(kit: Harness, rng: np.random.Generator) -> None:
+    kit.cut(reset=bool(rng.integers(2)))
+
+
+_OF_PLAYERS: Final = (_broken_behind, _repeated)
+"""An experiment is not tried with these: its next request may have been sent or not, and both are right."""
+
+_FAULTS: Final[tuple[Fault, ...]] = (
+    *(_undisturbed, _pieces, _heartbeats, _broken_within, _broken_behind),
+    *(_repeated, _answers_lost, _handshakes_lost, _no_hub, _forgotten),
+)

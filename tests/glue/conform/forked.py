@@ -1,0 +1,49 @@
+"""Clients to judge, forked from a process that has imported everything."""
+
+from __future__ import annotations
+
+from typing import cast
+
+from glue import AgentLike, EnvironmentLike, serve_agent, serve_environment
+from glue.conform.hub.clients import Start
+from glue.conform.hub.mirror import run_mirror
+from glue.errors import GlueError
+from glue.wire.messages import Role
+from tests.forked import Forked
+from tests.glue.conform.wrong import run
+
+
+def wrong(role: Role, fault: str) -> Start:
+    """Return a function that starts a client with a fault, or with none."""
+    return lambda hub, session: Forked(run, str(role), hub, session, fault)
+
+
+def mirror(role: Role, libzmq: bool) -> Start:
+    """Return a function that starts our own mirror."""
+    return lambda hub, session: Forked(_mirror, role, hub, session, libzmq)
+
+
+def served(player: AgentLike | EnvironmentLike) -> Start:
+    """Return a function that starts a player of ours that is not the mirror."""
+    return lambda hub, session: Forked(_serve, player, hub, session)
+
+
+def _serve(player: AgentLike | EnvironmentLike, hub: str, session: str) -> int:
+    try:
+        if hasattr(player, "agent_start"):
+            print(serve_agent(cast(AgentLike, player), hub, session))
+        else:
+            print(serve_environment(player, hub, session))
+    except GlueError as error:
+        print(error)
+        return 1
+    return 0
+
+
+def _mirror(role: Role, hub: str, session: str, libzmq: bool) -> int:
+    context = None
+    if libzmq:
+        from glue.client.libzmq import Context
+
+        context = Context()
+    return run_mirror(role, hub, session, context)

@@ -1,0 +1,220 @@
+"""The kit that judges clients: our own clients pass it."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from env_server.toys import MinesEnvironment
+from glue.conform.hub.clients import starter
+from glue.conform.hub.rules import Level, Tier
+from glue.conform.judge import Outcome, judge, judge_hub, judge_scripts, rules_of
+from glue.conform.report import line, reached, summary
+from glue.hub.config import HubConfig
+from glue.hub.io.server import Hub
+from glue.testing import HubRule
+from glue.types import Action, Observation
+from glue.wire.messages import THREE_ROLES, Role
+from tests.cc import compiled
+from tests.glue.conform.forked import mirror, served, wrong
+from tests.glue.conform.wrong import FAULTS
+from tests.proof import size
+
+ENDS = [("tcp", False), ("ipc", True), ("ipc", False), ("tcp", True)]
+"""Transports, each with plain sockets or with libzmq."""
+
+ROOT = Path(__file__).parents[3]
+DOCS = ROOT / "docs"
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("role", THREE_ROLES)
+@pytest.mark.parametrize(("transport", "libzmq"), size(ENDS[:1], ENDS))
+def test_our_own_clients_keep_every_rule(role: Role, transport: str, libzmq: bool) -> None:
+    verdicts = judge(role, mirror(role, libzmq), transport=transport, wait=20)
+
+    unjudged = {verdict.rule.name for verdict in verdicts if verdict.outcome is Outcome.NOT_JUDGED}
+    assert unjudged <= {"idle", "batch"}
+    assert [line(verdict) for verdict in verdicts if verdict.outcome is Outcome.FAILED] == []
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("role", THREE_ROLES)
+@pytest.mark.parametrize(("transport", "libzmq"), size(ENDS[:1], ENDS))
+def test_our_own_clients_survive_random_faults(role: Role, transport: str, libzmq: bool) -> None:
+    # After each failed handshake libzmq waits longer: a script takes seconds.
+    seeds = range(size(3, 6 if libzmq else 30))
+    verdicts = judge_scripts(role, mirror(role, libzmq), seeds, transport=transport, wait=20)
+
+    assert [verdict.rule.name for verdict in verdicts] == [f"seed-{seed}" for seed in seeds]
+    assert [line(verdict) for verdict in verdicts if verdict.outcome is not Outcome.PASSED] == []
+
+
+@pytest.mark.parametrize(
+    ("role", "fault"),
+    [
+        (Role.AGENT, "carries out what comes again"),
+        (Role.AGENT, "keeps no bytes of an answer"),
+        (Role.AGENT, "answers ahead of WELCOME"),
+        (Role.EXPERIMENT, "asks ahead of WELCOME"),
+    ],
+)
+def test_random_faults_find_a_wrong_client(role: Role, fault: str) -> None:
+    verdicts = judge_scripts(role, wrong(role, fault), range(6), transport="ipc", wait=3)
+
+    failed = [verdict for verdict in verdicts if verdict.outcome is Outcome.FAILED]
+    assert failed
+    assert ", after " in failed[0].expected
+
+
+def test_any_agent_survives_random_faults() -> None:
+    verdicts = judge_scripts(Role.AGENT, served(Walker()), range(2), transport="ipc", wait=20)
+
+    assert {verdict.outcome for verdict in verdicts} == {Outcome.PASSED}
+
+
+def test_a_script_is_replayed_by_its_seed() -> None:
+    command = (sys.executable, "-m", "glue.testing.mirror", "agent")
+    for options, passed in ((("--seeds", "2"), 2), (("--seed", "1"), 1)):
+        done = conform("agent", *options, "--transport", "ipc", "--wait", "20", "--", *command)
+        assert (done.returncode, done.stdout) == (0, f"survives ({passed} passed)\n"), done.stderr
+    for wrong_use in (
+        ("hub", "--seeds", "2", "tcp://127.0.0.1:1"),
+        ("agent", "--seed", "1", "--seeds", "2", "--", "x"),
+    ):
+        assert "scripts of faults are for clients" in conform(*wrong_use).stderr
+
+
+def test_every_rule_stands_in_the_protocol() -> None:
+    text = (DOCS / "protocol.md").read_text(encoding="utf-8")
+    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
+    anchors = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+    for role in THREE_ROLES:
+        rules = rules_of(role)
+        assert {rule.section for rule in rules} <= anchors
+        assert len({rule.name for rule in rules}) == len(rules) > 30
+
+
+class Walker:
+    """As short as an agent can be."""
+
+    def agent_start(self, observation: Observation) -> Action:
+        return Action([1])
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return Action([1 if 0 <= observation.ints[0] <= 20 else 0])
+
+
+class RefusesMessages(Walker):
+    def agent_message(self, message: str) -> str:
+        raise ValueError("no messages, please")
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize(("role", "make"), [(Role.AGENT, Walker), (Role.ENVIRONMENT, MinesEnvironment)])
+def test_any_player_is_judged_by_what_does_not_rest_on_its_answers(
+    role: Role, make: type[Walker] | type[MinesEnvironment]
+) -> None:
+    verdicts = judge(role, served(make()), transport="ipc", wait=20)
+
+    unjudged = [v.rule for v in verdicts if v.outcome is Outcome.NOT_JUDGED]
+    assert [line(verdict) for verdict in verdicts if verdict.outcome is Outcome.FAILED] == []
+    assert all(rule.mirror or rule.capability or rule.name == "idle" for rule in unjudged)
+    assert len(verdicts) - len(unjudged) > 30
+    assert summary(verdicts).startswith("plays, as far as can be told without the mirror; survives; complete")
+
+
+def test_a_player_that_fails_in_a_legal_call_is_found_without_the_mirror() -> None:
+    verdicts = judge(Role.AGENT, served(RefusesMessages()), wait=20, only={"hello"})
+
+    assert [verdict.outcome for verdict in verdicts] == [Outcome.FAILED]
+    assert "no messages, please" in verdicts[0].received
+
+
+@pytest.mark.parametrize(
+    ("fault", "conforms"), [("ignores WELCOME's heartbeat", True), ("answers no PING", False)]
+)
+def test_only_a_broken_must_costs_the_tier(fault: str, conforms: bool) -> None:
+    verdicts = judge(Role.AGENT, wrong(Role.AGENT, fault), wait=3, only={FAULTS["agent"][fault]})
+
+    assert [verdict.outcome for verdict in verdicts] == [Outcome.FAILED]
+    assert all(reached(verdicts).values()) is conforms
+    assert line(verdicts[0]).startswith("should" if conforms else "FAILED")
+
+
+def test_a_hub_is_judged_by_its_address() -> None:
+    with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), timeout=0.3, heartbeat=0.1)).in_background() as hub:
+        done = conform("hub", "--json", hub.endpoints[0])
+    found = json.loads(done.stdout)
+
+    assert (done.returncode, found["role"]) == (0, "hub")
+    assert {rule["outcome"] for rule in found["rules"]} == {"passed"}
+    assert len(found["rules"]) == len(HubRule)
+
+
+def test_no_hub_at_the_address_breaks_the_first_rule() -> None:
+    verdicts = judge_hub("tcp://127.0.0.1:1", wait=0.1)
+
+    assert verdicts[0].outcome is Outcome.FAILED
+    assert conform("hub", "tcp://127.0.0.1:1", "another").returncode == 2
+
+
+@pytest.fixture(scope="module")
+def c_mirror(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compiled(DOCS / "examples/c/mirror.c", tmp_path_factory.mktemp("c"))
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("transport", size(["ipc"], ["tcp", "ipc"]))
+def test_the_example_in_c_keeps_every_rule(c_mirror: Path, transport: str) -> None:
+    verdicts = judge(Role.AGENT, starter([str(c_mirror)]), transport=transport, wait=20)
+
+    unkept = [v for v in verdicts if v.outcome is not Outcome.PASSED and v.rule.level is not Level.MAY]
+    assert [line(verdict) for verdict in unkept] == []
+
+
+PROGRAM = "from glue_rl.commands import conform; conform()"
+
+
+def conform(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", PROGRAM, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=ROOT)
+
+
+def test_the_command_prints_json_and_writes_a_scorecard(tmp_path: Path) -> None:
+    card = tmp_path / "card.md"
+    client = (sys.executable, "-m", "glue.testing.mirror", "agent")
+    options = ("--tier", "plays", "--transport", "tcp", "--wait", "20", "--json", "--scorecard", str(card))
+    done = conform("agent", *options, "--", *client)
+
+    found = json.loads(done.stdout)
+    plays = {rule.name for rule in rules_of(Role.AGENT, Tier.PLAYS)}
+    assert (done.returncode, found["tiers"]) == (0, {"plays": True})
+    assert {rule["name"] for rule in found["rules"] if rule["outcome"] == "passed"} == plays
+    assert all(f"| [{name}](docs/protocol.md#" in card.read_text() for name in plays)
+    assert "| plays | yes |" in card.read_text()
+    assert f"wrote {card}" in done.stderr
+
+
+def test_a_client_that_does_not_connect_is_said_to() -> None:
+    options = ("--tier", "plays", "--transport", "tcp", "--wait", "0.5")
+    done = conform("environment", *options, "--", sys.executable, "-c", "raise SystemExit('no hub for me')")
+
+    assert done.returncode == 1
+    assert "FAILED tcp  plays     MUST    handshake" in done.stdout
+    assert "no hub for me" in done.stdout
+    assert "plays: no" in done.stdout
+
+
+def test_a_program_that_is_not_there_is_a_mistake_of_the_user() -> None:
+    done = conform("agent", "--", "./no-such-program")
+
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "no-such-program" in done.stderr
+    assert "Traceback" not in done.stderr

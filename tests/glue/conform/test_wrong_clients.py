@@ -1,0 +1,72 @@
+"""The kit finds faults: clients with one fault each break the rules that it concerns, and keep all others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
+import pytest
+
+from glue.conform.judge import Outcome, judge, rules_of
+from glue.conform.report import line
+from glue.wire.messages import THREE_ROLES, Role
+from tests.glue.conform.forked import wrong
+from tests.glue.conform.wrong import FAULTS, ODDITIES
+from tests.proof import size
+
+COMMON = {"hello", "calls", "repeated", "numbers"}
+"""Rules by which each client is judged in any case, beside its own; `make proof` judges it by all."""
+
+
+CONSEQUENCES: Mapping[str, frozenset[str]] = {
+    "answers ahead of WELCOME": frozenset({"large-repeated"}),
+    "cuts chars at NUL": frozenset({"counts"}),
+    "keeps no answer above 64 KiB": frozenset({"answer-delayed"}),
+    "keeps no bytes of an answer": frozenset({"answer-lost"}),
+    "knows no call before INIT": frozenset({"chars", "doubles", "ints", "texts"}),
+    "offers to be told the outcome, and dies of it": frozenset({"goodbye"}),
+    "says HELLO in place of HEARTBEAT": frozenset({"idle"}),
+    "says HELLO twice": frozenset({"idle", "reasons", "silent-until-welcomed"}),
+    "writes big-endian doubles": frozenset({"metrics"}),
+}
+"""Rules that a fault breaks beside its own, when a client is judged by all: their scenes meet it, too."""
+
+
+def misjudged(role: Role, fault: str) -> list[str]:
+    """Judge a client; return each verdict that its fault does not account for, and each that it lacks."""
+    rule = FAULTS[role].get(fault)
+    broken = {rule, *CONSEQUENCES.get(fault, ())}
+    some = None if rule is None else {rule, *COMMON}
+    # A client that does nothing is waited for in vain: long enough for a busy machine, not longer.
+    verdicts = judge(role, wrong(role, fault), wait=4, only=size(some, None))
+    failed = [verdict for verdict in verdicts if verdict.outcome is Outcome.FAILED]
+    # What rests on the broken rule need not be judged, everything else is.
+    unjudged = [
+        verdict
+        for verdict in verdicts
+        if verdict.outcome is Outcome.NOT_JUDGED
+        and broken.isdisjoint(verdict.rule.needs)
+        and verdict.mirror
+        and verdict.rule.name != "batch"  # which only one of the environments is
+    ]
+    missed = (
+        [f"{rule} was kept"] if rule and broken.isdisjoint(verdict.rule.name for verdict in failed) else []
+    )
+    return missed + [line(verdict) for verdict in [*failed, *unjudged] if verdict.rule.name not in broken]
+
+
+@pytest.mark.proof
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("role", THREE_ROLES)
+def test_a_fault_breaks_its_own_rule_and_no_other(role: Role) -> None:
+    faults = ("", *ODDITIES, *FAULTS[role])
+    with ThreadPoolExecutor(10) as pool:  # they mostly wait
+        found = dict(zip(faults, pool.map(partial(misjudged, role), faults), strict=True))
+    assert {fault or "no fault": wrongly for fault, wrongly in found.items() if wrongly} == {}
+
+
+def test_there_are_many_faults_and_each_rule_is_broken_by_one() -> None:
+    assert sum(map(len, FAULTS.values())) > 60
+    broken = {rule for faults in FAULTS.values() for rule in faults.values()}
+    assert broken == {rule.name for role in THREE_ROLES for rule in rules_of(role)}
