@@ -2,108 +2,39 @@
 
     from glue import Action, serve_agent
 
-The names below are imported when they are first used, so that `import glue` costs nothing.
+The public names, listed in `glue.api`, are imported when the first of them is used, so that `import glue`
+costs nothing.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
 
-TYPE_CHECKING = False  # not imported: see glue.entry
+from glue.names import hidden_names
+
+TYPE_CHECKING = False  # not imported: see glue.cli.entry
 if TYPE_CHECKING:
-    from typing import Any, Final
+    from typing import Any
 
-    from glue.client.experiment import connect
-    from glue.client.players import serve_agent, serve_environment
-    from glue.core.experiment import Experiment
-    from glue.core.local import local
-    from glue.errors import (
-        ConfigError,
-        ExperimentError,
-        GlueError,
-        HubClosed,
-        HubUnreachable,
-        LocalProtocolError,
-        PeerFailed,
-        PeerLost,
-        Refused,
-        RemoteProtocolError,
-        TaskSpecError,
-        Unsupported,
-    )
-    from glue.options import Option
-    from glue.players.loading import make, make_agent
-    from glue.roles import Agent, Environment
-    from glue.runs import RunData, load_run
-    from glue.types import CUT_OFF, Action, Observation
+    from glue.api import *  # noqa: F403
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
-__all__ = [
-    "CUT_OFF",
-    "Action",
-    "Agent",
-    "ConfigError",
-    "Environment",
-    "Experiment",
-    "ExperimentError",
-    "GlueError",
-    "HubClosed",
-    "HubUnreachable",
-    "LocalProtocolError",
-    "Observation",
-    "Option",
-    "PeerFailed",
-    "PeerLost",
-    "Refused",
-    "RemoteProtocolError",
-    "RunData",
-    "TaskSpecError",
-    "Unsupported",
-    "__version__",
-    "connect",
-    "load_run",
-    "local",
-    "make",
-    "make_agent",
-    "serve_agent",
-    "serve_environment",
-]
+if _hidden := hidden_names():
+    import warnings
 
-_HOMES: Final = {
-    "glue.client.experiment": ("connect",),
-    "glue.client.players": ("serve_agent", "serve_environment"),
-    "glue.core.experiment": ("Experiment",),
-    "glue.core.local": ("local",),
-    "glue.errors": (
-        "ConfigError",
-        "ExperimentError",
-        "GlueError",
-        "HubClosed",
-        "HubUnreachable",
-        "LocalProtocolError",
-        "PeerFailed",
-        "PeerLost",
-        "Refused",
-        "RemoteProtocolError",
-        "TaskSpecError",
-        "Unsupported",
-    ),
-    "glue.options": ("Option",),
-    "glue.players.loading": ("make", "make_agent"),
-    "glue.roles": ("Agent", "Environment"),
-    "glue.runs": ("RunData", "load_run"),
-    "glue.types": ("CUT_OFF", "Action", "Observation"),
-}
+    warnings.warn(_hidden, stacklevel=2)
 
 
 def __getattr__(name: str) -> Any:
-    for module, names in _HOMES.items():
-        if name in names:
-            found = globals()[name] = getattr(import_module(module), name)
-            return found
+    if name == "__all__":
+        return __dir__()
+    if not name.startswith("_"):
+        public = vars(import_module("glue.api"))
+        if name in public:
+            return public[name]
     raise AttributeError(f"module 'glue' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *__all__]
+    return sorted({"__version__", *(name for name in vars(import_module("glue.api")) if name[0] != "_")})

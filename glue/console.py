@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import sys
 import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Final
 
-__all__ = ["say", "show_failure"]
+__all__ = ["reporting", "say", "say_why_slow", "show_failure"]
 
 _CALLERS: Final = frozenset({"glue", "experiment_runner"})
 """Packages that call the code of users."""
@@ -15,6 +18,28 @@ _CALLERS: Final = frozenset({"glue", "experiment_runner"})
 def say(line: str) -> None:
     """Print a line to standard error, at once and in one piece: several threads may print."""
     print(f"{line}\n", end="", file=sys.stderr, flush=True)
+
+
+_Report = Callable[[str], object]
+_report: Final[ContextVar[_Report | None]] = ContextVar("report", default=None)
+
+
+@contextmanager
+def reporting(report: _Report) -> Iterator[None]:
+    """Pass lines of `say_why_slow` on to `report`, too, within a `with` statement and in this thread."""
+    token = _report.set(report)
+    try:
+        yield
+    finally:
+        _report.reset(token)
+
+
+def say_why_slow(line: str) -> None:
+    """Print a line that says why an answer will take long, and report it to whoever waits."""
+    say(line)
+    report = _report.get()
+    if report is not None:
+        report(line)
 
 
 def show_failure(error: BaseException) -> None:

@@ -8,7 +8,16 @@ from __future__ import annotations
 
 
 class GlueError(Exception):
-    """The base class: catch this to catch every error that the project raises on purpose."""
+    """The base class: catch this to catch every error that the project raises on purpose.
+
+    Args:
+        message: the text, which speaks of settings by their names in Python.
+        settings: names of the settings to change, such as `hub_key`; a command shows its options for them.
+    """
+
+    def __init__(self, message: object = "", *, settings: tuple[str, ...] = ()) -> None:
+        super().__init__(message)
+        self.settings = settings
 
 
 class LocalProtocolError(GlueError):

@@ -1,4 +1,4 @@
-"""A class's constructor parameters are its options.
+"""A class's constructor parameters are its options, or the fields of its dataclass `Options`.
 
 An environment or agent needs no separate configuration: each keyword of its constructor with a default is
 an option, on the command line, in a plan file and in `--agent-option name=value`. Its meaning and bounds
@@ -6,6 +6,15 @@ are given where it is declared:
 
     class Walk:
         def __init__(self, *, length: Annotated[int, Option("number of states", low=2)] = 21): ...
+
+Classes with many options that others derive from list them once, as a dataclass:
+
+    class Walk:
+        @dataclass(kw_only=True)
+        class Options:
+            length: Annotated[int, Option("number of states", low=2)] = 21
+
+        def __init__(self, **options): self.options = self.Options(**options)
 """
 
 from __future__ import annotations
@@ -29,9 +38,9 @@ Value = int | float | str | bool
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """What `Annotated` says about a constructor parameter: meaning, unit and bounds (inclusive).
+    """Metadata of a constructor parameter, given by `Annotated`: meaning, unit and bounds (inclusive).
 
-    `flag` names it on the command line where its own name is taken, as `render` is by glue-env.
+    `flag` is its name on the command line if its own name is taken there, as `render` is by glue-env.
     """
 
     help: str
@@ -111,7 +120,7 @@ def parameters(factory: type) -> dict[str, Parameter]:
     """
     found: dict[str, Parameter] = {}
     hints = _hints(factory)
-    for name, parameter in inspect.signature(factory).parameters.items():
+    for name, parameter in inspect.signature(getattr(factory, "Options", factory)).parameters.items():
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
             continue
         if parameter.default is parameter.empty or parameter.kind is parameter.POSITIONAL_ONLY:
@@ -132,6 +141,10 @@ def build(factory: type, options: Mapping[str, Value]) -> Any:
     for name in options:
         if name not in known:
             raise ConfigError(_unknown(factory, name, known))
+    abstract: frozenset[str] = getattr(factory, "__abstractmethods__", frozenset())
+    if abstract:
+        missing = ", ".join(sorted(abstract))
+        raise ConfigError(f"{factory.__name__} has no {missing}: an agent or environment needs it")
     return factory(**{name: known[name].check(value) for name, value in options.items()})
 
 
@@ -168,7 +181,9 @@ def _parse_bool(text: str) -> bool:
 
 def _hints(factory: type) -> dict[str, Any]:
     try:
-        return typing.get_type_hints(inspect.getattr_static(factory, "__init__"), include_extras=True)
+        # Of a dataclass the class itself: the annotations of __init__ are texts from several modules.
+        declared = getattr(factory, "Options", None) or inspect.getattr_static(factory, "__init__")
+        return typing.get_type_hints(declared, include_extras=True)
     except NameError as error:
         raise ConfigError(
             f"{factory.__name__}: the types of its constructor cannot be read: {error}"

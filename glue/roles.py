@@ -1,73 +1,105 @@
-"""The interfaces a user implements, with RL-Glue's own names.
+"""Agents and environments: what a user writes, with RL-Glue's own names.
 
-Any class with these methods will do; it need not inherit from anything. What a class can do beyond them is
-a *capability*: a class offers it by having its methods (see `CAPABILITIES`).
+A class derives from `Agent` or `Environment` and overrides what it needs; the methods without a default are
+abstract. A class that derives from neither will do as well, if it has those methods (`AgentLike`,
+`EnvironmentLike`). Everything beyond them is a *capability*: a class offers it by having its methods (see
+`CAPABILITIES`).
 Source of names and meaning: RL-Glue 3.0.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Final, Protocol, TypeGuard, TypeVar
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, Protocol, TypeGuard, TypeVar
 
-if TYPE_CHECKING:
-    from glue.types import Action, Observation
+if TYPE_CHECKING:  # NumPy is not needed for a command's help
+    from glue.types import Action, Observation, Step
 
-__all__ = ["CAPABILITIES", "Agent", "Environment", "capabilities", "offers"]
+__all__ = [
+    "CAPABILITIES",
+    "Agent",
+    "AgentLike",
+    "Environment",
+    "EnvironmentLike",
+    "MetricAgent",
+    "capabilities",
+    "completed",
+    "offers",
+]
 
 T = TypeVar("T")
 
 
-class Environment(Protocol):
-    """A task. Called are init, then start and step for each episode, then cleanup."""
+class Environment(ABC):
+    """A task. The order of calls is init; then start and step... for each episode; then cleanup."""
 
+    @abstractmethod
     def env_init(self) -> str:
         """Prepare, and return the task spec (see `glue.taskspec`; any text is legal)."""
-        ...
 
+    @abstractmethod
     def env_start(self) -> Observation:
         """Begin an episode, and return its first observation."""
-        ...
 
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
-        """Execute `action`; return the reward, the next observation, and whether the episode has ended."""
-        ...
+    @abstractmethod
+    def env_step(self, action: Action) -> Step | tuple[float, Observation, bool]:
+        """Execute `action`, and return its result: a `Step`, or its first three values."""
 
     def env_cleanup(self) -> None:
-        """Release what init acquired. Another init may follow."""
-        ...
+        """Release what init acquired. Another init may follow. By default there is nothing to release."""
+        return
 
     def env_message(self, message: str) -> str:
-        """Answer a free-form message. May be called at any time."""
-        ...
+        """Answer a free-form message, which may come at any time. By default the answer is empty."""
+        return ""
 
 
-class Agent(Protocol):
-    """A learner. Called are init, then start, step and end for each episode, then cleanup."""
+class Agent(ABC):
+    """A learner. The order of calls is init; then start, step... and end for each episode; then cleanup."""
 
     def agent_init(self, task_spec: str) -> None:
         """Prepare for the task that `task_spec` describes, forgetting any earlier one."""
-        ...
+        return
 
+    @abstractmethod
     def agent_start(self, observation: Observation) -> Action:
         """Begin an episode; return the first action. An unfinished episode before it was truncated."""
-        ...
 
+    @abstractmethod
     def agent_step(self, reward: float, observation: Observation) -> Action:
         """Learn from `reward` for the last action, and return the next one."""
-        ...
 
     def agent_end(self, reward: float) -> None:
         """Learn from the last reward of an episode that has ended in a terminal state."""
-        ...
+        return
 
     def agent_cleanup(self) -> None:
-        """Release what init acquired. Another init may follow."""
-        ...
+        """Release what init acquired. Another init may follow. By default there is nothing to release."""
+        return
 
     def agent_message(self, message: str) -> str:
-        """Answer a free-form message. May be called at any time."""
-        ...
+        """Answer a free-form message, which may come at any time. By default the answer is empty."""
+        return ""
+
+
+class EnvironmentLike(Protocol):
+    """The methods that an environment has to have, whatever its base class."""
+
+    def env_init(self) -> str: ...
+
+    def env_start(self) -> Observation: ...
+
+    def env_step(self, action: Action) -> Step | tuple[float, Observation, bool]: ...
+
+
+class AgentLike(Protocol):
+    """The methods that an agent has to have, whatever its base class."""
+
+    def agent_start(self, observation: Observation) -> Action: ...
+
+    def agent_step(self, reward: float, observation: Observation) -> Action: ...
 
 
 class SeedableEnvironment(Protocol):
@@ -118,6 +150,20 @@ class SaveableAgent(Protocol):
         ...
 
 
+class MetricAgent(Protocol):
+    """Capability `metrics`: the agent reports numbers of its own, such as its step size or mean TD error."""
+
+    def agent_metrics(self) -> Mapping[str, float]:
+        """Return the current value of each metric by name, without changing the agent.
+
+        It is called between episodes, and during one when the experiment asks for it. The numbers should
+        depend only on what `agent_save` saves and on the episode under way or last finished: then an
+        interrupted run has the metrics of an undisturbed one. A name has 1 to 64 characters, without line
+        breaks.
+        """
+        ...
+
+
 class BatchEnvironment(Protocol):
     """Capability `batch`: the environment is many games; each observation carries a batch of them.
 
@@ -125,7 +171,7 @@ class BatchEnvironment(Protocol):
     """
 
     def env_batch(self) -> int:
-        """Return how many games there are."""
+        """Return the number of games."""
         ...
 
 
@@ -133,27 +179,16 @@ class BatchAgent(Protocol):
     """Capability `batch`: the agent acts in many games at once; its actions carry one for each game."""
 
     def agent_batch(self) -> int:
-        """Return how many games it can act in at once; 0 for any number."""
-        ...
-
-
-class TruncatingEnvironment(Protocol):
-    """Capability `truncate`: the environment may cut an episode off, in a state that is not terminal."""
-
-    def env_truncated(self) -> bool:
-        """Return whether the step that was terminal only cut the episode off.
-
-        Called after each terminal step. If so, the agent gets the step's observation by agent_step, so that
-        it can learn from its value; agent_end is not called, and the episode is not counted.
-        """
+        """Return the number of games in which it can act at once; 0 for any number."""
         ...
 
 
 CAPABILITIES: Final[Mapping[str, tuple[type, ...]]] = {
     "batch": (BatchEnvironment, BatchAgent),
+    "metrics": (MetricAgent,),
     "seed": (SeedableEnvironment, SeedableAgent),
     "save": (SaveableEnvironment, SaveableAgent),
-    "truncate": (TruncatingEnvironment,),
+    "truncate": (EnvironmentLike,),
 }
 
 
@@ -171,3 +206,28 @@ def capabilities(player: object) -> tuple[str, ...]:
     return tuple(
         sorted(name for name, kinds in CAPABILITIES.items() if any(offers(player, kind) for kind in kinds))
     )
+
+
+class _Completed:
+    """A player with the methods that its own class leaves out."""
+
+    def __init__(self, player: Any, base: type, missing: list[str]) -> None:
+        self.__wrapped__ = player
+        for name in missing:
+            setattr(self, name, partial(getattr(base, name), player))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.__wrapped__, name)
+
+
+def completed(player: Any, base: type) -> Any:
+    """Return `player` with the optional methods of its role; those that it lacks do what the base class's do.
+
+    Args:
+        player: an agent or environment of any class.
+        base: `Agent` or `Environment`.
+    """
+    required: frozenset[str] = base.__abstractmethods__  # type: ignore[attr-defined]
+    optional = [name for name in vars(base) if not name.startswith("_") and name not in required]
+    missing = [name for name in optional if not callable(getattr(player, name, None))]
+    return _Completed(player, base, missing) if missing else player

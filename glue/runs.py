@@ -19,6 +19,7 @@ from glue.errors import ConfigError
 
 if TYPE_CHECKING:
     import pandas as pd
+    import polars as pl
 
 __all__ = ["RunData", "load_run"]
 
@@ -51,6 +52,14 @@ class RunData(Mapping[str, npt.NDArray[Any]]):
 
         Raises:
             ExperimentError: pandas is not installed.
+        """
+
+    @abstractmethod
+    def to_polars(self) -> pl.DataFrame:
+        """Return a data frame of polars with these columns, a row for each episode.
+
+        Raises:
+            ExperimentError: polars is not installed.
         """
 
 

@@ -46,11 +46,11 @@ Arrays = Mapping[str, npt.NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Saved:
-    """What an agent or environment saves.
+    """The saved state of an agent or environment.
 
     Attributes:
         player: its name.
-        settings: the options without which the rest has no meaning.
+        settings: the options that the rest depends on.
         numbers: generator state and counters, 0 to 2**64 - 1.
         arrays: one-dimensional arrays of uint64, int64, float64 or int8.
     """
@@ -98,7 +98,7 @@ class Saved:
 
 
 def pack(saved: Saved) -> bytes:
-    """Return what is saved as bytes."""
+    """Return a saved state as bytes."""
     arrays = {
         name: array.astype(array.dtype.newbyteorder("<"), copy=False)
         for name, array in sorted(saved.arrays.items())
@@ -118,7 +118,7 @@ def pack(saved: Saved) -> bytes:
 
 
 def unpack(data: bytes, player: str, settings: Mapping[str, Setting]) -> Saved:
-    """Return what `pack` packed, for a player of this name and these settings.
+    """Return the state packed by `pack`, for a player of this name and these settings.
 
     Raises:
         SaveError: it is too long, damaged, of another version, player or settings.
@@ -168,7 +168,7 @@ def unpack_generator(data: bytes, player: str) -> np.random.Generator:
 
 
 def _read(contents: bytes, header_size: int) -> Saved:
-    """Return what a header and its arrays hold; any error means that it is not well formed."""
+    """Return the state in a header and its arrays; any error means that they are not well formed."""
     header = json.loads(contents[:header_size])
     arrays: dict[str, npt.NDArray[Any]] = {}
     offset = header_size

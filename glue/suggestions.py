@@ -1,4 +1,4 @@
-"""What to suggest for a word that is unknown: the near misses, or all the choices."""
+"""Suggestions for an unknown word: the near misses, or all the choices."""
 
 from __future__ import annotations
 
@@ -31,6 +31,6 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 
 def _likeness(word: str, other: str) -> float:
-    """Return from 0 to 1. That letters changed places, as in srasa, is sometimes seen from behind alone."""
+    """Return the likeness, 0 to 1. Swapped letters, as in srasa, are sometimes found only from the end."""
     there, back = SequenceMatcher(None, word, other), SequenceMatcher(None, word[::-1], other[::-1])
     return max(there.ratio(), back.ratio())

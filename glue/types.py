@@ -19,17 +19,27 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
 
-__all__ = ["CUT_OFF", "PREFIX_SIZE", "AbstractType", "Action", "Observation", "body_size"]
+__all__ = [
+    "CUT_OFF",
+    "PREFIX_SIZE",
+    "AbstractType",
+    "Action",
+    "Observation",
+    "Step",
+    "arrays_of",
+    "body_size",
+    "step_of",
+]
 
 CUT_OFF: Final = 2
-"""The terminal of a step after which the environment has cut the episode off: true, but no terminal state."""
+"""The terminal on the wire of a step that cut the episode off: true, but no terminal state."""
 
 IntArray = npt.NDArray[np.int32]
 DoubleArray = npt.NDArray[np.float64]
@@ -130,7 +140,7 @@ class AbstractType:
 
     @property
     def counts(self) -> tuple[int, int, int]:
-        """How many ints, doubles and chars there are."""
+        """Number of ints, doubles and chars."""
         ints, doubles, chars, _ = _PREFIX.unpack_from(self._body)
         return ints, doubles, chars
 
@@ -158,13 +168,13 @@ class AbstractType:
 
 
 class Observation(AbstractType):
-    """What an environment shows; see `AbstractType`."""
+    """An observation of an environment; see `AbstractType`."""
 
     __slots__ = ()
 
 
 class Action(AbstractType):
-    """What an agent does; see `AbstractType`."""
+    """An action of an agent; see `AbstractType`."""
 
     __slots__ = ()
 
@@ -247,3 +257,61 @@ def _one_row(name: str, values: IntArray | DoubleArray) -> bytes:
 
 def _not_rows(ints: object, doubles: object) -> str:
     return f"ints and doubles must be sequences of numbers, not {ints!r:.80} and {doubles!r:.80}"
+
+
+class Step(NamedTuple):
+    """The result of a step, as environments return it and experiments receive it.
+
+    Attributes:
+        reward: the reward of the action that was executed.
+        observation: the observation after it.
+        terminal: whether the episode is over.
+        truncated: whether the episode is over only because it was cut off, in a state that is not terminal.
+            The agent then receives the observation by agent_step, so that it can learn from its value;
+            agent_end is not called, and the episode is not counted.
+        action: the agent's next action, from `rl_step`; after a terminal step the action just executed, after
+            a truncated one an action that is not executed. Empty in steps without an agent.
+    """
+
+    reward: float
+    observation: Observation
+    terminal: bool
+    truncated: bool = False
+    action: Action = Action()
+
+
+_TRUTH: Final = (int, np.bool_, np.integer)
+"""Types that `terminal` may have: RL-Glue's own was an int, and a bool is one."""
+
+
+_NO_ACTION: Final = Step._field_defaults["action"]
+_step: Final = tuple.__new__
+"""Makes a named tuple at half the cost of calling its class."""
+
+
+def arrays_of(value: AbstractType) -> dict[str, npt.NDArray[Any]]:
+    """Return the three sequences of a value as arrays, by the names `ints`, `doubles` and `chars`."""
+    return {"ints": value.ints, "doubles": value.doubles, "chars": np.frombuffer(value.chars, np.uint8)}
+
+
+def step_of(environment: object, answer: Any) -> Step:
+    """Return the result of `env_step` of `environment` as a `Step` whose `truncated` implies `terminal`.
+
+    Raises:
+        TypeError, ValueError: the answer is not the result of a step.
+    """
+    if type(answer) is Step:
+        reward, observation, terminal, truncated, _ = answer
+        if type(reward) is float and type(terminal) is bool and truncated is False:
+            return answer  # as nearly always
+    else:
+        reward, observation, terminal = answer
+        if terminal is False and type(reward) is float:
+            return _step(Step, (reward, observation, False, False, _NO_ACTION))  # as nearly always
+        truncated = type(terminal) is int and terminal == CUT_OFF
+        asked = getattr(environment, "env_truncated", None)  # the older way to say so
+        if terminal and not truncated and callable(asked):
+            truncated = asked()
+    if not isinstance(terminal, _TRUTH):
+        raise TypeError(f"terminal is True or False, not {terminal!r}")
+    return Step(float(reward), observation, bool(terminal or truncated), bool(truncated))

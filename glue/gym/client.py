@@ -8,25 +8,24 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Sequence
-from threading import Thread
 from typing import Any
 
 import gymnasium
-import numpy as np
 from gymnasium.vector import SyncVectorEnv
 
 import glue.client.experiment as remote
 from glue.client.players import serve_agent
-from glue.core.config import DEFAULT_HUB, DEFAULT_SESSION
-from glue.core.experiment import Experiment
-from glue.core.local import local
+from glue.doors import threads
+from glue.engine.experiment import Experiment
+from glue.engine.local import local
 from glue.errors import ConfigError, SimulatorError, TaskSpecError
 from glue.gym.codec import Codec
 from glue.gym.leaves import SpaceLike
 from glue.gym.spaces import read_spaces
-from glue.roles import Environment
+from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION
+from glue.roles import Agent, Environment
 from glue.taskspec import parse_task_spec
-from glue.types import CUT_OFF, Action, Observation
+from glue.types import Action, Observation, arrays_of
 
 __all__ = ["GlueEnv", "connect", "connect_vec", "wrap"]
 
@@ -55,7 +54,7 @@ def connect(hub: str = DEFAULT_HUB, session: str = DEFAULT_SESSION, *, wait: flo
         ConfigError: the task spec does not say what actions are.
     """
     glue = remote.connect(hub, session, name="gymnasium", wait=wait, log=_ignore)
-    stand_in = Thread(
+    stand_in = threads.Thread(
         target=serve_agent,
         args=(_StandIn(), hub, session),
         kwargs={"wait": wait, "log": _ignore},
@@ -103,6 +102,8 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
             raise ConfigError(f"the environment's task spec cannot be read: {error}") from None
         if not spec.actions.stated:
             raise ConfigError(f"the task spec does not say what actions are: {self._task_spec:.200}")
+        self.observation_space: SpaceLike
+        self.action_space: SpaceLike
         self.observation_space, self.action_space = read_spaces(spec)
         self._read = _reader(self.observation_space, spec.observations.stated)
         self._actions = Codec(self.action_space)
@@ -141,10 +142,10 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
             raise SimulatorError("a step needs an episode: call reset first, and again after each end")
         if not self.action_space.contains(action):
             raise SimulatorError(f"{action!r:.80} is not in {self.action_space}")
-        reward, observation, terminal = self._glue.rl_env_step(Action(*self._actions.pack(action)))
-        self._playing = not terminal
-        cut_off = terminal == CUT_OFF
-        return self._read(observation), reward, bool(terminal) and not cut_off, cut_off, {}
+        step = self._glue.rl_env_step(Action(*self._actions.pack(action)))
+        self._playing = not step.terminal
+        terminated = step.terminal and not step.truncated
+        return self._read(step.observation), step.reward, terminated, step.truncated, {}
 
     def close(self) -> None:
         """Clean up and leave the session."""
@@ -152,11 +153,8 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         self._glue.close()
 
 
-class _StandIn:
+class _StandIn(Agent):
     """The agent of a session whose experiment acts itself."""
-
-    def agent_init(self, task_spec: str) -> None:
-        pass
 
     def agent_start(self, observation: Observation) -> Action:
         raise SimulatorError("this agent stands in for an experiment that acts itself")
@@ -164,26 +162,13 @@ class _StandIn:
     def agent_step(self, reward: float, observation: Observation) -> Action:
         return self.agent_start(observation)
 
-    def agent_end(self, reward: float) -> None:
-        pass
-
-    def agent_cleanup(self) -> None:
-        pass
-
     def agent_message(self, message: str) -> str:
         return "I stand in for an experiment that acts itself"
 
 
 def _reader(space: SpaceLike, stated: bool) -> Callable[[Observation], Any]:
-    """Return what turns observations into values of their space."""
-    if stated:
-        return Codec(space).unpack
-
-    def read(observation: Observation) -> Any:
-        chars = np.frombuffer(observation.chars, np.uint8)
-        return {"ints": observation.ints, "doubles": observation.doubles, "chars": chars}
-
-    return read
+    """Return a function that turns observations into values of their space."""
+    return Codec(space).unpack if stated else arrays_of
 
 
 def _ignore(line: str) -> None:

@@ -31,7 +31,7 @@ class Codec:
 
     @property
     def ranges(self) -> Space:
-        """What a task spec says of this space."""
+        """The space as a task spec describes it."""
         runs: list[list[tuple[int, Range]]] = [[], []]
         chars = 0
         for leaf in self._leaves:

@@ -1,4 +1,4 @@
-"""What a space is made of: the leaves that become runs of ints, doubles and chars."""
+"""The leaves of a space, which become runs of ints, doubles and chars."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Leaf(NamedTuple):
 
     @property
     def size(self) -> int:
-        """How many numbers it is."""
+        """Number of numbers in the leaf."""
         return int(np.prod(self.shape, dtype=np.int64))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from glue.errors import ConfigError
+from glue.roles import Agent
 
 # First of all, as it needs Gymnasium itself: the message names the extra that installs both.
 try:
@@ -24,6 +25,7 @@ except ImportError:
     raise ConfigError("this needs Stable-Baselines3: pip install 'glue-rl[sb3]'") from None
 
 from glue.gym.codec import Codec
+from glue.gym.infos import infos_of_step, split
 from glue.gym.modes import AutoresetMode
 from glue.gym.spaces import read_spaces
 from glue.options import Option
@@ -52,7 +54,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         if envs.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
             raise ConfigError("Stable-Baselines3 needs autoreset_mode='SameStep' of a vector environment")
         self._envs = envs
-        self.render_mode = envs.render_mode
+        self.render_mode: str | None = envs.render_mode
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
         self._actions: Any = None
 
@@ -61,7 +63,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         seeds = None if all(seed is None for seed in self._seeds) else [*self._seeds]
         options = next((one for one in self._options if one), None)
         observations, infos = self._envs.reset(seed=seeds, options=options)
-        self.reset_infos = _split(infos, self.num_envs)
+        self.reset_infos: list[dict[str, Any]] = split(infos, self.num_envs)
         self._reset_seeds()
         self._reset_options()
         return observations
@@ -73,17 +75,8 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
     def step_wait(self) -> tuple[Any, npt.NDArray[np.float32], npt.NDArray[np.bool_], list[dict[str, Any]]]:
         """Carry out the actions; return observations, rewards, which episodes are over, and infos."""
         observations, rewards, terminated, truncated, infos = self._envs.step(self._actions)
-        done = terminated | truncated
-        final = infos.pop("final_info", {})
-        last = infos.pop("final_obs", None)
-        parts = _split({name: infos[name] for name in infos if "final_" not in name}, self.num_envs)
-        for i in np.flatnonzero(done).tolist():
-            parts[i] = {
-                **_one(final, i),
-                "terminal_observation": last[i],
-                "TimeLimit.truncated": bool(truncated[i] and not terminated[i]),
-            }
-        return observations, rewards.astype(np.float32), done, parts
+        parts = infos_of_step(infos, terminated, truncated)
+        return observations, rewards.astype(np.float32), terminated | truncated, parts
 
     def close(self) -> None:
         """Close the vector environment."""
@@ -122,7 +115,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         return chosen
 
 
-class SB3Agent:
+class SB3Agent(Agent):
     """Plays a policy that Stable-Baselines3 has trained: `glue-agent sb3 --policy model.zip`.
 
     The task must have the spaces that the policy was trained with, as the layout in its task spec says
@@ -150,8 +143,9 @@ class SB3Agent:
         expected = (self._model.observation_space, self._model.action_space)
         if (observations, actions) != expected:
             raise ConfigError(
-                f"{self._path} was trained on {expected[0]} with {expected[1]}; "
-                f"this task has {observations} with {actions}"
+                f"{self._path} was trained on other observations or actions than this task has: "
+                f"{expected[0]!s:.60} with {expected[1]!s:.60}, not {observations!s:.60} with "
+                f"{actions!s:.60}. The environment that it was trained on is gymnasium:ID"
             )
         self._observations, self._actions = Codec(observations), Codec(actions)
         if self._seed is not None:
@@ -166,30 +160,16 @@ class SB3Agent:
     def agent_step(self, reward: float, observation: Observation) -> Action:
         return self.agent_start(observation)
 
-    def agent_end(self, reward: float) -> None:
-        pass
-
-    def agent_cleanup(self) -> None:
-        pass
-
     def agent_message(self, message: str) -> str:
         return f"I play {self._path.name}"
 
     def _load(self) -> Any:
         if not self._path.is_file():
-            raise ConfigError(f"there is no policy {self._path}: --policy names a file that model.save wrote")
+            raise ConfigError(
+                f"there is no policy {self._path}: policy should name a file that model.save wrote",
+                settings=("policy",),
+            )
         try:
             return getattr(stable_baselines3, self._algorithm).load(self._path, device="cpu")
         except Exception as error:
             raise ConfigError(f"{self._path} is not a policy of {self._algorithm}: {error}") from error
-
-
-def _split(infos: dict[str, Any], count: int) -> list[dict[str, Any]]:
-    return [_one(infos, i) for i in range(count)]
-
-
-def _one(infos: dict[str, Any], i: int) -> dict[str, Any]:
-    """Return what vector infos say of game `i`."""
-    return {
-        name: values[i] for name, values in infos.items() if not name.startswith("_") and infos[f"_{name}"][i]
-    }

@@ -1,6 +1,6 @@
 """Any Gymnasium environment as an RL-Glue environment: `glue-env gymnasium:CartPole-v1`.
 
-Its spaces become the task spec (see `glue.gym.spaces`), and its truncation the capability `truncate`. Infos
+Its spaces become the task spec (see `glue.gym.spaces`), and its truncation that of the steps. Infos
 do not cross the wire. An action of floats is clipped to its bounds; any other that is not in the space is
 refused, and the environment is not stepped.
 """
@@ -8,8 +8,7 @@ refused, and the environment is not stepped.
 from __future__ import annotations
 
 import inspect
-import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Annotated, Any, Final
 
 import gymnasium
@@ -19,17 +18,22 @@ from glue.errors import ConfigError, SimulatorError
 from glue.gym.codec import Codec
 from glue.gym.spaces import task_spec
 from glue.options import Option
-from glue.types import Action, Observation
+from glue.plugins.keywords import keywords, with_options
+from glue.plugins.loading import import_user_module
+from glue.roles import Environment
+from glue.types import Action, Observation, Step
 
 __all__ = ["GymnasiumEnvironment", "environment_class"]
 
-_SIMPLE: Final = (bool, int, float, str)
+_TEXT: Final = "ansi"
+"""The render mode of environments that are drawn as text."""
+
 _MaxEpisodeSteps = Annotated[
     int | None, Option("steps after which an episode is cut off, in place of the registered limit", low=1)
 ]
 
 
-class GymnasiumEnvironment:
+class GymnasiumEnvironment(Environment):
     """A Gymnasium environment, served to RL-Glue.
 
     Args:
@@ -50,10 +54,11 @@ class GymnasiumEnvironment:
         self._actions = Codec(self._env.action_space)
         self._task_spec = task_spec(self._observations, self._actions)
         self._seed: int | None = None
-        self._playing = self._truncated = False
+        self._playing = False
         own = self._env.unwrapped
         if callable(getattr(own, "env_save", None)) and callable(getattr(own, "env_load", None)):
-            self.env_save, self.env_load = own.env_save, own.env_load
+            self.env_save: Callable[[], bytes] = own.env_save
+            self.env_load: Callable[[bytes], None] = own.env_load
 
     def env_seed(self, seed: int) -> None:
         """Seed the next episode; those after it follow from it."""
@@ -70,10 +75,10 @@ class GymnasiumEnvironment:
         """Reset the environment; return its observation."""
         observation, _ = self._opened().reset(seed=self._seed)
         self._seed = None
-        self._playing, self._truncated = True, False
+        self._playing = True
         return Observation(*self._observations.pack(observation))
 
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+    def env_step(self, action: Action) -> Step:
         """Carry out an action.
 
         Raises:
@@ -84,12 +89,8 @@ class GymnasiumEnvironment:
             raise SimulatorError("no episode is being played: env_start begins one")
         observation, reward, terminated, truncated, _ = env.step(self._actions.unpack(action))
         self._playing = not (terminated or truncated)
-        self._truncated = bool(truncated and not terminated)
-        return float(reward), Observation(*self._observations.pack(observation)), not self._playing
-
-    def env_truncated(self) -> bool:
-        """Return whether the episode was truncated, and not terminated."""
-        return self._truncated
+        shown = Observation(*self._observations.pack(observation))
+        return Step(float(reward), shown, not self._playing, bool(truncated and not terminated))
 
     def env_cleanup(self) -> None:
         """Close the environment."""
@@ -102,6 +103,12 @@ class GymnasiumEnvironment:
         if message == "spaces":
             return f"observations {self._observations.space}, actions {self._actions.space}"
         return f"refused: {message!r:.80} is not a message of a Gymnasium environment; this is: spaces"
+
+    def draw(self) -> list[str] | None:
+        """Return the lines of the environment's own drawing as text; None if it has none."""
+        if self._env is None or self._env.render_mode != _TEXT:
+            return None
+        return str(self._env.render()).splitlines()
 
     def _opened(self) -> Any:
         if self._env is None:
@@ -123,56 +130,40 @@ def environment_class(name: str) -> type[GymnasiumEnvironment]:
         creator = (
             load_env_creator(spec.entry_point) if isinstance(spec.entry_point, str) else spec.entry_point
         )
-    except (gymnasium.error.Error, ImportError, AttributeError) as error:
+    except (gymnasium.error.Error, ConfigError, ImportError, AttributeError) as error:
         raise ConfigError(f"Gymnasium has no environment {name!r} here: {error}") from None
     if creator is None:
         raise ConfigError(f"Gymnasium's {name} has no entry point")
 
+    drawn = (
+        {"render_mode": _TEXT} if _TEXT in getattr(creator, "metadata", {}).get("render_modes", ()) else {}
+    )
+
     def __init__(self: GymnasiumEnvironment, **options: Any) -> None:
         def make() -> Any:
             try:
-                return gymnasium.make(name, **options)
-            except gymnasium.error.Error as error:
-                raise ConfigError(f"Gymnasium cannot make {name}: {error}") from None
+                return gymnasium.make(name, **drawn, **options)
+            except Exception as error:
+                why = (
+                    error if isinstance(error, gymnasium.error.Error) else f"{type(error).__name__}: {error}"
+                )
+                raise ConfigError(f"Gymnasium cannot make {name}: {why}") from error
 
         GymnasiumEnvironment.__init__(self, make)
 
-    keywords = _keywords(creator, spec.kwargs)
-    __init__.__annotations__ = {parameter.name: parameter.annotation for parameter in keywords}
-    itself = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
-    __init__.__signature__ = inspect.Signature([itself, *keywords])  # type: ignore[attr-defined]
-    about = f"Gymnasium's {spec.id}, served to RL-Glue agents (docs/gymnasium.md)."
-    return type(spec.id.replace("/", "-"), (GymnasiumEnvironment,), {"__init__": __init__, "__doc__": about})
-
-
-def _registered(name: str) -> str:
-    """Import the module that a name begins with, as `gymnasium.make` does; return the rest."""
-    module, _, identifier = name.rpartition(":")
-    if module:
-        __import__(module)
-    return identifier
-
-
-def _keywords(creator: Any, defaults: Mapping[str, Any]) -> list[inspect.Parameter]:
-    """Return the parameters of an environment's constructor that are numbers, texts or truth values."""
-    signature = inspect.signature(creator)
-    try:
-        hints = typing.get_type_hints(creator.__init__ if inspect.isclass(creator) else creator)
-    except (NameError, TypeError, AttributeError):
-        hints = {}
-    found = []
-    for name, parameter in signature.parameters.items():
-        default = defaults.get(name, parameter.default)
-        stated = (hints.get(name), *typing.get_args(hints.get(name)))
-        kinds = [one for one in _SIMPLE if one in stated]
-        kind: Any = type(default) if isinstance(default, _SIMPLE) else kinds[0] if kinds else None
-        if name in ("self", "render_mode") or kind is None or default is parameter.empty:
-            continue
-        default = default if isinstance(default, _SIMPLE) else None
-        annotation: Any = Annotated[kind | None, Option("keyword of the Gymnasium environment")]
-        keyword = inspect.Parameter.KEYWORD_ONLY
-        found.append(inspect.Parameter(name, keyword, default=default, annotation=annotation))
     limit = inspect.Parameter(
         "max_episode_steps", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=_MaxEpisodeSteps
     )
-    return [*found, limit]
+    options = keywords(creator, "keyword of the Gymnasium environment", spec.kwargs)
+    own = [option for option in options if option.name != "render_mode"]
+    members = {"__init__": with_options(__init__, [*own, limit])}
+    about = f"Gymnasium's {spec.id}, served to RL-Glue agents (docs/gymnasium.md)."
+    return type(spec.id.replace("/", "-"), (GymnasiumEnvironment,), {**members, "__doc__": about})
+
+
+def _registered(name: str) -> str:
+    """Import the module that a name begins with, also from the working directory; return the rest."""
+    module, _, identifier = name.rpartition(":")
+    if module:
+        import_user_module(module)
+    return identifier

@@ -1,4 +1,4 @@
-"""The RL-Glue task spec language: what an environment says of its observations, actions and rewards.
+"""The RL-Glue task spec language, which describes an environment's observations, actions and rewards.
 
     spec = parse_task_spec(text)
     spec.actions.ints[0].high        # the maximum of the first int of an action
@@ -6,7 +6,7 @@
     str(spec)                        # the canonical text
 
 `parse_task_spec` is tolerant, `str` is canonical, and a printed spec reads back to an equal value.
-What is tolerated and what is refused is in docs/taskspec.md.
+docs/taskspec.md lists the deviations that are tolerated and those that are refused.
 Source: RL-Glue 3.0 task spec language; for Mario-v1, RL-Competition 2009.
 """
 

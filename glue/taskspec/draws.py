@@ -1,7 +1,7 @@
-"""Values drawn at random from a space, many at once: to draw one alone takes NumPy longer than a step.
+"""Values drawn at random from a space, many at once: to draw one at a time takes NumPy longer than a step.
 
-The stream is that of `Space.sample`, called once for each value: the same generator gives the same values,
-and is left in the same state.
+The values are those of `Space.sample` called once for each: the same generator gives the same values, and
+ends in the same state.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from glue.types import PREFIX_SIZE, AbstractType
 __all__ = ["Draws"]
 
 _AT_ONCE: Final = 1024
-"""How many numbers are drawn at once, at most."""
+"""Maximum number of numbers drawn at once."""
 
 _WORD: Final = 4
-"""Bytes of the numbers that `Generator.bytes` is made of; it draws one even where no bytes are requested."""
+"""Size in bytes of the numbers from which `Generator.bytes` takes its bytes; it draws at least one."""
 
 
 class Draws:
-    """Draws values of a space evenly, as `Space.sample` does.
+    """Generator of uniform random values of a space, the same as those of `Space.sample`.
 
     Args:
-        space: what to draw from. Values with doubles are drawn one by one.
+        space: the space to draw from. Values with doubles are drawn one by one.
         generator: made by `np.random.default_rng`. Until `settle`, nothing else may draw from it.
     """
 
@@ -47,7 +47,7 @@ class Draws:
         """Return the body of the next value.
 
         Raises:
-            LocalProtocolError: the space is not stated, so there is nothing to draw from.
+            LocalProtocolError: the space is not stated.
         """
         if not self._ahead:
             if not self._values:
@@ -57,7 +57,7 @@ class Draws:
         return self._ahead.pop()
 
     def settle(self) -> np.random.Generator:
-        """Return the generator, in the state in which the values drawn so far have left it."""
+        """Return the generator, in its state after the values drawn so far."""
         if self._ahead:
             self._generator.bit_generator.state = self._before
             self._numbers(self._values - len(self._ahead))
@@ -65,7 +65,7 @@ class Draws:
         return self._generator
 
     def _numbers(self, values: int) -> npt.NDArray[np.int64]:
-        """Return what so many values are made of, shape (values, ints + words of the chars)."""
+        """Draw the numbers of `values` values, shape (values, ints + words of the chars)."""
         size = values, len(self._lows)
         return self._generator.integers(self._lows, self._highs, size, endpoint=True)
 

@@ -1,7 +1,7 @@
-"""Reading task specs: a scanner, and on it the two formats that are understood.
+"""Parser of task specs: a scanner, and the two formats that are read with it.
 
-White space in front of anything is passed over. No pattern can backtrack far, so the time to read a
-text grows as its length, whatever the text. The grammar is in docs/taskspec.md.
+White space before any token is skipped. No pattern can backtrack far, so the time to parse any text is
+linear in its length. The grammar is in docs/taskspec.md.
 """
 
 from __future__ import annotations
@@ -60,14 +60,14 @@ _KEYWORDS: Final = {
 
 
 def parse_task_spec(text: str) -> TaskSpec:
-    """Return what a task spec says.
+    """Parse a task spec.
 
-    The colon format becomes RL-Glue-3.0 with a discount factor of 1.
+    The colon format is converted to RL-Glue-3.0 with a discount factor of 1.
 
     Raises:
         TaskSpecError: the text is not RL-Glue-3.0, Mario-v1, the colon format or a private format
-            (``VERSION name ...``), or is longer than `MAX_LENGTH`. The message names the character,
-            counted from 1, what was expected there and what was received.
+            (``VERSION name ...``), or is longer than `MAX_LENGTH`. The message gives the position, in
+            characters counted from 1, and the expected and the received text.
     """
     if len(text) > MAX_LENGTH:
         raise TaskSpecError(f"a task spec has at most {MAX_LENGTH} characters; {len(text)} received")
@@ -107,7 +107,7 @@ def _read_discount(scan: _Scanner) -> float:
 
 
 def _read_space(scan: _Scanner, following: str) -> Space:
-    """Return the space whose parts come next, and go past the keyword that follows it."""
+    """Read the parts of a space and the keyword that follows it; return the space."""
     ints, doubles, chars = Ranges(), Ranges(), 0
     left = list(_PARTS)
     while not _take_keyword(scan, following):
@@ -148,7 +148,7 @@ def _read_rewards(scan: _Scanner) -> Range:
 
 
 def _read_words(scan: _Scanner) -> list[_Word]:
-    """Return the two or three words up to the closing parenthesis, and go past it."""
+    """Read two or three words and the closing parenthesis; return the words."""
     words: list[_Word] = []
     while not scan.take_sign(")"):
         at = scan.skip()
@@ -187,8 +187,8 @@ def _expect_keyword(scan: _Scanner, word: str) -> None:
 #
 #     version : problem type : observations : actions [: rewards [: extra text]]
 #
-# The version says no more than which of the last two may be there; they are read wherever they are.
-# Reading separates ints from doubles, so how the two were mixed is lost.
+# The version determines only which of the last two may be present; they are read with any version.
+# Ints are separated from doubles, so their order in the text is lost.
 # Source: RL-Glue 2.x task specs, and the conversion of RL-Glue 3.0's Java codec.
 
 _COLON_FORMAT: Final = re.compile(r"[123](?:\.0)?\s*+:")
@@ -202,10 +202,10 @@ _COLON_BOUND: Final = re.compile(r"[^\s:_,\[\]]++")
 
 
 def _read_colon(scan: _Scanner) -> TaskSpec:
-    """Return what follows a match of `_COLON_FORMAT`.
+    """Read the rest of a task spec after a match of `_COLON_FORMAT`.
 
     Raises:
-        TaskSpecError: it is not as the format has it.
+        TaskSpecError: the text does not conform to the format.
     """
     problem = scan.expect(_COLON_PROBLEM, "e, c or another word")
     scan.expect_sign(":")
@@ -230,7 +230,7 @@ def _read_colon_space(scan: _Scanner) -> Space:
     scan.expect_sign("[")
     letters: list[str] = []
     while not scan.take_sign("]"):
-        # A stray comma is passed over: published specs have them.
+        # Stray commas are skipped: published specs have them.
         if not scan.take_sign(","):
             letters.append(scan.expect(_COLON_LETTER, "i, f, ',' or ']'").lower())
     if len(letters) != count:
@@ -250,7 +250,7 @@ def _read_colon_space(scan: _Scanner) -> Space:
 
 
 def _read_colon_range(scan: _Scanner, *, whole: bool) -> Range:
-    """Return the range whose opening bracket has just been passed, and go past the closing one."""
+    """Read a range after its opening bracket, and the closing bracket; return the range."""
     at = scan.at - 1
     low, high = _read_colon_bound(scan, whole=whole), None
     if scan.take_sign(","):
@@ -274,21 +274,21 @@ class _Word(NamedTuple):
 
 
 class _Scanner:
-    """A text, and the place that has been reached in it."""
+    """A text, and the current position in it."""
 
     def __init__(self, text: str) -> None:
         self.text = text
         self.at = 0
 
     def skip(self) -> int:
-        """Go past white space, and return the place that is reached."""
+        """Skip white space, and return the position after it."""
         match = _SPACE.match(self.text, self.at)
         assert match is not None  # It matches the empty text.
         self.at = match.end()
         return self.at
 
     def take(self, pattern: re.Pattern[str]) -> str | None:
-        """Return what matches `pattern` next and go past it, or return None."""
+        """Return the next text and skip it if it matches `pattern`; return None if not."""
         match = pattern.match(self.text, self.skip())
         if match is None:
             return None
@@ -296,17 +296,17 @@ class _Scanner:
         return match[0]
 
     def take_sign(self, sign: str) -> bool:
-        """Go past `sign` if it comes next, and return whether it did."""
+        """Skip `sign` if it is next, and return whether it was."""
         found = self.text.startswith(sign, self.skip())
         if found:
             self.at += len(sign)
         return found
 
     def expect(self, pattern: re.Pattern[str], what: str) -> str:
-        """Return what matches `pattern` next and go past it.
+        """Return the next text, which has to match `pattern`, and skip it.
 
         Raises:
-            TaskSpecError: something else comes; `what` is what was expected.
+            TaskSpecError: the text does not match; `what` describes the expected text.
         """
         taken = self.take(pattern)
         if taken is None:
@@ -314,38 +314,38 @@ class _Scanner:
         return taken
 
     def expect_sign(self, sign: str) -> None:
-        """Go past `sign`.
+        """Skip `sign`.
 
         Raises:
-            TaskSpecError: something else comes.
+            TaskSpecError: the text does not continue with `sign`.
         """
         if not self.take_sign(sign):
             raise self.unexpected(repr(sign))
 
     def ahead(self, pattern: re.Pattern[str]) -> bool:
-        """Return whether `pattern` matches what comes next."""
+        """Return whether `pattern` matches the next text."""
         return pattern.match(self.text, self.skip()) is not None
 
     def expect_end(self, what: str) -> None:
-        """Do nothing at the end.
+        """Check that the end is reached.
 
         Raises:
-            TaskSpecError: something comes; `what` is what could have come.
+            TaskSpecError: there is more text; `what` describes the text that would have been allowed.
         """
         if self.skip() < len(self.text):
             raise self.unexpected(f"{what} or the end")
 
     def rest(self) -> str:
-        """Return what is left, without the white space around it, and go to the end."""
+        """Return the rest of the text, without the white space around it, and skip it."""
         rest = self.text[self.at :].strip()
         self.at = len(self.text)
         return rest
 
     def bound(self, at: int, word: str, specials: Mapping[str, Bound], *, whole: bool) -> Bound:
-        """Return the bound that `word`, which began at `at`, stands for: a special, a double or an int.
+        """Return the value of a bound, which began at `at`: a special, a double or an int.
 
         Raises:
-            TaskSpecError: it is none, or does not fit a double, or, if `whole`, 32 bits.
+            TaskSpecError: `word` is not a bound, or does not fit a double, or, if `whole`, 32 bits.
         """
         if word.upper() in specials:
             return specials[word.upper()]
@@ -362,10 +362,10 @@ class _Scanner:
         return integer
 
     def integer(self, at: int, word: str) -> int:
-        """Return the whole number that `word`, which began at `at`, stands for.
+        """Return the value of a whole number, which began at `at`.
 
         Raises:
-            TaskSpecError: it is not a whole number, or has leading zeros, or more than ten digits.
+            TaskSpecError: `word` is not a whole number, or has leading zeros, or more than ten digits.
         """
         match = _WHOLE.fullmatch(word)
         if match is None:
@@ -374,21 +374,21 @@ class _Scanner:
 
     @contextmanager
     def blaming(self, at: int) -> Iterator[None]:
-        """Give a TaskSpecError raised inside the place `at`."""
+        """Add the position `at` to a TaskSpecError raised inside."""
         try:
             yield
         except TaskSpecError as error:
             raise self.error(at, str(error)) from None
 
     def unexpected(self, what: str) -> TaskSpecError:
-        """Return an error at the place reached: `what` was expected, and what was received instead."""
+        """Return an error at the current position, with the expected text, `what`, and the received text."""
         ahead = self.text[self.skip() : self.at + _EXCERPT + 1]
         return self.error(
             self.at, f"expected {what}, " + (f"not {_excerpt(ahead)}" if ahead else "not the end")
         )
 
     def error(self, at: int, complaint: str) -> TaskSpecError:
-        """Return an error at a place; people count characters from 1."""
+        """Return an error at a position, which people count from 1."""
         return TaskSpecError(f"task spec, character {at + 1}: {complaint}")
 
 

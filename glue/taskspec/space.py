@@ -1,4 +1,4 @@
-"""Ranges of numbers, and the spaces made of them: what a task spec says of observations and actions.
+"""Ranges of numbers, and spaces made of them, as a task spec describes observations and actions.
 
 Public through `glue.taskspec`.
 """
@@ -28,12 +28,12 @@ INT32_MIN: Final = -(2**31)
 INT32_MAX: Final = 2**31 - 1
 _DOUBLE_MAX: Final = float(np.finfo(np.float64).max)
 _WINDOW: Final = 100.0
-_FEW: Final = 32  # Up to about twice as many numbers a Python loop beats NumPy; four times for three.
+_FEW: Final = 32  # A Python loop is faster than NumPy up to about twice as many, four times faster for three.
 
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """What one number may be, ends included.
+    """The range of one number, ends included.
 
     Args:
         low: the minimum; NEGINF if there is none, UNSPEC if it is not stated.
@@ -42,7 +42,7 @@ class Range:
     Raises:
         TaskSpecError: `low` is above `high`, or a bound is not a number that a double holds exactly.
 
-    An end that is not stated forbids nothing. NaN is in no range.
+    A bound that is not stated allows everything. NaN is in no range.
     """
 
     low: Bound = UNSPEC
@@ -60,7 +60,7 @@ class Range:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """The bounds as numbers to compare with; infinite where there is none."""
+        """The bounds as numbers; infinite if there is none or it is not stated."""
         return NEGINF if self.low is None else self.low, POSINF if self.high is None else self.high
 
     def __contains__(self, number: float) -> bool:
@@ -76,10 +76,10 @@ Run = tuple[int, Range]
 
 @dataclass(frozen=True, slots=True)
 class Ranges:
-    """The ranges of a row of numbers, one for each, kept as runs of equal ranges.
+    """The ranges of a sequence of numbers, one for each, stored as runs of equal ranges.
 
-    ``ranges[i]`` is the range of number i and ``len(ranges)`` how many there are; a run of a million
-    takes no more memory than a run of two. Two are equal when they say the same of every number.
+    ``ranges[i]`` is the range of number i, and ``len(ranges)`` the number of ranges; a run of a million
+    takes no more memory than a run of two. Two objects are equal if every number has the same range in both.
 
     Args:
         runs: pairs of a repeat (0 or more) and the range it repeats; see also `of`.
@@ -115,7 +115,7 @@ class Ranges:
 
     @classmethod
     def of(cls, *ranges: Range) -> Self:
-        """Return `ranges` in a row, one for each number."""
+        """Return the sequence of `ranges`, one for each number."""
         return cls(tuple((1, range_) for range_ in ranges))
 
     def __len__(self) -> int:
@@ -145,13 +145,14 @@ class Ranges:
 
 @dataclass(frozen=True, slots=True)
 class Space:
-    """What an observation, or an action, is made of.
+    """The space of observations or actions.
 
     Args:
         ints: a range for each int, its bounds whole numbers of 32 bits.
         doubles: a range for each double.
         chars: the number of chars.
-        stated: False when the task spec does not say; then anything may come, and the rest is left out.
+        stated: False if the task spec does not state the space; then any value is allowed, and the other
+            arguments are left out.
 
     Raises:
         TaskSpecError: a bound of an int is not whole or does not fit 32 bits, or `chars` is out of range.
@@ -180,8 +181,8 @@ class Space:
     def check(self, value: AbstractType) -> str | None:
         """Return why `value` is not in this space, or None if it is.
 
-        Counts and bounds are checked; what is not stated is allowed. An answer names the first
-        offender, counted from 0, and its range: ``int 1 is 3, not in (0 1)``.
+        Counts and bounds are checked; a bound that is not stated allows everything. The text names the first
+        number outside its range, counted from 0: ``int 1 is 3, not in (0 1)``.
         """
         if not self.stated:
             return None
@@ -197,13 +198,13 @@ class Space:
     def sample(
         self, generator: np.random.Generator
     ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64], bytes]:
-        """Return ints, doubles and chars drawn evenly: ``Action(*space.sample(generator))``.
+        """Return ints, doubles and chars drawn uniformly: ``Action(*space.sample(generator))``.
 
-        A range without one end is drawn from within 100 of the other, a range without both from
-        -100 to 100; chars from all 256.
+        A number with one bound is drawn within 100 of it, a number without bounds from -100 to 100; chars
+        from all 256.
 
         Raises:
-            LocalProtocolError: the space is not stated, so there is nothing to draw from.
+            LocalProtocolError: the space is not stated.
         """
         if not self.stated:
             raise LocalProtocolError(
@@ -252,7 +253,7 @@ def _wrong_counts(expected: tuple[int, int, int], received: tuple[int, int, int]
 
 
 def window(range_: Range, least: float, largest: float) -> tuple[float, float]:
-    """Return finite ends to draw a number of `range_` from, both from `least` to `largest`."""
+    """Return finite bounds, both from `least` to `largest`, between which to draw a number of `range_`."""
     low, high = range_.ends
     if math.isinf(low) and math.isinf(high):
         low, high = -_WINDOW, _WINDOW

@@ -1,4 +1,4 @@
-"""A task spec as a value: what is checked of it, and its canonical text."""
+"""A task spec as a value: its checks and its canonical text."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ RL_GLUE_3: Final = "RL-Glue-3.0"
 MARIO: Final = "Mario-v1"
 
 MAX_LENGTH: Final = 2**16
-"""Characters of a task spec."""
+"""Maximum length of a task spec, in characters."""
 
 PUBLIC: Final = {name.lower(): name for name in (RL_GLUE_3, MARIO)}
-"""The formats that state what a task is like, by their names in lower case; all others are private."""
+"""The formats that describe a task, by their names in lower case; all others are private."""
 
 UNSTATED: Final = Space(stated=False)
 
-# A word ends where the next keyword begins, because published specs leave out spaces. These two are not
-# possessive, which a group cannot be before Python 3.11.5: there it forgets what must not follow.
+# A word ends where the next keyword begins, because published specs leave out spaces. These two patterns are
+# not possessive: in Python before 3.11.5 a possessive group ignores its lookahead.
 VERSION_NAME: Final = re.compile(r"(?:(?!PROBLEMTYPE)\S)+", re.IGNORECASE)
 PROBLEM_TYPE: Final = re.compile(r"(?:(?!DISCOUNTFACTOR)[^\s()])+", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
 class TaskSpec:
-    """What a task is like, as far as its environment says.
+    """The description of a task by its environment.
 
     Args:
         version: the name of the format. RL-Glue-3.0 states everything; Mario-v1 need not state the
-            observations; any other is private to those who know it, and has nothing but `extra`.
+            observations; any other is a private format, of which only `extra` is known.
         problem_type: ``episodic``, ``continuing`` or another single word; empty if private.
         discount: the discount factor, from 0 to 1, ends included; None if private.
-        observations: what observations are made of.
-        actions: what actions are made of.
+        observations: the space of observations.
+        actions: the space of actions.
         rewards: the range of the reward of one step.
-        extra: free text; of a private format all that follows its name. White space around it is lost.
+        extra: free text; in a private format, the text after its name. White space around it is removed.
 
     Raises:
-        TaskSpecError: a value is out of range, missing or not for this version, or the text of the
+        TaskSpecError: a value is out of range, missing or not part of this version, or the text of the
             task spec would be longer than `MAX_LENGTH`.
     """
 
@@ -70,7 +70,7 @@ class TaskSpec:
 
     @classmethod
     def private(cls, version: str, text: str = "") -> Self:
-        """Return a task spec in a format of which no more is known than its name."""
+        """Return a task spec in a private format, of which only the name is known."""
         return cls(version, "", None, UNSTATED, UNSTATED, Range(), text)
 
     def _check_public(self) -> None:

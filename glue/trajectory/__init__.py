@@ -1,4 +1,4 @@
-"""Trajectories: what happened in the episodes of a task, in a compact file.
+"""Trajectories: the episodes of a task, step by step, in a compact file.
 
     with TrajectoryWriter("corridor.traj") as recording:
         recording.run(Run("corridor", {"length": 21}, task_spec))
@@ -8,11 +8,15 @@
     for episode in TrajectoryReader("corridor.traj"):
         print(episode.ending, episode.episode_return)
 
+An actions-only recording has no observations, which a deterministic environment gives again: `ActionWriter`
+writes it, and `Episode.start` and the observations of its steps are None.
+
 The file is gzip, and what it unpacks to is records: one letter, then its fields, all little-endian.
 docs/trajectories.md has every byte. The packed stream is flushed at the end of every episode, so that a
 writer that is killed leaves all whole episodes behind.
 """
 
+from glue.trajectory.actions import ActionSteps, ActionWriter, Block
 from glue.trajectory.limits import MAX_BODY, MAX_EPISODE, MAX_STEPS, MAX_TEXT
 from glue.trajectory.reader import TrajectoryReader
 from glue.trajectory.records import MAGIC, Answer, Ending, Episode, Run
@@ -26,7 +30,10 @@ __all__ = [
     "MAX_EPISODE",
     "MAX_STEPS",
     "MAX_TEXT",
+    "ActionSteps",
+    "ActionWriter",
     "Answer",
+    "Block",
     "Ending",
     "Episode",
     "Run",

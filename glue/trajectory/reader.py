@@ -10,8 +10,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from glue.trajectory import limits
+from glue.trajectory.actions import ActionSteps, read_block
 from glue.trajectory.records import (
     ANSWER,
+    BEGIN,
+    BLOCK,
     ENDINGS,
     MAGIC,
     MESSAGE,
@@ -19,8 +22,10 @@ from glue.trajectory.records import (
     RUN,
     START,
     STEP,
+    TERMINAL_END,
     TERMINAL_STEP,
     Answer,
+    Ending,
     Episode,
     Run,
     is_plain,
@@ -39,7 +44,7 @@ class TrajectoryReader:
     """The episodes of a file, one after the other; iterate over it.
 
     Nothing is trusted: sizes are checked against `glue.trajectory.limits` before memory is taken for them,
-    and at most one episode is held at a time. Each iteration reads the file anew.
+    and at most one episode is held at a time. Each iteration reads the file from its beginning.
 
     Attributes:
         torn: whether the file ends in the middle, as a writer that was killed leaves it; known once
@@ -50,8 +55,8 @@ class TrajectoryReader:
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
-        self.torn = False
+        self.path: Path = Path(path)
+        self.torn: bool = False
 
     def __iter__(self) -> Iterator[Episode]:
         self.torn = False
@@ -85,8 +90,9 @@ def _episodes(unpacked: Unpacked) -> Iterator[Episode]:
         elif kind == ANSWER and run is not None:
             answers.append(_answer(unpacked, 0))
             _check_size(unpacked, begin, len(answers))
-        elif kind == START and run is not None:
-            yield _episode(unpacked, run, tuple(messages), answers, begin)
+        elif kind in (START, BEGIN) and run is not None:
+            read = _episode if kind == START else _actions_only
+            yield read(unpacked, run, tuple(messages), answers, begin)
             messages.clear()
             answers = []
         else:
@@ -96,7 +102,7 @@ def _episodes(unpacked: Unpacked) -> Iterator[Episode]:
 def _episode(
     unpacked: Unpacked, run: Run, messages: tuple[str, ...], answers: list[Answer], begin: int
 ) -> Episode:
-    """Read an episode from its first observation on; `begin` is where it or what is before it begins."""
+    """Read an episode from its first observation; `begin` is the offset of its first record."""
     start = Observation.from_body(unpacked.body(limits.MAX_BODY))
     steps = Steps()
     while (kind := unpacked.take(1)) in (STEP, TERMINAL_STEP, ANSWER):
@@ -110,9 +116,24 @@ def _episode(
         _check_size(unpacked, begin, len(steps))
         if kind == TERMINAL_STEP:
             break
-    if kind not in ENDINGS or (answers and answers[-1].step > len(steps)):
+    ending = Ending.TERMINAL if kind == TERMINAL_STEP else ENDINGS.get(kind)
+    if ending is None or kind == TERMINAL_END or (answers and answers[-1].step > len(steps)):
         raise unpacked.malformed(f"a record {kind!r} inside an episode")
-    return Episode(run, messages, start, steps, ENDINGS[kind], tuple(answers))
+    return Episode(run, messages, start, steps, ending, tuple(answers))
+
+
+def _actions_only(
+    unpacked: Unpacked, run: Run, messages: tuple[str, ...], answers: list[Answer], begin: int
+) -> Episode:
+    """Read an episode without observations; `begin` is the offset of its first record."""
+    steps = ActionSteps()
+    while (kind := unpacked.take(1)) == BLOCK:
+        steps.append(read_block(unpacked, begin + limits.MAX_EPISODE))
+        _check_size(unpacked, begin, 0)
+    if kind not in ENDINGS or (kind == TERMINAL_END and not steps):
+        raise unpacked.malformed(f"a record {kind!r} inside an episode")
+    steps.end(kind == TERMINAL_END)
+    return Episode(run, messages, None, steps, ENDINGS[kind], tuple(answers))
 
 
 def _answer(unpacked: Unpacked, step: int) -> Answer:
@@ -132,7 +153,7 @@ def _run_from_json(unpacked: Unpacked) -> Run:
     # 16 MiB of "[]," would become half a gigabyte of lists; a run has few values, some of them long texts.
     if len(_TEXT_IN_JSON.sub("", text)) > limits.MAX_RUN_SYNTAX:
         raise unpacked.malformed(
-            f"a run whose JSON has more than {limits.MAX_RUN_SYNTAX} characters beside its texts"
+            f"a run whose JSON has more than {limits.MAX_RUN_SYNTAX} characters outside its texts"
         )
     try:
         fields: Any = json.loads(text)

@@ -1,7 +1,8 @@
-"""What a recording consists of: runs and their episodes, and the letters of their records."""
+"""Runs and their episodes, and the letters of their records."""
 
 from __future__ import annotations
 
+import json
 import math
 import struct
 from collections.abc import Mapping, Sequence
@@ -9,14 +10,19 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Final, NamedTuple
 
+from glue.errors import LocalProtocolError
 from glue.options import Value
+from glue.trajectory import limits
 from glue.trajectory.steps import Step
 from glue.types import Observation
 
 __all__ = [
     "ANSWER",
+    "BEGIN",
+    "BLOCK",
     "CUTOFF",
     "ENDINGS",
+    "END_OF",
     "LENGTH",
     "MAGIC",
     "MESSAGE",
@@ -24,6 +30,7 @@ __all__ = [
     "RUN",
     "START",
     "STEP",
+    "TERMINAL_END",
     "TERMINAL_STEP",
     "VOID",
     "Answer",
@@ -31,36 +38,43 @@ __all__ = [
     "Episode",
     "Run",
     "is_plain",
+    "run_record",
+    "text_record",
 ]
 
 MAGIC: Final = b"GLUETRJ1"
 RUN, MESSAGE, START, STEP, TERMINAL_STEP, CUTOFF, VOID = b"R", b"M", b"O", b"S", b"T", b"C", b"V"
 ANSWER: Final = b"A"
+BEGIN, BLOCK, TERMINAL_END = b"B", b"P", b"E"  # of an actions-only episode
 LENGTH: Final = struct.Struct("<I")
 REWARD: Final = struct.Struct("<d")
 
 
 class Ending(Enum):
-    """How an episode ended."""
+    """The end of an episode."""
 
     TERMINAL = "terminal"  # its last step was terminal
     CUTOFF = "cutoff"  # truncated, by a step limit or the experiment
     VOID = "void"  # a player was lost, or the recording stopped: it does not count
 
 
-ENDINGS: Final = {TERMINAL_STEP: Ending.TERMINAL, CUTOFF: Ending.CUTOFF, VOID: Ending.VOID}
+END_OF: Final = {Ending.TERMINAL: TERMINAL_END, Ending.CUTOFF: CUTOFF, Ending.VOID: VOID}
+"""Letter of the record with which an actions-only episode ends."""
+
+ENDINGS: Final = {letter: ending for ending, letter in END_OF.items()}
+"""Ending of an episode by the letter of its last record, unless that is a terminal step."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Where episodes come from: an environment between its env_init and its env_cleanup.
+    """The source of episodes: an environment between its env_init and its env_cleanup.
 
     Attributes:
-        environment: its name for `glue-env`, or "" if that is not known.
-        options: its options; what is left out has its default.
-        task_spec: what env_init returned.
-        seed: what env_seed was given before env_init, if anything.
-        state: what env_load was given after env_init; b"" if nothing.
+        environment: its name for `glue-env`; "" if unknown.
+        options: its options, without those that have their default.
+        task_spec: result of env_init.
+        seed: argument of env_seed before env_init; None if it was not called.
+        state: argument of env_load after env_init; b"" if it was not called.
     """
 
     environment: str
@@ -71,7 +85,7 @@ class Run:
 
 
 class Answer(NamedTuple):
-    """What the agent answered to a message at a step: 0 is the start, n the moment after step n."""
+    """The agent's answer to a message at a step: 0 is the start, n the moment after step n."""
 
     step: int
     message: str
@@ -82,13 +96,18 @@ class Answer(NamedTuple):
 class Episode:
     """One episode: the first observation, then its steps.
 
-    `messages` are the texts that the environment was sent since the start of the episode before, `answers`
-    what the agent answered to those that it was sent during this one.
+    Attributes:
+        run: the run that it belongs to.
+        messages: texts sent to the environment since the previous episode began.
+        start: the first observation; None in an actions-only recording.
+        steps: the steps in order.
+        ending: its end.
+        answers: the agent's answers to messages during the episode.
     """
 
     run: Run
     messages: tuple[str, ...]
-    start: Observation
+    start: Observation | None
     steps: Sequence[Step]
     ending: Ending
     answers: tuple[Answer, ...] = ()
@@ -105,3 +124,39 @@ class Episode:
 def is_plain(value: object) -> bool:
     """Return whether an option of this value can be recorded."""
     return type(value) in (int, str, bool) or (type(value) is float and math.isfinite(value))
+
+
+def text_record(kind: bytes, text: str) -> bytes:
+    """Return the record of a text.
+
+    Raises:
+        LocalProtocolError: the text is not Unicode, or takes more than `MAX_TEXT`.
+    """
+    try:
+        encoded = text.encode()
+    except UnicodeEncodeError as error:
+        raise LocalProtocolError(f"a text that is not Unicode cannot be recorded: {error}") from None
+    if len(encoded) > limits.MAX_TEXT:
+        raise LocalProtocolError(
+            f"a text of {len(encoded)} bytes cannot be recorded; {limits.MAX_TEXT} are allowed"
+        )
+    return kind + LENGTH.pack(len(encoded)) + encoded
+
+
+def run_record(run: Run) -> bytes:
+    """Return the record with which a run begins.
+
+    Raises:
+        LocalProtocolError: the options are not plain values, or the run takes more than `MAX_TEXT`.
+    """
+    for name, value in run.options.items():
+        if not is_plain(value):
+            raise LocalProtocolError(f"option {name} cannot be recorded: {value!r} is not a plain value")
+    fields = {
+        "environment": run.environment,
+        "options": dict(run.options),
+        "task_spec": run.task_spec,
+        "seed": run.seed,
+        "state": run.state.hex(),
+    }
+    return text_record(RUN, json.dumps(fields))

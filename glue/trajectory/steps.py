@@ -1,48 +1,36 @@
-"""The steps of an episode that was read from a recording."""
+"""The steps of an episode, read from a recording."""
 
 from __future__ import annotations
 
 import struct
+from abc import abstractmethod
 from array import array
 from collections.abc import Iterator, Sequence
-from typing import Final, NamedTuple, overload
+from typing import ClassVar, Final, NamedTuple, overload
 
 from glue.types import Action, Observation, body_size
 
-__all__ = ["Step", "Steps"]
+__all__ = ["Step", "StepSequence", "Steps"]
 
 _REWARD: Final = struct.Struct("<d")
 
 
 class Step(NamedTuple):
-    """An action and its outcome."""
+    """An action and its outcome; the observation is None in an actions-only recording."""
 
     action: Action
     reward: float
-    observation: Observation
+    observation: Observation | None
     terminal: bool
 
 
-class Steps(Sequence[Step]):
-    """The steps of an episode, kept as bytes and decoded one at a time when they are accessed.
+class StepSequence(Sequence[Step]):
+    """The steps of an episode, decoded one at a time when they are accessed; equal to any sequence of equal
+    steps."""
 
-    A million small steps take 60 MB like this; as objects they would take ten times as much. Equal to any
-    sequence of equal steps.
-    """
-
-    def __init__(self) -> None:
-        self._data = bytearray()
-        self._starts = array("Q")
-        self._terminal = False
-
-    def append(self, reward: bytes, action: bytes, observation: bytes, terminal: bool) -> None:
-        """Add a step, given as the fields of its record; only the last step may be terminal."""
-        self._starts.append(len(self._data))
-        self._data += reward + action + observation
-        self._terminal = terminal
-
-    def __len__(self) -> int:
-        return len(self._starts)
+    @abstractmethod
+    def _step(self, index: int) -> Step:
+        """Return the step of an index from 0 to the length less 1."""
 
     @overload
     def __getitem__(self, index: int) -> Step: ...
@@ -62,10 +50,31 @@ class Steps(Sequence[Step]):
             return NotImplemented
         return len(self) == len(other) and all(map(tuple.__eq__, self, other))
 
-    __hash__ = None  # type: ignore[assignment]
+    __hash__: ClassVar[None] = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
         return f"<{len(self)} steps>"
+
+
+class Steps(StepSequence):
+    """The steps of an episode that was recorded whole.
+
+    They are kept as bytes: a million small steps take 60 MB; as objects they would take ten times as much.
+    """
+
+    def __init__(self) -> None:
+        self._data = bytearray()
+        self._starts = array("Q")
+        self._terminal = False
+
+    def append(self, reward: bytes, action: bytes, observation: bytes, terminal: bool) -> None:
+        """Add a step, given as the fields of its record; only the last step may be terminal."""
+        self._starts.append(len(self._data))
+        self._data += reward + action + observation
+        self._terminal = terminal
+
+    def __len__(self) -> int:
+        return len(self._starts)
 
     def _step(self, index: int) -> Step:
         start = self._starts[index]

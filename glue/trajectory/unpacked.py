@@ -1,4 +1,4 @@
-"""What a recording's gzip file unpacks to, taken piece by piece and never more than was allowed."""
+"""Read the contents of a recording's gzip file in pieces, within the limits of a recording."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Torn(Exception):
 
 
 class Unpacked:
-    """What a gzip file unpacks to, taken in runs of known length; member by member."""
+    """The contents of a gzip file, read member by member in pieces of known length."""
 
     def __init__(self, file: BinaryIO, name: str) -> None:
         self._file = file
@@ -88,7 +88,7 @@ class Unpacked:
 
     @property
     def offset(self) -> int:
-        """How many unpacked bytes have been taken."""
+        """Number of unpacked bytes taken so far."""
         return self._gone + self._at
 
     def malformed(self, what: str) -> TrajectoryError:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import zlib
 from contextlib import suppress
@@ -14,17 +13,16 @@ from glue.trajectory import limits
 from glue.trajectory.records import (
     ANSWER,
     CUTOFF,
-    LENGTH,
     MAGIC,
     MESSAGE,
     REWARD,
-    RUN,
     START,
     STEP,
     TERMINAL_STEP,
     VOID,
     Run,
-    is_plain,
+    run_record,
+    text_record,
 )
 from glue.trajectory.unpacked import GZIP, TrajectoryError
 from glue.types import AbstractType, Action, Observation
@@ -70,7 +68,7 @@ class TrajectoryWriter(Closing):
         if self._file.closed:
             raise LocalProtocolError("the recording is closed")
         self.cutoff()
-        record = _text_record(RUN, _run_to_json(run))
+        record = run_record(run)
         self._messages.clear()
         self._answers.clear()
         self._write(record)
@@ -86,7 +84,7 @@ class TrajectoryWriter(Closing):
         self._needs_run()
         if len(self._messages) == limits.MAX_STEPS:
             raise LocalProtocolError(f"more than {limits.MAX_STEPS} messages in a row cannot be recorded")
-        self._messages.append(_text_record(MESSAGE, text))
+        self._messages.append(text_record(MESSAGE, text))
 
     def answer(self, message: str, answer: str) -> None:
         """Note what the agent answered to a message at the moment that is noted next, a start or a step.
@@ -98,7 +96,7 @@ class TrajectoryWriter(Closing):
         self._needs_run()
         if self._answered + len(self._answers) == limits.MAX_STEPS:
             raise LocalProtocolError(f"more than {limits.MAX_STEPS} answers in an episode cannot be recorded")
-        self._answers.append(_text_record(ANSWER, message) + _text_record(b"", answer))
+        self._answers.append(text_record(ANSWER, message) + text_record(b"", answer))
 
     def start(self, observation: Observation) -> None:
         """Begin an episode. Cuts off an open one.
@@ -201,30 +199,3 @@ def _body_of(value: AbstractType) -> bytes:
             f"an observation or action of {len(body)} bytes cannot be recorded; {limits.MAX_BODY} are allowed"
         )
     return body
-
-
-def _text_record(kind: bytes, text: str) -> bytes:
-    try:
-        encoded = text.encode()
-    except UnicodeEncodeError as error:
-        raise LocalProtocolError(f"a text that is not Unicode cannot be recorded: {error}") from None
-    if len(encoded) > limits.MAX_TEXT:
-        raise LocalProtocolError(
-            f"a text of {len(encoded)} bytes cannot be recorded; {limits.MAX_TEXT} are allowed"
-        )
-    return kind + LENGTH.pack(len(encoded)) + encoded
-
-
-def _run_to_json(run: Run) -> str:
-    for name, value in run.options.items():
-        if not is_plain(value):
-            raise LocalProtocolError(f"option {name} cannot be recorded: {value!r} is not a plain value")
-    return json.dumps(
-        {
-            "environment": run.environment,
-            "options": dict(run.options),
-            "task_spec": run.task_spec,
-            "seed": run.seed,
-            "state": run.state.hex(),
-        }
-    )

@@ -7,13 +7,13 @@ import socket
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
-from threading import Timer
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from env_server.toys import MinesEnvironment
 from glue import Action, Agent, Environment, Observation, local, make
 from glue.batches import (
     Batch,
@@ -26,11 +26,12 @@ from glue.batches import (
     unpack_batch,
 )
 from glue.client.sockets import SocketTransport
-from glue.core.experiment import Experiment
-from glue.errors import ConfigError, GlueError, RemoteProtocolError, Unsupported
-from glue.hub.loop import READ, Loop
-from glue.players.batched import BatchedEnvironments
+from glue.engine.experiment import Experiment
+from glue.errors import ConfigError, GlueError, PeerFailed, RemoteProtocolError, Unsupported
+from glue.hub.io.loop import READ, Loop
+from glue.plugins.batched import BatchedEnvironments
 from glue.roles import capabilities
+from glue.types import Step
 from tests.hubs import over_the_hub
 from tests.players import ActingInAll, ScriptedAgent, ScriptedEnvironment
 
@@ -93,7 +94,13 @@ def test_actions_for_another_number_of_games_are_refused() -> None:
 
 def test_task_spec_of_a_batch_holds_that_of_each_game() -> None:
     assert read_batch_task_spec(batch_task_spec(64, "VERSION x 1")) == (64, "VERSION x 1")
-    for wrong in ("", "VERSION RL-Glue-Batch-1 x y", "VERSION RL-Glue-Batch-1 0 y", "VERSION RL-Glue-3.0"):
+    for wrong in (
+        "",
+        "VERSION RL-Glue-Batch-1 x y",
+        "VERSION RL-Glue-Batch-1 0 y",
+        "VERSION RL-Glue-3.0",
+        f"VERSION RL-Glue-Batch-1 {'9' * 5000} x",
+    ):
         with pytest.raises(RemoteProtocolError):
             read_batch_task_spec(wrong)
 
@@ -143,48 +150,48 @@ def test_an_agent_for_single_games_is_refused_by_name(glue: Glue) -> None:
         experiment.rl_init()
 
 
-def test_those_of_many_games_look_longer_before_they_sleep(monkeypatch: pytest.MonkeyPatch) -> None:
-    looks: list[str] = []
+def test_peers_of_many_games_spin_longer_before_they_sleep(monkeypatch: pytest.MonkeyPatch) -> None:
+    spun: list[str] = []
     monkeypatch.setattr("glue.client.link.SEVERAL_CORES", True)
-    monkeypatch.setattr(SocketTransport, "look_for", lambda transport, seconds: looks.append("player"))
-    monkeypatch.setattr(Loop, "look_longer", lambda loop: looks.append("hub"))
+    monkeypatch.setattr(SocketTransport, "spin_for", lambda transport, seconds: spun.append("player"))
+    monkeypatch.setattr(Loop, "spin_longer", lambda loop: spun.append("hub"))
     with over_the_hub(ScriptedAgent(), ScriptedEnvironment()) as experiment:
         experiment.rl_init()
-    assert looks == []
+    assert spun == []
     with over_the_hub(Vector(), BatchedEnvironments([ScriptedEnvironment()])) as experiment:
         experiment.rl_init()
-    assert sorted(looks) == ["hub", "hub", "player", "player"]
+    assert sorted(spun) == ["hub", "hub", "player", "player"]
 
 
-def test_a_hub_that_looks_longer_does_not_sleep_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("glue.hub.loop.LONG_LOOK_SECONDS", 60.0)
-    monkeypatch.setattr("glue.hub.loop.SEVERAL_CORES", True)
+class Answering:
+    """A source of events whose answer arrives after a while of looking."""
+
+    def __init__(self, loop: Loop, fd: int) -> None:
+        self.looks = 0
+        self._loop = loop
+        self._event = [(fd, READ)]
+
+    def glance(self) -> list[tuple[int, int]] | None:
+        self.looks += 1
+        return self._event if self.looks == 50 else None
+
+    def turn(self, now: float) -> None:
+        self._loop.stop("it arrived")
+
+
+def test_a_hub_that_expects_an_answer_does_not_sleep_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("glue.hub.io.loop.LONG_SPIN_SECONDS", 60.0)
+    monkeypatch.setattr("glue.sockets.spinning._LOST_SECONDS", 60.0)
     loop = Loop(60.0, lambda line: None)
     ours, theirs = socket.socketpair()
-    slept: list[float] = []
-    poller = loop._poller
-
-    class Watched:
-        register, unregister = poller.register, poller.unregister
-        close = poller.close
-
-        def poll(self, seconds: float) -> list[tuple[int, int]]:
-            if seconds:
-                slept.append(seconds)
-            return poller.poll(seconds)
-
-    monkeypatch.setattr(loop, "_poller", Watched())
     with ours, theirs:
-        loop.watch(ours.fileno(), READ, lambda now: loop.stop("it arrived"))
-        loop.look_longer()
-        loop.expect()
-        sender = Timer(0.02, theirs.send, (b"an answer",))
-        sender.start()
-        loop.turn()
-        sender.join()
+        source = Answering(loop, ours.fileno())
+        loop.watch(ours.fileno(), READ, source)
+        loop.spin_longer()
+        loop.expect(source)
+        loop.turn()  # would sleep until the tick
         loop.unwatch(ours.fileno())
-    assert loop.stopping == "it arrived"
-    assert slept == []
+    assert (loop.stopping, source.looks) == ("it arrived", 50)
     loop.close()
 
 
@@ -195,7 +202,37 @@ def test_a_batch_needs_environments_with_one_task_spec() -> None:
     other.task_spec = "another"
     with pytest.raises(ConfigError, match="one task spec"):
         BatchedEnvironments([ScriptedEnvironment(), other]).env_init()
-    assert capabilities(BatchedEnvironments([other])) == ("batch", "seed")
+    assert capabilities(BatchedEnvironments([other])) == ("batch", "seed", "truncate")
+
+
+def test_games_of_a_batch_are_checked_as_single_ones_are() -> None:
+    class Blurred(MinesEnvironment):
+        def env_step(self, action: Action) -> Step:
+            return Step(0.0, Observation(doubles=[0.5]), False)
+
+    batch = BatchedEnvironments([MinesEnvironment(), Blurred()])
+    batch.env_init()
+    batch.env_start()
+    with pytest.raises(PeerFailed, match="game 1: env_step of Blurred"):
+        batch.env_step(pack_actions(Ragged.of([Action([1])] * 2)))
+    plain = BatchedEnvironments([Bare()])
+    plain.env_init()
+    plain.env_start()
+    assert plain.env_message("?") == ""
+    plain.env_cleanup()
+
+
+class Bare:
+    """An environment with the required methods only."""
+
+    def env_init(self) -> str:
+        return ""
+
+    def env_start(self) -> Observation:
+        return Observation()
+
+    def env_step(self, action: Action) -> Step:
+        return Step(0.0, Observation(), True)
 
 
 def test_games_of_a_batch_are_seeded_apart_and_play_as_alone() -> None:
@@ -208,7 +245,7 @@ def test_games_of_a_batch_are_seeded_apart_and_play_as_alone() -> None:
     alone.env_init()
     assert shown == [alone.env_start()] * 2
     action = pack_actions(Ragged.of([Action([1, 0, 1]), Action([0, 1, 0])]))
-    _, observation, terminal = batch.env_step(action)
+    _, observation, terminal, *_ = batch.env_step(action)
     assert terminal is False
     assert (
         unpack_batch(observation).observations.values(Observation)[0] == alone.env_step(Action([1, 0, 1]))[1]

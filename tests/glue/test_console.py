@@ -1,4 +1,4 @@
-"""What is printed for people: glue/console.py."""
+"""Output for people: glue/console.py."""
 
 from __future__ import annotations
 

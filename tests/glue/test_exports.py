@@ -1,4 +1,4 @@
-"""What `glue` exports: imported when it is used, and nothing before."""
+"""The names that `glue` exports: imported on first use, not before."""
 
 from __future__ import annotations
 
@@ -39,8 +39,3 @@ def test_make_returns_players_with_checked_options() -> None:
 def test_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="no attribute 'loca'"):
         _ = glue.loca
-
-
-def test_import_that_has_moved_names_the_new_place() -> None:
-    with pytest.raises(ImportError, match="from glue import serve_agent"):
-        from glue.client import serve_agent  # noqa: F401

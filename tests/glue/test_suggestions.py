@@ -1,4 +1,4 @@
-"""What is suggested for a word that is unknown."""
+"""Suggestions for unknown words."""
 
 from __future__ import annotations
 

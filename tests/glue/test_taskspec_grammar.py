@@ -23,7 +23,7 @@ CHARACTERS: Final = {
     "any": r"[\s\S]",
     "word character": r"(?:(?!DISCOUNTFACTOR)[^\s()])",
 }
-"""What the text below the grammar says of its undefined names."""
+"""The definitions, in the text below the grammar, of names that it leaves undefined."""
 
 BEYOND: Final = (
     "is given twice",
@@ -40,7 +40,7 @@ BEYOND: Final = (
 
 
 def rules() -> dict[str, str]:
-    """Return what each name of the grammar stands for."""
+    """Return the rules of the grammar by name."""
     (block,) = re.findall(r"^```ebnf\n(.*?)^```$", DOCUMENT, re.MULTILINE | re.DOTALL)
     return {
         name.strip(): rule.strip() for name, rule in re.findall(r"([\w ]+?) *= (.*?) ;", block, re.DOTALL)

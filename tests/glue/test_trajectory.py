@@ -12,6 +12,7 @@ import sys
 import tracemalloc
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from hypothesis import strategies as st
 from glue.errors import LocalProtocolError
 from glue.trajectory import (
     MAGIC,
+    ActionWriter,
     Ending,
     Episode,
     Run,
@@ -149,8 +151,9 @@ def test_round_trip(tmp_path_factory: pytest.TempPathFactory, recorded: list[tup
             for message in messages:
                 recording.message(message)
             recording.start(Observation(*start))
-            for step in taken:
-                recording.step(*step)
+            for action, reward, observed, terminal in taken:
+                assert observed is not None
+                recording.step(action, reward, observed, terminal)
             if ending is Ending.VOID:
                 recording.void()
             else:
@@ -247,8 +250,8 @@ for episode in range(4):
     assert done.returncode == -9
     reader = TrajectoryReader(path)
     episodes = list(reader)
-    assert [(e.start.ints[0], len(e.steps), e.ending) for e in episodes] == [
-        (i, 1000, Ending.TERMINAL) for i in range(3)
+    assert [(e.start, len(e.steps), e.ending) for e in episodes] == [
+        (Observation([i]), 1000, Ending.TERMINAL) for i in range(3)
     ]
     assert reader.torn
 
@@ -457,6 +460,7 @@ def test_damaged_file_raises_nothing_else(
     except TrajectoryError:
         return
     for episode in episodes:
+        assert episode.start is not None
         _ = episode.start.ints, episode.start.doubles, episode.start.chars, episode.episode_return
 
 
@@ -490,8 +494,20 @@ def test_programs_of_the_documentation_run(
     manual = Path(__file__).parents[2] / "docs" / "trajectories.md"
     programs = re.findall(r"<!-- runs in the tests -->\n```python\n(.*?)```", manual.read_text(), re.DOTALL)
     monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
     for program in programs:
-        exec(compile(program, str(manual), "exec"), {})
+        exec(compile(program, str(manual), "exec"), names)
+    with (tmp_path / "actions.traj").open("wb") as file:
+        writer = ActionWriter(file.write)
+        writer.run(RUN)
+        writer.start()
+        for number in (1, 2, 1):
+            writer.step(Action([number]).body, number / 2)
+        writer.end(Ending.TERMINAL)
+        writer.close()
+    *_, (_, steps), _ = records = list(names["read"]("actions.traj"))
+    assert "".join(letter for letter, _ in records) == "GRBPE"
+    assert steps == [(number / 2, ((), (number,), b"")) for number in (1, 2, 1)]
     assert capsys.readouterr().out == "corridor 2 9.0 terminal\ncorridor 0 0.0 cutoff\nGROSTOC\n"
 
 

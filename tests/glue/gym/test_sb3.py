@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ import pytest
 from glue import local, make, make_agent
 from glue.errors import ConfigError, PeerFailed
 from tests.hubs import hub_with
+from tests.terminal import run
 
 sb3: Any = pytest.importorskip("stable_baselines3", reason="needs Stable-Baselines3: the extra sb3")
 gymnasium: Any = pytest.importorskip("gymnasium")
@@ -76,7 +78,7 @@ def test_the_documented_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_ppo_learns_cartpole_through_the_hub(tmp_path: Path) -> None:
-    with hub_with(environments={"default": make("gymnasium:CartPole-v1")}) as hub:
+    with hub_with(make("gymnasium:CartPole-v1")) as hub:
         env = glue.gym.connect(hub)
         model = sb3.PPO(
             "MlpPolicy", env, n_steps=256, batch_size=64, learning_rate=1e-3, seed=1, device="cpu"
@@ -130,3 +132,16 @@ def test_ppo_learns_to_finish_level_121() -> None:
     progress = next((one for one in learn(seed=1) if one.goals >= 0.9), None)
     assert progress is not None, "fewer than 90 of 100 episodes reached the goal"
     print(progress)
+
+
+def test_policy_trained_on_mario_is_watched_as_the_readme_says(tmp_path: Path) -> None:
+    model = sb3.PPO("MultiInputPolicy", mario(2), n_steps=8, batch_size=16, n_epochs=1)
+    model.learn(16)
+    model.save(tmp_path / "model")
+    readme = (Path(__file__).parents[3] / "README.md").read_text(encoding="utf-8")
+    lines = [line for line in readme.splitlines() if line.startswith("glue-") and "--agent sb3" in line]
+    assert len(lines) == 2
+    for line in lines:
+        command = shlex.split(re.sub(r" --episodes \d+", "", line))
+        shown = run(*command, "--episodes", "1", "--max-steps", "5", cwd=tmp_path)
+        assert shown.returncode == 0, shown.stderr

@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
+import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from glue import Action, Agent, Environment, Observation, local, make
-from glue.core.engine import role_seed
-from glue.core.experiment import Experiment
+from glue.cli.screen import renderer
+from glue.engine.engine import role_seed
+from glue.engine.experiment import Experiment
 from glue.errors import ConfigError, PeerFailed, SimulatorError
 from glue.options import parameters
-from glue.players.loading import find
-from glue.protocol.messages import Role
+from glue.plugins.loading import find
 from glue.roles import capabilities
+from glue.taskspec import parse_task_spec
+from glue.wire.messages import Role
 from tests.hubs import hub_with, over_the_hub
 
 gymnasium: Any = pytest.importorskip("gymnasium", reason="needs Gymnasium: the extra gym")
 import glue.gym  # noqa: E402
 import tests.glue.gym.environments  # noqa: E402, F401
 from glue.gym.codec import Codec  # noqa: E402
+from glue.gym.infos import infos_of_step  # noqa: E402
+from glue.gym.spaces import read_spaces  # noqa: E402
 
 Glue = Callable[[Agent, Environment], AbstractContextManager[Experiment]]
 SEED = 11
@@ -46,7 +52,7 @@ def _quiet() -> Iterator[None]:
         yield
 
 
-class Playing:
+class Playing(Agent):
     """Plays random actions, and writes down every observation and reward."""
 
     def __init__(self, space: Any) -> None:
@@ -56,9 +62,6 @@ class Playing:
 
     def act(self) -> Action:
         return Action(*self._codec.pack(self._codec.space.sample()))
-
-    def agent_init(self, task_spec: str) -> None:
-        pass
 
     def agent_start(self, observation: Observation) -> Action:
         self.seen.append(observation)
@@ -71,15 +74,9 @@ class Playing:
     def agent_end(self, reward: float) -> None:
         self.seen += [reward, "end"]
 
-    def agent_cleanup(self) -> None:
-        pass
-
-    def agent_message(self, message: str) -> str:
-        return ""
-
 
 def alone(name: str, options: dict[str, Any], episodes: int) -> list[Any]:
-    """Return what an agent would see of Gymnasium without RL-Glue."""
+    """Return the rewards and observations of Gymnasium without RL-Glue."""
     env = gymnasium.make(name, **options)
     env.action_space.seed(SEED)
     codec = Codec(env.observation_space)
@@ -128,7 +125,7 @@ def wrapped(name: str) -> Iterator[Any]:
 
 @contextmanager
 def connected(name: str) -> Iterator[Any]:
-    with hub_with(environments={"default": make(f"gymnasium:{name}")}) as hub:
+    with hub_with(make(f"gymnasium:{name}")) as hub:
         env = glue.gym.connect(hub)
         yield env
         env.close()
@@ -163,7 +160,7 @@ def test_there_and_back_is_where_it_began(
 def test_check_env_passes_for_an_environment_behind_a_hub() -> None:
     from gymnasium.utils.env_checker import check_env
 
-    with hub_with(environments={"default": make("gymnasium:CartPole-v1")}) as hub:
+    with hub_with(make("gymnasium:CartPole-v1")) as hub:
         env = glue.gym.connect(hub)
         check_env(env, skip_render_check=True)
         env.close()
@@ -187,7 +184,7 @@ def test_environments_that_never_heard_of_gymnasium() -> None:
 
 def test_many_sessions_are_a_vector_environment() -> None:
     sessions = ["one", "two", "three"]
-    with hub_with(environments={name: make("gymnasium:CartPole-v1") for name in sessions}) as hub:
+    with hub_with({name: make("gymnasium:CartPole-v1") for name in sessions}) as hub:
         envs = glue.gym.connect_vec(hub, sessions)
         shown, _ = envs.reset(seed=3)
         for i in range(3):
@@ -247,3 +244,67 @@ def test_stepping_without_an_episode_is_refused() -> None:
     environment.env_cleanup()
     with pytest.raises(SimulatorError, match="env_init"):
         environment.env_start()
+
+
+def test_what_gymnasium_cannot_make_is_a_config_error() -> None:
+    with pytest.raises(ConfigError, match="9x9"):
+        make("gymnasium:FrozenLake-v1", map_name="9x9")
+    with pytest.raises(ConfigError, match=r"did you mean gymnasium:CartPole-v1\?"):
+        make("CartPole-v1")
+
+
+def test_a_module_of_the_working_directory_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "my_tasks.py").write_text(
+        "import gymnasium\n"
+        "from gymnasium.envs.classic_control import CartPoleEnv\n"
+        "gymnasium.register('Mine/Pole-v0', CartPoleEnv)\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", [*sys.path])
+    environment = make("gymnasium:my_tasks:Mine/Pole-v0")
+    environment.env_init()
+    assert environment.env_start().counts == (0, 4, 0)
+    with pytest.raises(ConfigError, match="no_tasks"):
+        make("gymnasium:no_tasks:Mine/Pole-v0")
+
+
+def test_an_environment_that_draws_text_is_drawn_so() -> None:
+    environment = make("gymnasium:FrozenLake-v1", is_slippery=False)
+    environment.env_init()
+    observation = environment.env_start()
+    lines = renderer(environment)(observation, False)
+    assert "".join(lines).count("H") == 4
+    plain = make("gymnasium:CartPole-v1")
+    plain.env_init()
+    assert renderer(plain)(observation, False) == ["Observation(ints=[0])"]
+
+
+@pytest.mark.parametrize("form", ["vector", "single"])
+def test_statistics_of_ended_episodes_reach_the_infos_of_their_game(form: str) -> None:
+    mode: dict[str, Any] = {"vectorization_mode": "sync", "vector_kwargs": {"autoreset_mode": "SameStep"}}
+    if form == "single":
+        mode["wrappers"] = [gymnasium.wrappers.RecordEpisodeStatistics]
+    envs = gymnasium.make_vec("CartPole-v1", num_envs=2, max_episode_steps=5, **mode)
+    if form == "vector":
+        envs = gymnasium.wrappers.vector.RecordEpisodeStatistics(envs)
+    envs.reset(seed=1)
+    for step in range(5):
+        _, _, terminated, truncated, infos = envs.step(np.array([step % 2] * 2))
+        parts = infos_of_step(infos, terminated, truncated)
+        assert ["episode" in part for part in parts] == [step == 4] * 2
+    assert [(part["episode"]["r"], part["episode"]["l"]) for part in parts] == [(5.0, 5)] * 2
+    assert [part["TimeLimit.truncated"] for part in parts] == [True] * 2
+    assert parts[0]["terminal_observation"].shape == (4,)
+    envs.close()
+
+
+def test_mario_served_shows_policies_the_spaces_that_they_were_trained_on() -> None:
+    name = "env_server.gym:glue/InfiniteMario-v0"
+    served = make(f"gymnasium:{name}")
+    trained_on = gymnasium.make(name)
+    assert read_spaces(parse_task_spec(served.env_init())) == (
+        trained_on.observation_space,
+        trained_on.action_space,
+    )
+    observation = served.env_start()
+    assert len(renderer(served)(observation, False)) > 16, "drawn as a game, not as numbers"

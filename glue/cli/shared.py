@@ -1,8 +1,8 @@
-"""What the command lines share: how a command runs and exits, and the options that several have.
+"""Common parts of the command lines: running a command, its exit code, and shared options.
 
-Click is a skin over functions: a command reads its options, calls one function, and an error becomes an
-exit code here and nowhere else. What is slow to import is imported by that function, so that `--help` and
-completion answer at once.
+Click is a thin layer over functions: a command reads its options and calls one function; errors become
+exit codes here and nowhere else. That function imports the modules that are slow to import, so that `--help`
+and completion answer at once.
 """
 
 from __future__ import annotations
@@ -10,17 +10,17 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from pathlib import Path
 from typing import Any, Final, NoReturn, TypeVar
 
 import click
 
+from glue.cli.entry import EXIT_INTERRUPTED, EXIT_TERMINATED, Terminated, handle_signals, is_stuck
 from glue.console import say
-from glue.core.config import HUB_KEY_VARIABLE, KEY_VARIABLE
-from glue.entry import EXIT_INTERRUPTED, EXIT_TERMINATED, Terminated, handle_signals, is_stuck
 from glue.errors import ConfigError, GlueError
+from glue.hub.config import HUB_KEY_VARIABLE, KEY_VARIABLE
 
 __all__ = [
     "HUB_KEY_SETTINGS",
@@ -29,6 +29,7 @@ __all__ = [
     "Terminated",
     "keys_option",
     "legacy_port_option",
+    "reporting",
     "run",
 ]
 
@@ -64,25 +65,51 @@ legacy_port_option: Final = click.option(
     metavar="[HOST:]PORT[=SESSION]",
     help="Port at which original RL-Glue programs join a session; they look for 4096. Repeat it for several.",
 )
-"""The option of all commands that start a hub; see `glue.core.config.LegacyPort.parse`."""
+"""The option of all commands that start a hub; see `glue.hub.config.LegacyPort.parse`."""
 
 
 _T = TypeVar("_T")
 
 
-def _abortable(callback: Callable[..., _T]) -> Callable[..., _T]:
-    """Return `callback` with KeyboardInterrupt as click.Abort: Click would print, and wait for it."""
+def reporting(callback: Callable[..., _T]) -> Callable[..., _T]:
+    """Prepare the callback of a command for `run`, which does it for commands that exist by then.
+
+    A GlueError gets a note of the command's own options for the settings that it names. KeyboardInterrupt
+    becomes click.Abort: Click would print, and wait for it.
+    """
 
     @wraps(callback)
     def call(*values: object, **options: object) -> _T:
         try:
             return callback(*values, **options)
+        except GlueError as error:
+            flags = _flags(click.get_current_context().command, error.settings)
+            if flags:
+                error.add_note(f" ({', '.join(flags)})")
+            raise
         except KeyboardInterrupt as interrupt:
             if not is_stuck():
                 say("")  # after the terminal's ^C
             raise click.Abort from interrupt
 
     return call
+
+
+def _flags(command: click.Command, settings: Sequence[str]) -> list[str]:
+    """Return the options of `command` that set `settings`; a setting without an option is left out."""
+    # An underscore begins the common options of players: a player may have one of that name.
+    options = {
+        (each.name or "").removeprefix("_"): each for each in command.params if isinstance(each, click.Option)
+    }
+    return [options[setting].opts[0] for setting in settings if setting in options]
+
+
+def _prepare(command: click.Command) -> None:
+    if command.callback is not None:
+        command.callback = reporting(command.callback)
+    if isinstance(command, click.Group):
+        for each in command.commands.values():
+            _prepare(each)
 
 
 def run(command: click.Command) -> NoReturn:
@@ -92,8 +119,7 @@ def run(command: click.Command) -> NoReturn:
     glue-experiment, unless it declares another one.
     """
     handle_signals()
-    if command.callback is not None:
-        command.callback = _abortable(command.callback)
+    _prepare(command)
     prefix = (command.name or "").upper().replace("-", "_")
     try:
         code = command.main(standalone_mode=False, auto_envvar_prefix=prefix)
@@ -110,7 +136,7 @@ def run(command: click.Command) -> NoReturn:
         say("interrupted")
         sys.exit(exit_code)
     except GlueError as error:
-        say(f"Error: {error}")
+        say(f"Error: {error}{''.join(getattr(error, '__notes__', ()))}")
         sys.exit(2 if isinstance(error, ConfigError) else 1)
     except BrokenPipeError:
         # The reader of our output has seen enough. Python would complain once more at exit.

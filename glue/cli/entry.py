@@ -1,4 +1,4 @@
-"""Where every command begins: Ctrl-C and SIGTERM are handled before anything slow is imported.
+"""The beginning of every command: Ctrl-C and SIGTERM are handled before anything slow is imported.
 
 This module, and those that call it, import nothing but what Python itself has loaded, or loads in a
 millisecond: until `handle_signals` has been called, Ctrl-C prints a traceback. Hence no `typing`, except for
@@ -8,9 +8,11 @@ type checkers, to which TYPE_CHECKING is true.
 from __future__ import annotations
 
 import os
-import select
 import signal
+import sys
 from importlib import import_module
+
+from glue.names import others
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -18,7 +20,14 @@ if TYPE_CHECKING:
     from types import FrameType
     from typing import Final, NoReturn
 
-__all__ = ["EXIT_INTERRUPTED", "EXIT_TERMINATED", "Terminated", "handle_signals", "is_stuck", "start"]
+__all__ = [
+    "EXIT_INTERRUPTED",
+    "EXIT_TERMINATED",
+    "Terminated",
+    "handle_signals",
+    "is_stuck",
+    "start",
+]
 
 EXIT_INTERRUPTED: Final = 128 + signal.SIGINT
 EXIT_TERMINATED: Final = 128 + signal.SIGTERM
@@ -34,6 +43,12 @@ class Terminated(KeyboardInterrupt):
 def start(module: str) -> NoReturn:
     """Import the module of a command and run its `main`, which exits."""
     handle_signals()
+    if found := others(sys.path):
+        message = (
+            f"note: {', '.join(found.values())} has the name of a package of glue-rl; commands use ours, "
+        )
+        message += "your programs import glue_rl first\n"
+        os.write(_STDERR, message.encode(errors="replace"))
     try:
         import_module(module).main()
         raise AssertionError(f"{module}.main returned")
@@ -51,13 +66,16 @@ def handle_signals() -> None:
     an ImportError or is lost, and what has been written so far survives any kill. A signal that is ignored,
     as under nohup, remains ignored.
     """
+    _interrupt.leave = _leave  # type: ignore[attr-defined]  # for glue.compiled.jit, which may block for long
     _handle_with(_interrupt)
 
 
 def is_stuck() -> bool:
     """Return whether printing would wait, because standard error is a full pipe that is not being read."""
+    from glue.doors import network
+
     try:
-        return not select.select([], [_STDERR], [], 0)[1]
+        return not network.select([], [_STDERR], [], 0)[1]
     except (OSError, ValueError):  # closed
         return True
 

@@ -1,0 +1,136 @@
+"""`glue-conform`: judge a client in any language."""
+
+from __future__ import annotations
+
+import json
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import click
+
+from glue import __version__
+from glue.cli.shared import run
+from glue.conform.hub.clients import TRANSPORTS, starter
+from glue.conform.hub.rules import Tier
+from glue.console import say
+from glue.errors import ConfigError
+from glue.wire.messages import THREE_ROLES, Role
+
+if TYPE_CHECKING:
+    from glue.conform.judge import Verdict
+
+__all__ = ["conform", "main"]
+
+_FAILED: Final = 1
+_HUB: Final = "hub"
+
+
+@click.command("glue-conform")
+@click.argument("role", type=click.Choice([*map(str, THREE_ROLES), _HUB]))
+@click.argument("command", nargs=-1, required=True)
+@click.option(
+    "--tier",
+    type=click.Choice([str(tier) for tier in Tier]),
+    default=str(Tier.COMPLETE),
+    show_default=True,
+    help="The highest tier to judge; it includes those before it.",
+)
+@click.option(
+    "--transport",
+    type=click.Choice(TRANSPORTS),
+    multiple=True,
+    default=TRANSPORTS,
+    show_default=True,
+    help="How the client connects. Repeat it for several.",
+)
+@click.option(
+    "--wait",
+    type=click.FloatRange(0.1),
+    default=5.0,
+    show_default=True,
+    metavar="SECONDS",
+    help="Timeout for each message that the client has to send.",
+)
+@click.option(
+    "--seeds",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Instead of the rules play N scripts of random faults, as breaks at any byte.",
+)
+@click.option("--seed", type=click.IntRange(0), metavar="N", help="Play one of these scripts.")
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON document instead of lines.")
+@click.option(
+    "--scorecard",
+    "card",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Also write the verdicts to this file, as a table in Markdown.",
+)
+@click.version_option(__version__, prog_name="glue-conform")
+def conform(
+    role: str,
+    command: tuple[str, ...],
+    tier: Tier,
+    transport: tuple[str, ...],
+    wait: float,
+    seeds: int | None,
+    seed: int | None,
+    as_json: bool,
+    card: Path | None,
+) -> int:
+    """Judge a client in any language, an agent, environment or experiment, or a hub.
+
+    glue-conform acts as the hub: it starts COMMAND, which connects to the address in GLUE_HUB and joins the
+    session in GLUE_SESSION. The mirror that docs/clients.md describes is judged by every rule, any other
+    agent or environment by those that do not depend on the content of its answers; an experiment has to be
+    the mirror. A line is printed for each rule; the exit code is 0 if no MUST of the tier is broken.
+
+    A hub is judged by its address, in place of COMMAND; it may be in use.
+
+    \b
+    Examples:
+      glue-conform agent -- ./mirror agent
+      glue-conform experiment --tier plays -- node mirror.mjs experiment
+      glue-conform agent --scorecard agent.md -- python -m glue.testing.mirror agent
+      glue-conform agent --seeds 200 -- ./mirror agent
+      glue-conform hub tcp://127.0.0.1:4097
+    """
+    from glue.conform.judge import Outcome, judge, judge_hub, judge_scripts
+    from glue.conform.report import document, line, reached, scorecard, summary
+
+    if card is not None and not card.parent.is_dir():
+        raise ConfigError(f"cannot write {card}: there is no folder {card.parent}; make it first")
+
+    scripts = range(seed, seed + 1) if seed is not None else range(seeds or 0)
+
+    def report(verdict: Verdict) -> None:
+        if not as_json and (not scripts or verdict.outcome is not Outcome.PASSED):
+            click.echo(line(verdict))
+
+    if scripts and (role == _HUB or (seed is not None and seeds is not None)):
+        raise ConfigError("scripts of faults are for clients: give --seeds N, or --seed N for one of them")
+    if role == _HUB:
+        if len(command) != 1:
+            raise ConfigError("a hub is judged by its address alone, such as tcp://127.0.0.1:4097")
+        verdicts = judge_hub(command[0], wait=wait, report=report)
+    else:
+        judged = partial(judge_scripts, seeds=scripts) if scripts else partial(judge, tier=Tier(tier))
+        verdicts = [
+            verdict
+            for each in dict.fromkeys(transport)
+            for verdict in judged(Role(role), starter(command), transport=each, wait=wait, report=report)
+        ]
+    if as_json:
+        click.echo(json.dumps(document(role, command, verdicts), indent=2))
+    else:
+        click.echo(summary(verdicts))
+    if card is not None:
+        card.write_text(scorecard(role, command, verdicts), encoding="utf-8")
+        say(f"wrote {card}")
+    return 0 if all(reached(verdicts).values()) else _FAILED
+
+
+def main() -> None:
+    """Run `glue-conform`."""
+    run(conform)

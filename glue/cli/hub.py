@@ -1,0 +1,160 @@
+"""`glue-hub`: a hub alone, for experiments that connect from outside."""
+
+from __future__ import annotations
+
+import resource
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Final
+
+import click
+
+from glue import __version__
+from glue.cli.shared import Terminated, keys_option, legacy_port_option, run
+from glue.console import say
+from glue.errors import ConfigError
+from glue.hub.config import DEFAULT_HUB, Bind, HubConfig, LegacyPort
+from glue.hub.io.log import Level, Log
+
+__all__ = ["hub", "main"]
+
+_DEFAULTS: Final = HubConfig()
+
+
+@click.command("glue-hub")
+@click.option(
+    "--bind",
+    multiple=True,
+    default=(DEFAULT_HUB,),
+    show_default=True,
+    metavar="URL",
+    help="Address to listen on: tcp://host:port or ipc://path. Repeat it for several.",
+)
+@click.option(
+    "--heartbeat",
+    type=float,
+    default=_DEFAULTS.heartbeat,
+    show_default=True,
+    help="Seconds between heartbeats.",
+)
+@click.option(
+    "--timeout",
+    type=float,
+    default=_DEFAULTS.timeout,
+    show_default=True,
+    help="Seconds that a peer may be unreachable before it is given up and its episode is void.",
+)
+@click.option(
+    "--max-sessions",
+    type=click.IntRange(1),
+    default=_DEFAULTS.max_sessions,
+    show_default=True,
+    help="Maximum number of sessions at once.",
+)
+@click.option(
+    "--max-memory",
+    type=click.IntRange(64),
+    default=_DEFAULTS.max_memory // 2**20,
+    show_default="a quarter of the machine's",
+    metavar="MIB",
+    help="Maximum memory for observations, actions and other messages, in all. When it is exceeded, the "
+    "session or connection that uses most is ended.",
+)
+@legacy_port_option
+@keys_option
+@click.option(
+    "--insecure", is_flag=True, help="Allow addresses without --keys that other machines can reach."
+)
+@click.option("--quiet", is_flag=True, help="Log only the addresses and the hub's own errors.")
+@click.option("--verbose", is_flag=True, help="Log every connection, not only the peers of sessions.")
+@click.version_option(__version__, prog_name="glue-hub")
+def hub(
+    bind: tuple[str, ...],
+    heartbeat: float,
+    timeout: float,
+    max_sessions: int,
+    max_memory: int,
+    legacy_port: tuple[str, ...],
+    keys: Path | None,
+    insecure: bool,
+    quiet: bool,
+    verbose: bool,
+) -> None:
+    """Run a hub alone, until Ctrl-C.
+
+    Environments, agents and experiments connect to it; a session is one of each, paired by name.
+    glue-experiment starts a hub of its own, and needs this one only if it is given --hub.
+
+    \b
+    Examples:
+      glue-hub
+      glue-hub --bind tcp://127.0.0.1:5000
+      glue-experiment --hub tcp://127.0.0.1:5000 --session a --episodes 100
+      glue-hub --legacy-port 4096 --legacy-port 5096=b
+      glue-hub --bind tcp://*:4097 --keys keys
+    """
+    from glue.keys.allowed import read_keys
+
+    known = None if keys is None else read_keys(keys)
+    config = HubConfig(
+        bind=tuple(Bind(url, keys=known) for url in bind),
+        heartbeat=heartbeat,
+        timeout=timeout,
+        max_sessions=max_sessions,
+        max_memory=max_memory * 2**20,
+        insecure=insecure,
+    )
+    ports = [LegacyPort.parse(text, insecure=insecure) for text in legacy_port]
+    if quiet and verbose:
+        raise ConfigError("--quiet and --verbose contradict each other: give one of them")
+    level = Level.ERROR if quiet else Level.CONNECTIONS if verbose else Level.PEERS
+    serve_until_interrupted(config, ports, level, keys)
+
+
+def serve_until_interrupted(
+    config: HubConfig,
+    ports: Sequence[LegacyPort] = (),
+    level: Level = Level.PEERS,
+    keys: Path | None = None,
+) -> None:
+    """Serve until Ctrl-C or SIGTERM, of which every peer is notified; read `keys` again on SIGHUP."""
+    from glue.hub.io.renewal import renewed_on_hangup
+    from glue.hub.io.server import Hub
+    from glue.keys.allowed import HUB
+    from glue.keys.certificates import PUBLIC
+    from glue.legacy.gateway import Gateway
+
+    _allow_many_connections()
+    log = Log(say, level, stamped=True)
+    with ExitStack() as stack:
+        running = stack.enter_context(Hub(config, log))
+        if keys is not None:
+            stack.enter_context(renewed_on_hangup(running, keys))
+        gateway = Gateway(running, ports, log)
+        for bind, endpoint in zip(config.binds, running.endpoints, strict=True):
+            say(f"{bind.warning}listening on {endpoint}")
+        if keys is not None:
+            say(f"{config.binds[0].keys}; the hub's public key, for --hub-key, is in {keys / HUB}{PUBLIC}")
+        for port in gateway.ports:
+            say(f"listening for original RL-Glue programs on {port}")
+        try:
+            stack.enter_context(running.in_background())
+            running.wait()
+        except KeyboardInterrupt as interrupt:
+            name = "SIGTERM" if isinstance(interrupt, Terminated) else "SIGINT"
+            log(f"stopped by {name}")
+            running.stop(f"the hub was stopped by {name}")
+            raise
+
+
+def _allow_many_connections() -> None:
+    """Take all descriptors that the system allows: a tournament needs one for each of its peers."""
+    _, maximum = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with suppress(ValueError, OSError):  # macOS calls it infinite, and refuses that
+        resource.setrlimit(resource.RLIMIT_NOFILE, (maximum, maximum))
+
+
+def main() -> None:
+    """Run `glue-hub`."""
+    run(hub)

@@ -1,0 +1,215 @@
+"""The common parts of `glue-env` and `glue-agent`: a command whose subcommands are agents or environments.
+
+The subcommands are the installed names; `module:Class` and `path/to/file.py:Class` work as well. The options
+of each are the parameters of its constructor (see `glue.options`) and the options common to all.
+"""
+
+from __future__ import annotations
+
+import inspect
+import shlex
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+import click
+from click.shell_completion import CompletionItem
+
+from glue import __version__
+from glue.cli.shared import HUB_KEY_SETTINGS, KEY_SETTINGS, WAIT_VARIABLE, reporting
+from glue.console import say
+from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
+from glue.options import Parameter, Value, parameters
+from glue.plugins.loading import construct, find, names, summaries, without_seed
+from glue.wire.messages import Role
+
+__all__ = ["Extra", "player_command"]
+
+_COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
+
+
+@dataclass(frozen=True, slots=True)
+class Extra:
+    """An option that every player of a command has beside its own.
+
+    Args:
+        option: text of the command line.
+        apply: returns the player to serve for the one made and the value given.
+    """
+
+    option: click.Option
+    apply: Callable[[Any, Any], Any]
+
+
+def player_command(role: Role, example: str, extra: Extra) -> click.Group:
+    """Return the command that starts an agent or environment by name.
+
+    Args:
+        role: agent or environment.
+        example: command lines for the help, each after two spaces.
+        extra: an option of every agent or environment.
+    """
+    command = _COMMANDS[role]
+    help_text = (
+        f"Connect an {role} to a hub, and serve until the hub says goodbye.\n\n"
+        "NAME is one of the commands below, or your own class as module:Class or path/to/file.py:Class. "
+        f"`{command} NAME --help` lists its options.\n\n\b\nExamples:\n{example}"
+    )
+    return _PlayerGroup(role, extra, name=command, help=help_text)
+
+
+class _PlayerGroup(click.Group):
+    """A group whose subcommands are made from the classes that its arguments name."""
+
+    def __init__(self, role: Role, extra: Extra, name: str, help: str) -> None:
+        super().__init__(name=name, help=help, subcommand_metavar="NAME [OPTIONS]", no_args_is_help=True)
+        self._role = role
+        self._extra = extra
+        click.version_option(__version__, prog_name=name)(self)
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return names(self._role)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command:
+        return _serving(self._role, cmd_name, find(self._role, cmd_name), self._extra)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the installed names with their summaries, without importing any of them."""
+        known = summaries(self._role)
+        width = max(formatter.width - 6 - max(map(len, known), default=0), 10)
+        rows = [(name, textwrap.shorten(text, width, placeholder="...")) for name, text in known.items()]
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        found = [CompletionItem(name) for name in names(self._role) if name.startswith(incomplete)]
+        return [*found, *click.Command.shell_complete(self, ctx, incomplete)]
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        given = list(args)
+        try:
+            return super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            raise click.UsageError(self._options_come_later(error.option_name, given), ctx) from None
+
+    def _options_come_later(self, option: str, args: Sequence[str]) -> str:
+        player = next((word for word in args if word in names(self._role)), "NAME")
+        rest = [word for word in args if word != player]
+        return f"{option} comes after the name of the {self._role}: {self.name} {player} {shlex.join(rest)}"
+
+
+def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Command:
+    """Return the subcommand that serves players made by `factory`."""
+    known = parameters(factory)
+    extra_name = extra.option.name
+    assert extra_name is not None
+
+    # The names are ours, so that a player may have a parameter called hub or quiet.
+    def start(
+        _hub: str,
+        _session: tuple[str, ...],
+        _key: str | None,
+        _hub_key: str | None,
+        _wait: float | None,
+        _quiet: bool,
+        _batch: int | None = None,
+        **options: Value | None,
+    ) -> None:
+        from glue.client.players import serve_agent, serve_environment
+        from glue.plugins.batched import make_batch
+
+        added = options.pop(extra_name)
+        given = {key: value for key, value in options.items() if value is not None}
+        make = partial(construct, factory, given)
+        players: dict[str, Any] = {
+            one: make() if _batch is None else make_batch(name, make, _batch) for one in _session
+        }
+        if added:
+            players = {one: extra.apply(player, added) for one, player in players.items()}
+        log = _ignore if _quiet else say
+        if (warning := without_seed(role, name, factory)) is not None:
+            log(warning)
+        serve = serve_agent if role is Role.AGENT else serve_environment
+        reason = serve(players, _hub, key=_key, hub_key=_hub_key, wait=_wait, log=log)
+        log(f"the hub said goodbye: {reason}")
+
+    # The parameters are listed as options.
+    summary = inspect.cleandoc(factory.__doc__ or f"The {role} {name}.").partition("\n\nArgs:")[0]
+    common = [
+        click.Option(
+            ["--hub", "_hub"],
+            default=DEFAULT_HUB,
+            show_default=True,
+            envvar=HUB_VARIABLE,
+            show_envvar=True,
+            help="Address of the hub.",
+        ),
+        click.Option(
+            ["--session", "_session"],
+            multiple=True,
+            default=(DEFAULT_SESSION,),
+            show_default=True,
+            envvar=SESSION_VARIABLE,
+            show_envvar=True,
+            help="Session to take part in; repeat it to serve several over one connection.",
+        ),
+        click.Option(["--key", "_key"], **KEY_SETTINGS),
+        click.Option(["--hub-key", "_hub_key"], **HUB_KEY_SETTINGS),
+        click.Option(
+            ["--wait", "_wait"],
+            type=click.FloatRange(0),
+            metavar="SECONDS",
+            envvar=WAIT_VARIABLE,
+            show_envvar=True,
+            help="Timeout for the hub to answer. [default: wait forever]",
+        ),
+        click.Option(["--quiet", "_quiet"], is_flag=True, help="Print nothing but errors."),
+        extra.option,
+    ]
+    if role is Role.ENVIRONMENT:
+        text = "Serve N games as one environment, to an agent that acts in all of them at once."
+        common.append(click.Option(["--batch", "_batch"], type=click.IntRange(1), metavar="N", help=text))
+    options = [*(_option(parameter) for parameter in known.values()), *common]
+    for option in options:
+        # An environment variable would reach the players of an experiment, which would not record it.
+        option.allow_from_autoenv = False
+    examples = f"\b\nExamples:\n{_examples(role, name, known)}"
+    return click.Command(name, callback=reporting(start), params=[*options], help=summary, epilog=examples)
+
+
+def _examples(role: Role, name: str, known: Mapping[str, Parameter]) -> str:
+    """Return how to start a player alone, and how glue-experiment starts it, with an option."""
+    command = _COMMANDS[role]
+    flag = command.removeprefix("glue-")
+    option = next(
+        (f"{own.name}={own.shown or 'VALUE'}" for own in known.values() if own.default is not None), None
+    )
+    given = "" if option is None else f" --{flag}-option {option}"
+    return f"  {command} {name} --hub {DEFAULT_HUB}\n  glue-experiment --{flag} {name}{given} --episodes 100"
+
+
+def _ignore(line: str) -> None:
+    pass
+
+
+def _option(parameter: Parameter) -> click.Option:
+    """Return the command line's option for a constructor's parameter."""
+    flag = f"--{parameter.flag}"
+    if parameter.type is bool:
+        flag = f"{flag}/--no-{flag[2:]}"
+    option = parameter.option
+    notes = []
+    if option.choices:
+        notes.append("one of " + ", ".join(option.choices))
+    if option.low is not None or option.high is not None:
+        low = "" if option.low is None else f"{option.low:.15g}"
+        high = "" if option.high is None else f"{option.high:.15g}"
+        notes.append(f"{low}..{high}")
+    if option.unit:
+        notes.append(option.unit)
+    if parameter.default not in (None, ""):
+        notes.append(f"default {parameter.shown}")
+    text = option.help + (f" [{'; '.join(notes)}]" if notes else "")
+    return click.Option([flag, parameter.name], type=parameter.type, default=None, help=text)

@@ -1,0 +1,46 @@
+"""Infos of Gymnasium's vector environments, taken apart: a dict for each game."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["infos_of_step", "split"]
+
+Flags = npt.NDArray[np.bool_]
+
+
+def split(infos: dict[str, Any], count: int) -> list[dict[str, Any]]:
+    """Return an info for each of `count` games, split from vector infos, which wrappers may have nested."""
+    return [_one(infos, i) for i in range(count)]
+
+
+def infos_of_step(infos: dict[str, Any], terminated: Flags, truncated: Flags) -> list[dict[str, Any]]:
+    """Return the infos of each game after a step, as Stable-Baselines3 wants them.
+
+    Of a game whose episode is over they are those of its last step and what wrappers say of the episode, such
+    as its statistics, with the last observation as `terminal_observation` and with `TimeLimit.truncated`.
+
+    Args:
+        infos: of a vector environment whose episodes begin in the same step.
+        terminated, truncated: which episodes are over, shape (N,).
+    """
+    final, last = infos.get("final_info", {}), infos.get("final_obs")
+    parts = split({name: infos[name] for name in infos if "final_" not in name}, len(terminated))
+    for i in np.flatnonzero(terminated | truncated).tolist():
+        assert last is not None
+        parts[i] |= _one(final, i)
+        parts[i]["terminal_observation"] = last[i]
+        parts[i]["TimeLimit.truncated"] = bool(truncated[i] and not terminated[i])
+    return parts
+
+
+def _one(infos: dict[str, Any], i: int) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, values in infos.items():
+        mask = infos.get(f"_{name}")
+        if not name.startswith("_") and (mask is None or mask[i]):
+            found[name] = _one(values, i) if isinstance(values, dict) else values[i]
+    return found

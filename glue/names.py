@@ -1,0 +1,46 @@
+"""Notice packages of other distributions that are called as ours are: see `glue_rl`."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+TYPE_CHECKING = False  # not imported: see glue.cli.entry
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from typing import Final
+
+__all__ = ["NAMES", "hidden_names", "others"]
+
+NAMES: Final = ("glue", "agents", "env_server", "experiment_runner")
+
+_HOME: Final = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
+
+
+def others(folders: Iterable[str]) -> dict[str, str]:
+    """Return the file of the first package in `folders` with a name of ours, by name, if it is not ours."""
+    found: dict[str, str] = {}
+    for folder in folders:
+        if os.path.realpath(folder) == _HOME:
+            continue
+        for name in NAMES:
+            for file in (os.path.join(folder, name, "__init__.py"), os.path.join(folder, f"{name}.py")):
+                if name not in found and os.path.isfile(file):
+                    found[name] = file
+    return found
+
+
+def hidden_names() -> str:
+    """Return a line about packages that Python finds before ours, with the remedy; empty if there is none."""
+    before = []
+    for folder in sys.path:
+        if os.path.realpath(folder) == _HOME:
+            break
+        before.append(folder)
+    hidden = others(before)
+    if not hidden:
+        return ""
+    return (
+        f"{', '.join(hidden.values())} hides a package of glue-rl: import glue_rl before other packages, "
+        "or give glue-rl an environment of its own"
+    )

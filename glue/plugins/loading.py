@@ -1,0 +1,294 @@
+"""Find an agent or environment by name.
+
+A name is one of four: that of an installed entry point (group `glue.agents` or `glue.environments`),
+`module:Class`, `path/to/file.py:Class`, or `adapter:NAME` for what another library makes, such as
+`gymnasium:CartPole-v1`. The entry point of an adapter is a function from NAME to a class.
+
+A file called random.py or agents.py in the user's folder takes no module's place: the folder is looked
+in after everything that is installed.
+"""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import re
+import sys
+import traceback
+from collections.abc import Mapping
+from importlib.machinery import ModuleSpec, PathFinder
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, Final
+
+from glue.console import show_failure
+from glue.errors import ConfigError, GlueError, PeerFailed
+from glue.options import Value, build
+from glue.suggestions import did_you_mean
+from glue.wire.messages import Role
+
+if TYPE_CHECKING:
+    from glue.roles import Agent, Environment
+
+__all__ = [
+    "PACKAGES",
+    "construct",
+    "example",
+    "file_in",
+    "find",
+    "import_user_module",
+    "located",
+    "make",
+    "make_agent",
+    "names",
+    "summaries",
+    "without_seed",
+]
+
+PACKAGES: Final = ("glue", "env_server", "agents", "experiment_runner")
+"""The packages of this program."""
+
+
+_ADAPTERS: Final = {Role.AGENT: "glue.agent_adapters", Role.ENVIRONMENT: "glue.environment_adapters"}
+_GYMNASIUM_ID: Final = re.compile(r"([\w.-]+/)?[\w.-]+-v\d+")
+_GROUPS: Final = {Role.AGENT: "glue.agents", Role.ENVIRONMENT: "glue.environments"}
+
+
+def make(name: str, /, **options: Value) -> Environment:
+    """Return the environment called `name`, as in `make("mario", level_seed=3)`.
+
+    Args:
+        name: installed, or `module:Class`, or `path/to/file.py:Class`.
+        options: of its constructor; `glue-env NAME --help` lists them.
+
+    Raises:
+        ConfigError: there is no such environment, or an option is unknown, of another type or out of bounds.
+    """
+    environment: Environment = build(find(Role.ENVIRONMENT, name), options)
+    return environment
+
+
+def make_agent(name: str, /, **options: Value) -> Agent:
+    """Return the agent called `name`, as in `make_agent("sarsa", epsilon=0.1)`; otherwise as `make`."""
+    agent: Agent = build(find(Role.AGENT, name), options)
+    return agent
+
+
+def construct(factory: type, options: Mapping[str, Value]) -> Any:
+    """Return an instance of `factory` for a command, which shows where the constructor fails if it does.
+
+    If the player takes no seed, Python's and NumPy's global generators are seeded with it instead.
+
+    Raises:
+        ConfigError: an option is unknown, of another type or out of bounds.
+        PeerFailed: the constructor raised an exception, whose traceback has been printed.
+    """
+    from glue.global_seeds import take_seeds  # NumPy, which completion does not need
+
+    try:
+        player = build(factory, options)
+    except GlueError:
+        raise
+    except Exception as error:
+        show_failure(error)
+        why = f"{type(error).__name__}: {error}"
+        raise PeerFailed(f"{factory.__name__} raised in its constructor: {why}") from None
+    take_seeds(player)
+    return player
+
+
+def without_seed(role: Role, label: str, factory: type) -> str | None:
+    """Return a line that says that players of a user's class take no seed; None if they do.
+
+    The classes of this program without a seed are deterministic, as the contract tests show.
+
+    Args:
+        role: agent or environment.
+        label: the player's name for people.
+        factory: the class.
+    """
+    method = "env_seed" if role is Role.ENVIRONMENT else "agent_seed"
+    if hasattr(factory, method) or factory.__module__.partition(".")[0] in PACKAGES:
+        return None
+    return (
+        f"the {role} {label} has no {method}: the trial's seed goes to Python's and NumPy's global "
+        "generators; numbers that it draws from others cannot be repeated"
+    )
+
+
+def names(role: Role) -> list[str]:
+    """Return the names of the installed agents or environments, sorted."""
+    return sorted(_installed(role))
+
+
+def example(role: Role) -> str:
+    """Return the name that messages suggest: of the role's entry point in the group `glue.examples`.
+
+    If there is none, it is NAME.
+    """
+    suggested = {point.name: point.value for point in entry_points(group="glue.examples")}.get(role)
+    return next((name for name, point in _installed(role).items() if point.value == suggested), "NAME")
+
+
+def summaries(role: Role) -> dict[str, str]:
+    """Return the docstring of each installed agent or environment, by name, without importing it.
+
+    It is empty where there is no docstring, or no source to read it from.
+    """
+    points = sorted(_installed(role).items())
+    modules = {module: _class_docstrings(module) for module in {point.module for _, point in points}}
+    return {name: modules[point.module].get(point.attr, "") for name, point in points}
+
+
+def find(role: Role, name: str) -> type:
+    """Return the class that `name` stands for.
+
+    Raises:
+        ConfigError: there is none, or its module cannot be imported; near misses are named.
+    """
+    entry_point = _installed(role).get(name)
+    if entry_point is not None:
+        return _class_of(_import(entry_point.module), entry_point.attr, entry_point.module)
+    prefix, _, rest = name.partition(":")
+    adapter = {point.name: point for point in entry_points(group=_ADAPTERS[role])}.get(prefix)
+    if adapter is not None:
+        if not rest:
+            raise ConfigError(f"{name!r} is not complete: write {prefix}:NAME, as {prefix} names the {role}")
+        adapted: type = getattr(_import(adapter.module), adapter.attr)(rest)
+        return adapted
+    source, _, attribute = name.rpartition(":")
+    if not source or not attribute:
+        meant = _classes_in_file(name) or _adapted_name(role, name) or did_you_mean(name, names(role))
+        raise ConfigError(
+            f"no {role} is called {name!r}{meant} (your own is named module:Class or path/to/file.py:Class)"
+        )
+    module = _import_file(Path(source)) if source.endswith(".py") else import_user_module(source)
+    return _class_of(module, attribute, source)
+
+
+def file_in(name: str) -> str:
+    """Return the file of a name like `path/to/file.py:Class` or `adapter:path/to/file.py:Class`, or ""."""
+    source = name.rpartition(":")[0]
+    if not source.endswith(".py"):
+        return ""
+    prefix, colon, rest = source.partition(":")
+    if not colon:
+        return source
+    adapters = {point.name for group in _ADAPTERS.values() for point in entry_points(group=group)}
+    return rest if prefix in adapters else source
+
+
+def located(name: str, folder: Path) -> str:
+    """Return a name whose file, if it has one and that is relative, is resolved against `folder`."""
+    file = file_in(name)
+    return name.replace(file, str(folder.absolute() / file), 1) if file else name
+
+
+def import_user_module(name: str) -> ModuleType:
+    """Return a module that is installed or lies in the working directory.
+
+    Raises:
+        ConfigError: there is none, or it cannot be imported.
+    """
+    _look_in(Path.cwd())
+    return _import(name)
+
+
+def _adapted_name(role: Role, name: str) -> str:
+    """Return the suggestion for a name like Gymnasium's CartPole-v1; empty for any other."""
+    known = any(point.name == "gymnasium" for point in entry_points(group=_ADAPTERS[role]))
+    return f"; did you mean gymnasium:{name}?" if known and _GYMNASIUM_ID.fullmatch(name) else ""
+
+
+def _classes_in_file(name: str) -> str:
+    """Return a suggestion for the name of a file without a class; empty if there is no such file."""
+    path = Path(f"{name.removesuffix('.py')}.py")
+    try:
+        classes = list(_docstrings(path))
+    except (OSError, SyntaxError, ValueError):
+        return ""
+    return f"; did you mean {' or '.join(f'{path}:{found}' for found in classes)}?" if classes else ""
+
+
+def _installed(role: Role) -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group=_GROUPS[role])}
+
+
+def _class_docstrings(module: str) -> dict[str, str]:
+    spec = _spec(module)
+    if spec is None or spec.origin is None or not spec.origin.endswith(".py"):
+        return {}
+    return _docstrings(Path(spec.origin))
+
+
+def _docstrings(path: Path) -> dict[str, str]:
+    """Return the docstring of each class in a file, which is not executed."""
+    body = ast.parse(path.read_bytes()).body
+    return {node.name: ast.get_docstring(node) or "" for node in body if isinstance(node, ast.ClassDef)}
+
+
+def _spec(module: str) -> ModuleSpec | None:
+    """Return where a module is. Unlike importlib's `find_spec` this does not import its packages."""
+    package, _, _ = module.rpartition(".")
+    if not package:
+        return importlib.util.find_spec(module)
+    parent = _spec(package)
+    locations = None if parent is None else parent.submodule_search_locations
+    return None if locations is None else PathFinder.find_spec(module, list(locations))
+
+
+def _import(module: str) -> ModuleType:
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name is not None and (module == error.name or module.startswith(error.name + ".")):
+            raise ConfigError(f"there is no module {module!r} here") from None
+        raise ConfigError(_broken(module, error)) from error
+    except ConfigError:
+        raise  # it says itself what it needs
+    except (Exception, SystemExit) as error:
+        raise ConfigError(_broken(module, error)) from error
+
+
+def _import_file(path: Path) -> ModuleType:
+    if not path.is_file():
+        raise ConfigError(f"there is no file {path}")
+    _look_in(path.resolve().parent)
+    name = f"_glue_user_{path.stem}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        del sys.modules[name]
+        raise ConfigError(_broken(str(path), error)) from error
+    return module
+
+
+def _look_in(folder: Path) -> None:
+    """Let modules of `folder` be imported, unless something of that name is installed."""
+    if str(folder) not in sys.path:
+        sys.path.append(str(folder))
+
+
+def _broken(source: str, error: BaseException) -> str:
+    if isinstance(error, SyntaxError):  # shown as Python does: file, line and a caret
+        return f"{source} cannot be imported:\n{''.join(traceback.format_exception_only(error)).rstrip()}"
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return (
+        f"{source} cannot be imported: {type(error).__name__}: {error} ({last.filename}, line {last.lineno})"
+    )
+
+
+def _class_of(module: ModuleType, attribute: str, source: str) -> type:
+    found = getattr(module, attribute, None)
+    if not isinstance(found, type):
+        classes = [value for value in vars(module).values() if isinstance(value, type)]
+        own = [value.__name__ for value in classes if value.__module__ == module.__name__]
+        raise ConfigError(f"{source} has no class {attribute!r}{did_you_mean(attribute, own)}")
+    return found

@@ -1,0 +1,118 @@
+"""Players of rlglue-andnp: methods `start`, `step` and `end`, and actions that are ints.
+
+Source: rlglue-andnp 2.0.1 (github.com/andnp/rl-glue).
+"""
+
+from __future__ import annotations
+
+import inspect
+from operator import index
+from typing import Annotated, Any, ClassVar, Final
+
+import numpy as np
+
+from glue.errors import LocalProtocolError
+from glue.options import Option
+from glue.rlglue.borrowed import Adapter
+from glue.roles import Agent, Environment
+from glue.types import Action, Observation, Step, arrays_of
+
+__all__ = ["AndnpAgent", "AndnpEnvironment"]
+
+_UNSTATED: Final = "VERSION rlglue-andnp"
+_TaskSpec = Annotated[str, Option("the task spec, which the environment does not have")]
+
+
+class AndnpAgent(Adapter, Agent):
+    """An agent of rlglue-andnp. A new one is made for each task.
+
+    An observation of one int is an int to it, one of ints or doubles an array, one of chars an array of
+    bytes, and one of several kinds a dictionary of `ints`, `doubles` and `chars`. `extra` is empty, as it
+    does not cross the wire.
+    """
+
+    seeded_by: ClassVar[str] = "agent_seed"
+
+    def agent_init(self, task_spec: str) -> None:
+        """Make an agent."""
+        self._new()
+
+    def agent_start(self, observation: Observation) -> Action:
+        """Begin an episode; return the first action."""
+        return _action(self._made.start(_value(observation)))
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        """Learn from a reward, and return the next action."""
+        return _action(self._made.step(reward, _value(observation), {}))
+
+    def agent_end(self, reward: float) -> None:
+        """Learn from the last reward of an episode."""
+        self._made.end(reward, {})
+
+
+class AndnpEnvironment(Adapter, Environment):
+    """An environment of rlglue-andnp. A new one is made for each task.
+
+    Args:
+        task_spec: for agents that need one.
+        options: keywords of the environment's constructor.
+    """
+
+    seeded_by: ClassVar[str] = "env_seed"
+    own_options: ClassVar[tuple[inspect.Parameter, ...]] = (
+        inspect.Parameter("task_spec", inspect.Parameter.KEYWORD_ONLY, default="", annotation=_TaskSpec),
+    )
+
+    def __init__(self, *, task_spec: str = "", **options: Any) -> None:
+        super().__init__(**options)
+        self._task_spec = task_spec or _UNSTATED
+
+    def env_init(self) -> str:
+        """Make an environment; return the task spec."""
+        self._new()
+        return self._task_spec
+
+    def env_start(self) -> Observation:
+        """Return the first observation of an episode."""
+        return _observation(self._made.start())
+
+    def env_step(self, action: Action) -> Step:
+        """Carry out an action."""
+        if action.counts != (1, 0, 0):
+            raise LocalProtocolError(f"an action of rlglue-andnp is one int, not {action!r:.80}")
+        observation, reward, terminal, truncated, _ = self._made.step(int(action.ints[0]))
+        ended = bool(terminal or truncated)
+        return Step(float(reward), _observation(observation), ended, bool(truncated and not terminal))
+
+
+def _action(value: Any) -> Action:
+    try:
+        return Action([index(value)])
+    except TypeError:
+        raise LocalProtocolError(f"an action of rlglue-andnp is an int, not {value!r:.80}") from None
+
+
+def _observation(value: Any) -> Observation:
+    """Return an observation: of bytes as chars, of other whole numbers as ints, of others as doubles."""
+    try:
+        numbers = np.asarray(value)
+    except ValueError:  # of rows with different lengths
+        numbers = np.asarray(None)
+    flat = numbers.reshape(-1)
+    if flat.dtype == np.uint8:
+        return Observation(chars=flat.tobytes())
+    if flat.dtype.kind in "iub":
+        return Observation(flat.astype(np.int64))
+    if flat.dtype.kind == "f":
+        return Observation(doubles=flat.astype(np.float64))
+    raise LocalProtocolError(
+        f"an observation of rlglue-andnp must be a number or an array of numbers here, not {value!r:.80}"
+    )
+
+
+def _value(observation: Observation) -> Any:
+    """Return an observation in the form that agents of rlglue-andnp take."""
+    if observation.counts == (1, 0, 0):
+        return int(observation.ints[0])
+    found = {name: values for name, values in arrays_of(observation).items() if len(values)}
+    return next(iter(found.values())) if len(found) == 1 else found

@@ -1,0 +1,87 @@
+"""Adapters of objects from elsewhere, whose options are the keywords of their constructor."""
+
+from __future__ import annotations
+
+import inspect
+from typing import Any, ClassVar, Final
+
+from glue.errors import ConfigError
+from glue.plugins.keywords import keywords, with_options
+
+__all__ = ["Adapter", "adapted"]
+
+_SEED: Final = "seed"
+
+
+class Adapter:
+    """The base of the adapters.
+
+    Args:
+        options: keywords of the constructor of `source`.
+    """
+
+    source: ClassVar[type]
+    """The class from elsewhere."""
+
+    seeded_by: ClassVar[str]
+    """The method by which an experiment seeds the adapter."""
+
+    needs_seed: ClassVar[bool] = False
+    """Whether the constructor has a parameter `seed` without default; if nobody gives a seed, it is 0."""
+
+    own_options: ClassVar[tuple[inspect.Parameter, ...]] = ()
+    """Options of the adapter itself."""
+
+    def __init__(self, **options: Any) -> None:
+        self._options = options
+        if self.needs_seed:
+            self._options[_SEED] = 0
+        self._made: Any = None
+
+    def _new(self) -> Any:
+        """Return a new object of the class."""
+        self._made = self.source(**self._options)
+        return self._made
+
+    def _same(self) -> Any:
+        """Return the object that was made last, the first one if there was none."""
+        return self._new() if self._made is None else self._made
+
+    def _seed(self, seed: int) -> None:
+        """Have the next object made with this seed."""
+        self._options[_SEED] = seed
+        self._made = None
+
+
+def adapted(adapter: type[Adapter], source: type) -> type[Adapter]:
+    """Return the class of adapters for objects of `source`.
+
+    If the constructor of `source` has a parameter `seed`, the experiment's seed is its value.
+
+    Raises:
+        ConfigError: another parameter has no default.
+    """
+    signature = inspect.signature(source).parameters
+    for name, parameter in signature.items():
+        several = parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD)
+        if parameter.default is parameter.empty and not several and name != _SEED:
+            raise ConfigError(
+                f"{source.__name__}: constructor parameter {name} has no default: "
+                "derive a class whose constructor takes no arguments, and name that one"
+            )
+
+    def __init__(self: Adapter, **options: Any) -> None:
+        adapter.__init__(self, **options)
+
+    of_source = keywords(source, f"keyword of {source.__name__}")
+    options = [*(each for each in of_source if each.name != _SEED), *adapter.own_options]
+    members: dict[str, Any] = {
+        "__doc__": source.__doc__,
+        "__init__": with_options(__init__, options),
+        "__module__": source.__module__,  # whether it can be repeated without a seed is its author's affair
+        "source": source,
+    }
+    if _SEED in signature:
+        members[adapter.seeded_by] = Adapter._seed
+        members["needs_seed"] = signature[_SEED].default is inspect.Parameter.empty
+    return type(source.__name__, (adapter,), members)

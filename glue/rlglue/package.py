@@ -1,0 +1,73 @@
+"""The modules called rlglue that players import, provided where they are not installed.
+
+RL-Glue's Python codec has never been released for Python 3; what its players import from it is little.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from types import ModuleType
+from typing import Any, Final, Protocol
+
+from glue.errors import ConfigError
+from glue.rlglue import values
+from glue.rlglue.parser import TaskSpecParser
+
+__all__ = ["provide"]
+
+
+class _BaseAgent(Protocol):
+    """The base class of agents of rlglue-andnp."""
+
+
+class _BaseEnvironment(Protocol):
+    """The base class of environments of rlglue-andnp."""
+
+
+class _Agent:
+    """The base class of agents of the codec."""
+
+
+class _Environment:
+    """The base class of environments of the codec."""
+
+
+def _refusing(role: str) -> Callable[[object], None]:
+    """Return the codec's function that connects a player, which is of no use here."""
+
+    def load(player: object) -> None:
+        raise ConfigError(f"run it with glue-{role} rlglue:FILE.py:{type(player).__name__}")
+
+    return load
+
+
+_MODULES: Final[Mapping[str, Mapping[str, object]]] = {
+    "rlglue": {"BaseAgent": _BaseAgent, "BaseEnvironment": _BaseEnvironment},
+    "rlglue.types": {name: getattr(values, name) for name in values.__all__},
+    "rlglue.agent": {"BaseAgent": _BaseAgent},
+    "rlglue.agent.Agent": {"Agent": _Agent},
+    "rlglue.agent.AgentLoader": {"loadAgent": _refusing("agent")},
+    "rlglue.environment": {"BaseEnvironment": _BaseEnvironment},
+    "rlglue.environment.Environment": {"Environment": _Environment},
+    "rlglue.environment.EnvironmentLoader": {"loadEnvironment": _refusing("env")},
+    "rlglue.utils": {},
+    "rlglue.utils.TaskSpecVRLGLUE3": {"TaskSpecParser": TaskSpecParser},
+}
+"""Contents of each module, a package before its modules."""
+
+
+def provide() -> None:
+    """Let the modules be imported: those that are installed and work, and ours in place of the others."""
+    for name, contents in _MODULES.items():
+        try:
+            import_module(name)
+        except (ImportError, SyntaxError):  # of Python 2
+            module: Any = ModuleType(name)
+            module.__path__ = []
+            vars(module).update(contents)
+            sys.modules[name] = module
+            package, _, attribute = name.rpartition(".")
+            if package:
+                setattr(sys.modules[package], attribute, module)

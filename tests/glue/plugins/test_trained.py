@@ -1,0 +1,129 @@
+"""`glue-agent NAME --load`: an agent that begins every run with what another run taught it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from agents.mario.sample import SampleAgent
+from agents.tabular import SarsaAgent
+from env_server.toys import MinesEnvironment, SkeletonEnvironment
+from glue.engine.calls import name_of
+from glue.engine.local import local
+from glue.errors import ConfigError, GlueError
+from glue.plugins.trained import Trained, load_trained
+from glue.roles import capabilities
+from tests.terminal import Terminal, run
+
+
+def sarsa(episodes: int) -> SarsaAgent:
+    """SARSA after so many episodes in the mines."""
+    agent = SarsaAgent()
+    with local(agent, MinesEnvironment()) as glue:
+        glue.rl_init(seed=1)
+        for _ in range(episodes):
+            glue.rl_episode(200)
+    return agent
+
+
+def test_what_was_learned_is_there_after_every_init() -> None:
+    taught = sarsa(50)
+    agent = Trained(SarsaAgent(), taught.agent_save())
+    for _ in range(2):
+        agent.agent_init(MinesEnvironment().env_init())
+        assert agent.agent_message("values") == taught.agent_message("values")
+        with local(agent, MinesEnvironment()) as glue:
+            glue.rl_start()
+            while not glue.rl_step().terminal:
+                pass
+        assert agent.agent_message("values") != taught.agent_message("values"), "it goes on learning"
+
+
+def test_trained_agent_offers_what_the_agent_does() -> None:
+    for agent in SarsaAgent(), SampleAgent():
+        trained = Trained(agent, b"")
+        assert capabilities(trained) == capabilities(agent)
+        assert name_of(trained) == name_of(agent), "messages name what a person started"
+
+
+def test_load_trained_reads_what_was_saved(tmp_path: Path) -> None:
+    taught = sarsa(20)
+    (tmp_path / "mines.agent").write_bytes(taught.agent_save())
+    agent = load_trained(SarsaAgent(), tmp_path / "mines.agent")
+    agent.agent_init(MinesEnvironment().env_init())
+    assert agent.agent_save() == taught.agent_save()
+
+
+def test_agent_that_cannot_load_and_file_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="object cannot load what was learned: it has no agent_load"):
+        load_trained(object(), tmp_path / "any.agent")
+    with pytest.raises(ConfigError, match=r"cannot read .*nothing\.agent: No such file"):
+        load_trained(SarsaAgent(), tmp_path / "nothing.agent")
+
+
+def test_file_of_more_than_a_gibibyte_is_not_read(tmp_path: Path) -> None:
+    with (tmp_path / "huge.agent").open("wb") as huge:
+        huge.truncate(2**30 + 1)  # It has no blocks on the disk.
+    with pytest.raises(ConfigError, match="larger than 1073741824 bytes"):
+        load_trained(SarsaAgent(), tmp_path / "huge.agent")
+
+
+def test_what_another_task_taught_is_refused_at_init() -> None:
+    agent = Trained(SarsaAgent(), sarsa(3).agent_save())
+    with local(agent, SkeletonEnvironment()) as glue, pytest.raises(GlueError, match="108 states"):
+        glue.rl_init()
+
+
+def test_loaded_agent_plays_from_the_command_line_as_it_had_learned(tmp_path: Path) -> None:
+    learned = sarsa(1000).agent_save()
+    (tmp_path / "mines.agent").write_bytes(learned)
+    expected = []
+    with local(Trained(SarsaAgent(learning=False, epsilon=0), learned), MinesEnvironment()) as glue:
+        glue.rl_init(seed=0)
+        for _ in range(3):
+            glue.rl_episode(60)
+            expected.append((glue.rl_return(), glue.rl_num_steps()))
+    status, shown, agent = experiment(tmp_path, "sarsa", "--load", "mines.agent", *GREEDY)
+    assert (status, agent.end()) == (0, 0)
+    *episodes, _ = map(json.loads, shown)
+    assert [(line["return"], line["steps"]) for line in episodes] == expected
+
+
+def test_file_of_another_agent_is_one_line_at_both_ends(tmp_path: Path) -> None:
+    (tmp_path / "other.agent").write_bytes(b"GLUE" + bytes(100))
+    status, _, agent = experiment(tmp_path, "sarsa", "--load", "other.agent")
+    assert (status, agent.end()) == (1, 1)
+    (error,) = [line for line in agent.lines if line.startswith("Error:")]
+    assert "104 bytes are not a save of agent sarsa" in error
+
+
+@pytest.mark.parametrize(
+    ("file", "advice"), [("nothing.agent", "cannot read nothing.agent"), (".", "is a directory")]
+)
+def test_file_that_cannot_be_read_is_one_line(tmp_path: Path, file: str, advice: str) -> None:
+    shown = run("glue-agent", "sarsa", "--load", file, cwd=tmp_path)
+    assert shown.returncode == 2
+    assert advice in shown.stderr
+    assert sum(line.startswith("Error:") for line in shown.stderr.splitlines()) == 1
+    assert "Traceback" not in shown.stderr
+
+
+GREEDY = ("--no-learning", "--epsilon", "0")
+
+
+def experiment(cwd: Path, *agent: str) -> tuple[int, list[str], Terminal]:
+    """Let `glue-agent` play three episodes in the mines; return how it went, and the agent's terminal."""
+    hub = f"ipc://{cwd}/hub"
+    player = Terminal("glue-agent", *agent, "--hub", hub, cwd=cwd)
+    try:
+        shown = run(
+            *("glue-experiment", "--env", "mines", "--episodes", "3", "--max-steps", "60", "--json"),
+            *("--bind", hub, "--out", "run"),
+            cwd=cwd,
+        )
+        player.end()
+    finally:
+        player.close()
+    return shown.returncode, shown.stdout.splitlines(), player
