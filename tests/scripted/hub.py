@@ -1,0 +1,132 @@
+"""A hub that says only what a test wants, on libzmq's ROUTER: all that is on the wire is a stranger's."""
+
+from __future__ import annotations
+
+import time
+from typing import Any, Final
+
+import msgpack
+import zmq
+
+from glue.client.libzmq import Context
+from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
+from glue.wire.messages import Kind, Message
+
+__all__ = ["HEARTBEAT", "ScriptedHub"]
+
+HEARTBEAT: Final = 0.05
+"""Interval of the heartbeats that its WELCOMEs ask for, in seconds."""
+
+_TIMEOUT: Final = 30.0
+
+
+class ScriptedHub:
+    """A hub that answers the peer which was heard last.
+
+    Args:
+        url: address to listen at, of scheme `tcp` or `ipc`; `*` for any port.
+
+    Attributes:
+        url: address to connect to.
+        route: identity of the connection over which the latest message came.
+    """
+
+    def __init__(self, url: str = "tcp://127.0.0.1:*") -> None:
+        self._context: Context = zmq.Context()
+        self.url = url
+        self.start()
+
+    def __enter__(self) -> ScriptedHub:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def start(self) -> None:
+        """Listen; after `stop`, at the same address, as another hub."""
+        self._socket = self._context.socket(zmq.ROUTER)
+        self._socket.setsockopt(zmq.RCVTIMEO, int(_TIMEOUT * 1000))
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.ROUTER_MANDATORY, 1)
+        deadline = time.monotonic() + _TIMEOUT
+        while True:
+            try:
+                self._socket.bind(self.url)
+                break
+            except zmq.ZMQError:  # libzmq has not closed the previous socket yet
+                assert time.monotonic() < deadline
+                time.sleep(0.01)
+        self.url = self._socket.getsockopt_string(zmq.LAST_ENDPOINT)
+        self.route = b""
+
+    def stop(self) -> None:
+        """End every connection without a word."""
+        self._socket.close()
+
+    def close(self) -> None:
+        """Stop, and free everything."""
+        self.stop()
+        self._context.term()
+
+    # Frames
+
+    def can_receive(self, seconds: float) -> bool:
+        """Return whether a message comes within some seconds."""
+        return bool(self._socket.poll(int(seconds * 1000)))
+
+    def receive_frames(self) -> list[bytes]:
+        """Return the frames of the next message."""
+        self.route, *frames = self._socket.recv_multipart()
+        return frames
+
+    def send_frames(self, *frames: bytes) -> None:
+        """Send any frames."""
+        self._socket.send_multipart([self.route, *frames])
+
+    # Messages
+
+    def send(self, *messages: Message) -> None:
+        """Send messages."""
+        for message in messages:
+            self.send_frames(*encode(message, FROM_HUB))
+
+    def deliver(self, route: bytes, message: Message) -> bool:
+        """Send a message over any connection; return False if it has ended."""
+        try:
+            self._socket.send_multipart([route, *encode(message, FROM_HUB)], zmq.DONTWAIT)
+        except zmq.ZMQError:
+            return False
+        return True
+
+    def next(self) -> Message:
+        """Return the next message, of whatever kind."""
+        return decode(self.receive_frames(), TO_HUB)
+
+    def hear(self, *kinds: Kind) -> Message:
+        """Return the next message that is no heartbeat; it must be of one of `kinds`."""
+        while (message := self.next()).kind is Kind.HEARTBEAT:
+            pass
+        assert message.kind in kinds, message
+        return message
+
+    def say(
+        self, kind: Kind, seq: int = 0, *scalars: Any, body: bytes = b"", session: str = "default"
+    ) -> None:
+        """Send a message."""
+        self.send(Message(kind, session, seq, scalars, body))
+
+    def say_unknown(self, kind: int, seq: int) -> None:
+        """Send a message of a kind that no peer of this version knows."""
+        self.send_frames(msgpack.packb([kind, "default", seq, "new"]), b"body")
+
+    def welcome(self, resumed: bool = False, session: str = "default", max_body: int = 10_000) -> Message:
+        """Welcome a peer; return its HELLO."""
+        hello = self.hear(Kind.HELLO)
+        assert hello.session == session
+        self.say(Kind.WELCOME, hello.seq, 1, resumed, HEARTBEAT, 10.0, max_body, session=session)
+        return hello
+
+    def call(self, kind: Kind, seq: int, *scalars: Any, body: bytes = b"") -> Message:
+        """Call a player; return its answer."""
+        self.say(kind, seq, *scalars, body=body)
+        return self.hear(kind)

@@ -1,0 +1,205 @@
+"""Programs of a simulated run: players whose every answer depends on all that they were asked, and an
+experiment.
+
+A call that was left out, made twice or made to another program changes the digest of a player, and with it
+every observation, action and reward that follows."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+from glue.engine.experiment import Experiment
+from glue.engine.local import local
+from glue.roles import Agent, Environment
+from glue.types import Action, Observation, Step
+
+__all__ = ["Block", "BusyAgent", "BusyEnvironment", "agent", "environment", "expected", "play"]
+
+Pause = Callable[[], None]
+
+
+def nothing() -> None:
+    """Do nothing."""
+
+
+class BusyEnvironment(Environment):
+    """An environment that digests its calls.
+
+    Args:
+        bulk: size of the largest observation, in bytes.
+        pause: called before each answer.
+    """
+
+    def __init__(self, bulk: int, pause: Pause = nothing) -> None:
+        self._bulk = bulk
+        self._pause = pause
+        self._digest = 0
+        self._steps = 0
+
+    def _mix(self, data: bytes) -> None:
+        self._pause()
+        self._digest = zlib.crc32(data, self._digest)
+
+    def _observe(self) -> Observation:
+        size = self._digest % self._bulk if self._bulk else 0
+        return Observation(ints=[self._digest & 0x7FFF_FFFF], chars=b"x" * size)
+
+    def env_seed(self, seed: int) -> None:
+        self._digest = seed & 0xFFFF_FFFF
+
+    def env_init(self) -> str:
+        self._mix(b"init")
+        return f"task {self._digest}"
+
+    def env_start(self) -> Observation:
+        self._mix(b"start")
+        self._steps = 0
+        return self._observe()
+
+    def env_step(self, action: Action) -> Step:
+        self._mix(action.body)
+        self._steps += 1
+        over = self._digest % 13 == 0
+        return Step(self._digest / 7.0, self._observe(), over, over and self._digest % 2 == 0)
+
+    def env_cleanup(self) -> None:
+        self._mix(b"cleanup")
+
+    def env_message(self, message: str) -> str:
+        return message[::-1]
+
+    def env_save(self) -> bytes:
+        return self._digest.to_bytes(4, "little")
+
+    def env_load(self, data: bytes) -> None:
+        self._digest = int.from_bytes(data, "little")
+
+
+class BusyAgent(Agent):
+    """An agent that digests its calls; the arguments are those of `BusyEnvironment`."""
+
+    def __init__(self, bulk: int, pause: Pause = nothing) -> None:
+        self._bulk = bulk
+        self._pause = pause
+        self._digest = 0
+
+    def _mix(self, data: bytes) -> None:
+        self._pause()
+        self._digest = zlib.crc32(data, self._digest)
+
+    def _act(self) -> Action:
+        size = self._digest % self._bulk if self._bulk else 0
+        return Action(ints=[self._digest & 0x7FFF_FFFF], chars=b"y" * size)
+
+    def agent_seed(self, seed: int) -> None:
+        self._digest = seed & 0xFFFF_FFFF
+
+    def agent_init(self, task_spec: str) -> None:
+        self._mix(task_spec.encode())
+
+    def agent_start(self, observation: Observation) -> Action:
+        self._mix(observation.body)
+        return self._act()
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        self._mix(repr(reward).encode() + observation.body)
+        return self._act()
+
+    def agent_end(self, reward: float) -> None:
+        self._mix(repr(reward).encode())
+
+    def agent_cleanup(self) -> None:
+        self._mix(b"cleanup")
+
+    def agent_message(self, message: str) -> str:
+        return message.upper()
+
+    def agent_save(self) -> bytes:
+        return self._digest.to_bytes(4, "little")
+
+    def agent_load(self, data: bytes) -> None:
+        self._digest = int.from_bytes(data, "little")
+
+
+class _Games(BusyEnvironment):
+    """Many games, whose batch of observations the hub does not look into."""
+
+    def env_batch(self) -> int:
+        return 2
+
+    def env_step(self, action: Action) -> Step:
+        return super().env_step(action)._replace(terminal=False, truncated=False)
+
+
+class _Players(BusyAgent):
+    """An agent of many games."""
+
+    def agent_batch(self) -> int:
+        return 0
+
+
+def environment(bulk: int, many: bool, pause: Pause = nothing) -> BusyEnvironment:
+    """Return an environment, of many games or of one."""
+    return (_Games if many else BusyEnvironment)(bulk, pause)
+
+
+def agent(bulk: int, many: bool, pause: Pause = nothing) -> BusyAgent:
+    """Return an agent, of many games or of one."""
+    return (_Players if many else BusyAgent)(bulk, pause)
+
+
+class Block(NamedTuple):
+    """From RL_init to RL_cleanup: all of it is void if a player is lost in it."""
+
+    seed: int
+    styles: tuple[int, ...]
+    """For each episode how it is played: by RL_episode, in steps, in half steps, with saves."""
+
+    steps: int
+    """Maximum number of steps of an episode."""
+
+
+def play(glue: Experiment, block: Block, pause: Pause = nothing) -> list[Any]:
+    """Play a block, pausing before each step and episode; return all that an experiment can see."""
+    seen: list[Any] = [glue.rl_init(block.seed)]
+    for style in block.styles:
+        pause()
+        if style == 0:
+            seen += [glue.rl_episode(block.steps), glue.rl_return(), glue.rl_num_steps()]
+        elif style == 1:
+            start = glue.rl_start()
+            seen += [start.observation.body, start.action.body]
+            for _ in range(block.steps):
+                pause()
+                step = glue.rl_step()
+                seen += [step.reward, step.terminal, step.observation.body]
+                if step.terminal:
+                    break
+            seen.append(glue.rl_return())
+        elif style == 2:
+            observation = glue.rl_env_start()
+            action = glue.rl_agent_start(observation)
+            for _ in range(block.steps):
+                pause()
+                step = glue.rl_env_step(action)
+                seen += [step.reward, step.terminal, step.observation.body]
+                if step.terminal and not step.truncated:
+                    glue.rl_agent_end(step.reward)
+                    break
+                action = glue.rl_agent_step(step.reward, step.observation)
+                if step.terminal:
+                    break
+        else:
+            seen += [glue.rl_agent_save(), glue.rl_env_save(), glue.rl_episode(block.steps), glue.rl_return()]
+    seen += [glue.rl_num_episodes(), glue.rl_agent_message("hello"), glue.rl_env_message("hello")]
+    glue.rl_cleanup()
+    return seen
+
+
+@cache
+def expected(block: Block, bulk: int, many: bool) -> list[Any]:
+    """Return the view of an experiment on a block whose players are objects of its own process."""
+    return play(local(agent(bulk, many), environment(bulk, many)), block)

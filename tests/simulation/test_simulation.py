@@ -1,0 +1,111 @@
+"""Simulated runs keep every promise; the simulator is deterministic and finds what it is for."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import pytest
+
+from tests.proof import size
+from tests.simulation.__main__ import many
+from tests.simulation.diagram import diagram
+from tests.simulation.faults import Fault, drawn
+from tests.simulation.mutants import MUTANTS, Mutant, first_seed
+from tests.simulation.run import simulate
+from tests.simulation.shrinking import needed
+
+SITUATIONS: Final = (
+    "experiment: forgotten by the hub",
+    "fault: again",
+    "hub: ERROR malformed",
+    "hub: ERROR not-asked",
+    "hub: ERROR peer-lost",
+    "hub: ERROR unknown-peer",
+    "hub: NOTICE joined",
+    "hub: NOTICE lost",
+    "hub: NOTICE returned",
+    "hub: NOTICE slow",
+    "hub: REFUSE full",
+    "hub: REFUSE malformed",
+    "hub: REFUSE no-session",
+    "hub: REFUSE role-taken",
+    "hub: REFUSE version",
+    "hub: WELCOME False",
+    "hub: WELCOME True",
+    "hub: a player returned, a call outstanding",
+    "hub: a player returned, no call outstanding",
+    "hub: an experiment returned, a reply to repeat",
+    "hub: an experiment returned, no reply to repeat",
+    "hub: lost an agent between verbs",
+    "hub: lost an agent in a verb",
+    "hub: lost an agent in an episode",
+    "hub: lost an environment between verbs",
+    "hub: lost an environment in a verb",
+    "hub: lost an environment in an episode",
+    "hub: lost an experiment between verbs",
+    "hub: lost an experiment in a verb",
+    "hub: lost an experiment in an episode",
+    "log: it used",
+    "observer: saw something",
+    "player: answered again what it had kept",
+    "player: repeated an answer",
+    "player: the hub said goodbye",
+    "void: a player was lost between two verbs",
+    "void: a player was replaced while its connection was broken",
+    "void: a player was unreachable for the timeout",
+)
+"""Situations of greeting, resumption, refusal, voiding and eviction that many seeds have to reach."""
+
+
+@pytest.mark.proof
+@pytest.mark.timeout(1800)
+def test_every_promise_is_kept_and_every_situation_reached() -> None:
+    total, failed, _ = many(0, size(20, 2_000), stop=False)
+
+    assert not failed, total.problems
+    assert total.blocks > 50
+    if size(False, True):
+        faults = sum(number for name, number in total.reached.items() if name.startswith("fault: "))
+        assert faults > 100_000
+        assert [name for name in SITUATIONS if not total.reached[name]] == []
+
+
+@pytest.mark.parametrize("seed", [182, 331, 1622, 1690])
+def test_seed_that_has_found_a_fault_keeps_every_promise(seed: int) -> None:
+    assert simulate(seed).problems == []
+
+
+def test_a_seed_is_always_the_same_run() -> None:
+    one, other = simulate(4, trace=True), simulate(4, trace=True)
+
+    assert one.trace == other.trace
+    assert one.faults == other.faults
+
+
+def test_seeds_differ() -> None:
+    assert drawn(1) != drawn(2)
+
+
+def test_the_faults_that_matter_are_those_that_remain() -> None:
+    faults = [Fault(at, "break", 0, 0.0) for at in range(40)]
+
+    def fails(tried: list[Fault]) -> bool:
+        return {3, 17} <= {fault.at for fault in tried}
+
+    assert [fault.at for fault in needed(faults, fails)] == [3, 17]
+
+
+def test_the_diagram_shows_faults_and_messages() -> None:
+    lines = list(diagram(simulate(4, trace=True).trace))
+
+    assert any("***" in line for line in lines)
+    assert any("HELLO" in line for line in lines)
+
+
+@pytest.mark.proof
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize(
+    "mutant", MUTANTS[: size(1, len(MUTANTS))], ids=lambda mutant: mutant.mistake.replace(" ", "-")
+)
+def test_a_mistake_is_found(mutant: Mutant) -> None:
+    assert first_seed(mutant) is not None

@@ -1,0 +1,350 @@
+"""The judges of a simulated run: calls carried out twice, episodes void for nothing, memory, situations
+reached."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Final
+
+from greenlet import getcurrent
+
+from glue.client import players
+from glue.client.answers import Player
+from glue.hub.io import channels, inside
+from glue.hub.io.log import Level, Log
+from glue.hub.io.server import Hub
+from glue.hub.session import Session
+from glue.hub.sessions import Switchboard
+from glue.wire.messages import CALLS, Kind, Message, Role
+from tests.simulation.world import replacing
+
+if TYPE_CHECKING:
+    from tests.simulation.faults import Fault
+    from tests.simulation.net import Socket
+    from tests.simulation.run import Run
+    from tests.simulation.world import Process
+
+__all__ = ["Watch"]
+
+_NAMED: Final = {Kind.REFUSE, Kind.ERROR, Kind.NOTICE, Kind.WELCOME, Kind.GOODBYE}
+
+_CAUSES: Final = {
+    "was unreachable": "a player was unreachable for the timeout",
+    "was replaced": "a player was replaced while its connection was broken",
+    "between two verbs": "a player was lost between two verbs",
+    "it used": "a session or connection was evicted",
+    "is void": "a verb of a void episode",
+}
+
+_RECONNECT_SECONDS: Final = 1.2
+"""Seconds that a connection may be missing after a break, with the longest delay before the next attempt."""
+
+
+class Watch:
+    """Watches one run.
+
+    Attributes:
+        seen: number of times that each situation occurred.
+        lines: what happened, if it was asked for: time, who, what.
+        last: virtual time of the last trouble.
+        calls: number of the last call that was carried out.
+    """
+
+    def __init__(self, run: Run, trace: bool) -> None:
+        self._run = run
+        self._trace = trace
+        self.seen: Counter[str] = Counter()
+        self.lines: list[Any] = []
+        self.last = 0.0
+        self.calls = 0
+        self._hubs: dict[int, Hub] = {}
+        self._incarnations: Counter[tuple[int, str]] = Counter()
+        self._carried: set[tuple[int, str, int, int, int]] = set()
+        self._roles: dict[int, tuple[Role, tuple[str, ...]]] = {}
+        self._troubles: list[tuple[float, float, int]] = []  # when, seconds, whose; 0 for everybody's
+        self._killed: list[tuple[float, int]] = []
+
+    # What the run tells.
+
+    def reached(self, name: str) -> None:
+        """Count a situation."""
+        self.seen[name] += 1
+
+    def note(self, *what: Any) -> None:
+        """Write a line of the trace."""
+        if self._trace:
+            self.lines.append((self._run.world.now, *what))
+
+    def log(self, process: Process) -> Log:
+        """Return the log of a hub."""
+        watch = self
+
+        class Noting(Log):
+            def __call__(self, line: str, level: Level = Level.PEERS) -> None:
+                watch.note(process.name, "log", line)
+                for part in (
+                    "another",
+                    "unreachable",
+                    "newer connections",
+                    "it used",
+                    "is gone",
+                    "dismissed",
+                ):
+                    if part in line:
+                        watch.reached(f"log: {part}")
+                if level is Level.ERROR and process.alive:
+                    watch._run.problems.append(f"an error of the hub: {line}")
+
+        return Noting(lambda line: None)
+
+    def started(self, process: Process, hub: Hub) -> None:
+        """Note that a hub listens."""
+        self._hubs[process.number] = hub
+
+    def player(self, process: Process, role: Role, sessions: list[str]) -> None:
+        """Note that a player was started."""
+        self._roles[process.number] = role, tuple(sessions)
+        self.note(process.name, "started", process.number)
+
+    def fault(self, fault: Fault, sender: Socket, data: bytes) -> None:
+        """Note that a fault happens."""
+        self.seen[f"fault: {fault.kind}"] += 1
+        self.last = self._run.world.now
+        peer = sender.peer
+        self.note("fault", str(fault), f"{sender.process.name} -> {peer.process.name if peer else '?'}")
+
+    def trouble(self, sender: Socket, seconds: float) -> None:
+        """Note that a connection breaks, or is useless for a while."""
+        for end in (sender, sender.peer):
+            if end is not None:
+                self._troubles.append((self._run.world.now, seconds, end.process.number))
+
+    def stopped(self, process: Process | None, seconds: float) -> None:
+        """Note that a program gets no core for a while; None for all of them."""
+        hub = process is None or process.number in self._hubs
+        number = 0 if process is None or hub else process.number
+        self._troubles.append((self._run.world.now, seconds, number))
+
+    def killed(self, process: Process) -> None:
+        """Note that a program is killed."""
+        self._killed.append((self._run.world.now, process.number))
+        self.note(process.name, "killed", process.number)
+
+    def restarted(self) -> None:
+        """Note that the running program begins again, as another peer."""
+        current: Any = getcurrent()
+        self._killed.append((self._run.world.now, current.process.number))
+
+    # Judges.
+
+    def void(self, session: Any, error: Exception, began: float) -> None:
+        """Judge (c): an episode is void only if a player was lost in it."""
+        text = str(error)
+        self.note(f"experiment of {session.name}", "void", text)
+        cause = next((name for part, name in _CAUSES.items() if part in text), None)
+        self.reached(f"void: {cause or text[:60]}")
+        now = self._run.world.now
+        role = Role.AGENT if "agent" in text.split(":")[-1].split("(")[0][:40] else Role.ENVIRONMENT
+        timeout = self._run.timeout
+        since = began - timeout - 10.0
+        numbers = {
+            number
+            for number, (each, sessions) in self._roles.items()
+            if session.name in sessions and (each is role or "between" in text)
+        }
+        if self._run.inside or (self._run.small and "used" in text):
+            pass
+        if any(number in numbers or number in self._hubs for when, number in self._killed if when >= since):
+            return
+        if (
+            cause is not None
+            and ("replaced" in cause or "between" in cause)
+            and len(numbers) > 1 + ("between" in cause)
+        ):
+            return
+        if self._run.small and cause is not None and "evicted" in cause:
+            return
+        missing = sum(
+            seconds + _RECONNECT_SECONDS
+            for when, seconds, number in self._troubles
+            if when + seconds >= since and number in {0, *numbers}
+        )
+        if cause is None or missing + self._run.heartbeat < timeout:
+            self._run.problems.append(
+                f"(c) session {session.name} is void without a loss, "
+                f"{now - began:.3f} s after its beginning: {text}"
+            )
+
+    def closed(self, session: Any, error: Exception) -> None:
+        """Judge what an experiment was told when its session ended."""
+        text = str(error)
+        self.note(f"experiment of {session.name}", "closed", text)
+        for part, name in (
+            ("knows nothing", "experiment: forgotten by the hub"),
+            ("times in succession", "experiment: gave up a request"),
+            ("was ended", "experiment: its session was ended"),
+        ):
+            if part in text:
+                self.reached(name)
+                break
+        else:
+            self.reached(f"experiment closed: {text[:50]}")
+        hubs = sum(1 for _, number in self._killed if number in self._hubs)
+        if not hubs and not self._troubles and not self._killed and not self._run.small:
+            self._run.problems.append(f"(c) session {session.name} was ended without a cause: {text}")
+
+    def _carry_out(self, session: str, seq: int, kind: Kind) -> None:
+        """Judge (a): a program carries a call of a hub out once."""
+        current: Any = getcurrent()
+        process: Process = current.process
+        hub = process.heard or process.number
+        key = (process.number, session, hub, self._incarnations[hub, session], seq)
+        self.note(process.name, "carries out", session, kind.name, seq)
+        if key in self._carried:
+            self._run.problems.append(f"(a) {process.name} carried out {kind.name} {seq} of {session} twice")
+        self._carried.add(key)
+        self.calls = seq
+
+    def _memory(self, hub: Hub) -> None:
+        """Judge (d): what connections and sessions keep is within the limit, and accounted for."""
+        limit = hub.config.max_memory
+        held = 0
+        for channel in hub._channels._open:
+            if not channel.connection.closed:
+                held += channel._stream.buffered + channel.connection.unsent
+        if held > limit:
+            self._run.problems.append(f"(d) the connections of a hub keep {held} bytes, more than {limit}")
+        for holder in hub.switchboard.memory._held:
+            if isinstance(holder, channels._Channel) and holder not in hub._channels._open:
+                self._run.problems.append("(d) the hub accounts for a connection that is closed")
+            if isinstance(holder, Session) and hub.switchboard._sessions.get(holder.name) is not holder:
+                self._run.problems.append(f"(d) the hub accounts for session {holder.name}, which is over")
+
+    @contextmanager
+    def entered(self) -> Iterator[None]:
+        """Watch the hub and the players, while the body of the `with` runs."""
+        watch = self
+
+        class Counting(Player):
+            """A player whose calls are counted."""
+
+            _now: Message
+
+            def __init__(self, role: Role, player: Any) -> None:
+                super().__init__(role, player)
+                for kind, (handler, read) in list(self._handlers.items()):
+                    self._handlers[kind] = self._counted(kind, handler), read
+
+            def _counted(self, kind: Kind, handler: Any) -> Any:
+                def counted(scalars: Any, body: Any) -> Any:
+                    watch._carry_out(self._now.session, self._now.seq, kind)
+                    return handler(scalars, body)
+
+                return counted
+
+            def answer(self, message: Message) -> Message | None:
+                last, kept = self._last_seq, self._last_call
+                if message.seq == last:
+                    watch.reached("player: repeated an answer")
+                elif message == kept:
+                    watch.reached("player: answered again what it had kept")
+                self._now = message
+                return super().answer(message)
+
+        replaced: list[tuple[Any, str, Any]] = [
+            (players, "Player", Counting),
+            (inside, "Player", Counting),
+            (channels._Channel, "deliver", self._delivering(channels._Channel.deliver)),
+            (Switchboard, "tick", self._ticking(Switchboard.tick)),
+            (Switchboard, "receive", self._receiving(Switchboard.receive)),
+            (Session, "__init__", self._opening(Session.__init__)),
+            (Session, "join", self._joining(Session.join)),
+            (Session, "lose", self._losing(Session.lose)),
+            (channels.Channels, "drop", self._dropping(channels.Channels.drop)),
+        ]
+        with replacing(replaced):
+            yield
+
+    def _delivering(self, original: Any) -> Any:
+        def deliver(channel: Any, message: Message) -> bool:
+            delivered: bool = original(channel, message)
+            kind = message.kind
+            if kind in _NAMED:
+                what = (
+                    "" if kind is Kind.GOODBYE else f" {message.scalars[1 if kind is Kind.WELCOME else 0]!s}"
+                )
+                self.seen[f"hub: {kind.name}{what}{'' if delivered else ' not delivered'}"] += 1
+            elif not delivered:
+                self.seen["hub: a message found its connection gone"] += 1
+            if self._trace and kind is not Kind.HEARTBEAT:
+                self.note("hub", "sends" if delivered else "cannot send", _peer_of(channel), message)
+            return delivered
+
+        return deliver
+
+    def _ticking(self, original: Any) -> Any:
+        def tick(switchboard: Switchboard, now: float) -> None:
+            original(switchboard, now)
+            for hub in self._hubs.values():
+                if hub.switchboard is switchboard:
+                    self._memory(hub)
+
+        return tick
+
+    def _receiving(self, original: Any) -> Any:
+        def receive(switchboard: Switchboard, route: Any, message: Message, now: float) -> bool:
+            if self._trace and message.kind is not Kind.HEARTBEAT:
+                self.note("hub", "receives", _peer_of(route), message)
+            result: bool = original(switchboard, route, message, now)
+            return result
+
+        return receive
+
+    def _opening(self, original: Any) -> Any:
+        def init(session: Session, board: Any, name: str, time: Any = None) -> None:
+            original(session, board, name, time)
+            current: Any = getcurrent()
+            self._incarnations[current.process.number, name] += 1
+
+        return init
+
+    def _joining(self, original: Any) -> Any:
+        def join(session: Session, peer: Any, same: bool, announce: bool) -> None:
+            if same and peer.role is Role.EXPERIMENT:
+                self.seen[
+                    f"hub: an experiment returned, {'a' if session._reply else 'no'} reply to repeat"
+                ] += 1
+            elif same:
+                asked = session._engine.asked
+                its = asked is not None and CALLS[asked.kind].callee is peer.role
+                self.seen[f"hub: a player returned, {'a' if its else 'no'} call outstanding"] += 1
+            original(session, peer, same, announce)
+
+        return join
+
+    def _losing(self, original: Any) -> Any:
+        def lose(session: Session, peer: Any, why: str, code: Any) -> None:
+            engine = session._engine
+            when = "in an episode" if engine.in_episode else "in a verb" if engine.verb else "between verbs"
+            self.seen[f"hub: lost an {peer.role} {when}"] += 1
+            self.note("hub", "loses", f"{peer.role} of {session.name}", why)
+            original(session, peer, why, code)
+
+        return lose
+
+    def _dropping(self, original: Any) -> Any:
+        def drop(every: Any, channel: Any, why: str | None) -> None:
+            seated = "seated" if channel.seated else "unseated"
+            self.seen[f"hub: dropped a {seated} connection{' for ' + why[:24] if why else ''}"] += 1
+            original(every, channel, why)
+
+        return drop
+
+
+def _peer_of(route: Any) -> str:
+    """Return the name of the program at the other end of a connection of the hub."""
+    connection = getattr(route, "connection", None)
+    peer = None if connection is None else connection._socket.peer
+    return "inside" if peer is None else str(peer.process.name)

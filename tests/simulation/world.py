@@ -1,0 +1,340 @@
+"""A world of its own: processes on one thread, a virtual clock, and every choice from one generator.
+
+A `World` stands at the doors of `glue` (glue/doors): whatever the programs in it ask the system for, it
+answers. A program runs until it waits; then the world chooses who runs next."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from heapq import heappop, heappush
+from random import Random
+from typing import Any, Final
+
+from greenlet import GreenletExit, getcurrent, greenlet
+
+from glue.doors import chance, clock, network, threads
+
+__all__ = ["Process", "Stuck", "World", "replacing"]
+
+READ_SECONDS: Final = 1e-6
+"""Virtual time that passes when the clock is read: otherwise a loop until some time would never end."""
+
+YIELD_SECONDS: Final = 10e-6
+
+
+class Stuck(Exception):
+    """Nobody is ready and nothing will happen, or far too much happens."""
+
+
+class Task(greenlet):
+    """A thread of a process."""
+
+    process: Process
+    blocked = False
+    wakes = 0
+
+
+class Process:
+    """A program that can be killed or stopped at any moment.
+
+    Attributes:
+        name: name for people.
+        number: a number that no other process has.
+        heard: number of the process whose bytes it has read last.
+        alive: whether it has not been killed.
+        stopped_until: virtual time before which it gets no core.
+        connections: open sockets of the process, in the order of their descriptors.
+    """
+
+    def __init__(self, world: World, name: str) -> None:
+        world.processes += 1
+        self.world = world
+        self.name = name
+        self.number = world.processes
+        self.heard = 0
+        self.alive = True
+        self.stopped_until = 0.0
+        self.connections: dict[int, Any] = {}
+        self.tasks: list[Task] = []
+
+    def spawn(self, run: Callable[[], object]) -> Task:
+        """Begin a thread of the process."""
+
+        def guarded() -> None:
+            try:
+                run()
+            except GreenletExit:
+                pass
+            except BaseException as error:
+                self.world.failed(self, error)
+
+        task = Task(guarded, self.world.scheduler)
+        task.process = self
+        self.tasks.append(task)
+        self.world.ready.append(task)
+        return task
+
+    def kill(self) -> None:
+        """End the process as SIGKILL does: nothing more is said, and its connections are reset."""
+        if not self.alive:
+            return
+        self.alive = False
+        for connection in list(self.connections.values()):
+            connection.abandon()
+        self.connections.clear()
+        for task in self.tasks:
+            if not task.dead and task is not getcurrent():
+                task.parent = getcurrent()
+                task.throw(GreenletExit)
+        self.tasks.clear()
+
+
+class World:
+    """Clock, scheduler and chance of one simulated run.
+
+    Args:
+        seed: decides everything that is not decided by the programs.
+
+    Attributes:
+        random: the generator of the schedule and of latencies.
+        now: virtual time in seconds.
+        failures: errors that no program may end with.
+        turns: number of times that a program was given the core.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self.random = Random(seed)
+        self.bytes = Random(seed + 1)
+        self.now = 1000.0
+        self.scheduler = getcurrent()
+        self.ready: list[Task] = []
+        self.failures: list[str] = []
+        self.turns = 0
+        self.processes = 0
+        self._events: list[tuple[float, int, Callable[..., object], tuple[Any, ...]]] = []
+        self._number = 0
+
+    # The scheduler.
+
+    def at(self, time: float, act: Callable[..., object], *args: Any) -> None:
+        """Call `act` at a virtual time."""
+        self._number += 1
+        heappush(self._events, (time, self._number, act, args))
+
+    def run(self, done: Callable[[], bool], max_turns: int) -> None:
+        """Run until `done`.
+
+        Raises:
+            Stuck: nothing can happen any more, or it takes too many turns.
+        """
+        ready, events, choose = self.ready, self._events, self.random.random
+        while True:
+            if not self.turns % 16 and done():
+                return
+            while events and events[0][0] <= self.now:
+                _, _, act, args = heappop(events)
+                act(*args)
+            if ready:
+                chosen = int(choose() * len(ready))
+                ready[chosen], ready[-1] = ready[-1], ready[chosen]
+                task = ready.pop()
+                if task.dead or not task.process.alive:
+                    continue
+                if task.process.stopped_until > self.now:
+                    self.at(task.process.stopped_until, ready.append, task)
+                    continue
+                self.turns += 1
+                if self.turns > max_turns:
+                    raise Stuck(f"no end after {max_turns} turns")
+                task.switch()
+            elif events:
+                self.now = max(self.now, events[0][0])
+            else:
+                raise Stuck("nothing will happen any more")
+
+    def block(self, seconds: float | None = None) -> None:
+        """Wait until `wake`, or for so many seconds."""
+        task: Any = getcurrent()
+        if not task.process.alive:
+            raise GreenletExit
+        task.blocked = True
+        if seconds is not None:
+            self.at(self.now + seconds, self._time_out, task, task.wakes)
+        self.scheduler.switch()
+
+    def _time_out(self, task: Task, wakes: int) -> None:
+        if task.wakes == wakes:
+            self.wake(task)
+
+    def wake(self, task: Task) -> None:
+        """Let a task go on that has blocked."""
+        if task.blocked:
+            task.blocked = False
+            task.wakes += 1
+            self.ready.append(task)
+
+    def failed(self, process: Process, error: BaseException) -> None:
+        """Note that a program has ended with an error that is not its own to raise."""
+        import traceback
+
+        if process.alive:
+            text = "".join(traceback.format_exception(error))
+            self.failures.append(f"{process.name} failed: {type(error).__name__}: {error}\n{text}")
+
+    # What the doors lead to.
+
+    def monotonic(self) -> float:
+        """Return the virtual time."""
+        self.now += READ_SECONDS
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        """Wait."""
+        self.block(max(seconds, 0.0))
+
+    def give_way(self) -> None:
+        """Let another program run."""
+        task: Any = getcurrent()
+        self.now += YIELD_SECONDS
+        if not task.process.alive:
+            raise GreenletExit
+        self.ready.append(task)
+        self.scheduler.switch()
+
+    def random_bytes(self, size: int) -> bytes:
+        """Return the next bytes of the seed."""
+        return self.bytes.randbytes(size)
+
+    @contextmanager
+    def entered(self, net: Any) -> Iterator[None]:
+        """Replace what is behind the doors, while the body of the `with` runs."""
+        world = self
+
+        class Lock(_Lock):
+            def __init__(self) -> None:
+                super().__init__(world)
+
+        class Event(_Event):
+            def __init__(self) -> None:
+                super().__init__(world)
+
+        class Thread(_Thread):
+            pass
+
+        Thread.world = world
+        replaced: list[tuple[Any, str, Any]] = [
+            (clock, "monotonic", self.monotonic),
+            (clock, "sleep", self.sleep),
+            (clock, "give_way", self.give_way),
+            (chance, "random_bytes", self.random_bytes),
+            (threads, "Lock", Lock),
+            (threads, "Event", Event),
+            (threads, "Thread", Thread),
+            *((network, name, value) for name, value in net.door().items()),
+        ]
+        with replacing(replaced):
+            yield
+
+
+def _current() -> Any:
+    return getcurrent()
+
+
+@contextmanager
+def replacing(attributes: Sequence[tuple[Any, str, Any]]) -> Iterator[None]:
+    """Give attributes, as (owner, name, value), other values while the body of the `with` runs."""
+    before = [(owner, name, getattr(owner, name)) for owner, name, _ in attributes]
+    for owner, name, value in attributes:
+        setattr(owner, name, value)
+    try:
+        yield
+    finally:
+        for owner, name, value in before:
+            setattr(owner, name, value)
+
+
+class _Lock:
+    """A lock between the threads of simulated processes."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._held = False
+        self._waiting: list[Any] = []
+
+    def acquire(self) -> bool:
+        while self._held:
+            self._waiting.append(getcurrent())
+            self._world.block()
+        self._held = True
+        return True
+
+    def release(self) -> None:
+        self._held = False
+        waiting, self._waiting = self._waiting, []
+        for task in waiting:
+            self._world.wake(task)
+
+    def locked(self) -> bool:
+        return self._held
+
+    def __enter__(self) -> bool:
+        return self.acquire()
+
+    def __exit__(self, *error: object) -> None:
+        self.release()
+
+
+class _Event:
+    """An event between the threads of simulated processes."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._set = False
+        self._waiting: list[Any] = []
+
+    def set(self) -> None:
+        self._set = True
+        for task in self._waiting:
+            self._world.wake(task)
+        self._waiting.clear()
+
+    def is_set(self) -> bool:
+        return self._set
+
+    def wait(self, timeout: float | None = None) -> bool:
+        if not self._set:
+            self._waiting.append(getcurrent())
+            self._world.block(timeout)
+        return self._set
+
+
+class _Thread:
+    """A thread of the process that starts it."""
+
+    world: World
+
+    def __init__(
+        self,
+        target: Callable[..., object],
+        args: tuple[Any, ...] = (),
+        kwargs: dict[str, Any] | None = None,
+        name: str = "",
+        daemon: bool = False,
+    ) -> None:
+        self._run: Callable[[], object] = lambda: target(*args, **(kwargs or {}))
+        self._ended = _Event(self.world)
+
+    def start(self) -> None:
+        process: Process = _current().process
+
+        def run() -> None:
+            try:
+                self._run()
+            finally:
+                self._ended.set()
+
+        process.spawn(run)
+
+    def join(self, timeout: float | None = None) -> None:
+        self._ended.wait(timeout)
