@@ -16,43 +16,21 @@ Source: RL-Competition 2009; Mohan (2010), appendix A.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from decimal import Decimal
 from itertools import product
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
+from env_server.mario import parameters as tasks
 from env_server.mario.game import Game
-from env_server.mario.options import (
-    AccelFall,
-    Alpha,
-    Instance,
-    JumpTime,
-    LevelDifficulty,
-    LevelSeed,
-    LevelType,
-    LevelWidth,
-    MaxTrialSteps,
-    Mdp,
-    Render,
-    RewardCoin,
-    RewardDeath,
-    RewardGoal,
-    RewardKill,
-    RewardStep,
-    SlidejumpTime,
-    SpeedJump,
-    SpeedRun,
-    SpeedSlidejump,
-    SpeedWalk,
-    StartTicks,
-    Velocity,
-)
 from env_server.mario.parameters import Parameters, resolve
 from env_server.mario.saving import State, pack_state, unpack_state
 from glue.errors import ConfigError, SaveError, SimulatorError
-from glue.options import parameters, parse_assignments
+from glue.options import Value, parameters, parse_assignments
+from glue.roles import Environment
 from glue.suggestions import did_you_mean
-from glue.types import Action, Observation
+from glue.types import Action, Observation, Step
 
 __all__ = ["InfiniteMario", "check_parameters"]
 
@@ -63,72 +41,25 @@ _ACTIONS: Final = {Action(ints=buttons).body: buttons for buttons in product((-1
 _DIMENSIONS: Final = (("direction", -1, 1), ("jump", 0, 1), ("run", 0, 1))
 
 
-class InfiniteMario:
+class InfiniteMario(Environment):
     """Infinite Mario of the RL-Competition 2009.
 
-    The task is a published instance or MDP; a parameter that is given overrides theirs.
+    The task is a published instance or MDP; a parameter that is given overrides theirs. docs/mario.md and
+    `glue-env mario --help` list the options, which are the fields of `Options`. A small session:
+
+        mario = InfiniteMario(level_seed=7, level_difficulty=1)
+        task_spec = mario.env_init()
+        observation = mario.env_start()
+        step = mario.env_step(Action(ints=[1, 0, 1]))
+
+    Raises:
+        SimulatorError: an option is unknown or out of bounds, or both an instance and an MDP are given.
     """
 
-    def __init__(
-        self,
-        *,
-        instance: Instance = 0,
-        mdp: Mdp = None,
-        level_seed: LevelSeed = None,
-        level_type: LevelType = None,
-        level_difficulty: LevelDifficulty = None,
-        level_width: LevelWidth = None,
-        max_trial_steps: MaxTrialSteps = None,
-        reward_goal: RewardGoal = None,
-        reward_death: RewardDeath = None,
-        reward_step: RewardStep = None,
-        reward_coin: RewardCoin = None,
-        reward_kill: RewardKill = None,
-        speed_walk: SpeedWalk = None,
-        speed_run: SpeedRun = None,
-        speed_jump: SpeedJump = None,
-        speed_slidejump: SpeedSlidejump = None,
-        accel_fall: AccelFall = None,
-        jump_time: JumpTime = None,
-        slidejump_time: SlidejumpTime = None,
-        render: Render = "tick",
-        alpha: Alpha = 1.0,
-        start_ticks: StartTicks = 5,
-        velocity: Velocity = "source",
-    ) -> None:
-        """Make the environment of a task; for a parameter that is None, the instance or MDP decides.
+    Options: ClassVar[type] = tasks.Options
 
-        Args:
-            instance: published set of all parameters except the level's, 0 to 9.
-            mdp: published task including its level, `proving-1` to `testing-10`, in place of an instance.
-            level_seed, level_type, level_difficulty, level_width: the level. Types are 0 overground,
-                1 underground and 2 castle; the width is in tiles, and a level has 50 more.
-            max_trial_steps: steps after which Mario dies.
-            reward_goal, reward_death, reward_step, reward_coin, reward_kill: the rewards.
-            speed_walk, speed_run: acceleration, in pixels per tick squared.
-            speed_jump, speed_slidejump: speed of a jump, from the ground and off a wall, in pixels per tick
-                and remaining jump count.
-            accel_fall: share of the vertical speed that is kept in each tick.
-            jump_time, slidejump_time: ticks for which a jump rises; off a wall they are negative.
-            render: when the original draws a frame, `tick` or `checkin`; drawing moves the camera and
-                notices the end of an episode.
-            alpha: how far into the next tick it draws, 0 to 1.
-            start_ticks: ticks before the first observation, 5 or 10.
-            velocity: `source` reports tiles per step, `jar` what the first binary release reported.
-
-        Raises:
-            SimulatorError: a parameter is out of bounds, or both an instance and an MDP are given.
-
-        `glue-env mario --help` lists every default and bound. A small session:
-
-            mario = InfiniteMario(level_seed=7, level_difficulty=1)
-            task_spec = mario.env_init()
-            observation = mario.env_start()
-            reward, observation, terminal = mario.env_step(Action(ints=[1, 0, 1]))
-        """
-        # The first statement, so that the parameters are all the locals there are.
-        given = {name: value for name, value in locals().items() if name != "self" and value is not None}
-        self._task = check_parameters(given)
+    def __init__(self, **options: Value | None) -> None:
+        self._task = check_parameters({name: value for name, value in options.items() if value is not None})
         self._parameters = self._task
         self._game: Game | None = None
 
@@ -182,13 +113,13 @@ class InfiniteMario:
         """
         return self.game.start()
 
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+    def env_step(self, action: Action) -> Step:
         """Hold the buttons of `action` for five ticks.
 
         Raises:
             SimulatorError: the action is out of bounds or misshapen, or no episode is being played.
         """
-        return self.game.step(*self.buttons_of(action))
+        return Step(*self.game.step(*self.buttons_of(action)))
 
     @staticmethod
     def buttons_of(action: Action) -> tuple[int, int, int]:
@@ -224,7 +155,7 @@ class InfiniteMario:
         )
 
     def env_save(self) -> bytes:
-        """Return what later episodes depend on: the level, and the buttons as the last episode left them."""
+        """Return the state on which later episodes depend: the level, and the buttons as last pressed."""
         level = tuple(getattr(self._parameters, name) for name in _LEVEL)
         return pack_state(State(level, self.buttons, bool(self.game.world.started)))
 
@@ -249,7 +180,7 @@ class InfiniteMario:
             self._game.set_task(self._parameters)
 
 
-def check_parameters(options: dict[str, Any]) -> Parameters:
+def check_parameters(options: Mapping[str, Any]) -> Parameters:
     """Return the task that options of `InfiniteMario`, by name, stand for.
 
     Raises:
@@ -262,7 +193,7 @@ def check_parameters(options: dict[str, Any]) -> Parameters:
     return resolve(given, instance=instance, mdp=mdp)
 
 
-def _check(values: dict[str, Any]) -> dict[str, Any]:
+def _check(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return parameters by name, each within its bounds."""
     known = parameters(InfiniteMario)
     for name in values:

@@ -12,13 +12,25 @@ from env_server.mario.level import Level, Spawn
 from env_server.mario.observation import BODY_SIZE, encode
 from env_server.mario.parameters import Parameters
 from env_server.mario.reward import ordinary_reward, terminal_reward
-from env_server.mario.sim.state import RED_KOOPA, ROWS, SPAWN_KIND, SPAWN_WINGED, WORLD, World, Worlds
+from env_server.mario.sim.state import (
+    LEVEL,
+    RED_KOOPA,
+    ROWS,
+    SPAWN_KIND,
+    SPAWN_WINGED,
+    WORLD,
+    LevelMap,
+    Levels,
+    World,
+    Worlds,
+)
 from env_server.mario.sim.step import act, begin
-from glue.compiled.jit import announce_compilation, entry, jit
+from env_server.mario.sim.tiles import CHANGED
+from glue.compiled.jit import announce_compilation, entry
 from glue.errors import SimulatorError
 from glue.types import Observation
 
-__all__ = ["Body", "Game", "start_first", "start_world", "step_world"]
+__all__ = ["Body", "Game"]
 
 Body = npt.NDArray[np.uint8]
 """Room for an observation as the body of an abstract type, shape (BODY_SIZE,)."""
@@ -36,6 +48,8 @@ class Game:
 
     def __init__(self, parameters: Parameters) -> None:
         self._memory: Worlds = np.zeros(1, WORLD)
+        self._level: Levels = np.zeros(1, LEVEL)
+        self._shared = False  # whether a clone may play on this level too
         self._body = np.zeros(BODY_SIZE, np.uint8)
         self._bytes = self._body.data
         self._observation = Observation()
@@ -49,13 +63,21 @@ class Game:
         return world
 
     @property
+    def level_map(self) -> LevelMap:
+        """The memory of the level as it was generated."""
+        level: LevelMap = self._level[0]
+        return level
+
+    @property
     def level(self) -> Level:
         """The level as it is now; used blocks and collected coins show in its tiles."""
-        world = self.world
-        tiles, spawns = world.tiles[: world.columns], world.spawns[: world.columns]
+        level = self.level_map
+        tiles, spawns = level.tiles[: level.columns], level.spawns[: level.columns]
+        changed = self.world.changed[: level.columns, np.newaxis] >> np.arange(ROWS) & 1
+        tiles = np.where(changed == 1, CHANGED[tiles], tiles)
         return Level(
-            int(world.columns),
-            (int(world.exit_x), int(world.exit_y)),
+            int(level.columns),
+            (int(level.exit_x), int(level.exit_y)),
             tuple(tiles[:, row].tobytes().hex() for row in range(ROWS)),
             tuple(_spawn(x, y, int(spawns[x, y])) for x, y in np.argwhere(spawns).tolist()),
         )
@@ -66,7 +88,9 @@ class Game:
 
     def start(self) -> Observation:
         """Begin an episode; return its first observation."""
-        size = start_first(self._memory, self._body)
+        if self._shared:
+            self._level, self._shared = np.zeros(1, LEVEL), False
+        _, size = _carry_out(self._memory, self._level, True, 0, 0, 0, self._body)
         self._observation = Observation._wrap(bytes(self._bytes[:size]))
         return self._observation
 
@@ -82,7 +106,7 @@ class Game:
         Raises:
             SimulatorError: no episode is being played.
         """
-        reward, size = _step_first(self._memory, direction, jump, run, self._body)
+        reward, size = _carry_out(self._memory, self._level, False, direction, jump, run, self._body)
         if size > 0:
             self._observation = Observation._wrap(bytes(self._bytes[:size]))
             return reward, self._observation, False
@@ -108,13 +132,15 @@ class Game:
         if not self.world.playing:
             raise SimulatorError(_NO_EPISODE)
         rewards = np.empty(len(choices))
-        count = _play_first(self._memory, buttons, choices, rewards)
+        count = _play_first(self._memory, self._level, buttons, choices, rewards)
         return rewards[:count], not self.world.playing
 
     def clone(self) -> Game:
         """Return another game at the same point."""
         game = Game.__new__(Game)
         game._memory = self._memory.view(np.uint8).copy().view(WORLD)
+        game._level = self._level
+        game._shared = self._shared = True
         game._body = np.zeros(BODY_SIZE, np.uint8)
         game._bytes = game._body.data
         game._observation = self._observation
@@ -123,6 +149,8 @@ class Game:
     def restore(self, other: Game) -> None:
         """Go to the point at which `other` is."""
         self._memory.view(np.uint8)[:] = other._memory.view(np.uint8)
+        self._level = other._level
+        self._shared = other._shared = True
         self._observation = other._observation
 
 
@@ -130,54 +158,44 @@ def _spawn(column: int, row: int, code: int) -> Spawn:
     return Spawn(column, row, (code & SPAWN_KIND) - RED_KOOPA, code & SPAWN_WINGED != 0)
 
 
-@jit
-def step_world(world: World, direction: int, jump: int, run: int, body: Body) -> tuple[float, int]:
-    """Carry out an action.
+@entry
+def _carry_out(
+    worlds: Worlds, levels: Levels, begins: bool, direction: int, jump: int, run: int, body: Body
+) -> tuple[float, int]:
+    """Begin an episode in the first of `worlds`, or carry out an action in it.
+
+    One function for both, because the rules are compiled into each that calls them.
 
     Returns:
-        The reward, and the length of the observation now in `body`: 0 if the episode ended.
+        The reward, and the length of the observation now in `body`: 0 if the episode ended, -1 if there is
+        none.
     """
-    if act(world, direction, jump, run):
-        return ordinary_reward(world), encode(world, body)
-    return terminal_reward(world), 0
-
-
-@jit
-def start_world(world: World, body: Body) -> int:
-    """Begin an episode; return the length of the observation now in `body`."""
-    begin(world)
-    ordinary_reward(world)  # of the first check-in: noted as paid, although the agent does not receive it
-    return encode(world, body)
-
-
-@entry
-def start_first(worlds: Worlds, body: Body) -> int:
-    """Begin an episode in the first of `worlds`, as `start_world`."""
     world: World = worlds[0]
-    return start_world(world, body)
-
-
-@entry
-def _step_first(worlds: Worlds, direction: int, jump: int, run: int, body: Body) -> tuple[float, int]:
-    """Carry out an action in the first of `worlds`, as `step_world`; -1 long if no episode is on."""
-    world: World = worlds[0]
-    if not world.playing:
+    level: LevelMap = levels[0]
+    if begins:
+        begin(world, level)
+    elif not world.playing:
         return 0.0, -1
-    return step_world(world, direction, jump, run, body)
+    elif not act(world, level, direction, jump, run):
+        return terminal_reward(world), 0
+    # The reward of the first check-in is noted as paid, although the agent does not receive it.
+    return ordinary_reward(world), encode(world, level, body)
 
 
 @entry
 def _play_first(
     worlds: Worlds,
+    levels: Levels,
     buttons: npt.NDArray[np.int64],
     choices: npt.NDArray[np.int64],
     rewards: npt.NDArray[np.float64],
 ) -> int:
     """Carry out actions in the first of `worlds`, as `Game.play`; return how many."""
     world: World = worlds[0]
+    level: LevelMap = levels[0]
     for i in range(len(choices)):
         action = buttons[choices[i]]
-        if not act(world, action[0], action[1], action[2]):
+        if not act(world, level, action[0], action[1], action[2]):
             rewards[i] = terminal_reward(world)
             return i + 1
         rewards[i] = ordinary_reward(world)
@@ -187,8 +205,5 @@ def _play_first(
 @cache
 def _prepare() -> None:
     """Load the compiled rules or, the first time ever, compile them and say so."""
-    world = np.zeros(1, WORLD)
-    body = np.zeros(BODY_SIZE, np.uint8)
-    with announce_compilation("Infinite Mario"):
-        start_first(world, body)
-        _step_first(world, 0, 0, 0, body)
+    with announce_compilation("Infinite Mario", 12):
+        _carry_out(np.zeros(1, WORLD), np.zeros(1, LEVEL), True, 0, 0, 0, np.zeros(BODY_SIZE, np.uint8))

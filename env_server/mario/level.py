@@ -10,7 +10,7 @@ __all__ = ["Level", "Spawn", "level_difference"]
 
 
 class Spawn(NamedTuple):
-    """Where an enemy appears. `kind` is 0 red koopa, 1 green koopa, 2 goomba, 3 spiky, 4 piranha plant."""
+    """A spawn point of an enemy; `kind` is 0 red koopa, 1 green koopa, 2 goomba, 3 spiky, 4 piranha plant."""
 
     column: int
     row: int

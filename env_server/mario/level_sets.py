@@ -1,14 +1,14 @@
 """Numbered levels, and named sets of them: to train on some levels and be tested on others.
 
-Level `n` has a type, a difficulty from 0 to 3 and a seed, which depend on `n` alone:
+Level `n` of a set with D difficulties has a type, a difficulty and a seed:
 
     type        n mod 3
-    difficulty  (n div 3) mod 4
+    difficulty  (n div 3) mod D
     seed        the upper 31 bits of SplitMix64's n-th output, because Java's generator makes
                 similar levels of neighbouring seeds
 
-so every set holds all types and difficulties, in nearly equal numbers. A set never changes: other rules would
-get another `VERSION`, and other names.
+so a set holds all types and difficulties, in nearly equal numbers. A set never changes: other rules would get
+another `VERSION`, and other names.
 
 Source of the hash: Steele, Lea and Flood (2014), Fast splittable pseudorandom number generators.
 """
@@ -16,7 +16,7 @@ Source of the hash: Steele, Lea and Flood (2014), Fast splittable pseudorandom n
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -28,8 +28,8 @@ from glue.suggestions import did_you_mean
 __all__ = [
     "LEVEL_SETS",
     "VERSION",
+    "LevelSet",
     "level_seed",
-    "numbered_level",
     "resolve_levels",
     "splitmix",
 ]
@@ -40,19 +40,42 @@ DIFFICULTIES: Final = 4
 _LAST: Final = 2**31 - 1
 
 
+class LevelSet(NamedTuple):
+    """Numbered levels, whose difficulties are counted from 0."""
+
+    numbers: range
+    difficulties: int = DIFFICULTIES
+
+    def difficulty(self, number: int) -> int:
+        """Return the difficulty of level `number`."""
+        return number // TYPES % self.difficulties
+
+    def level(self, task: Parameters, number: int) -> Parameters:
+        """Return `task` on level `number`."""
+        return replace(
+            task,
+            level_seed=int(level_seed(number)),
+            level_type=number % TYPES,
+            level_difficulty=self.difficulty(number),
+        )
+
+
 LEVEL_SETS: Final = {
-    "train-200": range(200),
-    "train-500": range(500),
-    "test-1000": range(1_000_000, 1_001_000),
+    "train-200": LevelSet(range(200)),
+    "train-500": LevelSet(range(500)),
+    "test-1000": LevelSet(range(1_000_000, 1_001_000)),
+    "ladder-v1": LevelSet(range(2_000_000, 2_016_032), 16),
 }
-"""The numbers of the levels. Those of the two training sets overlap; none of the test set is in either."""
+"""The sets by name. Those of the two training sets overlap; no other two have a level in common."""
 
 
-def resolve_levels(levels: str | None, num_levels: int | None, start_level: int | None) -> range | None:
-    """Return the numbers of the levels that a set's name, or a number of levels and the first one, stand for.
+def resolve_levels(
+    levels: str | None, num_levels: int | None = None, start_level: int | None = None
+) -> LevelSet | None:
+    """Return the set with a name, or the set of a number of levels from a first one.
 
     Returns:
-        None if none of them is given: there is one level, that of the task.
+        None without arguments: there is one level, that of the task.
 
     Raises:
         ConfigError: the set is unknown, both forms are given, or a number is out of range.
@@ -79,17 +102,7 @@ def resolve_levels(levels: str | None, num_levels: int | None, start_level: int 
         raise ConfigError(
             f"num_levels must be from 1 to {_LAST + 1 - first} after level {first}, not {num_levels}"
         )
-    return range(int(first), int(first + num_levels))
-
-
-def numbered_level(task: Parameters, number: int) -> Parameters:
-    """Return `task` on level `number`."""
-    return replace(
-        task,
-        level_seed=int(level_seed(number)),
-        level_type=number % TYPES,
-        level_difficulty=number // TYPES % DIFFICULTIES,
-    )
+    return LevelSet(range(int(first), int(first + num_levels)))
 
 
 @jit

@@ -24,8 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from env_server.mario.sim import tiles as tile
-from env_server.mario.sim.state import ACTORS, PLANT, TICKS_PER_ACTION, Actor, World
-from env_server.mario.sim.tiles import tile_at
+from env_server.mario.sim.state import ACTORS, PLANT, ROWS, TICKS_PER_ACTION, Actor, LevelMap, World
+from env_server.mario.sim.tiles import CHANGED
 from glue.compiled.jit import jit
 from glue.types import PREFIX_SIZE
 
@@ -71,7 +71,7 @@ CHAR_OF: Final = np.array([_char_of(code) for code in range(256)], np.uint8)
 
 
 @jit
-def encode(world: World, body: npt.NDArray[np.uint8]) -> int:
+def encode(world: World, level: LevelMap, body: npt.NDArray[np.uint8]) -> int:
     """Write the observation as the body of an abstract type (see glue.types); return its length.
 
     Args:
@@ -100,7 +100,7 @@ def encode(world: World, body: npt.NDArray[np.uint8]) -> int:
         numbers[4 + 2 * i] = actor.kind <= PLANT and actor.winged
         encode_place(world, actor, reals[4 + 4 * i :])
     chars = body[end_of_ints:]
-    encode_tiles(world, CHAR_OF, _GOAL, _MARIO, COLUMNS_SHOWN + 1, chars)
+    encode_tiles(world, level, CHAR_OF, _GOAL, _MARIO, COLUMNS_SHOWN + 1, chars)
     for row in range(ROWS_SHOWN):
         chars[row * (COLUMNS_SHOWN + 1) + COLUMNS_SHOWN] = _NEWLINE
     return end_of_ints + _CHARS
@@ -133,6 +133,7 @@ def encode_place(world: World, actor: Actor, reals: npt.NDArray[np.float64]) -> 
 @jit
 def encode_tiles(
     world: World,
+    level: LevelMap,
     codes: npt.NDArray[np.uint8],
     goal: int,
     mario: int,
@@ -142,7 +143,7 @@ def encode_tiles(
     """Write the window of tiles, 16 rows from the top down.
 
     Args:
-        world: the game.
+        world, level: the game.
         codes: what to write for each tile code, shape (256,).
         goal, mario: what to write for the column of the goal, and where Mario is.
         stride: distance between two rows of `cells`, at least 21.
@@ -150,10 +151,19 @@ def encode_tiles(
     """
     first_column = world.drawn_camera // 16
     for j in range(COLUMNS_SHOWN):
-        column = first_column + j
-        for row in range(ROWS_SHOWN):
-            code = codes[tile_at(world, column, row)]
-            cells[row * stride + j] = goal if column == world.exit_x else code
+        column = min(first_column + j, level.columns - 1)
+        if column == level.exit_x:
+            for row in range(ROWS_SHOWN):
+                cells[row * stride + j] = goal
+            continue
+        for row in range(ROWS):
+            cells[row * stride + j] = codes[level.tiles[column, row]]
+        changed = world.changed[column]
+        if changed:  # rarely, so the loop above has no branch
+            for row in range(ROWS):
+                if changed >> row & 1:
+                    cells[row * stride + j] = codes[CHANGED[level.tiles[column, row]]]
+        cells[ROWS * stride + j] = cells[(ROWS - 1) * stride + j]
     actor = world.actors[0]
     j = int(np.float64(actor.x) / 16.0) - first_column
     row = 15 - int(16.0 - np.float64(actor.y) / 16.0)

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from functools import cache
+from dataclasses import Field, asdict, dataclass, fields, make_dataclass, replace
+from dataclasses import field as dataclass_field
+from functools import cache, partial
 from importlib import resources
-from typing import Any, Final
+from typing import Annotated, Any, Final, get_args, get_type_hints
 
 from env_server.mario.sim.state import World
+from glue.options import Option
 
-__all__ = ["INSTANCES", "MDPS", "Parameters", "resolve"]
+__all__ = ["INSTANCES", "MDPS", "Options", "Parameters", "resolve"]
 
 INSTANCES: Final = 10
 """Instances are numbered from 0."""
@@ -23,31 +25,59 @@ MDPS: Final = tuple(f"{phase}-{number}" for phase in ("proving", "testing") for 
 """The names of the published MDPs."""
 
 
+_Reward = partial(Option, low=-1e9, high=1e9)
+_Acceleration = partial(Option, low=0, high=16, unit="pixels/tick²")
+_Speed = partial(Option, low=-16, high=16, unit="pixels/tick")
+_Ticks = partial(Option, low=-100, high=100, unit="ticks")
+
+
 @dataclass(frozen=True, slots=True)
 class Parameters:
-    """A complete task. Units and ranges are with the options of `InfiniteMario`."""
+    """A complete task, by default instance 0.
 
-    level_seed: int
-    level_type: int
-    level_difficulty: int
-    level_width: int
-    max_trial_steps: int
-    reward_goal: float
-    reward_death: float
-    reward_step: float
-    reward_coin: float
-    reward_kill: float
-    speed_walk: float
-    speed_run: float
-    speed_jump: float
-    speed_slidejump: float
-    accel_fall: float
-    jump_time: int
-    slidejump_time: int
-    render: str = "tick"
-    alpha: float = 1.0
-    start_ticks: int = 5
-    velocity: str = "source"
+    The options, their checks and the table in docs/mario.md are made from these fields.
+    """
+
+    level_seed: Annotated[int, Option("seed of the level", low=-(2**31), high=2**31 - 1)] = 121
+    level_type: Annotated[int, Option("0 overground, 1 underground, 2 castle", low=0, high=2)] = 0
+    level_difficulty: Annotated[
+        int, Option("the higher, the more gaps, pipes and enemies", low=0, high=100)
+    ] = 0
+    level_width: Annotated[
+        int, Option("width of the level, to which 50 are added", low=0, high=2000, unit="tiles")
+    ] = 320
+    max_trial_steps: Annotated[int, Option("steps until Mario dies", low=1, high=10**9, unit="steps")] = 1000
+    reward_goal: Annotated[float, _Reward("reward for passing the goal")] = 100.0
+    reward_death: Annotated[float, _Reward("reward for dying")] = -10.0
+    reward_step: Annotated[float, _Reward("reward for each step")] = -0.01
+    reward_coin: Annotated[float, _Reward("reward for each coin")] = 1.0
+    reward_kill: Annotated[float, _Reward("reward for each enemy killed")] = 1.0
+    speed_walk: Annotated[float, _Acceleration("acceleration walking")] = 0.6
+    speed_run: Annotated[float, _Acceleration("acceleration running")] = 1.2
+    speed_jump: Annotated[float, _Speed("speed of a jump per remaining jump count")] = -1.9
+    speed_slidejump: Annotated[float, _Speed("the same for jumps off a wall")] = -2.0
+    accel_fall: Annotated[
+        float, Option("share of the vertical speed that is kept", low=0, high=1, unit="per tick")
+    ] = 0.82
+    jump_time: Annotated[int, _Ticks("time for which a jump rises")] = 7
+    slidejump_time: Annotated[int, _Ticks("the same for jumps off a wall, negative")] = -6
+    render: Annotated[
+        str,
+        Option(
+            "when the original draws a frame, which moves the camera and notices the episode's end",
+            choices=("tick", "checkin"),
+            flag="drawing",
+        ),
+    ] = "tick"
+    alpha: Annotated[
+        float, Option("how far into the next tick the frame is", low=0, high=1, unit="ticks")
+    ] = 1.0
+    start_ticks: Annotated[
+        int, Option("time before the very first observation, 5 or 10", low=5, high=10, unit="ticks")
+    ] = 5
+    velocity: Annotated[
+        str, Option("tiles per step, or as the first binary release reported it", choices=("source", "jar"))
+    ] = "source"
 
     @property
     def rewards(self) -> tuple[float, float]:
@@ -64,6 +94,29 @@ class Parameters:
         world.velocity_of_jar = self.velocity == "jar"
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Published:
+    instance: Annotated[
+        int, Option("published set of all parameters except the level's", low=0, high=INSTANCES - 1)
+    ] = 0
+    mdp: Annotated[
+        str | None, Option("published task, level included, in place of an instance", choices=MDPS)
+    ] = None
+
+
+def _optional(field: Field[Any]) -> tuple[str, Any, Any]:
+    """Return a parameter as an option that the instance or MDP decides where it is not given."""
+    kind, option = get_args(get_type_hints(Parameters, include_extras=True)[field.name])
+    about = replace(option, help=f"{option.help}; {field.default} by default")
+    return field.name, Annotated[kind | None, about], dataclass_field(default=None)
+
+
+Options: Final = make_dataclass(
+    "Options", map(_optional, fields(Parameters)), bases=(_Published,), frozen=True, kw_only=True
+)
+"""The options of `InfiniteMario`: `instance`, `mdp`, and each parameter, None where those two decide."""
+
+
 def resolve(
     given: Mapping[str, int | float | str], *, instance: int = 0, mdp: str | None = None
 ) -> Parameters:
@@ -72,15 +125,8 @@ def resolve(
     Raises:
         KeyError: there is no such instance or MDP.
     """
-    tasks = _tasks()
-    task: dict[str, Any] = {**tasks["defaults"]}
-    if mdp:
-        phase, number = mdp.split("-")
-        task.update(tasks[phase][number])
-    else:
-        task.update(tasks["instances"][str(instance)])
-    task.update(given)
-    return Parameters(**task)
+    phase, number = mdp.split("-") if mdp else ("instances", str(instance))
+    return Parameters(**{**_tasks()[phase][number], **given})
 
 
 @cache

@@ -15,7 +15,7 @@ __all__ = ["ordinary_reward", "terminal_reward"]
 
 @jit
 def ordinary_reward(world: World) -> float:
-    """Return what was earned since the last check-in, and note it as paid."""
+    """Return the reward earned since the last check-in, and note it as paid."""
     total = (
         world.reward_step * (world.steps - 1) + world.reward_coin * world.coins
     ) + world.reward_kill * world.kills

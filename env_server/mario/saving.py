@@ -1,6 +1,6 @@
-"""What outlives an episode of Infinite Mario, as `env_save` returns it.
+"""The state of Infinite Mario that outlives an episode, as `env_save` returns it.
 
-That is the level, the four buttons as the last episode left them, and whether there was an episode yet.
+It is the level, the four buttons at the end of the last episode, and whether there was an episode yet.
 """
 
 from __future__ import annotations

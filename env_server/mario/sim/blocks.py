@@ -12,12 +12,12 @@ from env_server.mario.sim.state import (
     FLOWER,
     MUSHROOM,
     PLANT,
-    SPAWN_DEAD,
     Actor,
+    LevelMap,
     World,
     add_actor,
 )
-from env_server.mario.sim.tiles import behavior_at, set_tile, tile_of
+from env_server.mario.sim.tiles import behavior_at, change_tile, tile_of
 from glue.compiled.jit import jit
 
 __all__ = ["FLUNG_TICKS", "fling", "hit_block", "mark_spawn_dead", "take_coin"]
@@ -28,28 +28,28 @@ _JOLT: Final = np.float32(-10)
 
 
 @jit
-def take_coin(world: World, column: int, row: int) -> None:
+def take_coin(world: World, level: LevelMap, column: int, row: int) -> None:
     """Take the loose coin of a cell, if there is one."""
-    if behavior_at(world, column, row) & tile.PICKUP:
+    if behavior_at(world, level, column, row) & tile.PICKUP:
         world.coins += 1
-        set_tile(world, column, row, tile.EMPTY)
+        change_tile(world, level, column, row)
 
 
 @jit
-def hit_block(world: World, column: int, row: int, can_break: bool) -> None:
+def hit_block(world: World, level: LevelMap, column: int, row: int, can_break: bool) -> None:
     """Hit a cell from below or from the side: it gives what it holds, or breaks."""
-    behavior = behavior_at(world, column, row)
+    behavior = behavior_at(world, level, column, row)
     if behavior & tile.BUMPABLE:
-        _jolt(world, column, row - 1)
-        set_tile(world, column, row, tile.USED_BLOCK)
+        _jolt(world, level, column, row - 1)
+        change_tile(world, level, column, row)
         if behavior & tile.SPECIAL:
             _add_item(world, column, row)
         else:
             world.coins += 1
     if behavior & tile.BREAKABLE:
-        _jolt(world, column, row - 1)
+        _jolt(world, level, column, row - 1)
         if can_break:
-            set_tile(world, column, row, tile.EMPTY)
+            change_tile(world, level, column, row)
 
 
 @jit
@@ -66,7 +66,7 @@ def fling(world: World, enemy: Actor, vx: int) -> None:
 @jit
 def mark_spawn_dead(world: World, enemy: Actor) -> None:
     """Keep the spawn point of `enemy` from making another one."""
-    world.spawns[enemy.column, enemy.row] |= SPAWN_DEAD
+    world.dead[enemy.column] |= 1 << int(enemy.row)
 
 
 @jit
@@ -80,9 +80,9 @@ def _add_item(world: World, column: int, row: int) -> None:
 
 
 @jit
-def _jolt(world: World, column: int, row: int) -> None:
+def _jolt(world: World, level: LevelMap, column: int, row: int) -> None:
     """Shake the cell above a block: a coin there is taken, and actors standing there react."""
-    take_coin(world, column, row)
+    take_coin(world, level, column, row)
     away = -world.actors[0].facing
     for i in range(world.listed):
         actor = world.actors[world.order[i]]
@@ -98,7 +98,7 @@ def _jolt(world: World, column: int, row: int) -> None:
 
 @jit
 def _stands_on(actor: Actor, column: int, row: int) -> bool:
-    width = np.float32(actor.half_width)
+    width = np.float32(2 if actor.kind == PLANT else 4)
     return bool(
         actor.x + width > 16 * column
         and actor.x - width < 16 * column + 16

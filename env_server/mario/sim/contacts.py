@@ -18,6 +18,7 @@ from env_server.mario.sim.state import (
     SHELL,
     SPIKY,
     Actor,
+    LevelMap,
     World,
 )
 from glue.compiled.jit import jit
@@ -29,10 +30,10 @@ _REACH: Final = 16  # pixels
 
 
 @jit
-def touch_all(world: World) -> None:
+def touch_all(world: World, level: LevelMap) -> None:
     """Test all pairs that matter, in the original's three passes."""
     for i in range(world.listed):
-        _touch_mario(world, world.actors[world.order[i]], world.order[i])
+        _touch_mario(world, level, world.actors[world.order[i]], world.order[i])
     for i in range(world.listed):
         shell = world.actors[world.order[i]]
         if shell.queued and shell.kind == SHELL:
@@ -56,32 +57,32 @@ def _is_stomp(world: World, mario: Actor, dy: np.float32) -> bool:
 
 
 @jit
-def _touch_mario(world: World, actor: Actor, slot: int) -> None:
+def _touch_mario(world: World, level: LevelMap, actor: Actor, slot: int) -> None:
     mario = world.actors[0]
     dx = mario.x - actor.x
     dy = mario.y - actor.y
     if actor.kind <= PLANT:
-        reach = 2 * actor.half_width + 4
+        reach = 8 if actor.kind == PLANT else 12
         if actor.dead_timer == 0 and _overlap(dx, dy, reach, actor.height, mario.height):
-            _touch_enemy(world, mario, actor, dy)
+            _touch_enemy(world, level, mario, actor, dy)
     elif actor.kind == SHELL:
         untouched = actor.carried or actor.dead or actor.dead_timer > 0
         if not untouched and _overlap(dx, dy, _REACH, actor.height, mario.height):
-            _touch_shell(world, mario, actor, slot, dy)
+            _touch_shell(world, level, mario, actor, slot, dy)
     elif actor.kind in (MUSHROOM, FLOWER) and _overlap(dx, dy, _REACH, actor.height, mario.height):
         grow(world, actor.kind == FLOWER)
         actor.leaving = True
 
 
 @jit
-def _touch_enemy(world: World, mario: Actor, enemy: Actor, dy: np.float32) -> None:
+def _touch_enemy(world: World, level: LevelMap, mario: Actor, enemy: Actor, dy: np.float32) -> None:
     if enemy.kind == SPIKY or not _is_stomp(world, mario, dy):
         hurt(world)
         return
     if not is_untouchable(world):
         if not enemy.winged:
             world.kills += 1
-        bounce(world, enemy.y, enemy.height)
+        bounce(world, level, enemy.y, enemy.height)
     # The enemy is affected even if the contact had no effect on Mario.
     if enemy.winged:
         enemy.winged = False
@@ -90,11 +91,13 @@ def _touch_enemy(world: World, mario: Actor, enemy: Actor, dy: np.float32) -> No
     mark_spawn_dead(world, enemy)
     enemy.dead_timer = _STOMPED_TICKS
     if enemy.kind <= GREEN_KOOPA:
-        add_shell(world, enemy.x, enemy.y)
+        add_shell(world, level, enemy.x, enemy.y)
 
 
 @jit
-def _touch_shell(world: World, mario: Actor, shell: Actor, slot: int, dy: np.float32) -> None:
+def _touch_shell(
+    world: World, level: LevelMap, mario: Actor, shell: Actor, slot: int, dy: np.float32
+) -> None:
     rolling = shell.facing != 0
     stomp = _is_stomp(world, mario, dy)
     if rolling and not stomp:
@@ -105,7 +108,7 @@ def _touch_shell(world: World, mario: Actor, shell: Actor, slot: int, dy: np.flo
             world.carrying = slot
             shell.carried = True
         elif stomp:
-            bounce(world, shell.y, shell.height)
+            bounce(world, level, shell.y, shell.height)
         else:
             world.safe_timer = 1
     if rolling:

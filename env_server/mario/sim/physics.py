@@ -8,10 +8,10 @@ import numpy as np
 
 from env_server.mario.sim.motion import move_sideways, move_vertically
 from env_server.mario.sim.sprites import add_fireball
-from env_server.mario.sim.state import ROWS, Actor, World
+from env_server.mario.sim.state import ROWS, Actor, LevelMap, World
 from glue.compiled.jit import jit
 
-__all__ = ["bounce", "die", "grow", "hurt", "is_untouchable", "update_mario"]
+__all__ = ["bounce", "die", "grow", "hurt", "is_untouchable", "show_size", "update_mario"]
 
 _ZERO: Final = np.float32(0)
 _TWO: Final = np.float32(2)
@@ -32,7 +32,7 @@ _DEATH_LEAP: Final = np.float32(-15)
 
 
 @jit
-def update_mario(world: World) -> None:
+def update_mario(world: World, level: LevelMap) -> None:
     """Move Mario by one tick."""
     mario = world.actors[0]
     mario.old_x = mario.x
@@ -46,7 +46,7 @@ def update_mario(world: World) -> None:
     elif world.change_timer != 0:
         _change_size(world, mario)
     else:
-        _walk_and_jump(world, mario)
+        _walk_and_jump(world, level, mario)
 
 
 @jit
@@ -86,10 +86,10 @@ def grow(world: World, fire: bool) -> None:
 
 
 @jit
-def bounce(world: World, y: np.float32, height: int) -> None:
+def bounce(world: World, level: LevelMap, y: np.float32, height: int) -> None:
     """Let Mario bounce off a thing whose feet are at `y`."""
     mario = world.actors[0]
-    move_vertically(world, mario, y - np.float32(height // 2) - mario.y)
+    move_vertically(world, level, mario, y - np.float32(height // 2) - mario.y)
     world.jump_vx = _ZERO
     world.jump_vy = _BOUNCE_VY
     world.jump_count = _BOUNCE_COUNT
@@ -107,11 +107,11 @@ def _begin_change(world: World, large: bool, fire: bool, timer: int) -> None:
     world.last_fire = world.fire
     world.new_large = large
     world.new_fire = fire
-    _show_size(world, large, fire)
+    show_size(world, large, fire)
 
 
 @jit
-def _show_size(world: World, large: bool, fire: bool) -> None:
+def show_size(world: World, large: bool, fire: bool) -> None:
     world.large = large
     world.fire = fire
     world.actors[0].height = 24 if large else 12
@@ -122,9 +122,9 @@ def _change_size(world: World, mario: Actor) -> None:
     """Flicker between the new size and the previous one, which also counts in collisions."""
     world.change_timer -= 1 if world.change_timer > 0 else -1
     if abs(world.change_timer) // 3 % 2 == 0:
-        _show_size(world, world.new_large, world.new_fire)
+        show_size(world, world.new_large, world.new_fire)
     else:
-        _show_size(world, world.last_large, world.last_fire)
+        show_size(world, world.last_large, world.last_fire)
     if world.change_timer == 0:
         world.frozen = False
 
@@ -144,7 +144,7 @@ def _fall_dead(world: World, mario: Actor) -> None:
 
 
 @jit
-def _walk_and_jump(world: World, mario: Actor) -> None:
+def _walk_and_jump(world: World, level: LevelMap, mario: Actor) -> None:
     if world.safe_timer > 0:
         world.safe_timer -= 1
     world.was_grounded = mario.grounded
@@ -154,15 +154,15 @@ def _walk_and_jump(world: World, mario: Actor) -> None:
         mario.facing = -1
     _jump(world, mario)
     _run(world, mario)
-    _fire(world, mario)
+    _fire(world, level, mario)
     if abs(mario.vx) < _HALF:
         mario.vx = _ZERO
     if world.wall_slide:
         mario.vy *= _HALF
     mario.grounded = False
-    move_sideways(world, mario, mario.vx)
-    move_vertically(world, mario, mario.vy)
-    _meet_borders(world, mario)
+    move_sideways(world, level, mario, mario.vx)
+    move_vertically(world, level, mario, mario.vy)
+    _meet_borders(world, level, mario)
     mario.vy = np.float32(np.float64(mario.vy) * world.accel_fall)
     mario.vx *= _FRICTION
     if not mario.grounded:
@@ -221,26 +221,28 @@ def _run(world: World, mario: Actor) -> None:
 
 
 @jit
-def _fire(world: World, mario: Actor) -> None:
+def _fire(world: World, level: LevelMap, mario: Actor) -> None:
     """Throw a fireball if the button is pressed; rearm the buttons when they are released."""
     if world.button_run and world.may_fire and world.fire and world.fireballs_seen < _FIREBALLS:
-        add_fireball(world, mario.x + np.float32(mario.facing * 6), mario.y - np.float32(20), mario.facing)
+        add_fireball(
+            world, level, mario.x + np.float32(mario.facing * 6), mario.y - np.float32(20), mario.facing
+        )
     world.may_fire = not world.button_run
     world.may_jump = (mario.grounded or world.wall_slide) and not world.button_jump
 
 
 @jit
-def _meet_borders(world: World, mario: Actor) -> None:
+def _meet_borders(world: World, level: LevelMap, mario: Actor) -> None:
     if mario.y > _BOTTOM:
         die(world)
     if mario.x < _ZERO:
         mario.x = _ZERO
         mario.vx = _ZERO
-    if mario.x > 16 * world.exit_x:
+    if mario.x > 16 * level.exit_x:
         world.frozen = True
         world.win_timer = 1
-    if mario.x > 16 * world.columns:
-        mario.x = np.float32(16 * world.columns)
+    if mario.x > 16 * level.columns:
+        mario.x = np.float32(16 * level.columns)
         mario.vx = _ZERO
 
 

@@ -17,6 +17,7 @@ from env_server.mario.sim.state import (
     SPAWN_KIND,
     SPAWN_WINGED,
     Actor,
+    LevelMap,
     World,
     add_actor,
 )
@@ -40,6 +41,7 @@ _FIREBALL_SPEED: Final = np.float32(8)
 _PLANT_RISE: Final = np.float32(-8)
 _PLANT_GRAVITY: Final = np.float32(0.1)
 _PLANT_WAIT: Final = 40
+_LONG: Final = 2**15 - 1
 _PLANT_SHY: Final = 24
 _RISE: Final = 9
 
@@ -50,34 +52,33 @@ _FIREBALL_GRAVITY: Final = 1.5
 
 
 @jit
-def update_sprite(world: World, actor: Actor) -> None:
+def update_sprite(world: World, level: LevelMap, actor: Actor) -> None:
     """Move an actor other than Mario by one tick."""
     actor.old_x = actor.x
     actor.old_y = actor.y
     if actor.kind < PLANT:
-        _update_walker(world, actor)
+        _update_walker(world, level, actor)
     elif actor.kind == PLANT:
         _update_plant(world, actor)
     elif actor.kind == SHELL:
-        _update_shell(world, actor)
+        _update_shell(world, level, actor)
     elif actor.kind == FIREBALL:
-        _update_fireball(world, actor)
+        _update_fireball(world, level, actor)
     elif actor.age < _RISE:
         actor.age += 1
         actor.y -= _ONE
     elif actor.kind == MUSHROOM:
-        _walk(world, actor)
+        _walk(world, level, actor)
 
 
 @jit
-def add_enemy(world: World, column: int, row: int, facing: int) -> None:
+def add_enemy(world: World, level: LevelMap, column: int, row: int, facing: int) -> None:
     """Create the enemy of a cell's spawn point."""
-    spawn = int(world.spawns[column, row])
+    spawn = int(level.spawns[column, row])
     kind = spawn & SPAWN_KIND
     if kind == PLANT:
         x = np.float32(16 * column + 15)
         actor = add_actor(world, kind, x, np.float32(16 * row + 23), 1, 12)
-        actor.half_width = 2
         actor.vy = _PLANT_RISE
     else:
         x = np.float32(16 * column + 8)
@@ -89,23 +90,23 @@ def add_enemy(world: World, column: int, row: int, facing: int) -> None:
     if kind == PLANT:
         for _ in range(4):  # it rises at once
             _update_plant(world, actor)
-    update_sprite(world, actor)
+    update_sprite(world, level, actor)
 
 
 @jit
-def add_shell(world: World, x: np.float32, y: np.float32) -> None:
+def add_shell(world: World, level: LevelMap, x: np.float32, y: np.float32) -> None:
     """Create the shell of a koopa."""
     shell = add_actor(world, SHELL, x, y, 0, 12)
     shell.vy = _DROP
-    update_sprite(world, shell)
+    update_sprite(world, level, shell)
 
 
 @jit
-def add_fireball(world: World, x: np.float32, y: np.float32, facing: int) -> None:
+def add_fireball(world: World, level: LevelMap, x: np.float32, y: np.float32, facing: int) -> None:
     """Throw a fireball."""
     fireball = add_actor(world, FIREBALL, x, y, facing, 8)
     fireball.vy = np.float32(4)
-    update_sprite(world, fireball)
+    update_sprite(world, level, fireball)
 
 
 @jit
@@ -126,14 +127,14 @@ def _turn(actor: Actor) -> None:
 
 
 @jit
-def _walk(world: World, actor: Actor) -> None:
+def _walk(world: World, level: LevelMap, actor: Actor) -> None:
     """Walk, and turn at walls."""
     _turn(actor)
     actor.vx = np.float32(actor.facing) * _WALK
-    if move_sideways(world, actor, actor.vx):
+    if move_sideways(world, level, actor, actor.vx):
         actor.facing = -actor.facing
     actor.grounded = False
-    move_vertically(world, actor, actor.vy)
+    move_vertically(world, level, actor, actor.vy)
     actor.vy *= _WING_DAMPING if actor.winged else _WALK_DAMPING
     actor.vx *= _FRICTION
     if not actor.grounded:
@@ -143,9 +144,9 @@ def _walk(world: World, actor: Actor) -> None:
 
 
 @jit
-def _update_walker(world: World, actor: Actor) -> None:
+def _update_walker(world: World, level: LevelMap, actor: Actor) -> None:
     if actor.dead_timer == 0:
-        _walk(world, actor)
+        _walk(world, level, actor)
     else:
         _age_dead(actor)
         if actor.flung:
@@ -158,10 +159,10 @@ def _update_plant(world: World, actor: Actor) -> None:
         _age_dead(actor)
         _fly_off(actor)
         return
-    base = np.float32(16 * actor.row + 24)
+    base = np.float32(16 * int(actor.row) + 24)
     if actor.y >= base:
         actor.y = base
-        actor.age += 1
+        actor.age += actor.age < _LONG
         gap = int(abs(world.actors[0].x - actor.x))
         actor.vy = _PLANT_RISE if actor.age > _PLANT_WAIT and gap > _PLANT_SHY else _ZERO
     else:
@@ -172,7 +173,7 @@ def _update_plant(world: World, actor: Actor) -> None:
 
 
 @jit
-def _update_shell(world: World, actor: Actor) -> None:
+def _update_shell(world: World, level: LevelMap, actor: Actor) -> None:
     if actor.carried:
         actor.queued = True
     elif actor.dead_timer > 0:
@@ -182,10 +183,10 @@ def _update_shell(world: World, actor: Actor) -> None:
         _turn(actor)
         actor.vx = np.float32(actor.facing) * _ROLL
         actor.queued = actor.facing != 0
-        if move_sideways(world, actor, actor.vx):
+        if move_sideways(world, level, actor, actor.vx):
             actor.facing = -actor.facing
         actor.grounded = False
-        move_vertically(world, actor, actor.vy)
+        move_vertically(world, level, actor, actor.vy)
         actor.vy *= _WALK_DAMPING
         actor.vx *= _FRICTION
         if not actor.grounded:
@@ -193,18 +194,18 @@ def _update_shell(world: World, actor: Actor) -> None:
 
 
 @jit
-def _update_fireball(world: World, actor: Actor) -> None:
+def _update_fireball(world: World, level: LevelMap, actor: Actor) -> None:
     if actor.dead_timer > 0:
         actor.leaving = True
         return
     _turn(actor)
     actor.vx = np.float32(actor.facing) * _FIREBALL_SPEED
     actor.queued = True
-    if move_sideways(world, actor, actor.vx):
+    if move_sideways(world, level, actor, actor.vx):
         actor.dead = True
         drop(actor, -2 * actor.facing)
     actor.grounded = False
-    move_vertically(world, actor, actor.vy)
+    move_vertically(world, level, actor, actor.vy)
     if actor.grounded:
         actor.vy = _HOP
     actor.vy *= _WING_DAMPING

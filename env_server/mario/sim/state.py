@@ -1,7 +1,10 @@
-"""Every field of a game, with its unit. A game is one record of `WORLD`; copying its memory copies the game.
+"""Every field of a game, with its unit. A game is a record of `WORLD` and the level that it is played on.
 
-`World` and `Actor` name the fields and their types, once, for the type checker and for the record's
-layout. The rules take a record; compiled or not, `world.coins` reads and writes its memory.
+Play never changes a level, a record of `LEVEL`: games may share it. Used blocks, coins that were taken and
+enemies that are dead are in the game's record, as one bit for each cell. Copying the record copies the game.
+
+`World`, `LevelMap` and `Actor` name the fields and their types, once, for the type checker and for the layout
+of the records. The rules take records; compiled or not, `world.coins` reads and writes their memory.
 
 Units: pixels (16 to a tile; x to the right, y downwards), pixels per tick, ticks (5 to a step).
 """
@@ -24,13 +27,13 @@ __all__ = [
     "FREE",
     "GOOMBA",
     "GREEN_KOOPA",
+    "LEVEL",
     "MARIO",
     "MUSHROOM",
     "PLANT",
     "RED_KOOPA",
     "ROWS",
     "SHELL",
-    "SPAWN_DEAD",
     "SPAWN_KIND",
     "SPAWN_WINGED",
     "SPIKY",
@@ -38,9 +41,12 @@ __all__ = [
     "WORLD",
     "Actor",
     "Actors",
+    "LevelMap",
+    "Levels",
     "World",
     "Worlds",
     "add_actor",
+    "fill_actor",
 ]
 
 COLUMNS: Final = 2050
@@ -64,12 +70,13 @@ FIREBALL: Final = 8
 SHELL: Final = 9
 MARIO: Final = 10
 
-# A spawn point: the kind of its enemy, and these bits.
+# A spawn point: the kind of its enemy, and a bit.
 SPAWN_KIND: Final = 7
 SPAWN_WINGED: Final = 8
-SPAWN_DEAD: Final = 16
 
-Flag = Annotated[bool, np.int32]
+Flag = Annotated[bool, np.int8]
+Tiny = Annotated[int, np.int8]
+Short = Annotated[int, np.int16]
 Int = Annotated[int, np.int32]
 Long = Annotated[int, np.int64]
 Single = Annotated[np.float32, np.float32]
@@ -79,25 +86,24 @@ Double = Annotated[float, np.float64]
 class Actor:
     """Mario, an enemy, an item, a shell or a fireball."""
 
-    kind: Int
+    kind: Tiny
     x: Single  # of the middle of its feet line
     y: Single  # of its feet
     vx: Single
     vy: Single
     old_x: Single  # its position before the last update
     old_y: Single
-    facing: Int  # -1 left, 1 right, 0 a shell at rest
-    height: Int  # pixels
-    half_width: Int  # pixels
+    facing: Tiny  # -1 left, 1 right, 0 a shell at rest
+    height: Tiny  # pixels
     grounded: Flag
     winged: Flag
     flung: Flag  # dead, and flying off
     dead: Flag  # of a shell or fireball
     carried: Flag  # of a shell
-    dead_timer: Int  # ticks until it is removed
-    age: Int  # of an item: pixels risen; of a plant: ticks in its pipe
-    column: Int  # its spawn point
-    row: Int
+    dead_timer: Tiny  # ticks until it is removed
+    age: Short  # of an item: pixels risen; of a plant: ticks in its pipe, 32767 for more
+    column: Short  # its spawn point
+    row: Tiny
     queued: Flag  # a shell or fireball to be tested against the others in this tick
     leaving: Flag  # to be removed at the end of this tick
 
@@ -108,6 +114,19 @@ class Actors(Protocol):
     def __getitem__(self, slot: SupportsIndex) -> Actor: ...
 
     def __len__(self) -> int: ...
+
+
+class LevelMap:
+    """A level as it was generated, and what from."""
+
+    seed: Long
+    type: Int
+    difficulty: Int
+    columns: Int  # tiles
+    exit_x: Int  # the column that Mario must pass
+    exit_y: Int  # the row of the ground there
+    tiles: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]
+    spawns: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]
 
 
 class World:
@@ -143,12 +162,9 @@ class World:
     button_run: Flag
     started: Flag  # whether an episode has begun before
 
-    # The level.
-    columns: Int  # tiles
-    exit_x: Int  # the column that Mario must pass
-    exit_y: Int
-    tiles: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]
-    spawns: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]
+    # What play has changed of the level: for each column, a bit for each row, the highest row's the lowest.
+    changed: Annotated[npt.NDArray[np.uint16], np.uint16, (COLUMNS,)]  # tiles
+    dead: Annotated[npt.NDArray[np.uint16], np.uint16, (COLUMNS,)]  # spawn points whose enemy is dead
 
     # The episode.
     playing: Flag
@@ -190,13 +206,15 @@ class World:
     # The actors: Mario in slot 0, the others in any slot; the list has their order.
     actors: Annotated[Actors, "Actor", (ACTORS + 1,)]
     listed: Int  # length of the list, without Mario, who always comes last
-    order: Annotated[npt.NDArray[np.int32], np.int32, (ACTORS,)]  # slots
+    order: Annotated[npt.NDArray[np.uint8], np.uint8, (ACTORS,)]  # slots
     added: Int  # number of actors to be listed at the end of the tick
-    waiting: Annotated[npt.NDArray[np.int32], np.int32, (ACTORS,)]  # slots
+    waiting: Annotated[npt.NDArray[np.uint8], np.uint8, (ACTORS,)]  # slots
 
 
 Worlds = npt.NDArray[np.void]
 """Games, shape (N,), of dtype `WORLD`."""
+Levels = npt.NDArray[np.void]
+"""Levels, shape (N,), of dtype `LEVEL`."""
 
 
 def _record(fields: type) -> np.dtype[np.void]:
@@ -205,11 +223,17 @@ def _record(fields: type) -> np.dtype[np.void]:
     for name, hint in typing.get_type_hints(fields, include_extras=True).items():
         kind, *shape = hint.__metadata__
         layout.append((name, _ACTOR if kind == "Actor" else np.dtype(kind), *shape))
-    layout.sort(key=lambda field: -field[1].alignment)
-    return np.dtype((np.record, layout))
+    layout.sort(key=lambda field: -_width(field[1]))
+    return np.dtype((np.record, np.dtype(layout, align=True)))
+
+
+def _width(dtype: np.dtype[Any]) -> int:
+    """Return the size of the widest number in `dtype`, in bytes."""
+    return max(_width(part) for part, *_ in dtype.fields.values()) if dtype.fields else dtype.itemsize
 
 
 _ACTOR: Final = _record(Actor)
+LEVEL: Final = _record(LevelMap)
 WORLD: Final = _record(World)
 
 
@@ -227,6 +251,13 @@ def add_actor(world: World, kind: int, x: np.float32, y: np.float32, facing: int
         world.waiting[world.added] = slot
         world.added += 1
     actor = world.actors[slot]
+    fill_actor(actor, kind, x, y, facing, height)
+    return actor
+
+
+@jit
+def fill_actor(actor: Actor, kind: int, x: np.float32, y: np.float32, facing: int, height: int) -> None:
+    """Write every field of a new actor, which rests at its place."""
     actor.kind = kind
     actor.x = x
     actor.y = y
@@ -236,7 +267,6 @@ def add_actor(world: World, kind: int, x: np.float32, y: np.float32, facing: int
     actor.old_y = y
     actor.facing = facing
     actor.height = height
-    actor.half_width = 4
     actor.grounded = False
     actor.winged = False
     actor.flung = False
@@ -248,4 +278,3 @@ def add_actor(world: World, kind: int, x: np.float32, y: np.float32, facing: int
     actor.row = -1
     actor.queued = False
     actor.leaving = False
-    return actor

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from env_server.mario.sim.contacts import touch_all
-from env_server.mario.sim.levels import generate
+from env_server.mario.sim.levels import EXTRA_COLUMNS, generate
 from env_server.mario.sim.physics import die, update_mario
 from env_server.mario.sim.sprites import add_enemy, update_sprite
 from env_server.mario.sim.state import (
@@ -15,13 +15,13 @@ from env_server.mario.sim.state import (
     FREE,
     MARIO,
     ROWS,
-    SPAWN_DEAD,
     TICKS_PER_ACTION,
+    LevelMap,
     World,
 )
-from glue.compiled.jit import jit
+from glue.compiled.jit import entry, jit
 
-__all__ = ["act", "begin", "draw", "is_over", "press_buttons", "reset", "tick"]
+__all__ = ["act", "begin", "clear", "draw", "is_over", "press_buttons", "reset", "rewind", "tick"]
 
 _ZERO: Final = np.float32(0)
 _VIEW: Final = 320  # pixels
@@ -31,57 +31,64 @@ _BELOW: Final = 304
 
 
 @jit
-def begin(world: World) -> None:
+def begin(world: World, level: LevelMap) -> None:
     """Start an episode and run it up to its first check-in. The buttons keep their state."""
-    reset(world)
-    _run_to_check_in(world)
+    reset(world, level)
+    _run_to_check_in(world, level)
     if not world.started and world.start_ticks > TICKS_PER_ACTION:
-        draw(world)  # for a check-in that is not reported
-        _run_to_check_in(world)
+        draw(world, level)  # for a check-in that is not reported
+        _run_to_check_in(world, level)
     world.started = True
 
 
+@entry
+def rewind(world: World, level: LevelMap) -> None:
+    """Begin an episode on the level as it is."""
+    clear(world)
+    _run_to_check_in(world, level)
+
+
 @jit
-def act(world: World, direction: int, jump: int, run: int) -> bool:
+def act(world: World, level: LevelMap, direction: int, jump: int, run: int) -> bool:
     """Carry out an action; return True at the next check-in, False if the episode ended before."""
     world.steps += 1
     world.direction = direction
     world.jump = jump
     world.run = run
-    draw(world)
-    world.playing = not is_over(world) and _run_to_check_in(world)
+    draw(world, level)
+    world.playing = not is_over(world) and _run_to_check_in(world, level)
     return world.playing
 
 
 @jit
-def tick(world: World) -> None:
+def tick(world: World, level: LevelMap) -> None:
     """Advance the world by one tick."""
     if world.steps >= world.max_trial_steps:
         die(world)
-    world.camera = _clamp_camera(world, world.actors[0].x - np.float32(_HALF_VIEW))
+    world.camera = _clamp_camera(level, world.actors[0].x - np.float32(_HALF_VIEW))
     _mark_leaving(world)
     if world.frozen:
         for i in range(world.listed):
             actor = world.actors[world.order[i]]
             actor.old_x = actor.x
             actor.old_y = actor.y
-        update_mario(world)
+        update_mario(world, level)
     else:
         world.tick_count += 1
-        _spawn(world)
+        _spawn(world, level)
         for i in range(world.listed):
-            update_sprite(world, world.actors[world.order[i]])
-        update_mario(world)
-        touch_all(world)
+            update_sprite(world, level, world.actors[world.order[i]])
+        update_mario(world, level)
+        touch_all(world, level)
     _tidy_list(world)
 
 
 @jit
-def draw(world: World) -> None:
+def draw(world: World, level: LevelMap) -> None:
     """Draw a frame, which fixes the camera position of the next observation."""
     mario = world.actors[0]
     x = mario.old_x + (mario.x - mario.old_x) * world.alpha
-    world.drawn_camera = min(max(int(x) - _HALF_VIEW, 0), 16 * world.columns - _VIEW)
+    world.drawn_camera = min(max(int(x) - _HALF_VIEW, 0), 16 * level.columns - _VIEW)
 
 
 @jit
@@ -91,16 +98,16 @@ def is_over(world: World) -> bool:
 
 
 @jit
-def _run_to_check_in(world: World) -> bool:
+def _run_to_check_in(world: World, level: LevelMap) -> bool:
     """Run ticks up to the next check-in; return False if the episode ended before."""
     for count in range(1, TICKS_PER_ACTION):
-        tick(world)
+        tick(world, level)
         press_buttons(world, count > 1)
         if not world.draws_at_checkins:
-            draw(world)
+            draw(world, level)
             if is_over(world):
                 return False
-    tick(world)
+    tick(world, level)
     press_buttons(world, True)
     return True
 
@@ -115,9 +122,18 @@ def press_buttons(world: World, all_buttons: bool) -> None:
 
 
 @jit
-def reset(world: World) -> None:
-    """Generate the level again and reset everything but the buttons for a new episode."""
-    generate(world)
+def reset(world: World, level: LevelMap) -> None:
+    """Generate the level, if it is another, and reset everything but the buttons for a new episode."""
+    columns = world.level_width + EXTRA_COLUMNS
+    generate(level, world.level_seed, world.level_type, world.level_difficulty, columns)
+    clear(world)
+
+
+@jit
+def clear(world: World) -> None:
+    """Reset everything but the buttons for a new episode on the same level."""
+    world.changed[:] = 0
+    world.dead[:] = 0
     world.playing = True
     world.steps = 0
     world.coins = 0
@@ -165,14 +181,13 @@ def reset(world: World) -> None:
     mario.old_y = mario.y
     mario.facing = 1
     mario.height = 12
-    mario.half_width = 4
     mario.grounded = False
 
 
 @jit
-def _clamp_camera(world: World, x: np.float32) -> np.float32:
+def _clamp_camera(level: LevelMap, x: np.float32) -> np.float32:
     x = max(x, _ZERO)
-    return min(x, np.float32(16 * world.columns - _VIEW))
+    return min(x, np.float32(16 * level.columns - _VIEW))
 
 
 @jit
@@ -189,17 +204,19 @@ def _mark_leaving(world: World) -> None:
 
 
 @jit
-def _spawn(world: World) -> None:
+def _spawn(world: World, level: LevelMap) -> None:
     """Create the enemies of the spawn points that have come into view."""
     first = int(world.camera) // 16 - 1
     last = int(world.camera + np.float32(_VIEW)) // 16 + 1
-    for column in range(max(first, 0), min(last, world.columns - 1) + 1):
+    if first == world.scanned_from and last == world.scanned_to:
+        return
+    for column in range(max(first, 0), min(last, level.columns - 1) + 1):
         if world.scanned_from <= column <= world.scanned_to:
             continue
         for row in range(ROWS):
-            spawn = world.spawns[column, row]
-            if spawn != 0 and not spawn & SPAWN_DEAD and not _has_enemy(world, column, row):
-                add_enemy(world, column, row, _towards(world, column))
+            lives = level.spawns[column, row] != 0 and not world.dead[column] >> row & 1
+            if lives and not _has_enemy(world, column, row):
+                add_enemy(world, level, column, row, _towards(world, column))
     world.scanned_from = first
     world.scanned_to = last
 

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from env_server.mario.sim.state import ROWS, World
+from env_server.mario.sim.state import ROWS, LevelMap, World
 from glue.compiled.jit import jit
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "BRICK_WITH_COIN",
     "BRICK_WITH_POWER_UP",
     "BUMPABLE",
+    "CHANGED",
     "COIN",
     "EMPTY",
     "GROUND",
@@ -38,8 +39,9 @@ __all__ = [
     "STOPS_RISE",
     "USED_BLOCK",
     "behavior_at",
-    "set_tile",
+    "change_tile",
     "solid",
+    "stops",
     "tile_at",
     "tile_of",
 ]
@@ -88,6 +90,9 @@ BEHAVIOR: Final = np.array(
 )
 """Shape (256,): the bits STOPS_FALL to PICKUP of each tile code (128 is cosmetic)."""
 
+CHANGED: Final = np.where(BEHAVIOR & BUMPABLE, USED_BLOCK, EMPTY).astype(np.uint8)
+"""Shape (256,): the tile that each changes to in play: hit blocks are used, bricks break, coins are taken."""
+
 
 @jit
 def tile_of(position: np.float32) -> int:
@@ -96,23 +101,33 @@ def tile_of(position: np.float32) -> int:
 
 
 @jit
-def tile_at(world: World, column: int, row: int) -> int:
+def tile_at(world: World, level: LevelMap, column: int, row: int) -> int:
     """Return the code of a cell. Border columns and the bottom row extend forever; above is nothing."""
     if row < 0:
         return EMPTY
-    return int(world.tiles[min(max(column, 0), world.columns - 1), min(row, ROWS - 1)])
+    column = min(max(column, 0), level.columns - 1)
+    row = min(row, ROWS - 1)
+    code = level.tiles[column, row]
+    if world.changed[column] >> row & 1:
+        code = CHANGED[code]
+    return int(code)
 
 
 @jit
-def behavior_at(world: World, column: int, row: int) -> int:
+def behavior_at(world: World, level: LevelMap, column: int, row: int) -> int:
     """Return the behaviour of a cell's tile."""
-    return int(BEHAVIOR[tile_at(world, column, row)])
+    return int(BEHAVIOR[tile_at(world, level, column, row)])
 
 
 @jit
-def solid(world: World, column: int, row: int, vy: np.float32) -> bool:
+def solid(world: World, level: LevelMap, column: int, row: int, vy: np.float32) -> bool:
     """Return whether a cell stops a body that moves vertically by `vy`, of which the sign counts."""
-    behavior = behavior_at(world, column, row)
+    return stops(behavior_at(world, level, column, row), vy)
+
+
+@jit
+def stops(behavior: int, vy: np.float32) -> bool:
+    """Return whether a tile of this behaviour stops a body that moves vertically by `vy`, as for `solid`."""
     return bool(
         behavior & STOPS_ALL != 0
         or (vy > 0 and behavior & STOPS_FALL != 0)
@@ -121,7 +136,7 @@ def solid(world: World, column: int, row: int, vy: np.float32) -> bool:
 
 
 @jit
-def set_tile(world: World, column: int, row: int, code: int) -> None:
-    """Write a cell; outside the level nothing is written."""
-    if 0 <= column < world.columns and 0 <= row < ROWS:
-        world.tiles[column, row] = code
+def change_tile(world: World, level: LevelMap, column: int, row: int) -> None:
+    """Change a cell to the tile in `CHANGED`; outside the level nothing changes."""
+    if 0 <= column < level.columns and 0 <= row < ROWS:
+        world.changed[column] |= 1 << row

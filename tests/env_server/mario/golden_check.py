@@ -76,7 +76,9 @@ def check_runs(name: str, only: frozenset[str] | None = None) -> Checked:
         if lost or kind not in ("start", "step"):
             continue
         assert game is not None
-        reward, observation, ended = (0.0, game.start(), False) if kind == "start" else game.step(*line["a"])
+        reward, observation, ended, *_ = (
+            (0.0, game.start(), False) if kind == "start" else game.step(*line["a"])
+        )
         compared += kind == "step"
         if not same(line, reward, observation, ended):
             differences.append(f"{name} {where} at step {compared} of the file")
@@ -110,27 +112,27 @@ def check_ticks(name: str, only: frozenset[str]) -> Checked:
         if lost or kind not in ("start", "step"):
             continue
         assert game is not None
-        world = game.world
+        world, level = game.world, game.level_map
         if kind == "start":
-            reset(world)
+            reset(world, level)
         else:
             world.steps += 1
             world.direction, world.jump, world.run = line["a"]
-            draw(world)
+            draw(world, level)
         wrong = ""
         for i, recorded in enumerate(ticks):
-            tick(world)
+            tick(world, level)
             press_buttons(world, i > 0)
             wrong = wrong or difference(recorded, state_of(world))
             if i < 4:
-                draw(world)
+                draw(world, level)
             compared += 1
         ended = is_over(world) and len(ticks) < 5
         if ended:
             reward = terminal_reward(world)
         else:
             reward = ordinary_reward(world)
-            observation = Observation.from_body(body[: encode(world, body)].tobytes())
+            observation = Observation.from_body(body[: encode(world, level, body)].tobytes())
         if not wrong and not same(line, float(reward), observation, ended):
             wrong = f"{kind} line"
         if wrong:
@@ -208,7 +210,7 @@ def _sprite(actor: Actor) -> Line:
         own = {"cls": "Enemy", **enemy}
     else:
         own = {
-            PLANT: {"cls": "FlowerEnemy", **enemy, "jumpTime": actor.age, "yStart": 16 * actor.row + 24},
+            PLANT: {"cls": "FlowerEnemy", **enemy, "jumpTime": actor.age, "yStart": 16 * int(actor.row) + 24},
             MUSHROOM: {
                 "cls": "Mushroom",
                 "onGround": actor.grounded,

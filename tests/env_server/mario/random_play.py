@@ -88,9 +88,9 @@ def try_the_bounds_check() -> bool:
     """Return whether an index out of bounds raises an error."""
     game = Game(random_task(np.random.default_rng(0)))
     game.start()
-    game.world.columns = 10**6
+    game.level_map.columns = 10**6
     game.world.drawn_camera = 16 * (10**6 - 30)
-    game.world.tiles[:] = 0
+    game.level_map.tiles[:] = 0
     try:
         for _ in range(2):
             game.world.actors[0].x = np.float32(16 * 10**5)
@@ -108,15 +108,15 @@ def play(steps: int, seed: int) -> dict[str, int]:
         game = Game(random_task(rng))
         met["tasks"] += 1
         for _ in range(3):
-            check_values(game.start(), game.world.columns)
+            check_values(game.start(), game.level_map.columns)
             met["episodes"] += 1
             for i, action in enumerate(random_actions(rng, 400)):
-                reward, observation, ended = game.step(*action)
+                reward, observation, ended, *_ = game.step(*action)
                 met["steps"] += 1
                 met["most actors"] = max(met["most actors"], check_counts(observation))
                 assert math.isfinite(reward)
                 if i % 32 == 0:
-                    check_values(observation, game.world.columns)
+                    check_values(observation, game.level_map.columns)
                 if ended:
                     break
     return met

@@ -9,14 +9,14 @@ from typing import Any, Final
 import numpy as np
 import pytest
 
-from env_server.command import environment as glue_env
-from env_server.mario.batch_environment import InfiniteMarioBatch
+from env_server.cli.environment import environment as glue_env
 from env_server.mario.environment import InfiniteMario
+from env_server.mario.many.environment import InfiniteMarioBatch
 from glue import Action, Observation, connect, make
 from glue.batches import Ragged, pack_actions, read_batch_task_spec, unpack_batch
 from glue.errors import ConfigError, GlueError, RemoteProtocolError, SimulatorError
 from glue.options import parameters
-from glue.players.batched import BatchedEnvironments, make_batch
+from glue.plugins.batched import BatchedEnvironments, make_batch
 from glue.roles import Environment
 from tests.hubs import hub_with
 from tests.players import ActingInAll
@@ -68,7 +68,7 @@ def actions(games: int) -> Iterator[Action]:
 def played(environment: Environment, games: int) -> list[Shown]:
     shown = [(0.0, environment.env_start().body)]
     for action in actions(games):
-        reward, observation, terminal = environment.env_step(action)
+        reward, observation, terminal, *_ = environment.env_step(action)
         assert terminal is False
         shown.append((reward, observation.body))
     return shown
@@ -162,7 +162,7 @@ def test_the_command_serves_many_games_as_one() -> None:
     alone = make("mario", **LIVELY)
     alone.env_init()
     expected = [alone.env_start(), *(alone.env_step(Action([1, 0, 1]))[1] for _ in range(4))]
-    with hub_with(agents={"default": agent}) as hub:
+    with hub_with(agent) as hub:
         options = [f"--{name.replace('_', '-')}={value}" for name, value in LIVELY.items()]
         arguments = ["mario", *options, "--batch", "3", "--hub", hub, "--quiet"]
         serving = Thread(target=glue_env.main, args=(arguments,), kwargs={"standalone_mode": False})

@@ -11,23 +11,23 @@ from hypothesis import strategies as st
 
 from env_server.mario.environment import InfiniteMario
 from env_server.mario.game import Game
-from env_server.mario.sim.state import World
+from env_server.mario.sim.state import LevelMap
 from env_server.mario.sim.tiles import BEHAVIOR, GROUND, STOPS_ALL
 
 Options = dict[str, int | str]
 
 
-def level(options: Options) -> World:
-    game = Game(InfiniteMario(**options).parameters)  # type: ignore[arg-type]
+def level(options: Options) -> LevelMap:
+    game = Game(InfiniteMario(**options).parameters)
     game.start()
-    return game.world
+    return game.level_map
 
 
-def spawn_points(world: World) -> list[tuple[int, int, int, int]]:
+def spawn_points(level: LevelMap) -> list[tuple[int, int, int, int]]:
     """Return column, row, kind as generated, winged."""
     return [
-        (int(x), int(y), int(world.spawns[x, y]) % 8 - 1, int(world.spawns[x, y]) // 8)
-        for x, y in np.argwhere(world.spawns[: world.columns])
+        (int(x), int(y), int(level.spawns[x, y]) % 8 - 1, int(level.spawns[x, y]) // 8)
+        for x, y in np.argwhere(level.spawns[: level.columns])
     ]
 
 
@@ -76,11 +76,11 @@ def short_digest(data: bytes) -> str:
 def test_level_is_the_original_one(
     options: Options, columns: int, exit_x: int, counts: tuple[int, int], tiles: str, spawns: str
 ) -> None:
-    world = level(options)
-    points = spawn_points(world)
-    assert (world.columns, world.exit_x) == (columns, exit_x)
+    made = level(options)
+    points = spawn_points(made)
+    assert (made.columns, made.exit_x) == (columns, exit_x)
     assert (len(points), sum(winged for *_, winged in points)) == counts
-    assert short_digest(world.tiles[: world.columns].tobytes()) == tiles
+    assert short_digest(made.tiles[: made.columns].tobytes()) == tiles
     listed = "".join(f"{x},{y},{kind},{winged};" for x, y, kind, winged in points)
     assert short_digest(listed.encode()) == spawns
 
@@ -93,7 +93,7 @@ def test_level_is_the_original_one(
     width=st.integers(0, 2000),
 )
 def test_every_level_can_be_begun_and_left(seed: int, kind: int, difficulty: int, width: int) -> None:
-    world = level(
+    made = level(
         {
             "level_seed": seed,
             "level_type": kind,
@@ -101,13 +101,13 @@ def test_every_level_can_be_begun_and_left(seed: int, kind: int, difficulty: int
             "level_width": width,
         }
     )
-    assert world.columns == width + 50
-    assert 0 < world.exit_x < world.columns
-    solid = BEHAVIOR[world.tiles[: world.columns]] & STOPS_ALL != 0
+    assert made.columns == width + 50
+    assert 0 < made.exit_x < made.columns
+    solid = BEHAVIOR[made.tiles[: made.columns]] & STOPS_ALL != 0
     assert solid[2, 5:].any()  # ground below the start
-    assert solid[world.exit_x :, world.exit_y].all()  # and behind the goal
-    assert not (world.tiles[world.columns :]).any()
-    assert all(kind == 4 or not 0 <= x < 10 for x, _, kind, _ in spawn_points(world))
+    assert solid[made.exit_x :, made.exit_y].all()  # and behind the goal
+    assert not (made.tiles[made.columns :]).any()
+    assert all(kind == 4 or not 0 <= x < 10 for x, _, kind, _ in spawn_points(made))
 
 
 def test_new_level_leaves_nothing_of_the_last() -> None:
@@ -117,8 +117,8 @@ def test_new_level_leaves_nothing_of_the_last() -> None:
     environment.env_message("level level_seed=3 level_type=0 level_difficulty=0")
     environment.env_start()
     fresh = level({"level_seed": 3, "level_width": 2000})
-    assert np.array_equal(environment.game.world.tiles, fresh.tiles)
-    assert np.array_equal(environment.game.world.spawns, fresh.spawns)
+    assert np.array_equal(environment.game.level_map.tiles, fresh.tiles)
+    assert np.array_equal(environment.game.level_map.spawns, fresh.spawns)
 
 
 def test_ground_is_dressed_in_the_colour_of_its_type() -> None:

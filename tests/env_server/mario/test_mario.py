@@ -32,7 +32,7 @@ def begun(**options: Any) -> InfiniteMario:
 def play_to_the_end(environment: InfiniteMario, action: Action) -> tuple[float, Observation]:
     """Repeat an action; return the last reward and observation."""
     while True:
-        reward, observation, ended = environment.env_step(action)
+        reward, observation, ended, *_ = environment.env_step(action)
         if ended:
             return reward, observation
 
@@ -86,7 +86,7 @@ def test_published_task_plays_as_the_original(
         while not ended and len(rewards) < 400:
             i = len(rewards)
             action = Action(ints=[-1 if i % 23 >= 20 else 1, i % 7 < 4, i % 11 < 8])
-            reward, observation, ended = environment.env_step(action)
+            reward, observation, ended, *_ = environment.env_step(action)
             rewards.append(reward)
             seen.update(packed(reward, observation, ended))
         assert len(rewards) == expected_steps
@@ -230,9 +230,9 @@ def test_standing_still_times_out_with_the_last_observation() -> None:
     environment = begun(level_seed=3, max_trial_steps=20)
     last = None
     for _ in range(19):
-        _, last, ended = environment.env_step(STAND)
+        _, last, ended, *_ = environment.env_step(STAND)
         assert not ended
-    assert environment.env_step(STAND) == (-10.0, last, True)
+    assert environment.env_step(STAND)[:3] == (-10.0, last, True)
 
 
 def test_buttons_held_at_the_end_move_the_next_episode() -> None:
@@ -263,7 +263,7 @@ def test_save_brings_back_what_later_episodes_depend_on() -> None:
     assert other.env_message("level") == "level_seed=8 level_type=2 level_difficulty=5"
     assert other.env_start() == expected
     assert other.env_step(JUMP_RIGHT) == environment.env_step(JUMP_RIGHT)
-    assert capabilities(environment) == ("save",)
+    assert capabilities(environment) == ("save", "truncate")
 
 
 def test_save_with_a_level_out_of_bounds_is_refused() -> None:

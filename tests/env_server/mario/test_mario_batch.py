@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from collections.abc import Iterator
-from types import ModuleType
 
 import numpy as np
 import pytest
 
-from env_server.mario.batch import Batch
 from env_server.mario.environment import InfiniteMario
 from env_server.mario.game import Game
+from env_server.mario.many.batch import Batch
 from glue.errors import SimulatorError
+from tests.env_server.mario import random_play
 
 
 @pytest.fixture
@@ -21,7 +24,7 @@ def batch() -> Iterator[Batch]:
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3])
-def test_games_play_as_they_do_alone(random_play: ModuleType, threads: int) -> None:
+def test_games_play_as_they_do_alone(threads: int) -> None:
     rng = np.random.default_rng(5)
     tasks = [random_play.random_task(rng) for _ in range(7)]
     actions = np.array([random_play.random_actions(rng, 150) for _ in tasks])
@@ -67,3 +70,16 @@ def test_action_out_of_bounds_is_refused_and_no_game_moves(batch: Batch) -> None
 def test_batch_must_be_started(batch: Batch) -> None:
     with pytest.raises(SimulatorError, match="game 0 has no episode"):
         batch.step(np.zeros((3, 3), np.int32))
+
+
+def test_a_batch_plays_uncompiled() -> None:
+    code = (
+        "from env_server.mario.environment import InfiniteMario as M; "
+        "from env_server.mario.many.batch import Batch; "
+        "import numpy as np; b = Batch([M().parameters] * 2, threads=2); b.start(); "
+        "print(b.step(np.zeros((2, 3), int))[0].tolist())"
+    )
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    command = [sys.executable, "-W", "ignore", "-c", code]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    assert done.stdout == "[-0.01, -0.01]\n", done.stderr

@@ -1,4 +1,4 @@
-"""What holds for every game: it depends on its task and its actions alone, and can be copied at any point."""
+"""Properties of every game: it depends only on its task and its actions, and can be copied at any point."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from hypothesis import strategies as st
 
 from env_server.mario.game import Game
 from glue.types import Observation
+from tests.env_server.mario import random_play
 from tests.proof import FULL
 
 Step = tuple[float, Observation, bool]
@@ -25,7 +25,7 @@ RANDOM_STEPS = 1_000_000
 _SEEDS = st.integers(0, 2**32 - 1)
 
 
-def make(random_play: ModuleType, seed: int, steps: int) -> tuple[Game, Actions]:
+def make(seed: int, steps: int) -> tuple[Game, Actions]:
     rng = np.random.default_rng(seed)
     return Game(random_play.random_task(rng)), random_play.random_actions(rng, steps)
 
@@ -42,22 +42,22 @@ def play(game: Game, actions: Actions) -> list[Step]:
 
 @settings(deadline=None)
 @given(seed=_SEEDS, before=_SEEDS)
-def test_same_task_and_actions_give_the_same_bytes(random_play: ModuleType, seed: int, before: int) -> None:
-    first, actions = make(random_play, seed, 60)
+def test_same_task_and_actions_give_the_same_bytes(seed: int, before: int) -> None:
+    first, actions = make(seed, 60)
     start = first.start()
     expected = play(first, actions)
-    other, others_actions = make(random_play, before, 60)
+    other, others_actions = make(before, 60)
     other.start()
     play(other, others_actions)
-    again, _ = make(random_play, seed, 60)
+    again, _ = make(seed, 60)
     assert again.start() == start
     assert play(again, actions) == expected
 
 
 @settings(deadline=None)
 @given(seed=_SEEDS, at=st.integers(0, 100))
-def test_restored_game_continues_as_if_never_stopped(random_play: ModuleType, seed: int, at: int) -> None:
-    game, actions = make(random_play, seed, 100)
+def test_restored_game_continues_as_if_never_stopped(seed: int, at: int) -> None:
+    game, actions = make(seed, 100)
     game.start()
     play(game, actions[:at])
     saved = game.clone()
@@ -69,13 +69,13 @@ def test_restored_game_continues_as_if_never_stopped(random_play: ModuleType, se
 
 @settings(deadline=None)
 @given(seeds=st.tuples(_SEEDS, _SEEDS))
-def test_two_games_do_not_touch_each_other(random_play: ModuleType, seeds: tuple[int, int]) -> None:
+def test_two_games_do_not_touch_each_other(seeds: tuple[int, int]) -> None:
     alone = []
     for seed in seeds:
-        game, actions = make(random_play, seed, 60)
+        game, actions = make(seed, 60)
         game.start()
         alone.append(play(game, actions))
-    pairs = [make(random_play, seed, 60) for seed in seeds]
+    pairs = [make(seed, 60) for seed in seeds]
     for game, _ in pairs:
         game.start()
     together: list[list[Step]] = [[], []]
@@ -85,8 +85,8 @@ def test_two_games_do_not_touch_each_other(random_play: ModuleType, seeds: tuple
     assert together == alone
 
 
-def test_restored_end_is_still_an_end(random_play: ModuleType) -> None:
-    game, _ = make(random_play, 1, 0)
+def test_restored_end_is_still_an_end() -> None:
+    game, _ = make(1, 0)
     game.world.max_trial_steps = 1
     game.world.draws_at_checkins = False
     last = game.start()
@@ -98,7 +98,7 @@ def test_restored_end_is_still_an_end(random_play: ModuleType) -> None:
 
 @pytest.mark.skipif(not FULL, reason="proved by `make proof` alone: its code has to be compiled")
 @pytest.mark.proof
-def test_random_steps_stay_in_bounds(random_play: ModuleType, capsys: pytest.CaptureFixture[str]) -> None:
+def test_random_steps_stay_in_bounds(capsys: pytest.CaptureFixture[str]) -> None:
     run = subprocess.run(
         [sys.executable, "-W", "error", random_play.__file__ or "", str(RANDOM_STEPS)],
         env={**os.environ, "NUMBA_BOUNDSCHECK": "1"},

@@ -1,6 +1,6 @@
 """Many games of Infinite Mario as one RL-Glue environment: `glue-env mario --batch 64`.
 
-The name of this class stands in the entry-point group `glue.batches`: so `glue.players.batched` finds it. All
+The name of this class stands in the entry-point group `glue.batches`: so `glue.plugins.batched` finds it. All
 games are stepped in one compiled call, and their observations gathered into one message by another. Each game
 is, to the byte, what an `InfiniteMario` of its own would be; the message is described in `glue.batches`.
 """
@@ -12,14 +12,15 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from env_server.mario.batch import Batch
 from env_server.mario.environment import InfiniteMario
+from env_server.mario.many.batch import Batch
 from env_server.mario.observation import BODY_SIZE
 from glue.batches import Ragged, batch_task_spec, pack_actions, unpack_actions
 from glue.compiled.jit import announce_compilation, entry, jit
 from glue.errors import ConfigError, SimulatorError
-from glue.protocol.limits import MAX_BODY
-from glue.types import PREFIX_SIZE, Action, Observation
+from glue.roles import Environment
+from glue.types import PREFIX_SIZE, Action, Observation, Step
+from glue.wire.limits import MAX_BODY
 
 __all__ = ["InfiniteMarioBatch"]
 
@@ -30,7 +31,7 @@ _MAX_GAMES: Final = MAX_BODY // 400
 """No observation is smaller than that."""
 
 
-class InfiniteMarioBatch:
+class InfiniteMarioBatch(Environment):
     """`games` games with the options of one environment; a game that is over begins its next episode at once.
 
     A batch never ends: the experiment limits its steps. Nothing in the game is random, so there is no seed.
@@ -55,7 +56,7 @@ class InfiniteMarioBatch:
         self._head = pack_actions(still).body[: -4 * counts.size]
 
     def env_batch(self) -> int:
-        """Return how many games there are."""
+        """Return the number of games."""
         return self._games
 
     def env_init(self) -> str:
@@ -77,7 +78,7 @@ class InfiniteMarioBatch:
         batch.start()
         return self._shown(batch, np.zeros(self._games), np.zeros(self._games, np.bool_))
 
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+    def env_step(self, action: Action) -> Step:
         """Hold the buttons of each game's action for five ticks.
 
         Returns:
@@ -90,7 +91,7 @@ class InfiniteMarioBatch:
         """
         batch = self._playing()
         rewards, ended = batch.step(self._buttons(action))
-        return float(rewards.sum()), self._shown(batch, rewards, ended), False
+        return Step(float(rewards.sum()), self._shown(batch, rewards, ended), False)
 
     def env_cleanup(self) -> None:
         """Release the games, and any level that a message asked for."""

@@ -1,0 +1,309 @@
+"""Many games: episodes that end, are cut off and begin again, in one compiled call.
+
+`Games` holds N games and what is shown of them. A game depends neither on the others nor on the threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from env_server.mario.level_sets import TYPES, LevelSet, level_seed, splitmix
+from env_server.mario.many.views import View, write_view
+from env_server.mario.observation import BODY_SIZE, encode
+from env_server.mario.parameters import Parameters
+from env_server.mario.reward import ordinary_reward, terminal_reward
+from env_server.mario.sim.state import LEVEL, WORLD, LevelMap, Levels, World, Worlds
+from env_server.mario.sim.step import act, begin
+from glue.closing import Closing
+from glue.compiled.jit import announce_compilation, entry, jit
+from glue.compiled.records import Array, Flag, Int, Real, Word, layout
+from glue.compiled.threads import Gate, Threads, begin_turn, claim, end_turn
+from glue.types import Observation
+
+__all__ = ["DISABLED", "INFOS", "MAX_STEPS", "NEXT_STEP", "SAME_STEP", "Games"]
+
+NEXT_STEP: Final = 0
+SAME_STEP: Final = 1
+DISABLED: Final = 2
+
+INFOS: Final = ("timeout", "goal", "level_seed", "level_type", "level_difficulty")
+"""The fields of an info, in order: whether the step limit or the goal ended the episode, and the level."""
+MAX_STEPS: Final = 2**31 - 1
+"""Steps of an episode that is never cut off."""
+
+# What a call can order of a game: an action, by its number, or one of these.
+_BEGIN: Final = -1
+_LEAVE: Final = -2
+
+Bytes = npt.NDArray[np.uint8]
+Reals = npt.NDArray[np.float32]
+
+
+class Lane:
+    """The state of a game besides its world."""
+
+    key: Word  # which levels its episodes are played on, with `episode`
+    episode: Int  # how many have begun since the seed
+    begun: Flag
+    over: Flag  # the episode has ended or was cut off
+    reward: Real
+    terminated: Flag
+    truncated: Flag
+    size: Int  # bytes of what is shown
+    info: Annotated[npt.NDArray[np.int64], np.int64, 5]
+    final_info: Annotated[npt.NDArray[np.int64], np.int64, 5]
+
+
+class Setup:
+    """The settings common to all games."""
+
+    view_number: Int  # of `View`
+    mode: Int
+    max_steps: Int
+    first_level: Int
+    levels: Int  # 0: the task's own level
+    difficulties: Int
+    level_type: Int  # -1: as the level's number says
+    level_difficulty: Int
+
+
+# Records whose fields are attributes in uncompiled code, too.
+_LANE: Final = np.dtype((np.record, layout(Lane)))
+_SETUP: Final = np.dtype((np.record, layout(Setup)))
+
+
+class Games(Closing):
+    """N games, each with a task. Close them at the end, or use them in a `with` statement.
+
+    Args:
+        tasks: one for each game.
+        view: what is shown of a game.
+        mode: NEXT_STEP, SAME_STEP or DISABLED: when a game that is over begins its next episode.
+        threads: threads that step the games.
+        max_steps: steps after which an episode is cut off.
+        levels: levels of the episodes; None for those of the tasks.
+        level_type, level_difficulty: of all episodes on `levels`; -1 for those of the level's number.
+        finals: whether to keep what was shown last of episodes that ended in the same step.
+
+    Attributes:
+        cells, reals: what is shown, shapes (N, bytes) and (N, reals) of the view.
+        final_cells, final_reals: what was shown last of episodes that are over.
+        lanes: shape (N,); see `Lane`.
+    """
+
+    def __init__(
+        self,
+        tasks: Sequence[Parameters],
+        view: View,
+        mode: int,
+        *,
+        threads: int = 1,
+        max_steps: int = MAX_STEPS,
+        levels: LevelSet | None = None,
+        level_type: int = -1,
+        level_difficulty: int = -1,
+        finals: bool = False,
+    ) -> None:
+        count = len(tasks)
+        self.lanes: Array = np.zeros(count, _LANE)
+        self._setup: Array = np.zeros(1, _SETUP)
+        setup = self._setup
+        setup["view_number"], setup["mode"], setup["max_steps"] = view.number, mode, max_steps
+        if levels is not None:
+            setup["first_level"], setup["levels"] = levels.numbers.start, len(levels.numbers)
+            setup["difficulties"] = levels.difficulties
+        setup["level_type"], setup["level_difficulty"] = level_type, level_difficulty
+        self.worlds: Worlds = np.zeros(count, WORLD)
+        self.levels: Levels = np.zeros(count, LEVEL)
+        self.set_tasks(tasks)
+        self.cells: Bytes = np.zeros((count, view.bytes), np.uint8)
+        self.reals: Reals = np.zeros((count, view.reals), np.float32)
+        kept = count if finals else 0
+        self.final_cells: Bytes = np.zeros((kept, view.bytes), np.uint8)
+        self.final_reals: Reals = np.zeros((kept, view.reals), np.float32)
+        self._orders = np.full(count, _LEAVE, np.int8)
+        self._threads = Threads(1, count)
+        self._load()
+        self._threads = Threads(threads, count)
+
+    def __len__(self) -> int:
+        return len(self.lanes)
+
+    def close(self) -> None:
+        """End the threads."""
+        self._threads.close()
+
+    def set_tasks(self, tasks: Sequence[Parameters]) -> None:
+        """Let each game play another task from its next episode on."""
+        self._tasks = tasks
+        for world, task in zip(self.worlds, tasks, strict=True):
+            task.write_to(world)
+
+    def seed(self, i: int, key: int) -> None:
+        """Forget everything that earlier episodes of game `i` left behind; `key` chooses its levels."""
+        self.worlds[i] = np.zeros((), WORLD)
+        self._tasks[i].write_to(self.worlds[i])
+        self.lanes[i] = np.zeros((), self.lanes.dtype)
+        self.lanes["key"][i] = key
+
+    def reset(self, which: npt.NDArray[np.bool_] | None = None) -> None:
+        """Begin an episode in every game, or in those that `which`, shape (N,), chooses."""
+        self._orders[:] = _BEGIN if which is None else np.where(which, _BEGIN, _LEAVE)
+        self._run()
+
+    def step(self, actions: npt.NDArray[np.int64], choices: npt.NDArray[np.int64]) -> int:
+        """Carry out an action in every game.
+
+        Args:
+            actions: shape (N, K): direction 0 to 2, jump and run, or their number; see `choices`.
+            choices: number of choices of each, shape (K,).
+
+        Returns:
+            -1; or `i`, if game `i` has no episode to step in, or `N + i`, if it has no such action. Then no
+            game was stepped.
+        """
+        refused = int(_order(actions, choices, self.lanes, self._setup, self._orders))
+        if refused < 0:
+            self._run()
+        return refused
+
+    def observation(self, i: int) -> Observation:
+        """Return game `i` as an RL-Glue agent would see it now."""
+        body = np.zeros(BODY_SIZE, np.uint8)
+        size = _body(self.worlds[i : i + 1], self.levels[i : i + 1], body)
+        return Observation.from_body(body[:size].tobytes())
+
+    def _run(self) -> None:
+        shown = (self.cells, self.reals, self.final_cells, self.final_reals)
+        self._threads.run(_advance, self.worlds, self.levels, self.lanes, self._setup, self._orders, *shown)
+
+    def _load(self) -> None:
+        """Load the compiled rules, or compile them and say so."""
+        with announce_compilation("many games of Infinite Mario", 20):
+            none = np.zeros((0, 1), np.int64), np.zeros(1, np.int64)
+            _order(*none, self.lanes[:0], self._setup, self._orders)
+            self._run()
+            # Only `render` asks for an observation, which may compile then.
+
+
+@jit
+def _begin(world: World, level: LevelMap, lane: Lane, setup: Setup) -> None:
+    """Begin the next episode of a game, on the level that is its turn."""
+    if setup.levels > 0:
+        draw = splitmix(lane.key + np.uint64(lane.episode))
+        number = setup.first_level + int(draw % np.uint64(setup.levels))
+        world.level_seed = level_seed(number)
+        world.level_type = number % TYPES if setup.level_type < 0 else setup.level_type
+        difficulty = number // TYPES % setup.difficulties
+        world.level_difficulty = difficulty if setup.level_difficulty < 0 else setup.level_difficulty
+    lane.episode += 1
+    lane.begun = True
+    lane.over = False
+    begin(world, level)
+    ordinary_reward(world)  # of the first check-in: noted as paid, although the agent does not receive it
+    lane.info[0] = 0
+    lane.info[1] = 0
+    lane.info[2] = world.level_seed
+    lane.info[3] = world.level_type
+    lane.info[4] = world.level_difficulty
+
+
+@entry
+def _order(
+    actions: npt.NDArray[np.int64],
+    choices: npt.NDArray[np.int64],
+    lanes: Array,
+    setups: Array,
+    orders: npt.NDArray[np.int8],
+) -> int:
+    """Order a step of every game, or return why not; see `Games.step`."""
+    setup: Setup = setups[0]
+    for i in range(len(lanes)):
+        lane: Lane = lanes[i]
+        if not lane.begun or (lane.over and setup.mode == DISABLED):
+            return i
+        number = 0
+        for j in range(len(choices)):
+            if not 0 <= actions[i, j] < choices[j]:
+                return len(lanes) + i
+            number = number * choices[j] + actions[i, j]
+        orders[i] = number
+    return -1
+
+
+@entry
+def _advance(
+    gate: Gate,
+    worker: int,
+    worlds: Worlds,
+    levels: Levels,
+    lanes: Array,
+    setups: Array,
+    orders: npt.NDArray[np.int8],
+    cells: Bytes,
+    reals: Reals,
+    final_cells: Bytes,
+    final_reals: Reals,
+) -> None:
+    """Do as ordered in the games that this thread claims, in every turn.
+
+    One function for all that can happen to a game, because the rules are compiled into each that calls them.
+    """
+    setup: Setup = setups[0]
+    while begin_turn(gate, worker):
+        first, last = claim(gate, worker)
+        while first < last:
+            for i in range(first, last):
+                if orders[i] == _LEAVE:
+                    continue
+                world: World = worlds[i]
+                level: LevelMap = levels[i]
+                lane: Lane = lanes[i]
+                begins = orders[i] == _BEGIN or (lane.over and setup.mode == NEXT_STEP)
+                if begins:
+                    lane.reward = 0.0
+                    lane.terminated = False
+                    lane.truncated = False
+                else:
+                    _act(world, level, lane, setup, orders[i])
+                    if lane.over and setup.mode == SAME_STEP:
+                        if len(final_cells) > 0:
+                            if not lane.terminated:
+                                write_view(world, level, setup.view_number, cells[i], reals[i])
+                            final_cells[i] = cells[i]
+                            final_reals[i] = reals[i]
+                        lane.final_info[:] = lane.info
+                        begins = True
+                if begins:
+                    _begin(world, level, lane, setup)
+                # The observation of a terminal step is the one before it, as in the original.
+                if begins or not lane.terminated:
+                    lane.size = write_view(world, level, setup.view_number, cells[i], reals[i])
+            first, last = claim(gate, worker)
+        if end_turn(gate, worker):
+            return
+
+
+@jit
+def _act(world: World, level: LevelMap, lane: Lane, setup: Setup, action: int) -> None:
+    was_dying = world.death_timer > 0
+    lane.terminated = not act(world, level, action // 4 - 1, action // 2 % 2, action % 2)
+    if lane.terminated:
+        lane.reward = terminal_reward(world)
+        lane.info[1] = world.win_timer > 0
+        lane.info[0] = world.win_timer == 0 and not was_dying and world.steps >= world.max_trial_steps
+    else:
+        lane.reward = ordinary_reward(world)
+    lane.truncated = world.steps >= setup.max_steps  # as Gymnasium has it, even if the episode ended as well
+    lane.over = lane.terminated or lane.truncated
+
+
+@entry
+def _body(worlds: Worlds, levels: Levels, body: Bytes) -> int:
+    world: World = worlds[0]
+    level: LevelMap = levels[0]
+    return encode(world, level, body)

@@ -1,0 +1,169 @@
+"""Infinite Mario as a model: the game's own rules, stepped from what an agent has seen of a game.
+
+This module's name stands in the entry-point group `glue.models`, where agents find it. A belief is a record
+of `WORLD` and one of `LEVEL`, as a game is. Its level holds what was seen so far, and level ground to the
+right of it. All functions but `make` and `row_size` are compiled, for compiled code and for Python.
+
+    start, correct  begin an episode with its first observation; put right what the next show otherwise
+    predicts        compare a belief with an observation
+    rewind          begin an episode on the level as it is believed to be, without an observation
+    place           put Mario, and nothing else, where an observation shows him
+    step            carry out an action
+    change          let other physical constants hold
+    save, load      copy a world to a row of bytes, and back: a node of a search
+
+No observation shows the jump counter, the timers and the contents of blocks. A belief carries them from step
+to step, and they are overwritten only where a prediction proves wrong.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from env_server.mario.belief import correct, place, predicts, start
+from env_server.mario.observation import BODY_SIZE
+from env_server.mario.parameters import resolve
+from env_server.mario.sim.state import COLUMNS, FREE, LEVEL, WORLD, LevelMap, Levels, World, Worlds
+from env_server.mario.sim.step import act, rewind
+from glue.compiled.jit import entry, jit
+
+__all__ = [
+    "ACTIONS",
+    "BODY_SIZE",
+    "COLUMNS",
+    "CONSTANTS",
+    "LEVEL",
+    "WORLD",
+    "change",
+    "constants",
+    "correct",
+    "load",
+    "make",
+    "place",
+    "predicts",
+    "rewind",
+    "row_size",
+    "save",
+    "start",
+    "step",
+]
+
+ACTIONS: Final = np.array(
+    [(direction, jump, run) for direction in (-1, 0, 1) for jump in (0, 1) for run in (0, 1)], np.int64
+)
+"""Direction, jump and run of each action, shape (12, 3)."""
+
+CONSTANTS: Final = ("speed_walk", "speed_run", "speed_jump", "accel_fall", "speed_slidejump", "jump_time")
+"""The physical constants in which published tasks differ; units and ranges are those of the parameters."""
+
+_KEPT: Final = 48  # actors of a saved world; of more, the oldest are left out
+
+# What a saved world consists of: the numbers before the actors, the flags, the length of the list, the actors
+# in the order of the list, Mario first, and what was changed in some columns.
+_OFFSETS: Final = {name: WORLD.fields[name][1] for name in WORLD.fields} if WORLD.fields else {}
+_ACTORS_AT: Final = _OFFSETS["actors"]
+_FLAGS_AT: Final = _OFFSETS["draws_at_checkins"]
+_FLAGS: Final = _OFFSETS["order"] - _FLAGS_AT
+_ACTOR_SIZE: Final = 40
+_LISTED_AT: Final = -(-(_ACTORS_AT + _FLAGS) // 8) * 8
+_LIST_AT: Final = _LISTED_AT + 8
+_WINDOW_AT: Final = -(-(_LIST_AT + _ACTOR_SIZE * (_KEPT + 1)) // 8) * 8
+Bytes = npt.NDArray[np.uint8]
+Reals = npt.NDArray[np.float64]
+
+
+def make(**parameters: int | float | str) -> tuple[Worlds, Levels]:
+    """Return a belief, arrays of one world and one level; `parameters` differ from those of instance 0."""
+    worlds, levels = np.zeros(1, WORLD), np.zeros(1, LEVEL)
+    resolve(parameters).write_to(worlds[0])
+    levels["columns"] = COLUMNS
+    return worlds, levels
+
+
+def constants(**parameters: float) -> Reals:
+    """Return the values of `CONSTANTS`, those of instance 0 but for `parameters`, shape (6,)."""
+    task = asdict(resolve(parameters))
+    return np.array([task[name] for name in CONSTANTS], np.float64)
+
+
+@entry
+def change(world: World, values: Reals) -> None:
+    """Let the values of `CONSTANTS`, shape (6,), hold in a world."""
+    world.speed_walk = values[0]
+    world.speed_run = values[1]
+    world.speed_jump = values[2]
+    world.accel_fall = values[3]
+    world.speed_slidejump = values[4]
+    world.jump_time = int(values[5])
+
+
+@entry
+def step(world: World, level: LevelMap, action: int) -> bool:
+    """Carry out an action, by its number; return False if the episode ended."""
+    return act(world, level, action // 4 - 1, action // 2 % 2, action % 2)
+
+
+def row_size(columns: int) -> int:
+    """Return the bytes of a saved world of so many columns, a multiple of 64."""
+    return -(-(_WINDOW_AT + 4 * columns) // 64) * 64
+
+
+@entry
+def save(world: World, memory: Bytes, row: Bytes, first: int, columns: int) -> None:
+    """Copy a world to `row`.
+
+    Args:
+        world: the world.
+        memory: its bytes, shape (WORLD.itemsize,).
+        row: at least `row_size(columns)` bytes, the first at a multiple of 8.
+        first, columns: the columns that play may have changed since the first of the worlds that are loaded
+            in turns. The same in every call for these.
+    """
+    _copy(memory, 0, row, 0, _ACTORS_AT)
+    _copy(memory, _FLAGS_AT, row, _ACTORS_AT, _FLAGS)
+    listed = min(world.listed, _KEPT)
+    carrying = 0
+    _copy(memory, _ACTORS_AT, row, _LIST_AT, _ACTOR_SIZE)
+    for i in range(listed):
+        slot = world.order[i]
+        if slot == world.carrying:
+            carrying = i + 1
+        _copy(memory, _ACTORS_AT + _ACTOR_SIZE * slot, row, _LIST_AT + _ACTOR_SIZE * (i + 1), _ACTOR_SIZE)
+    words = row.view(np.int32)
+    words[_LISTED_AT // 4] = listed
+    words[_LISTED_AT // 4 + 1] = carrying
+    halves = row.view(np.uint16)[_WINDOW_AT // 2 :]
+    for i in range(columns):
+        halves[i] = world.changed[first + i]
+        halves[columns + i] = world.dead[first + i]
+
+
+@entry
+def load(world: World, memory: Bytes, row: Bytes, first: int, columns: int) -> None:
+    """Copy a world back from `row`. Args: as for `save`."""
+    for i in range(world.listed):
+        world.actors[world.order[i]].kind = FREE
+    _copy(row, 0, memory, 0, _ACTORS_AT)
+    _copy(row, _ACTORS_AT, memory, _FLAGS_AT, _FLAGS)
+    words = row.view(np.int32)
+    listed = words[_LISTED_AT // 4]
+    world.listed = listed
+    world.added = 0
+    _copy(row, _LIST_AT, memory, _ACTORS_AT, _ACTOR_SIZE * (listed + 1))
+    for i in range(listed):
+        world.order[i] = i + 1
+    world.carrying = words[_LISTED_AT // 4 + 1]
+    halves = row.view(np.uint16)[_WINDOW_AT // 2 :]
+    for i in range(columns):
+        world.changed[first + i] = halves[i]
+        world.dead[first + i] = halves[columns + i]
+
+
+@jit
+def _copy(source: Bytes, begin: int, target: Bytes, at: int, count: int) -> None:
+    for i in range(count):
+        target[at + i] = source[begin + i]

@@ -1,0 +1,98 @@
+"""The model of Infinite Mario against the game: equal where everything is known, and put right where not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from env_server.mario import model
+from env_server.mario.environment import InfiniteMario
+from env_server.mario.game import Game
+from env_server.mario.level_sets import LEVEL_SETS
+from env_server.mario.observation import encode
+from glue.errors import ConfigError
+from glue.plugins.models import find_model
+from glue.types import Observation
+from tests.env_server.mario import random_play
+from tests.proof import size
+
+TASK = InfiniteMario().parameters
+
+
+class Belief:
+    """A belief, and what is needed to step it."""
+
+    def __init__(self) -> None:
+        self.worlds, self.levels = model.make()
+        self.world, self.level = self.worlds[0], self.levels[0]
+        self.seen = np.zeros(1, np.int64)
+        self.body = np.zeros(model.BODY_SIZE, np.uint8)
+
+    def read(self, observation: Observation) -> None:
+        self.body[: len(observation.body)] = np.frombuffer(observation.body, np.uint8)
+
+    def shows(self) -> Observation:
+        body = np.zeros(model.BODY_SIZE, np.uint8)
+        return Observation.from_body(body[: encode(self.world, self.level, body)].tobytes())
+
+
+def test_agents_find_the_model_by_the_name_of_its_environment() -> None:
+    assert find_model("mario") is model
+    with pytest.raises(ConfigError):
+        find_model("nothing")
+
+
+@pytest.mark.proof
+@pytest.mark.timeout(1200)
+def test_model_that_knows_everything_is_the_game() -> None:
+    """Every step is taken from a row of bytes and saved to another, as a search does."""
+    rng = np.random.default_rng(1)
+    belief = Belief()
+    memory = belief.worlds.view(np.uint8)
+    steps = 0
+    world, level = belief.world, belief.level
+    while steps < size(10_000, 1_000_000):
+        number = int(rng.integers(10**6))
+        game = Game(LEVEL_SETS["ladder-v1"].level(TASK, number))
+        game.start()
+        columns = int(game.level_map.columns)
+        belief.levels[:] = game._level
+        memory[:] = game._memory.view(np.uint8)
+        row = np.zeros(model.row_size(columns), np.uint8)
+        for direction, jump, run in random_play.random_actions(rng, 300):
+            model.save(world, memory, row, 0, columns)
+            model.step(world, level, int(rng.integers(12)))
+            model.load(world, memory, row, 0, columns)
+            alive = model.step(world, level, 4 * (direction + 1) + 2 * jump + run)
+            _, observation, ended, *_ = game.step(direction, jump, run)
+            steps += 1
+            assert alive != ended
+            if ended:
+                break
+            assert belief.shows() == observation
+
+
+def test_belief_follows_what_it_sees() -> None:
+    """After a correction every tile and every actor is where it was seen; most steps need none."""
+    rng = np.random.default_rng(2)
+    exact = steps = 0
+    for number in range(20):
+        belief = Belief()
+        game = Game(LEVEL_SETS["train-200"].level(TASK, number))
+        belief.read(game.start())
+        model.start(belief.world, belief.level, belief.seen, belief.body)
+        for direction, jump, run in random_play.random_actions(rng, 100):
+            model.step(belief.world, belief.level, 4 * (direction + 1) + 2 * jump + run)
+            _, observation, ended, *_ = game.step(direction, jump, run)
+            if ended:
+                break
+            belief.read(observation)
+            exact += model.correct(belief.world, belief.level, belief.seen, belief.body)
+            steps += 1
+            shown, expected = belief.shows(), observation
+            assert shown.chars == expected.chars
+            assert shown.ints.tolist() == expected.ints.tolist()
+            places = np.abs(shown.doubles - expected.doubles).reshape(-1, 4)
+            assert places[:, :2].max() == 0
+            assert places[:, 2:].max() < 1e-4
+    assert exact > 0.9 * steps
