@@ -8,8 +8,10 @@ import numpy as np
 
 from glue.errors import SimulatorError
 from glue.options import Option
+from glue.roles import Environment
 from glue.saves import Saved, pack, pack_generator, unpack, unpack_generator
-from glue.types import Action, Observation
+from glue.taskspec.spaces import Discrete, task_spec
+from glue.types import Action, Observation, Step
 
 __all__ = ["MINES_MAP", "MinesEnvironment", "SkeletonEnvironment"]
 
@@ -17,7 +19,7 @@ _LAST_STATE: Final = 20
 _FIRST_STATE: Final = 10
 
 
-class SkeletonEnvironment:
+class SkeletonEnvironment(Environment):
     """A walk along 21 states, from the middle to either end.
 
     Action 0 goes down by one, 1 goes up. State 0 ends with reward -1, state 20 with +1; no other step
@@ -28,23 +30,18 @@ class SkeletonEnvironment:
         self._state = _FIRST_STATE
 
     def env_init(self) -> str:
-        return (
-            "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1.0 "
-            "OBSERVATIONS INTS (0 20) ACTIONS INTS (0 1) REWARDS (-1.0 1.0) EXTRA skeleton"
-        )
+        states = Discrete(_LAST_STATE + 1)
+        return task_spec(states, Discrete(2), rewards=(-1.0, 1.0), extra="skeleton")
 
     def env_start(self) -> Observation:
         self._state = _FIRST_STATE
         return Observation(ints=(self._state,))
 
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+    def env_step(self, action: Action) -> Step:
         move = _one_int(action, high=1)
         self._state = min(max(self._state + (1 if move else -1), 0), _LAST_STATE)
         reward = {0: -1.0, _LAST_STATE: 1.0}.get(self._state, 0.0)
-        return reward, Observation(ints=(self._state,)), self._state in (0, _LAST_STATE)
-
-    def env_cleanup(self) -> None:
-        pass
+        return Step(reward, Observation(ints=(self._state,)), self._state in (0, _LAST_STATE))
 
     def env_message(self, message: str) -> str:
         if message == "what is your name?":
@@ -73,7 +70,7 @@ _MINE_REWARD: Final = -100.0
 _STEP_REWARD: Final = -1.0
 
 
-class MinesEnvironment:
+class MinesEnvironment(Environment):
     """A grid of 6 by 18 fields: reach the goal, step on no mine.
 
     The observation is the field, row by row (0..107); actions 0..3 go up, down, left, right, and a step
@@ -102,10 +99,9 @@ class MinesEnvironment:
 
     def env_init(self) -> str:
         self._field = None
-        return (
-            f"VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1.0 "
-            f"OBSERVATIONS INTS (0 {len(self._fields) - 1}) ACTIONS INTS (0 3) "
-            f"REWARDS ({_MINE_REWARD} {_GOAL_REWARD}) EXTRA mines"
+        fields = Discrete(len(self._fields))
+        return task_spec(
+            fields, Discrete(len(_DIRECTIONS)), rewards=(_MINE_REWARD, _GOAL_REWARD), extra="mines"
         )
 
     def env_start(self) -> Observation:
@@ -113,7 +109,7 @@ class MinesEnvironment:
         self._field = int(self._generator.choice(self._free)) if self._random_start else start
         return Observation(ints=(self._field,))
 
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+    def env_step(self, action: Action) -> Step:
         if self._field is None:
             raise SimulatorError("env_step needs env_start first")
         down, right = _DIRECTIONS[_one_int(action, high=3)]
@@ -122,7 +118,7 @@ class MinesEnvironment:
             self._field += down * self._columns + right
         what = self._fields[self._field]
         reward = {"G": _GOAL_REWARD, "*": _MINE_REWARD}.get(what, _STEP_REWARD)
-        return reward, Observation(ints=(self._field,)), what in "G*"
+        return Step(reward, Observation(ints=(self._field,)), what in "G*")
 
     def env_cleanup(self) -> None:
         self._field = None

@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from env_server.gym.games import DISABLED, INFOS, Games
+from env_server.gym.games import make_games
 from env_server.gym.rendering import FPS, RENDER_MODES, Renderer, usable_modes
 from env_server.gym.spaces import (
     CHOICES,
@@ -19,6 +19,7 @@ from env_server.gym.spaces import (
     unpack,
     what_is_wrong_with,
 )
+from env_server.mario.many.games import INFOS
 from glue.errors import SimulatorError
 
 __all__ = ["GameState", "InfiniteMarioEnv"]
@@ -29,7 +30,7 @@ _METADATA: Final = {"render_modes": [*RENDER_MODES], "render_fps": FPS}
 
 @dataclass(frozen=True, slots=True)
 class GameState:
-    """Where a game is, as `clone_state` returned it; it means nothing to another version of the program."""
+    """The state of a game, from `clone_state`; it means nothing to another version of the program."""
 
     arrays: tuple[npt.NDArray[Any], ...]
 
@@ -67,10 +68,12 @@ class InfiniteMarioEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        self.action_space = action_space(action)
+        self.action_space: gymnasium.Space[Any] = action_space(action)
         self._renderer = Renderer(render_mode)
-        self._games = Games(1, observation, DISABLED, 1, None, levels, num_levels, start_level, options)
-        self.observation_space = observation_space(observation)
+        self._games = make_games(
+            1, observation, options, levels=levels, num_levels=num_levels, start_level=start_level
+        )
+        self.observation_space: gymnasium.Space[Any] = observation_space(observation)
         # The class names every mode, for gymnasium.make; an instance those that can be tried here.
         self.metadata = {**type(self).metadata, "render_modes": usable_modes()}
         self.render_mode = render_mode
@@ -114,7 +117,7 @@ class InfiniteMarioEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         return self._observation(), float(lane["reward"]), bool(lane["terminated"]), False, self._info()
 
     def render(self) -> Any:
-        """Return what the render mode says; see Gymnasium.
+        """Render the game as the render mode says; see Gymnasium.
 
         Raises:
             SimulatorError: there is no episode yet.
@@ -154,7 +157,8 @@ class InfiniteMarioEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
 
     def _arrays(self) -> tuple[npt.NDArray[Any], ...]:
         games = self._games
-        return games.worlds.view(np.uint8), games.lanes.view(np.uint8), games.cells, games.reals
+        records = games.worlds, games.levels, games.lanes
+        return *(array.view(np.uint8) for array in records), games.cells, games.reals
 
     def _show(self) -> None:
         if self.render_mode == "human":

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from env_server.gym.pixels import SIZE
-from env_server.gym.views import (
+from env_server.mario.many.pixels import SIZE
+from env_server.mario.many.views import (
     CHARS,
     COLUMNS,
     DOUBLES,
@@ -31,7 +31,7 @@ __all__ = ["CHOICES", "action_space", "observation_space", "read_actions", "unpa
 
 _WINDOW: Final = (ROWS_SHOWN, COLUMNS_SHOWN)
 CHOICES: Final = {"buttons": np.array([3, 2, 2]), "discrete": np.array([12])}
-"""How many there are of direction, jump and run; and of their numbers, 4 * direction + 2 * jump + run."""
+"""Number of values of direction, jump and run; and of their number, 4 * direction + 2 * jump + run."""
 
 
 def observation_space(view: str) -> spaces.Space[Any]:
@@ -109,6 +109,6 @@ def read_actions(action: str, given: object, count: int) -> npt.NDArray[np.int64
 
 
 def what_is_wrong_with(action: str, row: npt.NDArray[np.int64]) -> str:
-    """Return what to say of a row of `read_actions` that is not in the space."""
+    """Return an error message for a row of `read_actions` that is not in the space."""
     ranges = "direction 0 to 2, jump and run 0 or 1" if action == "buttons" else "0 to 11"
     return f"an action is {ranges}; received {row.tolist() if action == 'buttons' else int(row[0])}"

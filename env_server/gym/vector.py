@@ -7,11 +7,12 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+from gymnasium.spaces import Space
 from gymnasium.utils.seeding import np_random
 from gymnasium.vector import VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from env_server.gym.games import DISABLED, INFOS, NEXT_STEP, SAME_STEP, Games
+from env_server.gym.games import make_games
 from env_server.gym.rendering import FPS, RENDER_MODES, Renderer
 from env_server.gym.spaces import (
     CHOICES,
@@ -21,6 +22,7 @@ from env_server.gym.spaces import (
     unpack,
     what_is_wrong_with,
 )
+from env_server.mario.many.games import DISABLED, INFOS, NEXT_STEP, SAME_STEP, Games
 from glue.errors import ConfigError, SimulatorError
 from glue.gym.modes import AutoresetMode, read_mode
 
@@ -45,7 +47,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         num_envs: how many games.
         max_episode_steps: steps after which an episode is truncated; None for no such limit.
         autoreset_mode: Gymnasium's NEXT_STEP, SAME_STEP or DISABLED, or its value.
-        num_threads: threads that step the games. Results do not depend on it.
+        num_threads: threads that step the games, used while they make it faster. Results do not depend on it.
         copy: False returns views of memory that the next step overwrites.
         observation, action, levels, num_levels, start_level, options: as for `InfiniteMarioEnv`.
         render_mode: `rgb_array` or `ansi`.
@@ -72,7 +74,8 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        self.closed = True  # until there is something to close: Gymnasium 1.0 closes what was never made
+        # Until there is something to close: Gymnasium 1.0 closes what was never made.
+        self.closed: bool = True
         for name, number in (("num_envs", num_envs), ("num_threads", num_threads)):
             if not isinstance(number, int) or number < 1:
                 raise ConfigError(f"{name} must be at least 1, not {number!r:.80}")
@@ -80,23 +83,22 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
             raise ConfigError("many games have no window: render_mode is rgb_array or ansi")
         mode = read_mode(autoreset_mode)
         self.num_envs = num_envs
-        self.single_action_space = action_space(action)
-        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.single_action_space: Space[Any] = action_space(action)
+        self.action_space: Space[Any] = batch_space(self.single_action_space, num_envs)
         self._renderer = Renderer(render_mode)
-        threads = min(num_threads, num_envs)
-        self._games = Games(
+        self._games = make_games(
             num_envs,
             observation,
-            _MODES[mode],
-            threads,
-            max_episode_steps,
-            levels,
-            num_levels,
-            start_level,
             options,
+            mode=_MODES[mode],
+            threads=min(num_threads, num_envs),
+            max_episode_steps=max_episode_steps,
+            levels=levels,
+            num_levels=num_levels,
+            start_level=start_level,
         )
-        self.single_observation_space = observation_space(observation)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.single_observation_space: Space[Any] = observation_space(observation)
+        self.observation_space: Space[Any] = batch_space(self.single_observation_space, num_envs)
         self.metadata = {**type(self).metadata, "autoreset_mode": mode}
         self.render_mode = render_mode
         self._view = observation
@@ -120,7 +122,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         """
         seed = int(seed) if isinstance(seed, np.integer) else seed
         super().reset(seed=seed if isinstance(seed, int) else None)
-        games = self._games
+        games = self._opened()
         which = self._mask(options)
         seeds = self._seeds(seed)
         for i in np.flatnonzero(which):
@@ -140,7 +142,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
             SimulatorError: an action is not in the space, or a game has no episode to step in; then no game
                 was stepped.
         """
-        games, count = self._games, self.num_envs
+        games, count = self._opened(), self.num_envs
         rows = read_actions(self._action, actions, count)
         refused = games.step(rows, CHOICES[self._action])
         if refused >= count:
@@ -159,7 +161,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         return self._observations(), lanes["reward"].copy(), terminated, truncated, infos
 
     def render(self) -> tuple[Any, ...] | None:
-        """Return what the render mode shows of each game."""
+        """Render each game as the render mode says."""
         if self.render_mode is None:
             return None
         if not self._games.lanes["begun"].all():
@@ -169,6 +171,11 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
     def close_extras(self, **_: Any) -> None:
         """End the threads."""
         self._games.close()
+
+    def _opened(self) -> Games:
+        if self.closed:
+            raise SimulatorError("the environment is closed: make another")
+        return self._games
 
     def _observations(self) -> Any:
         cells, reals = self._games.cells, self._games.reals
@@ -199,7 +206,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         return [None if one is None else int(one) for one in seed]
 
     def _final(self, over: npt.NDArray[np.bool_]) -> dict[str, Any]:
-        """Return what Gymnasium says of episodes that are over, when the next ones have begun already."""
+        """Return the final observations and infos of episodes that are over, as Gymnasium names them."""
         games = self._games
         last = np.full(self.num_envs, None, object)
         for i in np.flatnonzero(over):

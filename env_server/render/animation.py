@@ -41,7 +41,7 @@ def between(before: Scene, after: Scene, time: float) -> Scene:
         "".join(_tile(first, second, row, column) for column in range(left, left + width))
         for row in range(ROWS)
     )
-    return Scene(left, rows, tuple(_sprites(before, after, time)))
+    return Scene(left, rows, tuple(_sprites(before, after, time)), before.marks)
 
 
 def _tile(first: Scene, second: Scene, row: int, column: int) -> str:

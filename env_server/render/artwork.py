@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["CLOUD", "PALETTE", "SPRITES", "TILES", "WING"]
+__all__ = ["CLOUD", "MARK", "PALETTE", "SPRITES", "TILES", "WING"]
 
 PALETTE: Final = {
     "k": (0x2A, 0x1B, 0x2E),  # outline
@@ -516,3 +516,4 @@ wwwwwwwwwwwwwwwwwwwwwwwwwwwwwwww
 .6666wwwwwww666666wwwwwww666666.
 ...66666666....666666666........
 """)
+MARK: Final = ("..k..", ".kwk.", "kwwwk", ".kwk.", "..k..")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from glue.players.screen import TerminalScreen
+from glue.cli.screen import TerminalScreen
 from glue.roles import Environment
-from glue.types import Action, Observation
+from glue.types import Action, Observation, Step, step_of
 
 __all__ = ["Rendered"]
 
@@ -29,12 +29,12 @@ class Rendered:
         self._screen.show(observation, 0.0, 0, 0.0)
         return observation
 
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
-        reward, observation, terminal = self.__wrapped__.env_step(action)
+    def env_step(self, action: Action) -> Step:
+        step = step_of(self.__wrapped__, self.__wrapped__.env_step(action))
         self._step += 1
-        self._return += reward
-        self._screen.show(observation, reward, self._step, self._return)
-        return reward, observation, terminal
+        self._return += step.reward
+        self._screen.show(step.observation, step.reward, self._step, self._return)
+        return step
 
     def env_cleanup(self) -> None:
         self.__wrapped__.env_cleanup()

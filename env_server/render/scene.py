@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from glue.cli.screen import Marks
 from glue.errors import SimulatorError
 from glue.types import Observation
 
@@ -67,11 +68,15 @@ class Sprite(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """`rows` are 16 texts of 21 tiles, beginning at level column `column`; Mario is sprite 0."""
+    """`rows` are 16 texts of 21 tiles, beginning at level column `column`; Mario is sprite 0.
+
+    `marks` are points that an agent wants drawn, x and height as those of a sprite.
+    """
 
     column: int
     rows: tuple[str, ...]
     sprites: tuple[Sprite, ...]
+    marks: Marks = ()
 
 
 def is_scene(observation: Observation) -> bool:
@@ -81,10 +86,10 @@ def is_scene(observation: Observation) -> bool:
 
 
 def read_scene(observation: Observation) -> Scene:
-    """Return what `observation` shows. It may come from anywhere, such as an untrusted recording.
+    """Read a scene from an observation of any origin, such as an untrusted recording.
 
     Raises:
-        SimulatorError: it is not an observation of Infinite Mario, or is impossible in any level.
+        SimulatorError: `observation` is not of Infinite Mario, or is impossible in any level.
     """
     if not is_scene(observation):
         ints, doubles, chars = observation.counts
@@ -111,7 +116,7 @@ def read_scene(observation: Observation) -> Scene:
 
 
 def element_name(part: str, index: int) -> str:
-    """Return what element `index` of an observation's ints, doubles or chars stands for.
+    """Return the meaning of element `index` of an observation's ints, doubles or chars.
 
     Args:
         part: `int`, `double` or `char`.

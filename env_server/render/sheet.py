@@ -19,7 +19,7 @@ __all__ = ["Place", "colors", "places", "sheet_png"]
 
 
 class Place(NamedTuple):
-    """Where a part is in the picture, in pixels."""
+    """The rectangle of a part in the picture, in pixels."""
 
     left: int
     top: int

@@ -1,17 +1,15 @@
-"""Draw observations as text.
-
-Infinite Mario is drawn as a picture of characters, two to a tile; any other observation by its numbers.
-"""
+"""Draw observations as text: Infinite Mario and the toys in characters, all others by their numbers."""
 
 from __future__ import annotations
 
 from typing import Final, NamedTuple
 
 from env_server.render.scene import COLUMNS, KINDS, ROWS, Scene, Sprite, buried_cells, is_scene, read_scene
-from glue.players.screen import draw_numbers
+from env_server.toys import MINES_MAP
+from glue.cli.screen import Marks, draw_numbers
 from glue.types import Observation
 
-__all__ = ["draw_text"]
+__all__ = ["draw_mines", "draw_skeleton", "draw_text"]
 
 
 class _Glyph(NamedTuple):
@@ -48,14 +46,16 @@ _SPRITES: Final = {
     8: _Glyph("*", "1;38;5;226;48;5;202"),
     9: _Glyph("o", "1;38;5;226;48;5;22"),
 }
+_MARK: Final = _Glyph("..", f"1;38;5;160;{_SKY}")
 _UNKNOWN: Final = _Glyph("?", "1;38;5;15;48;5;0")
 
 
-def draw_text(observation: Observation, color: bool = False) -> list[str]:
+def draw_text(observation: Observation, color: bool = False, marks: Marks = ()) -> list[str]:
     """Return the lines of a drawing of `observation`.
 
     For Infinite Mario 16 lines of 21 tiles, two characters each, and a line with Mario's speed and the names
-    of the sprites in sight; for any other task its numbers. `color` adds a terminal's escape sequences.
+    of the sprites in sight; for any other task its numbers. `color` adds a terminal's escape sequences;
+    `marks` are x and height of points in the level, in tiles as in the observation.
     """
     if not is_scene(observation):
         return draw_numbers(observation)
@@ -63,6 +63,10 @@ def draw_text(observation: Observation, color: bool = False) -> list[str]:
     grid = [[_TILES.get(tile, _Glyph(tile * 2, _SKY)) for tile in row] for row in scene.rows]
     for row, column in buried_cells(scene):
         grid[row][column] = _BURIED
+    for x, height in marks:
+        row, column = ROWS - 1 - int(height), int(x) - scene.column
+        if 0 <= row < ROWS and 0 <= column < COLUMNS:
+            grid[row][column] = _MARK
     in_sight = _in_sight(scene)
     for (row, column), sprite in reversed(in_sight):
         grid[row][column] = _sprite_glyph(sprite)
@@ -98,3 +102,18 @@ def _legend(sprites: list[Sprite], color: bool) -> str:
 
 def _paint(glyph: _Glyph, color: bool) -> str:
     return f"\x1b[{glyph.color}m{glyph.text}\x1b[0m" if color else glyph.text
+
+
+def draw_mines(observation: Observation, color: bool = False) -> list[str]:
+    """Return the mines, two characters to a field, with the agent as `@`."""
+    row, column = divmod(int(observation.ints[0]), len(MINES_MAP[0]))
+    lines = [list(line) for line in MINES_MAP]
+    lines[row][column] = "\x1b[1;7m@\x1b[0m" if color else "@"
+    return [" ".join(line) for line in lines]
+
+
+def draw_skeleton(observation: Observation, color: bool = False) -> list[str]:
+    """Return the walk along 21 states, with the agent as `@` and the rewards at the ends."""
+    states = ["."] * 21
+    states[int(observation.ints[0])] = "\x1b[1;7m@\x1b[0m" if color else "@"
+    return [f"-1 {' '.join(states)} +1"]

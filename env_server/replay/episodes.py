@@ -7,10 +7,9 @@ give the recorded observations, rewards and ends, bit for bit.
 from __future__ import annotations
 
 import os
-import struct
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, Final, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -19,15 +18,17 @@ from env_server.render.scene import element_name, is_scene
 from env_server.replay.golden import Digest, GoldenEpisode, GoldenLevel, GoldenReader, GoldenRun, digest
 from glue.errors import ConfigError, GlueError
 from glue.options import Value, build
-from glue.players.loading import find, names
-from glue.protocol.messages import Role
+from glue.plugins.loading import find, names
 from glue.roles import Environment, SaveableEnvironment, SeedableEnvironment, offers
 from glue.trajectory import Episode, Run, TrajectoryError, TrajectoryReader
-from glue.types import Action, Observation
+from glue.trajectory.comparison import Outcomes, compare, unequal
+from glue.types import Action, Observation, Step, step_of
+from glue.wire.messages import Role
 
 __all__ = [
     "Difference",
     "Moment",
+    "NotInstalled",
     "Recorded",
     "build_environment",
     "build_named",
@@ -40,12 +41,10 @@ Recorded: TypeAlias = Episode | GoldenEpisode | GoldenLevel
 RecordedEpisode: TypeAlias = Episode | GoldenEpisode
 RecordedRun: TypeAlias = Run | GoldenRun
 
+Seen: TypeAlias = Observation | Digest | None
+"""Recording of an observation: all of it, its hash, or None."""
+
 _Array: TypeAlias = npt.NDArray[Any]
-
-_REWARD: Final = struct.Struct("<d")
-
-_COMPETITION: Final = b"\x89GLPLAY\n"
-"""How the records of a competition begin: docs/competition.md."""
 
 
 class Difference(GlueError):
@@ -85,11 +84,6 @@ def open_recording(path: str | os.PathLike[str]) -> TrajectoryReader | GoldenRea
     try:
         with open(path, "rb") as file:
             head = file.read(4096)
-        if head.startswith(_COMPETITION):
-            raise TrajectoryError(
-                f"{path} is the record of a competition, which has no observations to be shown: "
-                "glue-compete verify DIR plays it again"
-            )
         first = zlib.decompressobj(31).decompress(head, 1)
     except IsADirectoryError:
         raise TrajectoryError(f"{path} is a directory: name the recordings, which are files") from None
@@ -98,23 +92,35 @@ def open_recording(path: str | os.PathLike[str]) -> TrajectoryReader | GoldenRea
     return GoldenReader(path) if first == b"{" else TrajectoryReader(path)
 
 
+class NotInstalled(ConfigError):
+    """A recording, which is not trusted, names no installed environment.
+
+    Args:
+        name: of the environment; empty if the recording names none.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(
+            f"the recording is of {name!r}, and a recording can only name installed environments"
+            if name
+            else "the recording does not name its environment"
+        )
+        self.name = name
+
+
 def build_environment(run: RecordedRun) -> Environment:
     """Return the environment a run was recorded with.
 
-    A recording is untrusted, so it can only name installed environments, never a module or file to
-    import.
+    A recording is untrusted, so it can only name installed environments, never a module, a file or another
+    library's environment.
 
     Raises:
-        ConfigError: it names none, or none that is installed, or the options do not fit.
+        NotInstalled: it names another, or none.
+        ConfigError: the options do not fit.
     """
-    name = run.environment
-    if not name:
-        raise ConfigError("the recording does not name its environment: name it with --env")
-    if name not in names(Role.ENVIRONMENT):
-        raise ConfigError(
-            f"the recording is of {name!r}, which is not installed: if you trust it, add --env {name}"
-        )
-    return build_named(name, run.options)
+    if run.environment not in names(Role.ENVIRONMENT):
+        raise NotInstalled(run.environment)
+    return build_named(run.environment, run.options)
 
 
 def build_named(name: str, options: Mapping[str, Value]) -> Environment:
@@ -159,7 +165,7 @@ def recorded_moments(recorded: Iterable[Recorded]) -> Iterator[Moment]:
     """Yield every moment of all episodes as recorded, without an environment.
 
     Raises, while iterating:
-        ConfigError: of an observation only the hash was recorded.
+        ConfigError: an observation was not recorded, or only its hash.
     """
     run: RecordedRun | None = None
     runs = 0
@@ -171,8 +177,9 @@ def recorded_moments(recorded: Iterable[Recorded]) -> Iterator[Moment]:
         total = 0.0
         for step, (_, reward, seen, terminal) in enumerate(_outcomes(episode)):
             place = _place(episode, number, step)
-            if isinstance(seen, Digest):
-                raise ConfigError(f"{place}: only a hash was recorded; replay it with its environment")
+            if not isinstance(seen, Observation):
+                only = "actions and rewards were" if seen is None else "a hash was"
+                raise ConfigError(f"{place}: only {only} recorded; replay it with its environment")
             total += reward
             yield Moment(runs, number, step, seen, reward, terminal, total, place)
 
@@ -188,7 +195,7 @@ def _compare_levels(recorded: Iterable[Recorded]) -> Iterator[RecordedEpisode]:
             yield part
 
 
-def _outcomes(episode: RecordedEpisode) -> Iterator[tuple[Action | None, float, Observation | Digest, bool]]:
+def _outcomes(episode: RecordedEpisode) -> Iterator[tuple[Action | None, float, Seen, bool]]:
     """Yield the start of an episode, which has no action, and every step: action, reward, seen, terminal."""
     yield None, 0.0, episode.start, False
     yield from episode.steps
@@ -229,30 +236,29 @@ def _replay_episode(
     for step, (action, reward, seen, terminal) in enumerate(_outcomes(episode)):
         place = _place(episode, number, step)
         try:
-            got = environment.env_step(action) if action else (0.0, environment.env_start(), False)
+            if action is None:
+                got = Step(0.0, environment.env_start(), False)
+            else:
+                got = step_of(environment, environment.env_step(action))
         except GlueError as error:
             raise Difference(f"{place}: the environment refused: {error}") from error
         difference = _difference((reward, seen, terminal), got)
         if difference:
             raise Difference(f"{place}: {difference}")
         total += reward
-        yield Moment(run, number, step, got[1], reward, terminal, total, place)
+        yield Moment(run, number, step, got.observation, reward, terminal, total, place)
 
 
-def _difference(
-    expected: tuple[float, Observation | Digest, bool], got: tuple[float, Observation, bool]
-) -> str:
+def _difference(expected: tuple[float, Seen, bool], got: Step) -> str:
     """Return how two outcomes differ, in words; "" if they do not."""
     reward, seen, terminal = expected
-    got_reward, observation, got_terminal = got
-    if _REWARD.pack(reward) != _REWARD.pack(got_reward):
-        return f"the reward: expected {reward!r}, got {got_reward!r}"
-    if terminal != got_terminal:
-        return f"terminal: expected {terminal}, got {got_terminal}"
+    again = Outcomes(np.array([got.reward]), got.terminal and not got.truncated)
+    if (difference := compare(Outcomes(np.array([reward]), terminal), again)) is not None:
+        return difference[1]
     if isinstance(seen, Digest):
-        found = digest(observation, got_reward, got_terminal)
+        found = digest(got.observation, reward, terminal)
         return "" if found == seen else f"the observation: expected {seen!r}, got {found!r}"
-    return "" if seen == observation else _observation_difference(seen, observation)
+    return "" if seen is None or seen == got.observation else _observation_difference(seen, got.observation)
 
 
 def _observation_difference(expected: Observation, got: Observation) -> str:
@@ -265,14 +271,8 @@ def _observation_difference(expected: Observation, got: Observation) -> str:
         ("char", np.frombuffer(expected.chars, "S1"), np.frombuffer(got.chars, "S1")),
     )
     name, old, new, where = next(
-        (name, old, new, where) for name, old, new in pairs if (where := _unequal(old, new)).size
+        (name, old, new, where) for name, old, new in pairs if (where := unequal(old, new)).size
     )
     index = int(where[0])
     what = f" ({element_name(name, index)})" if is_scene(expected) else ""
     return f"{name} {index}{what}: expected {old[index].item()!r}, got {new[index].item()!r}"
-
-
-def _unequal(old: _Array, new: _Array) -> npt.NDArray[np.intp]:
-    """Return the indices at which the bits of two arrays differ."""
-    bits = f"V{old.itemsize}"
-    return np.flatnonzero(old.view(bits) != new.view(bits))

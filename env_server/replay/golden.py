@@ -1,4 +1,4 @@
-"""Recordings of the original Infinite Mario: reading them, and what only they compare.
+"""Read recordings of the original Infinite Mario, and compare what only they contain.
 
 A file is gzip, one JSON object per line, whose `kind` says what it is. A run, one process of the original
 on one level, is a line `run`, then for every episode a `start`, its `step`s and an `end`; lines of kind
@@ -216,8 +216,8 @@ class GoldenReader:
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
-        self.levels = 0
+        self.path: Path = Path(path)
+        self.levels: int = 0
 
     def __iter__(self) -> Iterator[GoldenEpisode | GoldenLevel]:
         run: GoldenRun | None = None

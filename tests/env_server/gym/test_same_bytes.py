@@ -11,8 +11,8 @@ import pytest
 
 from glue import Action, Agent, Environment, Observation, local, make
 from glue.batches import Ragged, pack_actions, unpack_batch
-from glue.core.experiment import Experiment
-from glue.players.batched import BatchedEnvironments
+from glue.engine.experiment import Experiment
+from glue.plugins.batched import BatchedEnvironments
 from tests.hubs import hub_with, over_the_hub
 
 gymnasium: Any = pytest.importorskip("gymnasium", reason="needs Gymnasium: the extra gym")
@@ -58,7 +58,7 @@ def of_gymnasium() -> list[Outcome]:
 
 
 def through_gymnasium_and_a_hub() -> list[Outcome]:
-    with hub_with(environments={"default": make("mario", **TASK)}) as hub:
+    with hub_with(make("mario", **TASK)) as hub:
         env = glue.gym.connect(hub)
         spaces = env.action_space
         return played(env, lambda action: np.array(action, spaces.dtype))
@@ -80,14 +80,11 @@ def of_a_vector(count: int, threads: int, game: int) -> list[Outcome]:
     return outcomes
 
 
-class StandIn:
+class StandIn(Agent):
     """An agent of single games or of many, whose experiment acts."""
 
     def agent_batch(self) -> int:
         return 0
-
-    def agent_init(self, task_spec: str) -> None:
-        pass
 
     def agent_start(self, observation: Observation) -> Action:
         return Action()
@@ -95,22 +92,13 @@ class StandIn:
     def agent_step(self, reward: float, observation: Observation) -> Action:
         return Action()
 
-    def agent_end(self, reward: float) -> None:
-        pass
-
-    def agent_cleanup(self) -> None:
-        pass
-
-    def agent_message(self, message: str) -> str:
-        return ""
-
 
 def of_one(way: Glue) -> list[Outcome]:
     with way(StandIn(), make("mario", **TASK)) as experiment:
         experiment.rl_init(SEED)
         outcomes: list[Outcome] = [(0.0, False, experiment.rl_env_start().body)]
         for action in actions():
-            reward, shown, terminal = experiment.rl_env_step(Action(action))
+            reward, shown, terminal, *_ = experiment.rl_env_step(Action(action))
             if terminal:
                 shown = experiment.rl_env_start()
             outcomes.append((reward, bool(terminal), shown.body))
@@ -124,7 +112,7 @@ def of_a_batch(way: Glue, count: int) -> list[Outcome]:
         batch = unpack_batch(experiment.rl_env_start())
         outcomes: list[Outcome] = [(0.0, False, batch.observations.values(Observation)[-1].body)]
         for action in actions():
-            _, shown, _ = experiment.rl_env_step(pack_actions(Ragged.of([Action(action)] * count)))
+            _, shown, *_ = experiment.rl_env_step(pack_actions(Ragged.of([Action(action)] * count)))
             batch = unpack_batch(shown)
             last = batch.observations.values(Observation)[count - 1]
             outcomes.append((float(batch.rewards[-1]), bool(batch.terminals[-1]), last.body))
@@ -144,7 +132,7 @@ WAYS: dict[str, Callable[[], list[Outcome]]] = {
 
 @pytest.fixture(scope="module")
 def expected() -> list[Outcome]:
-    """What Gymnasium plays, alone and in its own process."""
+    """Return the outcomes with Gymnasium only, in its own process."""
     outcomes = of_gymnasium()
     assert sum(ended for _, ended, _ in outcomes) >= 2
     return outcomes

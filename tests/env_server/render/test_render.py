@@ -7,6 +7,7 @@ import io
 import os
 import pty
 import struct
+import subprocess
 import sys
 import termios
 from collections.abc import Iterator
@@ -21,11 +22,11 @@ from PIL import Image
 
 from env_server.render.animation import between, outlined
 from env_server.render.artwork import PALETTE, SPRITES, TILES
-from env_server.render.drawing import HEIGHT, WIDTH, Picture, draw, save_gif, save_png
+from env_server.render.drawing import HEIGHT, WIDTH, Picture, draw, save_gif, save_mp4, save_png
 from env_server.render.scene import KINDS, Sprite, buried_cells, is_scene, read_scene
 from env_server.render.text import draw_text
+from glue.cli.screen import TerminalScreen, has_color
 from glue.errors import ConfigError, SimulatorError
-from glue.players.screen import TerminalScreen, has_color
 from glue.types import Observation
 from tests.proof import size
 
@@ -181,7 +182,7 @@ def set_size(descriptor: int, lines: int, columns: int) -> None:
 
 
 def seen(terminal: tuple[TextIO, int]) -> str:
-    """Return what was drawn since the last look."""
+    """Return the text drawn since the last call."""
     stream, looking = terminal
     # What was written before the mark has come when the mark has.
     stream.write("\0")
@@ -407,14 +408,29 @@ def test_gif_has_the_pictures_at_their_times(tmp_path: Path) -> None:
         for number in range(getattr(image, "n_frames", 1)):
             image.seek(number)
             frames.append((np.asarray(image.convert("RGB")), image.info["duration"]))
-    assert (
-        sum(duration for _, duration in frames) == 11 * 40
-    )  # 4 steps of 0.1 s, and the first picture's time
+    # 4 steps of 0.1 s, rounded up to whole pictures, and the last picture's time
+    assert sum(duration for _, duration in frames) == 7 * 70
     assert (frames[0][0] == _colors(draw(steps[0]))).all()
     assert (frames[-1][0] == _colors(draw(steps[-1]))).all()
 
 
+def test_film_has_the_pictures_at_their_times(tmp_path: Path) -> None:
+    from imageio_ffmpeg import get_ffmpeg_exe  # type: ignore[import-untyped]  # it has no types
+
+    steps = [screen(goomba(12.0 - step / 2, 4.0)) for step in range(5)]
+    save_mp4(tmp_path / "a.mp4", steps, steps_per_second=10)
+    decode = [get_ffmpeg_exe(), "-i", tmp_path / "a.mp4", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    done = subprocess.run(decode, capture_output=True, check=True)
+    assert b"25 fps" in done.stderr
+    frames = np.frombuffer(done.stdout, np.uint8).reshape(-1, 2 * HEIGHT, 2 * WIDTH, 3)
+    assert len(frames) == 11  # 4 steps of 0.1 s, and the last picture
+    for frame, step in ((frames[0], steps[0]), (frames[-1], steps[-1])):
+        assert np.abs(frame[::2, ::2].astype(int) - _colors(draw(step))).mean() < 10  # it is compressed
+
+
 def test_files_that_cannot_be_written_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot write"):
+        save_mp4(tmp_path / "nowhere" / "a.mp4", [screen()])
     with pytest.raises(ConfigError, match=r"cannot write .*nowhere.a\.png: No such file"):
         save_png(tmp_path / "nowhere" / "a.png", screen())
     with pytest.raises(ConfigError, match="at least one"):
@@ -476,3 +492,21 @@ def _brick_column(picture: Picture) -> int:
     """Return where the bricks begin in the picture."""
     brick = _letters("brick")
     return next(x for x in range(WIDTH - 16) if (picture[96:112, x : x + 16] == brick).all())
+
+
+def test_marks_are_drawn_where_they_are(tmp_path: Path) -> None:
+    observation, marks = screen(column=3), ((5.5, 12.5), (100.0, 3.0), (4.0, -7.0))
+    changed = [
+        (row, column)
+        for row, lines in enumerate(
+            zip(draw_text(observation), draw_text(observation, False, marks), strict=True)
+        )
+        for column, (without, mark) in enumerate(zip(*lines, strict=True))
+        if without != mark
+    ]
+    assert changed == [(3, 4), (3, 5)]
+    save_gif(tmp_path / "a.gif", [observation], marks=[marks])
+    with Image.open(tmp_path / "a.gif") as image:
+        rows, columns = (np.asarray(image.convert("RGB")) != _colors(draw(observation))).any(-1).nonzero()
+    assert np.ptp(rows) == np.ptp(columns) == 4
+    assert rows.mean() == HEIGHT + 16 - 12.5 * 16

@@ -13,9 +13,9 @@ from pathlib import Path
 
 from env_server.mario.environment import InfiniteMario
 from env_server.render.live import Rendered
-from env_server.render.text import draw_text
+from env_server.render.text import draw_mines, draw_text
 from env_server.toys import MinesEnvironment, SkeletonEnvironment
-from glue.players.screen import TerminalScreen, draw_numbers, renderer
+from glue.cli.screen import Marks, TerminalScreen, renderer
 from glue.roles import capabilities
 from glue.testing import check_environment
 from glue.types import Action, Observation
@@ -31,7 +31,13 @@ class Notes(TerminalScreen):
         self.closed = 0
 
     def show(
-        self, observation: Observation, reward: float, step: int, episode_return: float, title: str = ""
+        self,
+        observation: Observation,
+        reward: float,
+        step: int,
+        episode_return: float,
+        title: str = "",
+        marks: Marks = (),
     ) -> None:
         self.shown.append((reward, step, episode_return))
 
@@ -49,7 +55,7 @@ class HarderMario(InfiniteMario):
 
 def test_renderer_is_that_of_the_environment_or_the_one_it_derives_from() -> None:
     assert renderer(InfiniteMario()) is renderer(HarderMario()) is draw_text
-    assert renderer(MinesEnvironment()) is draw_numbers
+    assert renderer(MinesEnvironment()) is draw_mines
 
 
 def test_rendered_environment_keeps_the_contract() -> None:

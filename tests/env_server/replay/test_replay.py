@@ -23,6 +23,7 @@ from env_server.mario.environment import InfiniteMario
 from env_server.replay.episodes import (
     Difference,
     Moment,
+    NotInstalled,
     RecordedRun,
     build_environment,
     open_recording,
@@ -34,7 +35,7 @@ from env_server.toys import MinesEnvironment
 from glue.errors import ConfigError
 from glue.options import Value
 from glue.roles import Environment
-from glue.trajectory import Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
+from glue.trajectory import ActionWriter, Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation
 from tests import forked
 from tests.forked import BIN
@@ -96,7 +97,7 @@ def record(
             for _ in range(steps):
                 number = int(generator.integers(4))
                 action = Action([1, number % 2, number // 2] if is_mario else [number])
-                reward, observation, terminal = environment.env_step(action)
+                reward, observation, terminal, *_ = environment.env_step(action)
                 recording.step(action, reward, observation, terminal)
                 if terminal:
                     break
@@ -346,22 +347,21 @@ def test_other_task_spec_is_a_difference(tmp_path: Path) -> None:
         replay(tmp_path / "a")
 
 
-@pytest.mark.parametrize(
-    ("name", "options", "message"),
-    [
-        ("", {}, "name it with --env"),
-        ("evil.py:Evil", {}, r"not installed: if you trust it, add --env evil\.py:Evil"),
-        ("os:stat_result", {}, "not installed"),
-        ("mines", {"length": 3}, "has no option length"),
-    ],
-)
-def test_recording_can_only_name_installed_environments(
-    tmp_path: Path, name: str, options: dict[str, Value], message: str
-) -> None:
+@pytest.mark.parametrize("name", ["", "evil.py:Evil", "os:stat_result", "gymnasium:CartPole-v1"])
+def test_recording_can_only_name_installed_environments(tmp_path: Path, name: str) -> None:
     with TrajectoryWriter(tmp_path / "a") as recording:
-        recording.run(Run(name, options, ""))
+        recording.run(Run(name, {}, ""))
         recording.start(Observation([0]))
-    with pytest.raises(ConfigError, match=message):
+    with pytest.raises(NotInstalled) as refused:
+        replay(tmp_path / "a")
+    assert refused.value.name == name
+
+
+def test_recording_with_an_option_that_its_environment_has_not_is_refused(tmp_path: Path) -> None:
+    with TrajectoryWriter(tmp_path / "a") as recording:
+        recording.run(Run("mines", {"length": 3}, ""))
+        recording.start(Observation([0]))
+    with pytest.raises(ConfigError, match="length"):
         replay(tmp_path / "a")
 
 
@@ -492,7 +492,7 @@ def test_command_fails_on_a_difference_in_one_line(tmp_path: Path) -> None:
 def test_command_says_what_is_wrong_with_its_arguments(tmp_path: Path) -> None:
     record(tmp_path / "a", MinesEnvironment(), "mines", {}, seed=1, steps=3)
     cases: list[tuple[list[object], int, str]] = [
-        (["--gif", "x.gif", "--check", tmp_path / "a"], 2, "--gif and --png show a part of one FILE"),
+        (["--gif", "x.gif", "--check", tmp_path / "a"], 2, "show a part of one FILE"),
         ([tmp_path / "a", "--env-option", "seed=1"], 2, "--env-option needs --env"),
         ([tmp_path / "a", "--env", "mine"], 2, "did you mean mines?"),
         ([tmp_path / "a", "--env", "mines", "--env-option", "sed=1"], 2, "did you mean seed?"),
@@ -517,7 +517,7 @@ def test_command_says_what_is_wrong_with_its_arguments(tmp_path: Path) -> None:
 
 SEVERAL_TIMES = """
 import contextlib, io, json, sys
-from env_server.replay.command import main
+from env_server.cli.replay import main
 
 for arguments in json.loads(sys.argv[1]):
     sys.argv[1:] = arguments
@@ -541,10 +541,12 @@ def test_command_tells_of_a_recording_that_was_not_closed(tmp_path: Path) -> Non
 
 
 def test_command_writes_pictures(tmp_path: Path) -> None:
-    gif, png = tmp_path / "a.gif", tmp_path / "a.png"
-    done = command(GOLDEN / "variants.jsonl.gz", "--episode", 2, "--steps", 3, 8, "--gif", gif, "--png", png)
+    gif, mp4, png = (tmp_path / f"a.{kind}" for kind in ("gif", "mp4", "png"))
+    files = ("--gif", gif, "--mp4", mp4, "--png", png)
+    done = command(GOLDEN / "variants.jsonl.gz", "--episode", 2, "--steps", 3, 8, *files)
     assert done.returncode == 0, done.stderr
-    assert done.stderr.splitlines()[-2:] == [f"wrote {gif}", f"wrote {png}"]
+    assert done.stderr.splitlines()[-3:] == [f"wrote {gif}", f"wrote {mp4}", f"wrote {png}"]
+    assert b"ftyp" in mp4.read_bytes()[:12]
     with Image.open(gif) as image:
         assert getattr(image, "n_frames", 1) > 5
     with Image.open(png) as image:
@@ -586,7 +588,7 @@ def test_command_compares_with_the_environment_it_is_told_to(tmp_path: Path) -> 
     (tmp_path / "own.py").write_text(source)
     own = f"{tmp_path / 'own.py'}:Mine"
     record(tmp_path / "a", MinesEnvironment(random_start=True), own, {"random_start": True}, seed=3, steps=9)
-    assert "which is not installed" in command(tmp_path / "a").stderr
+    assert f"if you trust it, add --env {own}" in command(tmp_path / "a").stderr
     assert command(tmp_path / "a", "--env", own).returncode == 0
     done = command(tmp_path / "a", "--env", own, "--env-option", "random_start=no")
     assert "start: int 0: expected" in done.stderr
@@ -614,9 +616,29 @@ def test_steps_that_are_not_read_are_passed_over() -> None:
     assert len(runs) == sum(line["kind"] == "end" for line in golden_lines("variants.jsonl.gz", 10**9))
 
 
-def test_what_is_not_a_recording_is_refused_with_what_it_is(tmp_path: Path) -> None:
-    (tmp_path / "0.plays").write_bytes(b"\x89GLPLAY\n" + bytes(100))
-    with pytest.raises(TrajectoryError, match=r"record of a competition.*glue-compete verify"):
-        open_recording(tmp_path / "0.plays")
+def test_actions_only_recording_replays_and_shows_the_environments_observations(tmp_path: Path) -> None:
+    record(tmp_path / "whole", InfiniteMario(level_seed=7), "mario", {"level_seed": 7}, 3, 30)
+    whole = list(TrajectoryReader(tmp_path / "whole"))
+
+    def written(reward: float) -> Path:
+        with (tmp_path / "actions").open("wb") as file:
+            writer = ActionWriter(file.write)
+            writer.run(whole[0].run)
+            writer.start()
+            for step in whole[0].steps:
+                writer.step(step.action.body, step.reward + reward)
+            writer.end(whole[0].ending)
+            writer.close()
+        return tmp_path / "actions"
+
+    shown = [moment.observation for moment in replay(written(0.0))]
+    assert shown == [whole[0].start, *(step.observation for step in whole[0].steps)]
+    with pytest.raises(ConfigError):
+        next(recorded_moments(open_recording(tmp_path / "actions")))
+    with pytest.raises(Difference, match="step 1: the reward"):
+        replay(written(1.0))
+
+
+def test_a_folder_is_not_a_recording(tmp_path: Path) -> None:
     with pytest.raises(TrajectoryError, match="is a directory"):
         open_recording(tmp_path)

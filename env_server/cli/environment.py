@@ -7,27 +7,28 @@ from typing import TYPE_CHECKING
 
 import click
 
-from glue.commands import run
-from glue.players.command import Extra, player_command
-from glue.protocol.messages import Role
+from glue.cli.players import Extra, player_command
+from glue.cli.shared import run
+from glue.wire.messages import Role
 
 if TYPE_CHECKING:
+    from env_server.render.live import Rendered
     from glue.roles import Environment
 
 __all__ = ["environment", "main"]
 
 
-def _rendered(player: Environment, _: bool) -> Environment:
+def _rendered(player: Environment, _: bool) -> Rendered:
     """Return `player`, drawn in this terminal until the command ends, however it ends."""
-    from env_server.render.live import Rendered
-    from glue.players.screen import TerminalScreen, renderer
+    from env_server.render import live
+    from glue.cli.screen import TerminalScreen, renderer
 
     screen = TerminalScreen(sys.stdout, renderer(player))
     click.get_current_context().call_on_close(screen.close)
-    return Rendered(player, screen)
+    return live.Rendered(player, screen)
 
 
-environment = player_command(
+environment: click.Group = player_command(
     Role.ENVIRONMENT,
     "  glue-env mario --render\n"
     "  glue-env mario --level-difficulty 1\n"

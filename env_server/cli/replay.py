@@ -6,19 +6,20 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from glue import __version__
-from glue.commands import run
+from glue.cli.shared import run
 from glue.console import say
 from glue.errors import ConfigError
 from glue.options import parse_assignments
-from glue.players.loading import find
-from glue.players.naming import complete_names
-from glue.protocol.messages import Role
+from glue.plugins.loading import find
+from glue.plugins.naming import complete_names
+from glue.wire.messages import Role
 
 if TYPE_CHECKING:
     from env_server.replay.episodes import Moment, RecordedRun
@@ -55,7 +56,20 @@ __all__ = ["main", "replay"]
 @click.option(
     "--gif", type=click.Path(path_type=Path), help="Show in an animated GIF; see --episode, --steps."
 )
+@click.option("--mp4", type=click.Path(path_type=Path), help="The same in a film, larger and smoother.")
 @click.option("--png", type=click.Path(path_type=Path), help="Show the first of the steps in a PNG.")
+@click.option(
+    "--minari",
+    "dataset",
+    metavar="ID",
+    help="Write all FILEs to a new dataset of Minari, as mines/sarsa-v0, and show nothing.",
+)
+@click.option(
+    "--parquet",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="OUT",
+    help="Write all FILEs to a table, and show nothing.",
+)
 @click.option(
     "--env",
     "name",
@@ -78,7 +92,10 @@ def replay(
     steps: tuple[int, int] | None,
     speed: float,
     gif: Path | None,
+    mp4: Path | None,
     png: Path | None,
+    dataset: str | None,
+    parquet: Path | None,
     name: str | None,
     assignments: tuple[str, ...],
 ) -> None:
@@ -93,13 +110,20 @@ def replay(
       glue-replay run.traj
       glue-replay --check run.traj other.traj
       glue-replay run.traj --episode 5 --steps 14 110 --gif mario.gif
+      glue-replay run.traj --minari mario/sample-v0
     """
     from env_server.replay.episodes import open_recording, recorded_moments, replayed_moments
     from glue.trajectory import TrajectoryError, TrajectoryReader
 
-    if (gif or png) and (len(files) > 1 or check):
-        raise ConfigError("--gif and --png show a part of one FILE: give one, and no --check")
-    if (gif or png) and episode is None:
+    saves = any((gif, mp4, png))
+    if dataset is not None or parquet is not None:
+        if saves or check is not None or episode is not None or steps is not None or name is not None:
+            raise ConfigError("a dataset holds all episodes, as recorded: leave out the other options")
+        _write_datasets(files, dataset, parquet)
+        return
+    if saves and (len(files) > 1 or check):
+        raise ConfigError("--gif, --mp4 and --png show a part of one FILE: give one, and no --check")
+    if saves and episode is None:
         episode = 1
     first, last = steps or (0, sys.maxsize)
 
@@ -112,7 +136,7 @@ def replay(
         moments = recorded_moments(reader) if check is False else replayed_moments(reader, build)
         counted = _Counted(moments, reader)
         shown = []
-        if gif or png:
+        if saves:
             shown = [moment.observation for moment in counted if is_chosen(moment)]
         elif check or not sys.stdout.isatty():
             deque(counted, maxlen=0)
@@ -122,8 +146,8 @@ def replay(
             raise TrajectoryError(f"{file} holds no whole episode")
         if episode is not None and episode > counted.episodes:
             raise ConfigError(f"{file} has no episode {episode}: its episodes are 1 to {counted.episodes}")
-        if gif or png:
-            _save(shown, speed, gif, png)
+        if saves:
+            _save(shown, speed, gif, mp4, png)
         if isinstance(reader, TrajectoryReader) and reader.torn:
             say(f"{file} was not closed: its last, incomplete episode is left out")
         print(f"{file}: {counted}: {'not compared' if check is False else 'no difference'}")
@@ -159,24 +183,34 @@ class _Counted:
         counts = {"level": self.levels} if self.levels else {}
         if self.runs or not self.levels:
             counts |= {"run": self.runs, "episode": self.episodes, "step": self.steps}
-        return ", ".join(f"{count} {name}{'' if count == 1 else 's'}" for name, count in counts.items())
+        return ", ".join(_number_of(count, name) for name, count in counts.items())
 
 
 def _builder(name: str | None, assignments: tuple[str, ...]) -> Callable[[RecordedRun], Environment]:
     """Return how to make the environment of a run: the recorded one, or the one that was asked for."""
-    from env_server.replay.episodes import build_environment, build_named
+    from env_server.replay.episodes import build_named
 
     if name is None:
         if assignments:
             raise ConfigError("--env-option needs --env: name the environment too")
-        return build_environment
+        return _build_recorded
     options = parse_assignments(find(Role.ENVIRONMENT, name), assignments)
     return lambda run: build_named(name, {**run.options, **options})
 
 
+def _build_recorded(run: RecordedRun) -> Environment:
+    from env_server.replay.episodes import NotInstalled, build_environment
+
+    try:
+        return build_environment(run)
+    except NotInstalled as error:
+        hint = f"if you trust it, add --env {error.name}" if error.name else "name it with --env"
+        raise ConfigError(f"{error}: {hint}") from None
+
+
 def _show(moments: Iterable[Moment], speed: float) -> None:
     from env_server.render.text import draw_text
-    from glue.players.screen import TerminalScreen
+    from glue.cli.screen import TerminalScreen
 
     with TerminalScreen(sys.stdout, draw_text) as screen:
         for moment in moments:
@@ -184,14 +218,44 @@ def _show(moments: Iterable[Moment], speed: float) -> None:
             time.sleep(1 / speed)
 
 
-def _save(shown: Sequence[Observation], speed: float, gif: Path | None, png: Path | None) -> None:
-    from env_server.render.drawing import save_gif, save_png
+def _write_datasets(files: Sequence[Path], dataset: str | None, parquet: Path | None) -> None:
+    from env_server.replay.episodes import open_recording
+    from glue.trajectory import TrajectoryError, TrajectoryReader
+
+    readers = [reader for file in files if isinstance(reader := open_recording(file), TrajectoryReader)]
+    if len(readers) < len(files):
+        raise TrajectoryError("recordings of the original Mario cannot be datasets: some have only hashes")
+    if parquet is not None:
+        if find_spec("pyarrow") is None:
+            raise ConfigError("Parquet needs pyarrow: pip install 'glue-rl[parquet]'")
+        from env_server.datasets.parquet import write_parquet
+
+        say(f"wrote {parquet}: {_number_of(write_parquet(readers, parquet), 'episode')}")
+    if dataset is not None:
+        if find_spec("minari") is None:
+            raise ConfigError("datasets of Minari need it: pip install 'glue-rl[minari]'")
+        from env_server.datasets.minari import write_minari
+
+        say(f"wrote the dataset {dataset}: {_number_of(write_minari(readers, dataset), 'episode')}")
+
+
+def _number_of(count: int, name: str) -> str:
+    return f"{count} {name}{'' if count == 1 else 's'}"
+
+
+def _save(
+    shown: Sequence[Observation], speed: float, gif: Path | None, mp4: Path | None, png: Path | None
+) -> None:
+    from env_server.render.drawing import save_gif, save_mp4, save_png
 
     if not shown:
         raise ConfigError("the episode has no such steps")
     if gif:
         save_gif(gif, shown, speed)
         say(f"wrote {gif}")
+    if mp4:
+        save_mp4(mp4, shown, speed)
+        say(f"wrote {mp4}")
     if png:
         save_png(png, shown[0])
         say(f"wrote {png}")

@@ -1,0 +1,1 @@
+"""Recordings as datasets for offline learning."""
