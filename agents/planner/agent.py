@@ -1,0 +1,312 @@
+"""The agent `planner`: it steps a belief of the game with its own actions, and plans each of them with A*.
+
+It sees observations alone, and knows the rules. See docs/planner.md.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from typing import Annotated, Any, ClassVar, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from agents.mario.agent import MarioAgent
+from agents.planner.horizons import Horizons
+from agents.planner.route import Route
+from agents.planner.search import SETTINGS, WINDOW, model, search
+from agents.planner.tree import NODE
+from glue.compiled.jit import announce_compilation
+from glue.errors import ConfigError, SaveError
+from glue.options import Option
+from glue.saves import Arrays, Saved, pack, unpack
+from glue.suggestions import did_you_mean
+from glue.types import Action, Observation
+
+__all__ = ["FRICTION", "LARGEST", "RUN_RIGHT", "CountHorizons", "PlannerAgent", "Sims", "StepSeconds"]
+
+_LONGEST_PLAN: Final = 64
+_MAX_SIMS: Final = 200_000
+_AHEAD: Final = 16  # columns to look ahead, where more are known
+_PATIENCE: Final = 15  # steps without progress, after which it searches harder
+_MORE: Final = 6  # times the budget then, and
+_MOST: Final = 30  # after three times as many steps, but at most
+_MOST_HARD: Final = 50_000  # model steps, or those of the option
+_SECONDS_PER_SIM: Final = 2e-6  # at first
+_ACTIONS: Final = [Action(ints=buttons) for buttons in model.ACTIONS.tolist()]
+RUN_RIGHT: Final = 9
+FRICTION: Final = 0.89  # share of Mario's speed that is kept in a tick
+LARGEST: Final = 100  # constant, in size
+_NO_LIMIT: Final = 10**9  # steps: how many an episode may have is not known
+
+
+Sims = Annotated[int, Option("model steps for each action", low=12, high=_MAX_SIMS)]
+StepSeconds = Annotated[
+    float | None, Option("time for each action, instead of sims", low=0.0001, high=60, unit="s")
+]
+CountHorizons = Annotated[bool, Option("count the exact predictions 1, 3, 5 and 10 steps ahead")]
+
+
+class PlannerAgent(MarioAgent):
+    """Plans each action with the rules of the game.
+
+    Args:
+        sims: model steps for each action.
+        step_seconds: seconds for each action, in place of `sims`; what is played then depends on the machine.
+        bonus: steps that a coin or a kill is worth; 0 to make for the goal alone.
+        constants: physical constants of the game that differ from instance 0's, as NAME=VALUE, separated by
+            spaces; see `model.CONSTANTS`.
+        study: model steps to plan a whole level with that it has seen to the end, before each episode on it.
+        horizons: also count how many predictions 1, 3, 5 and 10 steps ahead are exact.
+
+    Raises:
+        ConfigError: a constant is unknown or is not a number.
+    """
+
+    name: ClassVar[str] = "planner"
+
+    def __init__(
+        self,
+        *,
+        sims: Sims = 300,
+        step_seconds: StepSeconds = None,
+        bonus: Annotated[
+            float, Option("what a coin or a kill is worth", low=0, high=1000, unit="steps")
+        ] = 0.0,
+        constants: Annotated[
+            str, Option("physical constants that differ from instance 0's, as NAME=VALUE NAME=VALUE")
+        ] = "",
+        study: Annotated[
+            int, Option("model steps to plan a known level with before an episode", low=0, high=20_000_000)
+        ] = 0,
+        horizons: CountHorizons = False,
+    ) -> None:
+        super().__init__(None)
+        self._sims = sims
+        self._step_seconds = step_seconds
+        self._constants = _parse_constants(constants)
+        self._worlds, self._levels = model.make(max_trial_steps=_NO_LIMIT)
+        self._scratch, _ = model.make()
+        self._memory = self._scratch.view(np.uint8)
+        self._seen = np.zeros(1, np.int64)
+        self._horizons = Horizons() if horizons else None
+        self._body = np.zeros(model.BODY_SIZE, np.uint8)
+        self._plan = np.full(_LONGEST_PLAN, -1, np.int64)
+        self._settings: Any = np.zeros(1, SETTINGS)
+        how = self._settings[0]
+        how["weight"], how["coin"], how["kill"], how["size_cost"] = 1.5, bonus, bonus, 6.0
+        how["anytime"] = bonus > 0
+        self._made = 0
+        self._route = Route(study)
+        self._reset()
+        with announce_compilation("the planner"):
+            self._search(False)
+
+    def _reset(self) -> None:
+        """Forget every level."""
+        self._worlds["started"] = False
+        self._seen[0] = 0
+        self._assume(self._constants)
+        self._route.forget()
+        self._steps = self._predicted = self._used = 0
+        self._per_sim = _SECONDS_PER_SIM
+        self._ahead = _AHEAD
+        self._farthest, self._idle = 0.0, 0
+
+    def _assume(self, constants: npt.NDArray[np.float64]) -> None:
+        """Predict and plan with these values of `model.CONSTANTS` from now on."""
+        model.change(self._worlds[0], constants)
+        self._settings["stride"] = 5 * constants[model.CONSTANTS.index("speed_run")] / (1 - FRICTION)
+
+    def agent_start(self, observation: Observation) -> Action:
+        self._read(observation)
+        self._begin()
+        return self._act()
+
+    def _begin(self) -> None:
+        """Begin an episode with the observation that was read."""
+        belief = self._worlds[0], self._levels[0], self._seen, self._body
+        if model.start(*belief):  # another level than the one that is remembered
+            self._seen[0] = 0
+            self._route.forget()
+            model.start(*belief)
+        self._route.begin(self._worlds, self._levels, int(self._seen[0]), float(self._settings["stride"][0]))
+        if self._horizons:
+            self._horizons.start()
+        self._plan[:] = -1
+        self._farthest, self._idle = 0.0, 0
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        self._observe(observation)
+        return self._act(reward)
+
+    def _observe(self, observation: Observation) -> bool:
+        """Correct the belief by an observation; return whether it was predicted, new columns apart."""
+        self._read(observation)
+        self._steps += 1
+        if self._horizons:
+            self._horizons.compare(self._levels[0], self._body)
+        is_exact = bool(model.correct(self._worlds[0], self._levels[0], self._seen, self._body))
+        self._predicted += is_exact
+        return is_exact
+
+    def agent_save(self) -> bytes:
+        """Return the known part of the level as bytes."""
+        level, end = self._levels[0], int(self._seen[0])
+        arrays = {name: level[name][:end].ravel().view(np.int8) for name in ("tiles", "spawns")}
+        numbers = {"end": end, "exit": int(level["exit_x"])}
+        return pack(Saved(self.name, {}, numbers, {**arrays, **self._route.saved(), **self._learned()}))
+
+    def _learned(self) -> Arrays:
+        """Return the arrays to be saved besides those of the level."""
+        return {}
+
+    def _relearn(self, saved: Saved) -> None:
+        """Continue with what `_learned` returned.
+
+        Raises:
+            SaveError: it is damaged.
+        """
+
+    def agent_load(self, data: bytes) -> None:
+        """Continue with what `agent_save` returned.
+
+        Raises:
+            SaveError: it is damaged, or of another agent.
+        """
+        saved = unpack(data, self.name, {})
+        end, goal = saved.number("end", model.COLUMNS), saved.number("exit", 2**20)
+        tiles = saved.array("tiles", np.int8)
+        spawns = saved.array("spawns", np.int8, low=0, high=15)
+        level = self._levels[0]
+        rows = level["tiles"].shape[1]
+        if len(tiles) != end * rows or len(spawns) != end * rows:
+            raise SaveError(f"saved {self.name}: {end} columns have {end * rows} tiles and spawn points")
+        self._reset()
+        self._seen[0], level["exit_x"] = end, goal
+        level["tiles"][:end] = tiles.view(np.uint8).reshape(-1, rows)
+        level["spawns"][:] = 0
+        level["spawns"][:end] = spawns.view(np.uint8).reshape(-1, rows)
+        self._route.restore(saved)
+        self._relearn(saved)
+
+    def agent_message(self, message: str) -> str:
+        """Answer one of these messages.
+
+        predictions  JSON: steps, those without any correction, model steps, and horizons
+        sims         model steps for each step
+        marks        JSON: where Mario's middle will be after each action of the plan, x and height in tiles
+        """
+        if message == "marks":
+            return json.dumps(self._foresee())
+        if message == "sims":
+            return f"{self._used / max(self._steps, 1):.6g}"
+        if message != "predictions":
+            return "I plan with the rules of the game; ask for predictions, sims or marks"
+        answer: dict[str, Any] = {"steps": self._steps, "exact": self._predicted, "sims": self._used}
+        if self._horizons:
+            answer["horizons"] = self._horizons.shares()
+        return json.dumps(answer)
+
+    def _foresee(self) -> list[tuple[float, float]]:
+        """Return where Mario will be after each action of the plan: x and height of his middle, in tiles."""
+        self._memory[:] = self._worlds.view(np.uint8)
+        mario = self._scratch[0]["actors"][0]
+        places = []
+        for action in [*self._plan.tolist(), -1]:
+            places.append((float(mario["x"]) / 16, 16.5 - float(mario["y"]) / 16))
+            if action < 0 or not model.step(self._scratch[0], self._levels[0], action):
+                break
+        return places
+
+    def _read(self, observation: Observation) -> None:
+        body: npt.NDArray[np.uint8] = np.frombuffer(observation.body, np.uint8)
+        self._body[: len(body)] = body
+
+    def agent_end(self, reward: float) -> None:
+        """Keep the episode as a route if it is the best on its level."""
+        self._route.finish(bool(self._worlds[0]["win_timer"] > 0))
+
+    def _act(self, reward: float = 0.0) -> Action:
+        """Carry out the next action in the belief, and return it; `reward` is the last action's."""
+        x = float(self._worlds[0]["actors"][0]["x"])
+        self._idle = 0 if x > self._farthest + 16 else self._idle + 1
+        self._farthest = max(self._farthest, x) if self._idle == 0 else self._farthest
+        action = self._route.action(self._worlds, self._levels)
+        if action < 0:
+            length = self._search(self._idle > _PATIENCE)
+            if not self._settings["safe"][0]:
+                length = self._search(True)
+            action = self._chosen(int(self._plan[0]) if length else RUN_RIGHT)
+        self._route.note(action, reward)
+        self._plan[:-1] = self._plan[1:]
+        if self._horizons:
+            self._horizons.step(self._worlds, self._levels[0], action)
+        model.step(self._worlds[0], self._levels[0], action)
+        return _ACTIONS[action]
+
+    def _chosen(self, action: int) -> int:
+        """Return the action to carry out, where `action` is planned."""
+        return action
+
+    def _search(self, hard: bool) -> int:
+        """Plan; with `hard`, try all actions and more of them. Return the length of the plan."""
+        how = self._settings[0]
+        how["sims"] = self._budget(hard)
+        how["hard"] = hard
+        column = int(self._worlds[0]["actors"][0]["x"]) // 16
+        how["end"] = min(int(self._seen[0]), column + self._ahead)
+        self._make_room(int(how["sims"]) + _LONGEST_PLAN)
+        world = (self._worlds, self._levels, self._scratch, self._memory)
+        room = (self._rows, self._nodes, self._heap, self._table)
+        began = time.perf_counter()
+        length = int(search(*world, *room, self._settings, self._plan))
+        used = int(how["used"])
+        self._used += used
+        if used:
+            self._per_sim += 0.1 * ((time.perf_counter() - began) / used - self._per_sim)
+        return length
+
+    def _budget(self, hard: bool) -> int:
+        """Return the model steps of a search. Two searches of an action share its seconds."""
+        if self._step_seconds is not None:
+            sims = self._step_seconds / 2 / self._per_sim
+        else:
+            more = _MORE if self._idle < 3 * _PATIENCE else _MOST
+            sims = min(self._sims * more, max(self._sims, _MOST_HARD)) if hard else self._sims
+        return min(max(int(sims), 12), _MAX_SIMS)
+
+    def _make_room(self, nodes: int) -> None:
+        if nodes <= self._made:
+            return
+        self._made = nodes
+        self._rows = np.zeros((nodes, model.row_size(WINDOW)), np.uint8)
+        self._nodes = np.zeros(nodes, NODE)
+        self._heap = np.zeros(nodes, np.int64)
+        self._table = np.zeros(1 << (2 * nodes).bit_length(), np.uint64)
+
+
+def _parse_constants(text: str) -> npt.NDArray[np.float64]:
+    """Return the values of `model.CONSTANTS` by a text of assignments.
+
+    Raises:
+        ConfigError: a constant is unknown or is not a number.
+    """
+    given: dict[str, float] = {}
+    for assignment in text.split():
+        name, _, value = assignment.partition("=")
+        if name not in model.CONSTANTS:
+            raise ConfigError(
+                f"constants: {name!r:.40} is not a constant of the game{did_you_mean(name, model.CONSTANTS)}"
+            )
+        try:
+            given[name] = float(value)
+            if not abs(given[name]) <= LARGEST:
+                raise ValueError
+        except ValueError:
+            raise ConfigError(
+                f"constants: {name} takes a number from -{LARGEST} to {LARGEST}, not {value!r:.40}"
+            ) from None
+    values: npt.NDArray[np.float64] = model.constants(**given)
+    return values

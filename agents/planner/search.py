@@ -1,0 +1,274 @@
+"""Weighted A* over the actions of Infinite Mario, with the model that its environment offers."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from agents.planner.tree import DESCRIBED, describe, forget, meet, pop, push
+from glue.compiled.jit import entry, jit
+from glue.compiled.records import Array, Flag, Int, Real, layout
+from glue.plugins.models import find_model
+
+__all__ = ["SETTINGS", "Settings", "model", "search"]
+
+model: Final = find_model("mario")
+_step = model.step
+_save = model.save
+_load = model.load
+
+BEFORE: Final = 24  # columns to the left of Mario that may change during a search
+WINDOW: Final = 72
+
+# Actions by number, 4 * (direction + 1) + 2 * jump + run, in the order in which they are tried.
+_AHEAD: Final = np.array([11, 9, 10, 8, 6, 4, 2, 0], np.int64)
+_ALL: Final = np.array([11, 9, 10, 8, 7, 6, 5, 4, 3, 2, 1, 0], np.int64)
+_LEFT: Final = 0
+_STAY: Final = 4
+_RIGHT: Final = 8
+_BRAKING: Final = 8  # steps
+_FAST: Final = np.float32(2)  # pixels a tick
+_TRIED: Final = 48  # leaves that are tried for safety
+_HURRY: Final = 0.3  # what a step counts in a hard search
+
+
+class Settings:
+    """How to search."""
+
+    sims: Int  # model steps
+    weight: Real  # of the way that remains
+    coin: Real  # steps that a coin is worth
+    kill: Real  # steps that a kill is worth
+    size_cost: Real  # steps that being small rather than large costs
+    stride: Real  # pixels that Mario runs in a step
+    end: Int  # the first column that has not been seen
+    hard: Flag  # find any way at all: try all actions, and no state again at another time
+    anytime: Flag  # use the whole budget
+    used: Int  # result: model steps
+    safe: Flag  # result: it is safe to stop where the plan ends
+
+
+SETTINGS: Final = layout(Settings)
+
+
+@entry
+def search(
+    worlds: Array,
+    levels: Array,
+    scratch: Array,
+    memory: npt.NDArray[np.uint8],
+    rows: npt.NDArray[np.uint8],
+    nodes: Array,
+    heap: npt.NDArray[np.int64],
+    table: npt.NDArray[np.uint64],
+    settings: Array,
+    plan: npt.NDArray[np.int64],
+) -> int:
+    """Plan from a belief; return how many actions of `plan` are the new plan.
+
+    Args:
+        worlds, levels: the belief, shape (1,) each; it is not changed.
+        scratch, memory: a world to step, shape (1,), and its bytes.
+        rows: room for the worlds of nodes, shape (N, bytes).
+        nodes, heap, table: room for N nodes, shapes (N,), (N,) and (a power of two above 2 * N,).
+        settings: see `Settings`, shape (1,).
+        plan: the last plan, ended by -1, and room for the new one.
+    """
+    how: Any = settings[0]
+    level: Any = levels[0]
+    world: Any = scratch[0]
+    first = max(0, min(int(worlds[0].actors[0].x) // 16 - BEFORE, len(level.tiles) - WINDOW))
+    forget(table)
+    # The root.
+    memory[:] = worlds.view(np.uint8)
+    earned = how.coin * world.coins + how.kill * world.kills
+    large = int(world.large) + int(world.fire)
+    root_x = float(world.actors[0].x)
+    goal = min(16.0 * min(how.end, first + WINDOW) - 8.0, 16.0 * level.exit_x + 1.0)
+    _save(world, memory, rows[0], first, WINDOW)
+    nodes[0].parent = -1
+    nodes[0].action = -1
+    nodes[0].depth = 0
+    nodes[0].x = root_x
+    nodes[0].key = how.weight * (goal - root_x) / how.stride
+    nodes[0].rank = nodes[0].key
+    count = 1
+    size = push(nodes, heap, 0, 0)
+    used = 0
+    # The last plan goes in first.
+    node = 0
+    for i in range(len(plan)):
+        if plan[i] < 0 or count >= len(nodes):
+            break
+        _load(world, memory, rows[node], first, WINDOW)
+        alive = _step(world, level, plan[i])
+        used += 1
+        if not _add(world, level, alive, how, nodes, count, node, plan[i], earned, large, goal):
+            break
+        _save(world, memory, rows[count], first, WINDOW)
+        size = push(nodes, heap, size, count)
+        node = count
+        count += 1
+    numbers = np.zeros(DESCRIBED + 1, np.int64)
+    actions = _ALL if how.hard else _AHEAD
+    best = -1
+    how.safe = False
+    while size > 0 and used < how.sims:
+        node = pop(nodes, heap, size)
+        size -= 1
+        if nodes[node].x >= goal and node > 0:
+            if nodes[node].x > 16.0 * level.exit_x:
+                best = node
+                how.safe = True
+                break
+            if not how.anytime:
+                _load(world, memory, rows[node], first, WINDOW)
+                safe, steps = _is_safe(world, level, 16.0 * how.end)
+                used += steps
+                if safe:
+                    best = node
+                    how.safe = True
+                    break
+            continue
+        for k in range(len(actions)):
+            if count >= len(nodes):
+                break
+            _load(world, memory, rows[node], first, WINDOW)
+            alive = _step(world, level, actions[k])
+            used += 1
+            if not _add(world, level, alive, how, nodes, count, node, actions[k], earned, large, goal):
+                continue
+            if nodes[count].x < 16.0 * level.exit_x and _was_met(
+                table, numbers, world, 0 if how.hard else nodes[count].depth // 2
+            ):
+                continue
+            _save(world, memory, rows[count], first, WINDOW)
+            size = push(nodes, heap, size, count)
+            count += 1
+    if best < 0:
+        best, steps = _best_leaf(world, level, memory, rows, nodes, heap, count, first, 16.0 * how.end)
+        used += steps
+        how.safe = best > 0
+    if best < 0:
+        best = _longest_life(nodes, count)
+    how.used = used
+    length = nodes[best].depth
+    if length >= len(plan):
+        length = len(plan) - 1
+    plan[length] = -1
+    node = best
+    while nodes[node].parent >= 0:
+        if nodes[node].depth <= length:
+            plan[nodes[node].depth - 1] = nodes[node].action
+        node = nodes[node].parent
+    return int(length)
+
+
+@jit
+def _add(
+    world: Any,
+    level: Any,
+    alive: bool,
+    how: Any,
+    nodes: Array,
+    count: int,
+    parent: int,
+    action: int,
+    earned: float,
+    large: int,
+    goal: float,
+) -> bool:
+    """Fill in node `count` of a world that was stepped; return False if Mario is dead there."""
+    won = world.win_timer > 0
+    if (not alive and not won) or world.death_timer > 0:
+        return False
+    node = nodes[count]
+    mario = world.actors[0]
+    if not won and mario.y > np.float32(239):
+        return False  # below the ground there is no way back
+    node.parent = parent
+    node.action = action
+    node.depth = nodes[parent].depth + 1
+    node.x = mario.x
+    gained = how.coin * world.coins + how.kill * world.kills - earned
+    lost = large - int(world.new_large if world.change_timer != 0 else world.large)
+    lost -= int(world.new_fire if world.change_timer != 0 else world.fire)
+    worth = (_HURRY if how.hard else 1.0) * node.depth - gained + how.size_cost * lost
+    remaining = max(goal - node.x, 0.0) / how.stride
+    node.key = worth + how.weight * remaining
+    node.rank = node.key
+    return True
+
+
+@jit
+def _was_met(table: npt.NDArray[np.uint64], numbers: npt.NDArray[np.int64], world: Any, when: int) -> bool:
+    describe(world, numbers)
+    numbers[DESCRIBED] = when
+    return meet(table, numbers)
+
+
+@jit
+def _is_safe(world: Any, level: Any, end: float) -> tuple[bool, int]:
+    """Brake and wait; return whether Mario then stands on what was seen, alive, and after how many steps."""
+    for steps in range(_BRAKING):
+        mario = world.actors[0]
+        if world.win_timer > 0:
+            return True, steps
+        if mario.x > end:
+            return False, steps
+        action = _STAY
+        if mario.vx > _FAST:
+            action = _LEFT
+        elif mario.vx < -_FAST:
+            action = _RIGHT
+        alive = _step(world, level, action)
+        if (not alive and world.win_timer == 0) or world.death_timer > 0:
+            return False, steps + 1
+    mario = world.actors[0]
+    return bool(mario.grounded and mario.x <= end), _BRAKING
+
+
+@jit
+def _best_leaf(
+    world: Any,
+    level: Any,
+    memory: npt.NDArray[np.uint8],
+    rows: npt.NDArray[np.uint8],
+    nodes: Array,
+    heap: npt.NDArray[np.int64],
+    count: int,
+    first: int,
+    end: float,
+) -> tuple[int, int]:
+    """Return the best node at which it is safe to stop, -1 if none is, and the steps it took to find out."""
+    used = 0
+    for i in range(1, count):
+        nodes[i].key = nodes[i].rank
+    size = 0
+    for i in range(1, count):
+        size = push(nodes, heap, size, i)
+    for _ in range(_TRIED):
+        if size == 0:
+            break
+        node = pop(nodes, heap, size)
+        size -= 1
+        _load(world, memory, rows[node], first, WINDOW)
+        safe, steps = _is_safe(world, level, end)
+        used += steps
+        if safe:
+            return node, used
+    return -1, used
+
+
+@jit
+def _longest_life(nodes: Array, count: int) -> int:
+    """Return the node that is the most steps away; of several, the best."""
+    best = 0
+    for i in range(1, count):
+        if nodes[i].depth > nodes[best].depth or (
+            nodes[i].depth == nodes[best].depth and nodes[i].rank < nodes[best].rank
+        ):
+            best = i
+    return best

@@ -1,0 +1,112 @@
+"""The planner on levels that it sees for the first time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+
+import pytest
+
+from agents.planner.agent import PlannerAgent
+from env_server.mario.environment import InfiniteMario
+from env_server.mario.game import Game
+from env_server.mario.level_sets import LEVEL_SETS
+from glue.errors import ConfigError, SaveError
+
+TASK_SPEC = (
+    "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 "
+    "ACTIONS INTS (-1 1) (2 0 1)  REWARDS (-10.0 100.0)"
+)
+TASK = InfiniteMario().parameters
+
+
+def play(agent: PlannerAgent, level: int, steps: int = 1000) -> Iterator[tuple[list[int], float]]:
+    """Yield the actions and rewards of an episode on a training level."""
+    game = Game(LEVEL_SETS["train-200"].level(TASK, level))
+    action = agent.agent_start(game.start())
+    for _ in range(steps):
+        buttons = action.ints.tolist()
+        reward, observation, ended, *_ = game.step(*buttons)
+        yield buttons, reward
+        if ended:
+            agent.agent_end(reward)
+            break
+        action = agent.agent_step(reward, observation)
+
+
+def made(**options: object) -> PlannerAgent:
+    agent = PlannerAgent(**options)  # type: ignore[arg-type]
+    agent.agent_init(TASK_SPEC)
+    return agent
+
+
+@pytest.mark.parametrize("level", [0, 1, 2, 9, 102])
+def test_goal_is_reached_at_first_sight(level: int) -> None:
+    assert [*play(made(), level)][-1][1] == 100
+
+
+def test_same_budget_gives_the_same_actions() -> None:
+    first, second = ([*play(made(bonus=15.0), 3, 60)] for _ in range(2))
+    assert first == second
+
+
+def test_more_time_for_each_step_is_more_model_steps() -> None:
+    def sims(step_seconds: float) -> int:
+        agent = made(step_seconds=step_seconds)
+        assert [*play(agent, 3, 10)]
+        used: int = json.loads(agent.agent_message("predictions"))["sims"]
+        return used
+
+    assert sims(0.0001) < sims(0.05)
+
+
+def test_bonus_earns_more_than_the_goal_alone() -> None:
+    assert sum(reward for _, reward in play(made(bonus=15.0), 4)) > sum(
+        reward for _, reward in play(made(), 4)
+    )
+
+
+def test_level_is_known_after_loading_what_was_saved() -> None:
+    agent, other = made(), made()
+    assert [*play(agent, 0)]
+    other.agent_load(agent.agent_save())
+    assert other.agent_save() == agent.agent_save()
+    assert [*play(agent, 0)] == [*play(other, 0)]
+    with pytest.raises(SaveError):
+        other.agent_load(agent.agent_save()[:-1])
+
+
+def test_shares_of_exact_predictions_fall_with_the_horizon() -> None:
+    agent = made(horizons=True)
+    assert [*play(agent, 0)]
+    found = json.loads(agent.agent_message("predictions"))
+    shares = [found["horizons"][ahead] for ahead in ("1", "3", "5", "10")]
+    assert 0 < found["exact"] <= found["steps"] < found["sims"]
+    assert shares == sorted(shares, reverse=True)
+    assert shares[0] > 0.8
+
+
+def test_plan_begins_where_mario_will_be() -> None:
+    agent, game = made(), Game(LEVEL_SETS["train-200"].level(TASK, 0))
+    action = agent.agent_start(game.start())
+    for _ in range(10):
+        marks = json.loads(agent.agent_message("marks"))
+        reward, observation, *_ = game.step(*action.ints.tolist())
+        assert marks[0] == pytest.approx([observation.doubles[0], observation.doubles[1] + 0.5])
+        assert len(marks) > 1
+        action = agent.agent_step(reward, observation)
+
+
+def test_other_tasks_are_refused() -> None:
+    with pytest.raises(ConfigError):
+        PlannerAgent().agent_init("VERSION RL-Glue-3.0 PROBLEMTYPE episodic")
+
+
+def test_known_level_is_planned_as_a_whole() -> None:
+    """A route is never worse than the best episode before it, and is saved with the level."""
+    agent, other = made(bonus=15.0, study=60_000), made(bonus=15.0, study=60_000)
+    totals = [sum(reward for _, reward in play(agent, 3)) for _ in range(2)]
+    other.agent_load(agent.agent_save())
+    assert [*play(agent, 3)] == [*play(other, 3)]
+    totals.append(sum(reward for _, reward in play(agent, 3)))
+    assert totals[-1] >= totals[0] > 100
