@@ -8,6 +8,7 @@ import numpy as np
 
 from glue.errors import LocalProtocolError
 from glue.options import Option
+from glue.roles import Agent
 from glue.saves import pack_generator, unpack_generator
 from glue.taskspec import Space, parse_task_spec
 from glue.taskspec.draws import Draws
@@ -16,7 +17,7 @@ from glue.types import Action, Observation
 __all__ = ["RandomAgent", "SkeletonAgent"]
 
 
-class RandomAgent:
+class RandomAgent(Agent):
     """Acts at random, evenly within the bounds of the task spec; it learns nothing."""
 
     name: ClassVar[str] = "random"
@@ -48,12 +49,6 @@ class RandomAgent:
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
         return self._act()
-
-    def agent_end(self, reward: float) -> None:
-        pass
-
-    def agent_cleanup(self) -> None:
-        pass
 
     def agent_message(self, message: str) -> str:
         return f"agent {self.name} answers no messages"

@@ -23,6 +23,7 @@ import torch
 from torch import nn
 
 from glue import Action, ConfigError, Observation, Option
+from glue.roles import Agent
 
 # What the network sees: a crop of the tiles around Mario, the sprites nearest to him, and himself.
 ROWS = slice(3, 16)
@@ -46,7 +47,7 @@ PROGRESS = 0.004  # for each tile to the right; with the goal alone there is not
 
 
 def features(tiles: np.ndarray, sprites: np.ndarray) -> np.ndarray:
-    """Return what the network sees, shape (N, FEATURES), of tiles (N, 16, 21) and sprites (N, 16, 7)."""
+    """Return the network's input, shape (N, FEATURES), from tiles (N, 16, 21) and sprites (N, 16, 7)."""
     count = len(tiles)
     found = (tiles == MARIO).reshape(count, -1)
     place = found.argmax(1)
@@ -75,7 +76,11 @@ class Policy(nn.Module):  # type: ignore[misc]
 
     def __init__(self) -> None:
         super().__init__()
-        self.body = nn.Sequential(nn.Linear(FEATURES, 128), nn.ReLU(), nn.Linear(128, 64), nn.ReLU())
+        self.body: nn.Sequential = nn.Sequential(
+            nn.Linear(FEATURES, 128), nn.ReLU(), nn.Linear(128, 64), nn.ReLU()
+        )
+        self.actor: nn.Linear
+        self.critic: nn.Linear
         self.actor, self.critic = nn.Linear(64, 12), nn.Linear(64, 1)
         nn.init.orthogonal_(self.actor.weight, 0.01)
 
@@ -193,7 +198,7 @@ def load(path: str) -> Policy:
     return policy
 
 
-class PpoAgent:
+class PpoAgent(Agent):
     """Plays a policy that ppo.py has learned: an RL-Glue agent of Infinite Mario.
 
     Each action is drawn as in training; the same seed gives the same episodes.
@@ -207,37 +212,35 @@ class PpoAgent:
             raise ConfigError(
                 f"policy names a file that `python -m agents.ppo` wrote, not {policy!r}: {error}"
             ) from None
+        self._entropy, self._actions = 0.0, 0
         self.agent_seed(0)
 
     def agent_seed(self, seed: int) -> None:
         self._random = np.random.default_rng(seed)
 
-    def agent_init(self, task_spec: str) -> None:
-        pass
-
     def agent_start(self, observation: Observation) -> Action:
+        self._entropy, self._actions = 0.0, 0
+        return self.agent_step(0.0, observation)
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
         with torch.no_grad():
             preferences, _ = self._policy(torch.from_numpy(features(*view(observation))))
         chances = preferences[0].double().softmax(0).numpy()
+        self._entropy -= float(chances @ np.log(chances.clip(1e-300)))
+        self._actions += 1
         number = min(int(np.searchsorted(np.cumsum(chances), self._random.random())), 11)
         return Action(ints=[number // 4 - 1, number // 2 % 2, number % 2])
 
-    def agent_step(self, reward: float, observation: Observation) -> Action:
-        return self.agent_start(observation)
-
-    def agent_end(self, reward: float) -> None:
-        pass
-
-    def agent_cleanup(self) -> None:
-        pass
+    def agent_metrics(self) -> dict[str, float]:
+        """Return the mean entropy of the policy in the episode, in nats."""
+        return {"entropy": self._entropy / max(self._actions, 1)}
 
     def agent_message(self, message: str) -> str:
         return "I play what ppo.py has learned"
 
 
 CODES = np.zeros(256, np.uint8)
-for code, char in enumerate(b" 1237b?|$!M"):
-    CODES[char] = code
+CODES[list(b" 1237b?|$!M")] = np.arange(11)
 
 
 def view(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
@@ -255,10 +258,12 @@ def view(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Learn Infinite Mario by proximal policy optimisation.")
+    parser: argparse.ArgumentParser = argparse.ArgumentParser(
+        description="Learn Infinite Mario by proximal policy optimisation."
+    )
     parser.add_argument("--levels", default="train-200")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--steps", type=int, default=5_000_000)
     parser.add_argument("--out", default="ppo.npz")
-    given = parser.parse_args()
+    given: argparse.Namespace = parser.parse_args()
     learn(given.levels, given.seed, given.steps, given.out)

@@ -45,6 +45,8 @@ class Learner:
 
     cycles   decision cycles so far, which shrink epsilon
     entries  values in the table
+    errors   sum of the absolute TD errors of the episode
+    updates  number of updates in the episode
     """
 
     step_size: Real
@@ -55,6 +57,8 @@ class Learner:
     random: Word
     cycles: Int
     entries: Int
+    errors: Real
+    updates: Int
 
 
 class Taken:
@@ -97,6 +101,8 @@ def update(learner: Learner, table: Array, taken: Taken, target: float) -> None:
     if taken.count == 0 or not learner.learning:
         return
     error = target - sum_of_values(table, taken.keys, taken.count)
+    learner.errors += abs(error)
+    learner.updates += 1
     share = learner.step_size / taken.count * error
     for i in range(taken.count):
         entry = table[_place(table, taken.keys[i])]

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from glue.errors import LocalProtocolError, SaveError
 from glue.options import Option
 from glue.random_state import GENERATOR_SIZE, load_generator
+from glue.roles import Agent
 from glue.saves import Arrays, Saved, generator_array, is_packed, pack, unpack
 from glue.taskspec import TaskSpec, parse_task_spec
 from glue.types import PREFIX_SIZE, Action, Observation
@@ -31,7 +32,7 @@ _OLD_MAGIC: Final = b"TSA1"
 _Learned = tuple[np.random.Generator, tuple[int, int], npt.NDArray[np.float64]]
 
 
-class SarsaAgent:
+class SarsaAgent(Agent):
     """Tabular SARSA with epsilon-greedy choice, ties broken at random.
 
     Any task will do whose task spec bounds one int of observation and one int of action. The discount is
@@ -60,6 +61,8 @@ class SarsaAgent:
         self._values = array("d", (0.0,))  # of each state in turn, those of its actions
         self._state = 0
         self._choice = 0
+        self._errors = 0.0  # sum of the absolute TD errors of the episode
+        self._updates = 0
 
     def agent_seed(self, seed: int) -> None:
         self._generator = np.random.default_rng(seed if self._own_seed is None else self._own_seed)
@@ -80,6 +83,7 @@ class SarsaAgent:
     def agent_start(self, observation: Observation) -> Action:
         self._state = self._state_of(observation)
         self._choice = self._choose(self._state)
+        self._errors, self._updates = 0.0, 0
         return self._action()
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
@@ -92,13 +96,19 @@ class SarsaAgent:
     def agent_end(self, reward: float) -> None:
         self._learn(reward)
 
-    def agent_cleanup(self) -> None:
-        pass
-
     def agent_message(self, message: str) -> str:
         if message == "values":
             return " ".join(f"{value:.6g}" for value in self._values)
         return f"unknown message {message!r:.80}; 'values' shows the table"
+
+    def agent_metrics(self) -> dict[str, float]:
+        """Return settings, the size of the table, and the mean absolute TD error of the episode."""
+        return {
+            "step size": self._step_size,
+            "epsilon": self._epsilon,
+            "mean TD error": self._errors / max(self._updates, 1),
+            "table size": float(len(self._values)),
+        }
 
     def agent_save(self) -> bytes:
         values = np.frombuffer(self._values)
@@ -135,7 +145,10 @@ class SarsaAgent:
 
     def _learn(self, target: float) -> None:
         at = self._state * self._num_actions + self._choice
-        self._values[at] += self._step_size * (target - self._values[at])
+        error = target - self._values[at]
+        self._values[at] += self._step_size * error
+        self._errors += abs(error)
+        self._updates += 1
 
     def _action(self) -> Action:
         return Action(ints=(self._first_action + self._choice,))
@@ -160,7 +173,7 @@ def _unpack(data: bytes) -> _Learned:
 
 
 def _unpack_old(data: bytes) -> _Learned:
-    """Return what a version before `glue.saves` saved: magic, shape, generator, values."""
+    """Read a save of a version before `glue.saves`: magic, shape, generator, values."""
     if len(data) < _OLD_HEAD.size or (len(data) - _OLD_HEAD.size) % 8 or not data.startswith(_OLD_MAGIC):
         raise SaveError(f"these {len(data)} bytes are not a save of agent sarsa")
     _, states, actions, generator = _OLD_HEAD.unpack_from(data)

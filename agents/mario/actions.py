@@ -23,7 +23,7 @@ ACTIONS: Final = tuple(
     for jump in (0, 1)
     for run in (0, 1)
 )
-"""What to send for each number: direction -1 to 1, jump 0 or 1, run 0 or 1."""
+"""The ints of each action by its number: direction -1 to 1, jump 0 or 1, run 0 or 1."""
 
 
 def action_number(direction: int, jump: bool, run: bool) -> int:

@@ -1,4 +1,4 @@
-"""What every agent for Infinite Mario has in common: its name, its seed, and the check of the task."""
+"""Base class of the agents for Infinite Mario: name, seed, and the check of the task."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ import abc
 from typing import ClassVar
 
 from glue.errors import ConfigError, TaskSpecError
+from glue.roles import Agent
 from glue.taskspec import MARIO, parse_task_spec
 
 __all__ = ["MarioAgent"]
 
 
-class MarioAgent(abc.ABC):
+class MarioAgent(Agent):
     """An agent for Infinite Mario.
 
     Args:
-        seed: takes the place of the seed that the experiment sends; None to use the experiment's.
+        seed: a seed to use instead of the experiment's; None to use the experiment's.
     """
 
     name: ClassVar[str]
@@ -49,6 +50,3 @@ class MarioAgent(abc.ABC):
                 f"it received {task_spec!r:.80}: use it with the environment mario"
             )
         self._reset()
-
-    def agent_cleanup(self) -> None:  # noqa: B027 - subclasses need not override it
-        """Do nothing: what was learned stays until the next init."""

@@ -73,12 +73,12 @@ _RUN: Final = 0.7
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """What to do in an episode.
+    """The plan of an episode.
 
-    actions  the way back to a place, and
-    place    where it ends; None if there is no way to follow
-    burst    steps to explore there, before the best episode is resumed
-    ahead    chance of the right button meanwhile
+    actions  the actions that lead back to a place
+    place    that place; None if there is no way to follow
+    burst    number of steps to explore there, before the best episode is resumed
+    ahead    probability of the right button meanwhile
     """
 
     actions: bytes = b""

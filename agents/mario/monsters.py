@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 THREATS_2010: Final = (-3, 4, -6, 5)
-"""Where a monster is a threat: left, right, below, above, in tiles; the author's agents of 2010."""
+"""Area in which a monster is a threat: left, right, below, above, in tiles; the author's agents of 2010."""
 THREATS_2012: Final = (-4, 6, -2, 5)
 """The same in the author's agent of 2012."""
 

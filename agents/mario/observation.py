@@ -1,13 +1,13 @@
-"""What an agent sees of Infinite Mario: an observation as tiles and sprites.
+"""The observations of Infinite Mario, read as tiles and sprites.
 
     ints    (1 + 2*M,)  leftmost column in view, then kind and winged of each of M sprites
     doubles (4*M,)      x, y, then horizontal and vertical speed of each sprite
     chars   (352,)      16 rows from top to bottom, each 21 tiles and a newline
 
-Mario is the first sprite. Places are in tiles, x to the right and y up, speeds in tiles per step.
+Mario is the first sprite. Positions are in tiles, x to the right and y up, speeds in tiles per step.
 A tile lies at a world column and a world row, row 0 at the bottom.
 
-`read` is for compiled code; `decode` and `glimpse` are for plain Python, all of it or only Mario.
+`read` is for compiled code; `decode` (everything) and `glimpse` (only Mario) are for plain Python.
 Source: RL-Competition 2009, Infinite Mario; Mohan (2010), appendix A.
 """
 

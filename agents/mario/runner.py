@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from glue.roles import Agent
 from glue.types import Action, Observation
 
 __all__ = ["RunRightAgent"]
@@ -11,23 +12,14 @@ __all__ = ["RunRightAgent"]
 _RUN_AND_JUMP: Final = Action(ints=[1, 1, 1])
 
 
-class RunRightAgent:
+class RunRightAgent(Agent):
     """Runs to the right and jumps, always; it learns nothing."""
-
-    def agent_init(self, task_spec: str) -> None:
-        pass
 
     def agent_start(self, observation: Observation) -> Action:
         return _RUN_AND_JUMP
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
         return _RUN_AND_JUMP
-
-    def agent_end(self, reward: float) -> None:
-        pass
-
-    def agent_cleanup(self) -> None:
-        pass
 
     def agent_message(self, message: str) -> str:
         return "I run to the right and jump"

@@ -110,7 +110,7 @@ class SampleAgent(MarioAgent):
 
 
 class _Neighbourhood:
-    """What the sample agent pays attention to."""
+    """The part of an observation that the sample agent considers."""
 
     def __init__(self, observation: Observation) -> None:
         seen = decode(observation)

@@ -54,7 +54,7 @@ _MAX_PLATFORMS: Final = ROWS * COLUMNS // 2
 
 
 class Senses:
-    """What differs in perception between the agents.
+    """The parameters of perception, which differ between the agents.
 
     grid             cells per tile of the distances to monsters
     threat_*         a monster is a threat when threat_left <= dx < threat_right tiles and

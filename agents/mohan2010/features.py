@@ -113,7 +113,7 @@ def _occupant(screen: Screen, i: int) -> int:
 
 @jit
 def _symbol(screen: Screen, i: int, occupant: int) -> int:
-    """Return what a tile of the window shows: a sprite's kind, or a tile, or OUTSIDE."""
+    """Return the content of a tile of the window: a sprite's kind, or a tile, or OUTSIDE."""
     if occupant >= 0:
         return _SPRITE + screen.sprites[occupant].kind
     return tile(screen, screen.column + _LEFT + i % _COLUMNS, screen.row + _BELOW + i // _COLUMNS)

@@ -10,6 +10,7 @@ Source: Mohan (2010), section 5.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, ClassVar, Final
 
 import numpy as np
@@ -18,10 +19,9 @@ from agents import sarsa
 from agents.mario import observation
 from agents.mario.monsters import THREATS_2010, forget_monsters
 from agents.mario.objects import look
-from agents.mario.options import Discount, Epsilon, Reduction, Seed, StepSize
 from agents.mario.scene import Scene, Senses, set_senses
 from agents.mohan2010 import features, klo
-from agents.mohan2010.learner import FULL, MALFORMED, Grid, Learning, MarioLearner
+from agents.mohan2010.learner import FULL, MALFORMED, LearnerOptions, MarioLearner, ObjectOptions
 from agents.policy import epsilon_greedy
 from agents.sarsa import Keys, Taken, Values
 from glue.compiled.jit import entry, jit
@@ -31,7 +31,7 @@ from glue.saves import Setting
 
 __all__ = ["ObjectsFlatAgent", "TilesAgent", "TilesCoarseAgent"]
 
-TerminalUpdate = Annotated[
+_TerminalUpdate = Annotated[
     bool, Option("whether to learn the last reward of an episode (author's agents: lost, as in Soar)")
 ]
 
@@ -111,36 +111,21 @@ def _state(memory: Memory) -> int:
 class TilesAgent(MarioLearner):
     """Experiment 1, propositional: a state is the 15 tiles around Mario."""
 
+    @dataclass(frozen=True, kw_only=True)
+    class Options(LearnerOptions):
+        terminal_update: _TerminalUpdate = False
+
+    _options: Options
+
     name = "tiles"
     _step = step
     _end = end
     _representation: ClassVar[int] = _WHOLE_WINDOW
 
-    def __init__(
-        self,
-        *,
-        step_size: StepSize = 0.3,
-        discount: Discount = 0.9,
-        epsilon: Epsilon = 0.1,
-        reduction: Reduction = 0.9999,
-        terminal_update: TerminalUpdate = False,
-        learning: Learning = True,
-        seed: Seed = None,
-    ) -> None:
-        super().__init__(
-            step_size=step_size,
-            discount=discount,
-            epsilon=epsilon,
-            reduction=reduction,
-            learning=learning,
-            seed=seed,
-        )
-        self._terminal_update = terminal_update
-
     def _new_memory(self) -> Array:
         memories = new(Memory)
         memories["representation"] = self._representation
-        memories["terminal_update"] = self._terminal_update
+        memories["terminal_update"] = self._options.terminal_update
         return memories
 
 
@@ -154,36 +139,19 @@ class TilesCoarseAgent(TilesAgent):
 class ObjectsFlatAgent(TilesAgent):
     """Experiment 3, object-oriented: a state is all objects that are related to Mario."""
 
+    @dataclass(frozen=True, kw_only=True)
+    class Options(ObjectOptions, TilesAgent.Options):
+        pass
+
+    _options: Options
+
     name = "objects-flat"
     _representation = _OBJECTS
 
-    def __init__(
-        self,
-        *,
-        step_size: StepSize = 0.3,
-        discount: Discount = 0.9,
-        epsilon: Epsilon = 0.1,
-        reduction: Reduction = 0.9999,
-        grid: Grid = 2,
-        terminal_update: TerminalUpdate = False,
-        learning: Learning = True,
-        seed: Seed = None,
-    ) -> None:
-        super().__init__(
-            step_size=step_size,
-            discount=discount,
-            epsilon=epsilon,
-            reduction=reduction,
-            terminal_update=terminal_update,
-            learning=learning,
-            seed=seed,
-        )
-        self._grid = grid
-
     def _settings(self) -> Mapping[str, Setting]:
-        return {"grid": self._grid}
+        return {"grid": self._options.grid}
 
     def _new_memory(self) -> Array:
         memories = super()._new_memory()
-        set_senses(memories["senses"], self._grid, THREATS_2010)
+        set_senses(memories["senses"], self._options.grid, THREATS_2010)
         return memories

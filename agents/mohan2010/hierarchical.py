@@ -11,13 +11,13 @@ Source: Mohan (2010), sections 6 and 7; what the paper leaves open is listed in 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 from agents.mario.monsters import THREATS_2010, THREATS_2012
-from agents.mario.options import Discount, Epsilon, Reduction, Seed, StepSize
 from agents.mario.scene import set_senses
 from agents.mohan2010 import flo
-from agents.mohan2010.learner import Grid, Learning, MarioLearner
+from agents.mohan2010.learner import MarioLearner, ObjectOptions
 from agents.mohan2010.levels import Memory, end, step
 from glue.compiled.records import Array, new
 from glue.options import Option
@@ -31,11 +31,17 @@ __all__ = [
     "ObjectsCoarseAgent",
 ]
 
-TileAbove = Annotated[bool, Option("whether KLO values depend on the tile above (author's agents: yes)")]
-
 
 class HierarchicalAgent(MarioLearner):
     """Experiment 5: the FLO is chosen by learned values; avoid-pit still comes first, move-to-goal last."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Options(ObjectOptions):
+        tile_above: Annotated[
+            bool, Option("whether KLO values depend on the tile above (author's agents: yes)")
+        ] = False
+
+    _options: Options
 
     name = "hierarchical"
     _step = step
@@ -48,31 +54,8 @@ class HierarchicalAgent(MarioLearner):
     _absolute_motion: ClassVar[bool] = False
     _sum_objects: ClassVar[bool] = False
 
-    def __init__(
-        self,
-        *,
-        step_size: StepSize = 0.3,
-        discount: Discount = 0.9,
-        epsilon: Epsilon = 0.1,
-        reduction: Reduction = 0.9999,
-        grid: Grid = 2,
-        tile_above: TileAbove = False,
-        learning: Learning = True,
-        seed: Seed = None,
-    ) -> None:
-        super().__init__(
-            step_size=step_size,
-            discount=discount,
-            epsilon=epsilon,
-            reduction=reduction,
-            learning=learning,
-            seed=seed,
-        )
-        self._grid = grid
-        self._tile_above = tile_above
-
     def _settings(self) -> Mapping[str, Setting]:
-        return {"grid": self._grid, "tile_above": self._tile_above}
+        return {"grid": self._options.grid, "tile_above": self._options.tile_above}
 
     def _new_memory(self) -> Array:
         memories = new(Memory)
@@ -80,8 +63,10 @@ class HierarchicalAgent(MarioLearner):
         design["ranks"] = self._ranks
         design["context"] = self._context
         design["sum_objects"] = self._sum_objects
-        design["tile_above"] = self._tile_above
-        set_senses(design["senses"], self._grid, self._threats, self._absolute_motion, self._via_platforms)
+        design["tile_above"] = self._options.tile_above
+        set_senses(
+            design["senses"], self._options.grid, self._threats, self._absolute_motion, self._via_platforms
+        )
         return memories
 
 
@@ -103,44 +88,23 @@ class HierarchicalFactsAgent(HierarchicalAgent):
 class HierarchicalInternalAgent(HierarchicalFactsAgent):
     """Experiment 7: as 6, but KLOs are rewarded for their FLO's goal, not by the environment."""
 
-    name = "hierarchical-internal"
+    @dataclass(frozen=True, kw_only=True)
+    class Options(HierarchicalAgent.Options):
+        internal_step: Annotated[float, Option("KLO's reward for a step (author's agent: -0.01)")] = -0.01
+        internal_goal: Annotated[float, Option("KLO's reward for the FLO's goal (author's agent: 1)")] = 1.0
+        internal_death: Annotated[float, Option("KLO's reward for dying (author's agent: -10)")] = -10.0
 
-    def __init__(
-        self,
-        *,
-        step_size: StepSize = 0.3,
-        discount: Discount = 0.9,
-        epsilon: Epsilon = 0.1,
-        reduction: Reduction = 0.9999,
-        internal_step: Annotated[float, Option("KLO's reward for a step (author's agent: -0.01)")] = -0.01,
-        internal_goal: Annotated[float, Option("KLO's reward for the FLO's goal (author's agent: 1)")] = 1.0,
-        internal_death: Annotated[float, Option("KLO's reward for dying (author's agent: -10)")] = -10.0,
-        grid: Grid = 2,
-        tile_above: TileAbove = False,
-        learning: Learning = True,
-        seed: Seed = None,
-    ) -> None:
-        super().__init__(
-            step_size=step_size,
-            discount=discount,
-            epsilon=epsilon,
-            reduction=reduction,
-            grid=grid,
-            tile_above=tile_above,
-            learning=learning,
-            seed=seed,
-        )
-        self._internal = {
-            "internal": True,
-            "internal_step": internal_step,
-            "internal_goal": internal_goal,
-            "internal_death": internal_death,
-        }
+    _options: Options
+
+    name = "hierarchical-internal"
 
     def _new_memory(self) -> Array:
         memories = super()._new_memory()
-        for name, value in self._internal.items():
-            memories["design"][name] = value
+        design, options = memories["design"], self._options
+        design["internal"] = True
+        design["internal_step"] = options.internal_step
+        design["internal_goal"] = options.internal_goal
+        design["internal_death"] = options.internal_death
         return memories
 
 

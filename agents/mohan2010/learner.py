@@ -1,21 +1,23 @@
-"""What the learning agents of Mohan (2010) have in common: hyperparameters, learning, saving, loading.
+"""Base class of the learning agents of Mohan (2010): hyperparameters, learning, saving, loading.
 
 An agent is two compiled functions, one for a step and one for the end of an episode, and three arrays
 that they work on: the learner (hyperparameters, generator, counters), its table of values, and its
-working memory of one episode. What outlives an episode is in the first two.
+working memory of one episode. The first two outlive an episode.
 """
 
 from __future__ import annotations
 
 import abc
 from collections.abc import Callable, Mapping
-from typing import Annotated, ClassVar, Final
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Final
 
 import numpy as np
 
 from agents.mario.actions import ACTIONS
 from agents.mario.agent import MarioAgent
 from agents.mario.observation import CHARS, malformed
+from agents.mario.options import SarsaOptions
 from agents.policy import seeded
 from agents.sarsa import Learner, contents, grown, table_of
 from glue.compiled.jit import announce_compilation
@@ -25,17 +27,29 @@ from glue.options import Option
 from glue.saves import Saved, Setting, pack, unpack
 from glue.types import Action, Observation
 
-__all__ = ["FULL", "MALFORMED", "Grid", "Learning", "MarioLearner"]
+__all__ = ["FULL", "MALFORMED", "LearnerOptions", "MarioLearner", "ObjectOptions"]
 
 FULL: Final = -1
-"""What a step returns, having done nothing, if the table must grow first."""
+"""Result of a step that has done nothing, since the table must grow first."""
 MALFORMED: Final = -2
-"""What a step returns for an observation whose layout is not Mario's."""
+"""Result of a step for an observation whose layout is not Mario's."""
 
-Grid = Annotated[
-    int, Option("cells per tile of the distances to monsters (author's agents: 2)", low=1, high=16)
-]
-Learning = Annotated[bool, Option("whether to learn; off: the values and epsilon stay as they are")]
+
+@dataclass(frozen=True, kw_only=True)
+class LearnerOptions(SarsaOptions):
+    """The hyper-parameters of every agent of the paper."""
+
+    learning: Annotated[bool, Option("whether to learn; off: the values and epsilon stay as they are")] = True
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectOptions(LearnerOptions):
+    """The hyper-parameters of agents that see objects."""
+
+    grid: Annotated[
+        int, Option("cells per tile of the distances to monsters (author's agents: 2)", low=1, high=16)
+    ] = 2
+
 
 Step = Callable[[Array, Array, Array, bytes, float, bool], int]
 End = Callable[[Array, Array, Array, float], None]
@@ -47,24 +61,12 @@ class MarioLearner(MarioAgent):
     _step: ClassVar[Step]
     _end: ClassVar[End]
 
-    def __init__(
-        self,
-        *,
-        step_size: float,
-        discount: float,
-        epsilon: float,
-        reduction: float,
-        learning: bool,
-        seed: int | None,
-    ) -> None:
-        super().__init__(seed)
-        self._hyperparameters = {
-            "step_size": step_size,
-            "discount": discount,
-            "epsilon": epsilon,
-            "reduction": reduction,
-            "learning": learning,
-        }
+    Options: ClassVar[type[LearnerOptions]] = LearnerOptions
+    _options: LearnerOptions
+
+    def __init__(self, **options: Any) -> None:
+        self._options = self.Options(**options)
+        super().__init__(self._options.seed)
         self._clear()
 
     @abc.abstractmethod
@@ -77,6 +79,7 @@ class MarioLearner(MarioAgent):
 
     def agent_start(self, observation: Observation) -> Action:
         """Begin an episode; nothing more is learned from a truncated one (cut off)."""
+        self._learner["errors"] = self._learner["updates"] = 0
         return self._act(0.0, observation, True)
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
@@ -94,9 +97,22 @@ class MarioLearner(MarioAgent):
         if message == "cycles":
             return str(self._learner["cycles"][0])
         if message == "epsilon":
-            learner = self._learner[0]
-            return repr(float(learner["epsilon"] * learner["reduction"] ** float(learner["cycles"])))
+            return repr(self._epsilon())
         return f"agent {self.name} answers only the messages values, cycles and epsilon"
+
+    def agent_metrics(self) -> dict[str, float]:
+        """Return step size, epsilon, the size of the table, and the mean absolute TD error of the episode."""
+        learner = self._learner[0]
+        return {
+            "step size": float(learner["step_size"]),
+            "epsilon": self._epsilon(),
+            "mean TD error": float(learner["errors"]) / max(int(learner["updates"]), 1),
+            "table size": float(learner["entries"]),
+        }
+
+    def _epsilon(self) -> float:
+        learner = self._learner[0]
+        return float(learner["epsilon"] * learner["reduction"] ** float(learner["cycles"]))
 
     def agent_save(self) -> bytes:
         """Return the values, the generator's state and the counters."""
@@ -135,8 +151,8 @@ class MarioLearner(MarioAgent):
 
     def _clear(self) -> None:
         self._learner = new(Learner)
-        for name, value in self._hyperparameters.items():
-            self._learner[name] = value
+        for name in ("step_size", "discount", "epsilon", "reduction", "learning"):
+            self._learner[name] = getattr(self._options, name)
         self._learner["random"] = seeded(self._seed)
         self._table = table_of(np.empty(0, np.uint64), np.empty(0, np.float64))
 

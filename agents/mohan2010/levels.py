@@ -22,7 +22,7 @@ __all__ = ["Design", "Memory", "end", "step"]
 
 
 class Design:
-    """What differs between the experiments; see the classes of `agents.mohan2010.hierarchical`."""
+    """The parameters that differ between experiments; see the classes of `agents.mohan2010.hierarchical`."""
 
     senses: Annotated[Senses, Senses]
     ranks: Annotated[flo.Numbers, np.int64, 4]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
-from agents.mario.options import Discount, Epsilon, Reduction, Seed, StepSize
+from agents.mario.options import SarsaOptions, Seed
 from agents.soar.kernel import Kernel
 from agents.soar.link import Link
 from agents.soar.mario_link import MarioLink
@@ -41,7 +42,10 @@ class SoarAgent(SoarPlayer):
         seed: Seed = None,
     ) -> None:
         if not productions:
-            raise ConfigError("agent soar needs the file of its productions: --productions my.soar")
+            raise ConfigError(
+                "agent soar needs productions, the file of its Soar productions (.soar)",
+                settings=("productions",),
+            )
         super().__init__(Path(productions), max_cycles, seed)
 
     def _new_link(self, kernel: Kernel, task: TaskSpec) -> Link:
@@ -66,26 +70,23 @@ class SoarHierarchicalAgent(SoarPlayer):
     name = "soar-hierarchical"
     _file: ClassVar[str] = "hierarchical.soar"
 
-    def __init__(
-        self,
-        *,
-        step_size: StepSize = 0.3,
-        discount: Discount = 0.9,
-        epsilon: Epsilon = 0.1,
-        reduction: Reduction = 0.9999,
-        max_cycles: MaxCycles = 100,
-        seed: Seed = None,
-    ) -> None:
-        super().__init__(PRODUCTIONS / "mario" / self._file, max_cycles, seed)
-        self._settings = (
-            f"rl --set learning-rate {step_size!r}",
-            f"rl --set discount-rate {discount!r}",
-            f"decide indifferent-selection --epsilon {epsilon!r}",
-            f"decide indifferent-selection --reduction-rate epsilon exponential {reduction!r}",
-        )
+    @dataclass(frozen=True, kw_only=True)
+    class Options(SarsaOptions):
+        max_cycles: MaxCycles = 100
+
+    def __init__(self, **options: Any) -> None:
+        self._options = self.Options(**options)
+        file = PRODUCTIONS / "mario" / self._file
+        super().__init__(file, self._options.max_cycles, self._options.seed)
 
     def _commands(self) -> Iterable[str]:
-        return self._settings
+        options = self._options
+        return (
+            f"rl --set learning-rate {options.step_size!r}",
+            f"rl --set discount-rate {options.discount!r}",
+            f"decide indifferent-selection --epsilon {options.epsilon!r}",
+            f"decide indifferent-selection --reduction-rate epsilon exponential {options.reduction!r}",
+        )
 
     def _new_link(self, kernel: Kernel, task: TaskSpec) -> Link:
         if task.version != MARIO:

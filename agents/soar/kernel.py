@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,7 +28,7 @@ _SETTINGS: Final = (
     "epmem --disable",
     "smem --disable",
 )
-"""What an agent of many episodes has no use for, and would pay for in time or memory."""
+"""Commands that turn off unneeded features, which would cost time or memory over many episodes."""
 
 _SHOWN: Final = 1500
 """An error shows no more than the last of what Soar printed: this many characters."""
@@ -77,13 +77,13 @@ class Kernel:
         self._agent.SetBlinkIfNoChange(False)
         self.input: Element = self._agent.GetInputLink()
         # Bound once: an observation is a hundred of these.
-        self.add_identifier = self._agent.CreateIdWME
-        self.add_link = self._agent.CreateSharedIdWME
-        self.add_int = self._agent.CreateIntWME
-        self.add_float = self._agent.CreateFloatWME
-        self.add_text = self._agent.CreateStringWME
-        self.update = self._agent.Update
-        self.remove = self._agent.DestroyWME
+        self.add_identifier: Callable[[Element, str], Element] = self._agent.CreateIdWME
+        self.add_link: Callable[[Element, str, Element], Element] = self._agent.CreateSharedIdWME
+        self.add_int: Callable[[Element, str, int], Element] = self._agent.CreateIntWME
+        self.add_float: Callable[[Element, str, float], Element] = self._agent.CreateFloatWME
+        self.add_text: Callable[[Element, str, str], Element] = self._agent.CreateStringWME
+        self.update: Callable[[Element, int | float | str], object] = self._agent.Update
+        self.remove: Callable[[Element], object] = self._agent.DestroyWME
         for line in (*_SETTINGS, f"soar max-nil-output-cycles {max_cycles}"):
             self.command(line)
 

@@ -1,4 +1,4 @@
-"""What the input links of all agents have: the step's number, the reward, and whether the episode has ended.
+"""Base of all agents' input links: the step's number, the reward, and whether the episode has ended.
 
     (<input-link> ^step 17 ^reward -0.01)        step counts from 1, from the start of the agent
     (<input-link> ^terminal yes)                 only in the last cycle of an episode

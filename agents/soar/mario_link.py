@@ -63,7 +63,7 @@ SPRITES: Final = {
     FIREBALL: "fireball",
     SHELL: "shell",
 }
-"""What kinds of sprites are called."""
+"""The names of the kinds of sprites."""
 
 _TILES: Final = {
     COIN: "coin",

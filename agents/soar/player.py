@@ -19,6 +19,7 @@ from agents.soar.link import Link
 from agents.soar.rules import parse_rules
 from glue.errors import ConfigError, SaveError
 from glue.options import Option
+from glue.roles import Agent
 from glue.saves import Saved, pack, unpack
 from glue.taskspec import TaskSpec, parse_task_spec
 from glue.types import Action, Observation
@@ -35,7 +36,7 @@ MaxCycles = Annotated[
 _EXPLORATION: Final = ("epsilon", "temperature")
 
 
-class SoarPlayer(abc.ABC):
+class SoarPlayer(Agent):
     """An agent made of Soar productions.
 
     Args:
@@ -136,10 +137,10 @@ class SoarPlayer(abc.ABC):
         return f"agent {self.name} answers, after its init, only the messages values, cycles and epsilon"
 
     def agent_save(self) -> bytes:
-        """Return what was learned as productions, with the counters.
+        """Return the learned values as productions, with the counters.
 
-        Soar prints values to six decimals. The agent itself goes on from what was saved, so that one which
-        is loaded goes on in the same way.
+        Soar prints values to six decimals. The agent itself continues from the saved values, so that an agent
+        that loads them continues in the same way.
         """
         kernel, _ = self._connected()
         self._reinitialize(kernel)

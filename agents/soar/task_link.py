@@ -12,8 +12,8 @@ spec says an action has, and a ^step if that helps to remove it later.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from typing import Final
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final
 
 from agents.soar.kernel import Element, Kernel, SoarError
 from agents.soar.link import Link
@@ -103,7 +103,11 @@ class TaskLink(Link):
         for name, value in seen.items():
             element, before = self._elements.get(name, (None, None))
             if element is None:
-                add = {int: self._kernel.add_int, float: self._kernel.add_float, str: self._kernel.add_text}
+                add: dict[type, Callable[[Element, str, Any], Element]] = {
+                    int: self._kernel.add_int,
+                    float: self._kernel.add_float,
+                    str: self._kernel.add_text,
+                }
                 element = add[type(value)](self._observation, name, value)
             elif value != before:
                 self._kernel.update(element, value)

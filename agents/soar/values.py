@@ -1,4 +1,4 @@
-"""What a Soar agent for Mario has learned: values, by what its rules test.
+"""The values that a Soar agent for Mario has learned, by the tests of its rules.
 
 keystroke   in a state that is described by a text, of which several may add up
 operator    by its object, described by a text
@@ -21,13 +21,13 @@ CONTEXT: Final = "context"
 
 _TEST: Final = re.compile(r"\^(sees|keystroke|context|name)\s+\|?([^\s|)]+)")
 _END: Final = {"name": "end"}
-"""What the rule for the end of an operator tests; its value is 0, and is not learned."""
+"""The tests of the rule for the end of an operator; its value is 0, and is not learned."""
 
 _VALUE: Final = re.compile(r"\^operator <[\w*-]+> = (-?\d+\.\d+)\)\s*\}\s*$")
 
 
 class Learned(NamedTuple):
-    """What a value is of: the kind of it, the text that describes the state, and what was chosen there."""
+    """The subject of a value: its kind, the text that describes the state, and the choice made there."""
 
     kind: str
     seen: str

@@ -10,13 +10,13 @@ import pytest
 
 from agents.keys import extend, feature
 from agents.mario.monsters import THREATS_2010
+from agents.mario.objects import look
 from agents.mario.observation import Screen
 from agents.mario.scene import Object, Scene, Senses, set_senses
 from agents.mohan2010.learner import MarioLearner
 from glue.compiled.records import new
 from glue.saves import unpack
 from glue.types import Observation
-from tests.compiled import look
 
 ROWS, COLUMNS = 16, 21
 TASK_SPEC = (
@@ -106,7 +106,7 @@ def key() -> Key:
 
 @pytest.fixture
 def learned() -> Learned:
-    """Return what an agent has learned: values by key."""
+    """Return a function that returns the values that an agent has learned, by key."""
 
     def values(agent: MarioLearner) -> dict[int, float]:
         saved = unpack(agent.agent_save(), agent.name, agent._settings())

@@ -10,14 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agents.mario.observation import CHARS, MAX_SPRITES, Screen
+from agents.mario.observation import CHARS, MAX_SPRITES, Screen, read
 from agents.mario.sample import SampleAgent
 from agents.mohan2010.hierarchical import HierarchicalAgent
 from glue.compiled.records import new
 from glue.errors import RemoteProtocolError
 from glue.roles import Agent
 from glue.types import Observation
-from tests.compiled import read
 
 if TYPE_CHECKING:
     from tests.agents.conftest import Draw

@@ -1,4 +1,4 @@
-"""What the agent `best` remembers: the better way to a cell, the nearest step, and itself as arrays."""
+"""The archive of the agent `best`: the better way to a cell, the nearest step, saving as arrays."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ RUN_LEFT = ACTIONS[action_number(LEFT, False, True)]
 
 
 @dataclass
-class Walk:
+class Walk(Environment):
     """A walk seen as Mario's: a tile a step, to be jumped over pits; coins only for those who jump.
 
     The rewards are Mario's: +100 at the goal, -10 for a pit or at the step limit, +1 for a coin, and
@@ -69,12 +69,6 @@ class Walk:
         self.taken |= {self.x} if coin else set()
         return coin - 0.01, self._see(), False
 
-    def env_cleanup(self) -> None:
-        pass
-
-    def env_message(self, message: str) -> str:
-        return ""
-
     def _see(self) -> Observation:
         return Observation([0, 0, 0], [self.x + 0.5, 2.0, 0.0, 0.0], b" " * 352)
 
@@ -87,7 +81,7 @@ def play(agent: BestAgent, environment: Environment, episodes: int) -> tuple[lis
         actions.append([action])
         total, terminal = 0.0, False
         while not terminal:
-            reward, observation, terminal = environment.env_step(action)
+            reward, observation, terminal, *_ = environment.env_step(action)
             total += reward
             if not terminal:
                 action = agent.agent_step(reward, observation)
@@ -109,7 +103,7 @@ def short_level(difficulty: int = 0) -> InfiniteMario:
 
 
 def memory(agent: BestAgent) -> dict[str, bytes]:
-    """Return what an agent remembers of its worlds."""
+    """Return an agent's memory of its worlds, as bytes by name."""
     arrays = unpack(agent.agent_save(), "best", {}).arrays
     return {name: array.tobytes() for name, array in arrays.items() if name != "generator"}
 
@@ -120,7 +114,7 @@ def worlds(agent: BestAgent) -> int:
 
 
 def greatest_return(walk: Walk) -> float:
-    """Return what a faultless episode earns: four steps to settle at the edge, then a jump at every tile."""
+    """Return a faultless episode's return: four steps to settle at the edge, then a jump at every tile."""
     return 100.0 + len(walk.coins) - 0.01 * (4 + walk.goal - 1)
 
 
@@ -204,7 +198,7 @@ def test_an_episode_that_was_cut_off_leaves_its_places() -> None:
     agent = started(walk)
     action = agent.agent_start(walk.env_start())
     for _ in range(30):
-        reward, observation, terminal = walk.env_step(action)
+        reward, observation, terminal, *_ = walk.env_step(action)
         if terminal:
             break
         action = agent.agent_step(reward, observation)

@@ -57,7 +57,7 @@ def test_the_originals_actions_step_for_step() -> None:
             for recorded in actions:
                 assert not terminal
                 assert action == Action(recorded)
-                reward, observation, terminal = environment.env_step(action)
+                reward, observation, terminal, *_ = environment.env_step(action)
                 if terminal:
                     agent.agent_end(reward)
                 else:

@@ -259,7 +259,7 @@ def test_a_pit_comes_before_everything_else(draw: Draw, task_spec: str) -> None:
 def test_the_programmed_order_is_monster_question_coin(
     draw: Draw, key: Key, learned: Learned, task_spec: str, rows: tuple[str, ...], monsters: bool, chosen: int
 ) -> None:
-    """Whatever the values say: here they speak against the order."""
+    """The order does not depend on the values, which here are in the opposite order."""
     flos = {
         A_MONSTER: key(FLO_LEVEL, A_MONSTER, GOOMBA, 6, 0, STATIONARY),
         A_QUESTION: key(FLO_LEVEL, A_QUESTION, 0, 2, 1, 0),

@@ -1,4 +1,4 @@
-"""What stands in a Soar agent's working memory, read as Soar prints it."""
+"""The contents of a Soar agent's working memory, read as Soar prints it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _ATTRIBUTE = re.compile(r"\^(\S+)\s+(\|[^|]*\||[^\s^]+)(\s+\+)?")
 
 
 def working_memory(kernel: Kernel, root: str, depth: int) -> Memory:
-    """Return what can be reached from an identifier; acceptable operators are called `operator+`."""
+    """Return the elements reachable from an identifier; acceptable operators are called `operator+`."""
     found: dict[str, dict[str, list[str]]] = {}
     for identifier, attributes in _OBJECT.findall(kernel.command(f"print --depth {depth} {root}")):
         values = found.setdefault(identifier, defaultdict(list))

@@ -10,10 +10,10 @@ import pytest
 
 from env_server.mario.environment import InfiniteMario
 from env_server.toys import MinesEnvironment
-from glue.players.loading import find, names
-from glue.protocol.messages import Role
+from glue.plugins.loading import find, names
 from glue.testing import check_agent
 from glue.types import Action, Observation
+from glue.wire.messages import Role
 
 pytest.importorskip("soar_sml", reason="agents on the Soar kernel need it: pip install 'glue-rl[soar]'")
 
@@ -26,13 +26,13 @@ def game(name: str) -> Any:
 
 @cache
 def seen(name: str) -> list[Observation]:
-    """What is seen in some steps to the right."""
+    """Return the observations of 40 steps to the right."""
     player = game(name)
     player.env_init()
     found = [player.env_start()]
     action = Action([3]) if name == "soar-mines" else Action([1, 0, 0])
     while len(found) < 40:
-        _, observation, terminal = player.env_step(action)
+        _, observation, terminal, *_ = player.env_step(action)
         found.append(player.env_start() if terminal else observation)
     return found
 

@@ -1,4 +1,4 @@
-"""What Soar's reinforcement learning makes of a game, value by value: SARSA at both levels."""
+"""The values that Soar's reinforcement learning learns in a game, one by one: SARSA at both levels."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def follow(agent: Any, episodes: int, saves: bool = False) -> Textbook:
                     weight *= DISCOUNT
             klo = now.keystroke_keys
             before = now
-            reward, observation, terminal = game.env_step(action)
+            reward, observation, terminal, *_ = game.env_step(action)
             if terminal:
                 agent.agent_end(reward)
             else:
@@ -148,7 +148,7 @@ def flat(agent: Any, episodes: int) -> Textbook:
             now = Watched(agent).keystroke_keys
             book.update(last, reward + DISCOUNT * book.value(now))
             last = now
-            reward, observation, terminal = game.env_step(action)
+            reward, observation, terminal, *_ = game.env_step(action)
             if terminal:
                 agent.agent_end(reward)
             else:
@@ -192,7 +192,7 @@ def test_a_cut_off_episode_teaches_nothing_more() -> None:
     agent.agent_init(game.env_init())
     action = agent.agent_start(game.env_start())
     while not Watched(agent).keystroke_keys:
-        reward, observation, _ = game.env_step(action)
+        reward, observation, *_ = game.env_step(action)
         action = agent.agent_step(reward, observation)
     agent.agent_step(-5.0, observation)
     learned = parse_rules(agent._kernel.value_rules())

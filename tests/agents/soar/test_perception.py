@@ -34,7 +34,7 @@ AGENTS = (SoarHierarchicalAgent, SoarHierarchicalFactsAgent, SoarObjectsCoarseAg
 def observations(task: dict[str, int], seed: int, count: int) -> Iterator[Observation | None]:
     """Yield observations of a game played at random, mostly to the right; None before each episode."""
     chance = np.random.default_rng(seed)
-    game = InfiniteMario(**task)  # type: ignore[arg-type]
+    game = InfiniteMario(**task)
     game.env_init()
     seen = 0
     while seen < count:
@@ -46,7 +46,7 @@ def observations(task: dict[str, int], seed: int, count: int) -> Iterator[Observ
             seen += 1
             if chance.random() < 0.3:
                 held = int(chance.integers(len(ACTIONS)) if chance.random() < 0.4 else chance.integers(8, 12))
-            _, observation, terminal = game.env_step(ACTIONS[held])
+            _, observation, terminal, *_ = game.env_step(ACTIONS[held])
 
 
 LEVELS = [
@@ -63,7 +63,7 @@ def motion(code: int, absolute: bool) -> str:
 
 
 def ours(things: Sequence[Object], absolute: bool) -> tuple[Counter[Any], Counter[Any]]:
-    """Return what is related to Mario, and the FLOs that are proposed."""
+    """Return the objects related to Mario, and the proposed FLOs."""
     relations: Counter[Any] = Counter()
     proposed: Counter[Any] = Counter({("move-to-goal",): 1})
     for thing in things:

@@ -96,7 +96,7 @@ class = "random"
     assert done.returncode == 1, done.stderr
     assert "Traceback" not in done.stderr
     with Results.open(tmp_path / "run") as results:
-        failures = {trial.spec.id: trial.failure for trial in results.trials()}
+        failures: dict[str, str | None] = {trial.spec.id: trial.failure for trial in results.trials()}
     assert failures["good/skeleton/0"] is None
     failure = failures["bad/skeleton/0"]
     assert failure is not None

@@ -6,14 +6,14 @@ from pathlib import Path
 
 import click
 
-from glue.commands import run
-from glue.players.command import Extra, player_command
-from glue.players.trained import load_trained
-from glue.protocol.messages import Role
+from glue.cli.players import Extra, player_command
+from glue.cli.shared import run
+from glue.plugins.trained import load_trained
+from glue.wire.messages import Role
 
 __all__ = ["agent", "main"]
 
-agent = player_command(
+agent: click.Group = player_command(
     Role.AGENT,
     "  glue-agent hierarchical\n"
     "  glue-agent sarsa --step-size 0.1 --hub tcp://127.0.0.1:5000\n"
