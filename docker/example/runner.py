@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from glue.roles import Agent
 from glue.types import Action, Observation
 
 __all__ = ["Runner"]
@@ -10,14 +11,11 @@ __all__ = ["Runner"]
 _RIGHT, _JUMP = Action(ints=[1, 0, 1]), Action(ints=[1, 1, 1])
 
 
-class Runner:
+class Runner(Agent):
     """Plays Mario running to the right, and lets go of jump every tenth step."""
 
     def __init__(self) -> None:
         self._steps = 0
-
-    def agent_init(self, task_spec: str) -> None:
-        pass
 
     def agent_start(self, observation: Observation) -> Action:
         self._steps = 0
@@ -26,12 +24,3 @@ class Runner:
     def agent_step(self, reward: float, observation: Observation) -> Action:
         self._steps += 1
         return _JUMP if self._steps % 10 else _RIGHT
-
-    def agent_end(self, reward: float) -> None:
-        pass
-
-    def agent_cleanup(self) -> None:
-        pass
-
-    def agent_message(self, message: str) -> str:
-        return ""

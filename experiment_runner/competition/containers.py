@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import errno
 import os
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -26,6 +24,7 @@ from experiment_runner.competition.jail import LABEL, check_engine, check_image,
 from experiment_runner.competition.remover import MODULE as REMOVER
 from experiment_runner.competition.settings import Entrant, Limits
 from experiment_runner.competition.starting import SOCKET, Place
+from experiment_runner.meeting.watchdog import spawn
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError
 
@@ -40,11 +39,11 @@ _SIGNALLED: Final = 128
 """The exit status for signal 0."""
 
 _BYTES_PER_SECOND: Final = 2**20
-"""What is read of what a container prints. Measured: one that prints without end then takes 0.02 of a core
-from the engine; without this limit, with its logs in files, a whole one."""
+"""Rate at which the output of a container is read. Measured: one that prints without end then costs the
+engine 0.02 of a core; without this limit, with its logs in files, a whole one."""
 
 _LAST_WORDS_SECONDS: Final = 3.0
-"""How long to wait for what a container printed after it has ended."""
+"""Time to wait for the output of a container that has ended."""
 
 
 class Containers:
@@ -79,7 +78,8 @@ class Containers:
         place.folder.chmod(0o711)
         (place.folder / SOCKET).chmod(0o666)
         with _asking(f"start a container for {entrant.name}"):
-            made = self._engine.containers.create(entrant.image, **jail(limits, place, user))
+            settings = {"Image": entrant.image, **jail(limits, place, user, self._podman)}
+            made = self._engine.containers.get(self._engine.api.create_container_from_config(settings)["Id"])
             try:
                 container = Container(made, limits, place.log, self._address.removeprefix(_UNIX))
                 container.start()
@@ -89,7 +89,7 @@ class Containers:
         return container
 
     def sweep(self, run: str) -> None:
-        """Remove the containers of a run that was killed, and what they wrote.
+        """Remove the containers of a run that was killed, with their files.
 
         Raises:
             ConfigError: there is no engine.
@@ -115,6 +115,12 @@ class Containers:
     @property
     def _address(self) -> str:
         return os.environ.get("DOCKER_HOST") or _DOCKER
+
+    @cached_property
+    def _podman(self) -> bool:
+        with _asking("say what it is"):
+            parts = self._engine.version().get("Components") or []
+        return any("podman" in str(part.get("Name")).lower() for part in parts)
 
     @cached_property
     def _engine(self) -> Any:
@@ -149,13 +155,13 @@ class Container:
     Args:
         container: as the engine made it.
         limits: of the competition.
-        log: the file that receives what it prints, once it is stopped.
+        log: the file that receives its output, once it is stopped.
         address: path of the engine's socket.
 
     Attributes:
         log: as given.
-        reason: how it ended by itself; None until then. One of whose processes the system killed for want of
-            memory has ended, whatever is left of it.
+        reason: how it ended without being stopped; None until then. A container of which the system killed a
+            process that ran out of memory counts as ended, even if other processes survive.
     """
 
     def __init__(self, container: Any, limits: Limits, log: Path, address: str) -> None:
@@ -170,11 +176,7 @@ class Container:
         )
         self._ended = threading.Event()
         self._stopped = False
-        self._remover = subprocess.Popen(
-            [sys.executable, "-P", "-m", REMOVER, address, container.id],
-            stdin=subprocess.PIPE,
-            process_group=0,
-        )
+        self._remover = spawn(REMOVER, [address, container.id])
 
     def start(self) -> None:
         """Start it; an image that cannot be run ends at once.
@@ -216,7 +218,7 @@ class Container:
             self.log.write_bytes(self._printed.take())
 
     def _dismiss(self) -> None:
-        """End the remover, which has nothing left to do."""
+        """Kill the remover, which is no longer needed."""
         self._remover.kill()
         self._remover.communicate()
 
@@ -240,13 +242,13 @@ class Container:
 
 
 class _Printed(threading.Thread):
-    """Keeps the last of what a container prints.
+    """Keeps the last output of a container.
 
     It reads no faster than an honest program writes. The engine, which passes on what is printed, would
     otherwise spend a whole core on a program that prints without end; this way that program has to wait.
 
     Args:
-        stream: of what it prints; closed by `take`.
+        stream: its output; closed by `take`.
         size: number of bytes to keep.
     """
 
@@ -265,7 +267,7 @@ class _Printed(threading.Thread):
                 time.sleep(len(chunk) / _BYTES_PER_SECOND)
 
     def take(self) -> bytes:
-        """Return what was kept of a container that has ended."""
+        """Return the last output of a container that has ended."""
         self.join(_LAST_WORDS_SECONDS)
         with suppress(OSError):
             self._stream.close()

@@ -14,8 +14,10 @@ from pathlib import Path
 from typing import Any, Final, NoReturn
 
 from experiment_runner.competition.settings import Competition, Entrant, Limits, Task
-from glue.core.config import TimeLimits
+from experiment_runner.plan.lines import line_of
 from glue.errors import ConfigError
+from glue.hub.config import TimeLimits
+from glue.plugins.loading import located
 from glue.suggestions import did_you_mean
 
 __all__ = ["load_competition", "parse_competition"]
@@ -30,6 +32,7 @@ _LIMITS: Final = (*_TIMES, *_SIZES, "cpus", "pids")
 _NAME: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+-]{0,63}")
 _SIZE: Final = re.compile(r"(\d{1,12})([kmg]?)")
 _UNITS: Final = {"": 1, "k": 2**10, "m": 2**20, "g": 2**30}
+_MOST_BYTES: Final = 2**20
 _COUNT: Final = range(1, 2**31)
 _TRIALS: Final = range(1, 1001)
 
@@ -41,11 +44,15 @@ def load_competition(path: Path) -> Competition:
         ConfigError: the file cannot be read or describes none; the message names file and line.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            content = file.read(_MOST_BYTES + 1)
+        text = content.decode()
     except OSError as error:
         raise ConfigError(f"cannot read the competition {path}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"cannot read the competition {path}: it is not UTF-8 text") from error
+    if len(content) > _MOST_BYTES:
+        raise ConfigError(f"cannot read the competition {path}: it has more than {_MOST_BYTES} bytes")
     return parse_competition(text, path)
 
 
@@ -63,6 +70,8 @@ def parse_competition(text: str, path: Path) -> Competition:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: this is not TOML: {error}") from error
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, or deep nesting
+        raise ConfigError(f"{path}: this TOML cannot be read: {error}") from error
     return _Parser(text, path).competition(document)
 
 
@@ -134,23 +143,18 @@ class _Parser:
         for option, value in options.items():
             if not isinstance(value, (bool, int, float, str)):
                 self._fail(
-                    f"option {option} takes a number, a string, true or false, not {value!r:.60}",
+                    f"option {option} takes a number, a string, true or false, not {_shown(value)}",
                     *where,
                     "options",
                     option,
                 )
         return Task(
             name,
-            self._located(self._text_of(table, "env", *where) or ""),
+            located(self._text_of(table, "env", *where) or "", self._path.parent),
             options,
             self._whole(table, _COUNT, "episodes", *where),
             self._whole(table, _COUNT, "steps", *where),
         )
-
-    def _located(self, env: str) -> str:
-        """Return the name of an environment; a file in it is relative to the competition's."""
-        file, _, attribute = env.rpartition(":")
-        return f"{self._path.parent.absolute() / file}:{attribute}" if file.endswith(".py") else env
 
     def _entrant(self, name: str, table: Mapping[str, Any]) -> Entrant:
         where = ("entrants", name)
@@ -164,7 +168,7 @@ class _Parser:
         command = table.get("command", [])
         if not isinstance(command, list) or not all(isinstance(part, str) for part in command):
             self._fail(
-                f'command is a list of strings, as in: ["glue-agent", "sample"]; not {command!r:.60}',
+                f'command is a list of strings, as in: ["glue-agent", "sample"]; not {_shown(command)}',
                 *where,
                 "command",
             )
@@ -190,10 +194,10 @@ class _Parser:
             elif key == "pids":
                 given[key] = self._whole(table, range(1, 2**22), key, "limits")
             else:
-                number = type(value) in (int, float)
+                number = type(value) is float or (type(value) is int and abs(value) < _COUNT.stop)
                 if not number or (key == "cpus" and not 0 < value <= 1024):
                     self._fail(
-                        f"{key} must be a number{' above 0' * (key == 'cpus')}, not {value!r:.60}",
+                        f"{key} must be a number{' above 0' * (key == 'cpus')}, not {_shown(value)}",
                         "limits",
                         key,
                     )
@@ -207,13 +211,15 @@ class _Parser:
     def _size(self, key: str, value: object) -> int:
         match = _SIZE.fullmatch(str(value).lower()) if type(value) in (int, str) else None
         if match is None or not int(match[1]):
-            self._fail(f'{key} is a number of bytes, as in: {key} = "512m"; not {value!r:.60}', "limits", key)
+            self._fail(
+                f'{key} is a number of bytes, as in: {key} = "512m"; not {_shown(value)}', "limits", key
+            )
         return int(match[1]) * _UNITS[match[2]]
 
     def _text_of(self, table: Mapping[str, Any], key: str, *where: str) -> str | None:
         value = table.get(key)
         if value is not None and not (isinstance(value, str) and value and value.isprintable()):
-            self._fail(f"{key} must be a printable string, not {value!r:.60}", *where, key)
+            self._fail(f"{key} must be a printable string, not {_shown(value)}", *where, key)
         return value
 
     def _whole(
@@ -222,7 +228,7 @@ class _Parser:
         value = table.get(key, default)
         if key in table and (type(value) is not int or value not in allowed):
             self._fail(
-                f"{key} must be a whole number from {allowed[0]} to {allowed[-1]}, not {value!r:.60}",
+                f"{key} must be a whole number from {allowed[0]} to {allowed[-1]}, not {_shown(value)}",
                 *where,
                 key,
             )
@@ -234,41 +240,14 @@ class _Parser:
                 self._fail(f"{what} has no {key!r}{did_you_mean(key, known)}", *where, key)
 
     def _fail(self, why: str, *keys: str) -> NoReturn:
-        line = _line(self._text, keys)
+        line = line_of(self._text, keys)
         where = "" if line is None else f", line {line}"
         raise ConfigError(f"{self._path}{where}: {why}")
 
 
-def _line(text: str, keys: tuple[str, ...]) -> int | None:
-    """Return the line of a TOML text in which a key is set or, failing that, the table that has it."""
-    table: tuple[str, ...] = ()
-    best, found = 0, None
-    for number, line in enumerate(text.splitlines(), 1):
-        header = re.match(r"\s*(\[+[^\[\]]+\]+)\s*(#.*)?$", line)
-        key = re.match(r"\s*([^\s=#\[][^=#]*)=", line)
-        if header:
-            place = table = _path(header[1])
-        elif key:
-            place = table + _path(f"{key[1]}=0")
-        else:
-            continue
-        common = sum(1 for ours, theirs in zip(keys, place, strict=False) if ours == theirs)
-        if common == min(len(keys), len(place)) and common > best:
-            best, found = common, number
-    return found
-
-
-def _path(fragment: str) -> tuple[str, ...]:
-    """Return the keys of a table's heading or of `key=0`."""
+def _shown(value: object) -> str:
+    """Return the beginning of a value, for a message."""
     try:
-        table: Any = tomllib.loads(fragment)
-    except tomllib.TOMLDecodeError:
-        return ()
-    keys = []
-    while isinstance(table, (dict, list)) and table:
-        if isinstance(table, list):
-            table = table[0]
-        else:
-            key, table = next(iter(table.items()))
-            keys.append(key)
-    return tuple(keys)
+        return f"{value!r:.60}"
+    except ValueError:
+        return "a number of thousands of digits"

@@ -1,8 +1,7 @@
 """The environment of a trial, in the hub's own process, where every step is recorded.
 
-To the hub it is a peer like any other, but no socket leads to it: nobody can pose as it, and what is secret
-about the level never leaves this process. It is asked for steps and nothing else: no message of the agent or
-of anybody else reaches it.
+To the hub it is a peer like any other, but without a socket: no program can pose as it, and the secret level
+never leaves this process. Only the calls of an episode reach it: no message of an agent does.
 """
 
 from __future__ import annotations
@@ -10,20 +9,24 @@ from __future__ import annotations
 import math
 import secrets
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Final
 
-from experiment_runner.competition.records.record import End, PartWriter
+from experiment_runner.executors.recording import run_of
+from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.store.records import EpisodeResult
 from glue.client.bodies import READ, write
-from glue.core.calls import name_of, role_calls
-from glue.core.sessions import INSTANCE_SIZE
-from glue.errors import GlueError, PeerFailed, TaskSpecError
-from glue.hub.server import Hub
-from glue.protocol.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
-from glue.protocol.wire import clip
+from glue.engine.calls import name_of, role_calls
+from glue.errors import GlueError, LocalProtocolError, PeerFailed, TaskSpecError
+from glue.hub.io.server import Hub
+from glue.hub.sessions import INSTANCE_SIZE
 from glue.roles import capabilities
 from glue.taskspec import Space, parse_task_spec
+from glue.trajectory import ActionWriter, Ending
 from glue.types import CUT_OFF, Action
+from glue.wire.codec import clip
+from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
 __all__ = ["InsideEnvironment"]
 
@@ -40,27 +43,43 @@ class InsideEnvironment:
         hub: the hub, not yet running.
         session: the session's name.
         environment: the environment, seeded if it can be.
-        record: takes the steps.
+        record: records the episodes.
+        spec: the trial.
+        ended: receives the result of each whole episode as soon as it is recorded: an agent that fails
+            afterwards, in agent_end, changes neither.
 
     Attributes:
         refusal: why the environment refused the agent's last action; None if it did not.
         failure: the environment's own error; None if it made none.
         steps: how many were carried out.
-        in_episode: whether an episode has begun that the environment has not ended.
-        cut_off: whether it has cut off the episode that it ended last.
+        episodes: how many were played to their end.
+        in_episode: whether an episode has begun and not ended.
 
     Raises:
         PeerFailed: a method of the role is missing.
     """
 
-    def __init__(self, hub: Hub, session: str, environment: Any, record: PartWriter) -> None:
+    def __init__(
+        self,
+        hub: Hub,
+        session: str,
+        environment: Any,
+        record: ActionWriter,
+        spec: TrialSpec,
+        ended: Callable[[EpisodeResult], None],
+    ) -> None:
         self.refusal: str | None = None
         self.failure: str | None = None
-        self.steps = 0
-        self.in_episode = False
-        self.cut_off = False
+        self.steps: int = 0
+        self.episodes: int = 0
+        self.in_episode: bool = False
         self._hub = hub
         self._record = record
+        self._spec = spec
+        self._ended = ended
+        self._return = 0.0
+        self._first_step = 0
+        self._began = 0.0
         self._actions: Space | None = None
         calls = role_calls(Role.ENVIRONMENT, environment)
         self._handlers = {kind: handler for kind, handler in calls.items() if kind in _ASKED}
@@ -76,8 +95,26 @@ class InsideEnvironment:
         )
         self._answer(Message(Kind.HELLO, session, 0, scalars))
 
+    def end(self, how: Ending) -> None:
+        """End the current episode, if there is one, in the record and in the results.
+
+        Args:
+            how: VOID if the entrant forfeits in the middle of it.
+        """
+        if not self.in_episode:
+            return
+        self.in_episode = False
+        self._record.end(how)
+        if how is not Ending.VOID:
+            self.episodes += 1
+            terminal = how is Ending.TERMINAL
+            # RL_num_steps counts observations, of which a terminal step has none.
+            steps = self.steps - self._first_step + (not terminal)
+            seconds = time.perf_counter() - self._began
+            self._ended(EpisodeResult(self.episodes, self._return, steps, terminal, seconds))
+
     def admits(self, role: Role, session: str) -> bool:
-        """Return True: it is the hub's process that takes the role."""
+        """Return True: the hub's own process takes the role."""
         return True
 
     def deliver(self, message: Message) -> bool:
@@ -105,27 +142,33 @@ class InsideEnvironment:
             if not math.isfinite(reward):
                 raise PeerFailed(f"the reward of a step is {reward}, not a finite number")
             self.steps += 1
-            self._record.step(body, reward)
+            self._return += reward
+            try:
+                self._record.step(body, reward)
+            except LocalProtocolError as error:  # a limit of the recording, not the agent's fault
+                raise PeerFailed(str(error)) from None
             if terminal:
-                self.cut_off = terminal == CUT_OFF
-                self._record.end(End.CUT_OFF if self.cut_off else End.TERMINAL)
-                self.in_episode = False
+                self.end(Ending.CUTOFF if terminal == CUT_OFF else Ending.TERMINAL)
         elif kind is Kind.ENV_START:
+            self._record.start()
             self.in_episode = True
+            self._return, self._first_step = 0.0, self.steps
+            self._began = time.perf_counter()
         elif kind is Kind.ENV_INIT:
+            self._record.run(run_of(self._spec, result))
             with suppress(TaskSpecError):
                 self._actions = parse_task_spec(result).actions
         return scalars, result
 
     def _blames_agent(self, body: bytes, error: Exception) -> bool:
-        """Return whether a step failed for the action: it was illegal, or the environment refused it."""
+        """Tell whether a step failed because of the action: it was illegal, or the environment refused it."""
         try:
             action = Action.from_body(body)
         except GlueError:
             return True
         if self._actions is not None and self._actions.check(action) is not None:
             return True
-        # One without a cause is about what the environment returned.
+        # A PeerFailed without a cause is about the result of the environment.
         return isinstance(error, GlueError) and not (
             isinstance(error, PeerFailed) and error.__cause__ is None
         )

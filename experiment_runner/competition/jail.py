@@ -1,14 +1,16 @@
-"""What a jail is: how a container engine is to run an image that nobody has reviewed.
+"""The jail of an entrant: the settings with which a container engine runs an unreviewed image.
 
-A jail has no network. It has one way out: the directory with the hub's socket, mounted read-only. Its file
-system is read-only too, except for a small /tmp in memory, and what its processes use is limited. They have
-no privileges and cannot gain any. docs/security.md says which attack each of this is for.
+A jail has no network. Its one way out is the directory with the hub's socket, mounted read-only. Its file
+system is read-only too, except for a small /tmp in memory, and memory, processors and processes are limited.
+Its programs have no privileges and cannot gain any, and can make only the system calls of `seccomp.json`.
+docs/security.md names the attack that each setting prevents.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final
 
 from experiment_runner.competition.settings import Limits
@@ -21,42 +23,70 @@ LABEL: Final = "glue.competition"
 """Label of our containers: the run that they belong to."""
 
 _FOLDER: Final = "/run/glue"
-"""Where the directory with the hub's socket is mounted."""
+"""Mount point of the directory with the hub's socket."""
+
+_HUB: Final = f"ipc://{_FOLDER}/{SOCKET}"
 
 _NOBODY: Final = "65534:65534"
 
 _NUMBERS: Final = re.compile(r"([1-9]\d{0,8})(?::(\d{1,9}))?")
 
+_SECCOMP: Final = Path(__file__).with_name("seccomp.json")
+"""The system calls of a jail, in Docker's format. It lacks `AF_VSOCK` and `io_uring`, among others, which the
+default of Docker 20.10 allows."""
+
+_MASKED: Final = (
+    *(
+        f"/proc/{name}"
+        for name in ("acpi", "asound", "kcore", "keys", "latency_stats", "sched_debug", "scsi")
+    ),
+    *(f"/proc/{name}" for name in ("timer_list", "timer_stats", "kallsyms", "kpagecount", "kpageflags")),
+    "/sys/firmware",
+    "/sys/devices/virtual/powercap",
+    # The load of the whole machine, by which entrants could watch and signal each other.
+    *(
+        f"/proc/{name}"
+        for name in ("loadavg", "stat", "meminfo", "vmstat", "uptime", "zoneinfo", "buddyinfo")
+    ),
+    *(f"/proc/{name}" for name in ("interrupts", "softirqs", "schedstat", "diskstats", "pressure", "swaps")),
+)
+"""Paths that are empty in a jail; the engine's own list is replaced, and is part of this one."""
+
 _NEEDED: Final = {"MemoryLimit": "memory", "PidsLimit": "processes", "CpuCfsQuota": "processors"}
-"""What an engine says that it can limit, and what that is to people."""
+"""Limits that an engine must support: their keys in its description, and their names for people."""
 
 
-def jail(limits: Limits, place: Place, user: str) -> dict[str, Any]:
-    """Return how the engine is to make a jail, in the words of Docker's SDK.
+def jail(limits: Limits, place: Place, user: str, podman: bool = False) -> dict[str, Any]:
+    """Return the settings of a container that is a jail, as Docker's API has them.
 
     Args:
-        limits: what the entrant may use.
-        place: where it meets the hub.
-        user: of `user_of`.
+        limits: limits of the entrant.
+        place: directory and session of the entrant's hub.
+        user: user and group, see `user_of`.
+        podman: whether the engine is podman, which takes the path of a seccomp profile instead of its text.
     """
+    seccomp = str(_SECCOMP) if podman else _SECCOMP.read_text(encoding="utf-8")
     return {
-        "environment": dict(variables(f"ipc://{_FOLDER}/{SOCKET}", place.session)),
-        "network_mode": "none",
-        "volumes": {str(place.folder): {"bind": _FOLDER, "mode": "ro"}},
-        "init": True,
-        "user": user,
-        "read_only": True,
-        "tmpfs": {"/tmp": f"size={limits.tmp},mode=1777,nosuid,nodev,noexec"},
-        "cap_drop": ["ALL"],
-        "security_opt": ["no-new-privileges"],  # and the engine's default for seccomp
-        "pids_limit": limits.pids,
-        "mem_limit": limits.memory,
-        "memswap_limit": limits.memory,
-        "nano_cpus": round(limits.cpus * 1e9),
-        "shm_size": limits.shm,
-        "log_config": {"Type": "none", "Config": {}},  # what it prints is read, up to `Limits.log`
-        "healthcheck": {"test": ["NONE"]},  # the engine runs nothing on behalf of the image
-        "labels": {LABEL: place.run},
+        "Env": [f"{name}={value}" for name, value in variables(_HUB, place.session).items()],
+        "User": user,
+        "Healthcheck": {"Test": ["NONE"]},  # the engine runs nothing on behalf of the image
+        "Labels": {LABEL: place.run},
+        "HostConfig": {
+            "NetworkMode": "none",
+            "Mounts": [{"Type": "bind", "Source": str(place.folder), "Target": _FOLDER, "ReadOnly": True}],
+            "Init": True,
+            "ReadonlyRootfs": True,
+            "Tmpfs": {"/tmp": f"size={limits.tmp},mode=1777,nosuid,nodev,noexec"},
+            "CapDrop": ["ALL"],
+            "SecurityOpt": ["no-new-privileges", f"seccomp={seccomp}"],
+            "MaskedPaths": list(_MASKED),
+            "PidsLimit": limits.pids,
+            "Memory": limits.memory,
+            "MemorySwap": limits.memory,
+            "NanoCpus": round(limits.cpus * 1e9),
+            "ShmSize": limits.shm,
+            "LogConfig": {"Type": "none", "Config": {}},  # the organiser reads the output, up to `Limits.log`
+        },
     }
 
 
@@ -64,11 +94,11 @@ def check_engine(found: Mapping[str, Any], address: str) -> None:
     """Check that an engine can hold a jail.
 
     Args:
-        found: what it says of itself.
-        address: where it listens, for the message.
+        found: the engine's description of itself.
+        address: address of the engine, for the message.
 
     Raises:
-        ConfigError: it cannot limit what an entrant uses.
+        ConfigError: it cannot limit the resources of an entrant.
     """
     lacking = [what for key, what in _NEEDED.items() if not found.get(key)]
     if lacking:
@@ -109,7 +139,7 @@ def check_image(image: str, settings: Mapping[str, Any]) -> str | None:
 def user_of(declared: str) -> tuple[str, bool]:
     """Return the user and group as whom an image is run, as numbers, and whether it declares them itself.
 
-    A name says nothing: which number it stands for is written in the image.
+    A name is not enough: the image itself defines the number that belongs to it.
 
     Args:
         declared: `USER` of the image; empty for root.

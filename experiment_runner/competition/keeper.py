@@ -1,9 +1,9 @@
-"""Run a trusted entrant's program: keep a bounded log of what it prints, and end it with its organiser.
+"""Run a trusted entrant's program: keep a bounded log of its output, and end it with its organiser.
 
     python -P -m experiment_runner.competition.keeper LOG SIZE PROGRAM ARGUMENTS...
 
-Its standard input is a pipe to which nothing is written: when it closes, the organiser has ended, or is
-done with the program, which is then ended with its whole process group. It exits with the program's status.
+When the organiser ends, or closes our standard input, the program is ended with its whole process group. This
+process exits with the program's status.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO, Final
 
+from experiment_runner.meeting.watchdog import watch_parent
+
 __all__ = ["CANNOT_START", "MODULE", "main"]
 
 MODULE: Final = "experiment_runner.competition.keeper"
@@ -27,7 +29,7 @@ CANNOT_START: Final = 127
 
 _CHUNK: Final = 65_536
 _GRACE_SECONDS: Final = 0.5
-"""How long the program may take to end after SIGTERM."""
+"""Time for the program to end after SIGTERM."""
 
 _CUT = b"\n[the rest was not kept]\n"
 
@@ -36,7 +38,7 @@ def main() -> None:
     """Run the program that the arguments name."""
     log, size, *command = sys.argv[1:]
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its standard input
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent
     sys.exit(_keep(Path(log), int(size), command))
 
 
@@ -55,6 +57,7 @@ def _keep(log: Path, size: int, command: Sequence[str]) -> int:
         except OSError as error:
             kept.write(f"cannot start {command[0]}: {error.strerror}\n".encode())
             return CANNOT_START
+        watch_parent(lambda: _end(program))
         try:
             _copy(program, kept, size)
         finally:
@@ -69,16 +72,16 @@ def _default_signals() -> None:
 
 
 def _copy(program: subprocess.Popen[bytes], kept: BinaryIO, size: int) -> None:
-    """Copy what the program prints, until it ends or the organiser is gone."""
+    """Copy the output of the program until it ends."""
     assert program.stdout is not None
     printed = program.stdout.fileno()
     ended = os.pidfd_open(program.pid)
     poller = select.poll()
-    for descriptor in (0, printed, ended):
+    for descriptor in (printed, ended):
         poller.register(descriptor, select.POLLIN)
     while True:
         ready = {descriptor for descriptor, _ in poller.poll()}
-        if 0 in ready or (ended in ready and (printed not in ready or size <= 0)):
+        if ended in ready and (printed not in ready or size <= 0):
             os.close(ended)
             return
         if printed in ready:

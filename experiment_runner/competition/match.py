@@ -1,6 +1,6 @@
-"""One entrant plays one trial of a task: in a process of its own, with a hub of its own.
+"""One entrant plays one trial of a task, in a worker process with its own hub.
 
-    python -P -m experiment_runner.children experiment_runner.competition.match DESCRIPTOR
+    python -P -m experiment_runner.meeting.children experiment_runner.competition.match DESCRIPTOR
 
 is a worker, see `experiment_runner.executors.local`. Environment and hub are in this process; the entrant's
 program, which the starter starts, reaches nothing but the one socket of its place.
@@ -8,48 +8,46 @@ program, which the starter starts, reaches nothing but the one socket of its pla
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, get_args
 
 from experiment_runner.competition.inside import InsideEnvironment
 from experiment_runner.competition.outside import InFolder, Outside, gate_for
-from experiment_runner.competition.records.record import End, PartWriter
 from experiment_runner.competition.records.replay import made_for
 from experiment_runner.competition.secret import agent_seed
 from experiment_runner.competition.settings import Entrant, Gate, Limits
 from experiment_runner.competition.starting import Place, Running, Starter
-from experiment_runner.executors.job import Ended, Lost, Recorded, pack
+from experiment_runner.executors.interrupts import Interrupts
+from experiment_runner.executors.job import Ended, Lost, Recorded, decode
 from experiment_runner.executors.local import serve
-from experiment_runner.interrupts import Interrupts
-from experiment_runner.plan import RoleSpec, TrialSpec
-from experiment_runner.scratch import SOCKET as SHARED
-from experiment_runner.scratch import scratch_folder
+from experiment_runner.meeting.scratch import SOCKET as SHARED
+from experiment_runner.meeting.scratch import scratch_folder
+from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.database import reported
-from experiment_runner.store.records import EpisodeResult
-from glue.client.experiment import RemoteExperiment, connect
-from glue.core.config import DEFAULT_SESSION, Bind, HubConfig, TimeLimits
+from glue.client.experiment import RemoteExperiment, connect_over
 from glue.errors import ConfigError, ExperimentError, GlueError, HubClosed, PeerFailed, PeerLost
-from glue.hub.inside import InsideTransport
-from glue.hub.server import Hub
-from glue.protocol.limits import MAX_BODY
-from glue.protocol.messages import Event, Role
+from glue.hub.config import DEFAULT_SESSION, Bind, HubConfig
+from glue.hub.io.inside import InsideTransport
+from glue.hub.io.server import Hub
+from glue.trajectory import ActionWriter, Ending
+from glue.wire.limits import MAX_BODY
+from glue.wire.messages import Event, Role
 
-__all__ = ["MODULE", "Forfeited", "Match", "Played", "decode_report", "encode_match", "play", "starter_for"]
+__all__ = ["MODULE", "REPORTS", "Forfeited", "Match", "Played", "play", "starter_for"]
 
 MODULE: Final = "experiment_runner.competition.match"
 
 _LOOK_SECONDS: Final = 0.2
-"""How long the end of an entrant's program may go unnoticed."""
+"""Maximum delay in noticing the end of an entrant's program."""
 
 _LAST_WORDS_SECONDS: Final = 1.0
-"""How long to wait, when an entrant is lost, for its program to end and say why."""
+"""Seconds to wait, when an entrant is lost, for the exit status of its program."""
 
 _MAX_MEMORY: Final = 4 * MAX_BODY
 """Bytes of messages that a hub keeps: a flood ends connections, not this machine's memory."""
@@ -59,14 +57,14 @@ _MAX_REASON: Final = 300
 
 @dataclass(frozen=True, slots=True)
 class Match:
-    """What a worker does.
+    """A job for a worker: one entrant in one trial.
 
     Args:
         spec: the trial.
-        entrant: who plays.
-        limits: what the entrant may use.
+        entrant: the entrant.
+        limits: limits of the entrant.
         steps: how many steps are played; 0 if it is the number of episodes that counts.
-        log: the file for what the entrant prints.
+        log: the file for the output of the entrant.
         run: identifies the run, see `Place`.
         gate: where entrants from elsewhere connect; None if there is none.
     """
@@ -81,9 +79,9 @@ class Match:
 
 
 class Played(NamedTuple):
-    """A frame of the record."""
+    """A piece of the record."""
 
-    frame: bytes
+    piece: bytes
 
 
 class Forfeited(NamedTuple):
@@ -94,9 +92,12 @@ class Forfeited(NamedTuple):
 
 Report = Recorded | Played | Forfeited | Ended | Lost
 
+REPORTS: Final[Mapping[str, type[Report]]] = {kind.__name__: kind for kind in get_args(Report)}
+"""The reports of a match, by name."""
+
 
 def starter_for(entrant: Entrant) -> Starter:
-    """Return what starts an entrant of this kind.
+    """Return the starter for an entrant of this kind.
 
     Raises:
         ConfigError: it needs a package that is not installed.
@@ -129,8 +130,8 @@ def play(
     """Play a trial. The last report is `Ended`; before it comes `Forfeited` if that is how it ended.
 
     Args:
-        match: what is played.
-        send: takes the reports.
+        match: the match.
+        send: receives the reports.
         starter: starts the entrant.
         clock: returns seconds; measures the entrant's time.
     """
@@ -150,7 +151,7 @@ class _Playing:
         self._match = match
         self._send = send
         self._clock = clock
-        self._record = PartWriter(lambda frame: send(Played(frame)))
+        self._record = ActionWriter(lambda piece: send(Played(piece)))
         self._joined = threading.Event()
         self._over = threading.Event()
         self._ended: str | None = None  # why the entrant cannot play on, as its watcher noticed
@@ -168,11 +169,16 @@ class _Playing:
                 bind = gate_for(match.entrant, match.gate)
             config = HubConfig(bind=(bind,), max_sessions=1, max_memory=_MAX_MEMORY, time=match.limits.time)
             hub = stack.enter_context(Hub(config, clock=self._clock))
-            inside = InsideEnvironment(hub, session, environment, self._record)
-            stack.enter_context(hub.in_background())
-            glue = connect(
-                place.hub, session, log=_ignore, on_notice=self._notice, transport=InsideTransport(hub)
+            inside = InsideEnvironment(
+                hub,
+                session,
+                environment,
+                self._record,
+                match.spec,
+                lambda result: self._send(Recorded(result, None)),
             )
+            stack.enter_context(hub.in_background())
+            glue = connect_over(InsideTransport(hub), session, log=_ignore, on_notice=self._notice)
             stack.enter_context(glue)
             running = starter.start(match.entrant, match.limits, place)
             stack.callback(running.stop)
@@ -185,7 +191,7 @@ class _Playing:
         if shared is None:
             folder = scratch / SHARED
         else:
-            _, task, trial = self._match.spec.id.split("/")
+            _, task, trial = self._match.spec.id.parts
             folder = shared / f"{task}-{trial}"
         with reported(f"cannot make a place for {self._match.entrant.name}"):
             folder.mkdir(mode=0o711, exist_ok=True)
@@ -197,39 +203,30 @@ class _Playing:
             glue.wait_for_players(lambda missing: None)
             glue.rl_init(agent_seed(self._match.spec))
             self._episodes(glue, inside)
-            self._record.flush()
+            self._record.close()
         except (PeerLost, PeerFailed, HubClosed) as error:
             if inside.failure is not None:
                 raise ExperimentError(f"the environment failed: {inside.failure}") from error
-            if inside.in_episode:
-                self._record.end(End.FORFEIT)
-            self._record.flush()
+            inside.end(Ending.VOID)
+            self._record.close()
             self._send(Forfeited(_one_line(self._reason(error, inside, running))))
             return
         with suppress(GlueError):  # all is played; how an agent cleans up changes nothing
             glue.rl_cleanup()
 
     def _episodes(self, glue: RemoteExperiment, inside: InsideEnvironment) -> None:
-        steps, episodes, done = self._match.steps, self._match.spec.episodes, 0
-        while inside.steps < steps if steps else done < episodes:
-            began = time.perf_counter()
+        steps, spec = self._match.steps, self._match.spec
+        while inside.steps < steps if steps else inside.episodes < spec.episodes:
             # RL_num_steps is 1 after the start: this allows for all the steps that are left.
-            glue.rl_episode(steps - inside.steps + 1 if steps else self._match.spec.max_steps)
-            terminal = not (inside.in_episode or inside.cut_off)
-            if inside.in_episode:
-                self._record.end(End.CUT_OFF)
-                inside.in_episode = False
-            done += 1
-            seconds = time.perf_counter() - began
-            result = EpisodeResult(done, glue.rl_return(), glue.rl_num_steps(), terminal, seconds)
-            self._send(Recorded(result, None))
+            glue.rl_episode(steps - inside.steps + 1 if steps else spec.max_steps)
+            inside.end(Ending.CUTOFF)
 
-    def _notice(self, event: str, role: str, name: str) -> None:
-        if role == Role.AGENT and event == Event.JOINED:
+    def _notice(self, event: Event, role: Role, name: str) -> None:
+        if role is Role.AGENT and event is Event.JOINED:
             self._joined.set()
 
     def _watch(self, running: Running, glue: RemoteExperiment) -> None:
-        """Notice, in a thread of its own, that the entrant's program has ended or never joins."""
+        """Notice, in a separate thread, that the entrant's program has ended or never joins."""
         limit = self._match.limits.time.start_seconds
         began = self._clock()
         while not self._over.is_set():
@@ -249,54 +246,6 @@ class _Playing:
         return str(error)
 
 
-def encode_match(match: Match) -> bytes:
-    """Return a match as bytes, for a worker."""
-    return pack(json.dumps(asdict(match), default=str))
-
-
-def _decode_match(text: str) -> Match:
-    fields = json.loads(text)
-    spec, entrant, limits, gate = fields["spec"], fields["entrant"], fields["limits"], fields["gate"]
-    for role in ("agent", "environment"):
-        spec[role] = RoleSpec(**spec[role])
-    entrant["command"] = tuple(entrant["command"])
-    for path in ("key", "folder"):
-        entrant[path] = None if entrant[path] is None else Path(entrant[path])
-    limits["time"] = TimeLimits(**limits["time"])
-    return Match(
-        TrialSpec(**spec),
-        Entrant(**entrant),
-        Limits(**limits),
-        fields["steps"],
-        Path(fields["log"]),
-        fields["run"],
-        None if gate is None else Gate(gate["bind"], Path(gate["keys"])),
-    )
-
-
-_REPORTS: Final = {kind.__name__: kind for kind in (Recorded, Played, Forfeited, Ended)}
-
-
-def _encode_report(report: Report) -> bytes:
-    return pack([type(report).__name__, *report])
-
-
-def decode_report(value: Any) -> Report:
-    """Return the report from an unpacked value.
-
-    Raises:
-        ExperimentError: the value is not a report.
-    """
-    try:
-        kind, *fields = value
-        report: Report = _REPORTS[kind](*fields)
-        if isinstance(report, Recorded):
-            return Recorded(EpisodeResult(*fields[0]), None)
-    except (TypeError, ValueError, KeyError) as error:
-        raise ExperimentError(f"this is not a report: {value!r:.80}") from error
-    return report
-
-
 def _one_line(text: str) -> str:
     """Return a text, which the entrant may have had a hand in, as one printable line."""
     line = " ".join(text.split())
@@ -311,9 +260,9 @@ def _ignore(line: str) -> None:
 def main() -> None:
     """Play the match received over the socket whose descriptor is the first argument."""
 
-    def run(job: Any, send: Callable[[bytes], None], _: Interrupts) -> None:
-        match = _decode_match(job)
-        play(match, lambda report: send(_encode_report(report)), starter_for(match.entrant))
+    def run(job: Any, send: Callable[[object], None], _: Interrupts) -> None:
+        match = decode(job, {Match.__name__: Match})
+        play(match, send, starter_for(match.entrant))
 
     serve(run)
 

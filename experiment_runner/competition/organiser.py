@@ -1,53 +1,52 @@
-"""Hold a competition: let every entrant play every trial of every task, and store what happens.
+"""Hold a competition: let every entrant play every trial of every task, and store the results.
 
-This process alone writes to the run directory, whose trials are the matches:
+Only this process writes to the run directory, whose trials are the matches:
 
     results.sqlite     outcomes and episodes, see `experiment_runner.store`
     competition.toml   the file of the competition, as it was
-    records/           what was played, see `experiment_runner.competition.records.record`
-    logs/              what each entrant printed
+    records/           actions and rewards, recordings without observations
+    logs/              output of each entrant
 
 A trial that was interrupted starts over, with a new process and an empty record, as one without a checkpoint
-does in an experiment: what an entrant had learned was in its process.
+does in an experiment: the entrant's learning was lost with its process.
 """
 
 from __future__ import annotations
 
 import json
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
 from experiment_runner.competition.file import load_competition
 from experiment_runner.competition.match import (
     MODULE,
+    REPORTS,
     Forfeited,
     Match,
     Played,
-    decode_report,
-    encode_match,
+    Report,
     starter_for,
 )
 from experiment_runner.competition.outside import gate_for
 from experiment_runner.competition.records.record import RecordFile, record_path
+from experiment_runner.competition.records.seal import broken, record_outcome, seal
 from experiment_runner.competition.settings import Competition, Gate
 from experiment_runner.competition.starting import name_of_run
-from experiment_runner.executors.job import Ended, Lost, Recorded
+from experiment_runner.executors.dispatch import Dispatcher
+from experiment_runner.executors.interrupts import Interrupts
+from experiment_runner.executors.job import Recorded
 from experiment_runner.executors.local import LocalExecutor
-from experiment_runner.plan import TrialSpec
-from experiment_runner.provenance import about, program
+from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.plan.provenance import about, program
 from experiment_runner.store.database import holds_run, reported
 from experiment_runner.store.layout import ABOUT_FILE, COMPETITION_FILE, LOGS
 from experiment_runner.store.records import Outcome
 from experiment_runner.store.store import Store
+from glue.closing import Closing
 from glue.errors import ExperimentError
 
 __all__ = ["competition_of", "hold", "log_path", "matches", "open_competition"]
-
-_WAIT_SECONDS: Final = 0.1
-_MAX_LOSSES: Final = 3
-"""How often the process of a match may be killed until its trial is given up."""
 
 _FOR_ITS_OWNER: Final = 0o700
 
@@ -65,9 +64,9 @@ def open_competition(
     """Return the store of a competition: a new one, or the one in the directory if it is the same.
 
     Args:
-        directory: contains the run, or will contain it; nobody else may read it, for the levels are there.
-        text: of the competition's file.
-        competition: what that says.
+        directory: contains the run, or will contain it; only its owner may read it, as it has secret levels.
+        text: contents of the competition's file.
+        competition: the same, parsed.
         specs: all trials.
 
     Raises:
@@ -91,7 +90,11 @@ def open_competition(
         if _rules(competition_of(directory)) != _rules(competition):
             raise ExperimentError(
                 f"{directory} was begun with other limits, or another number of episodes or steps: put those "
-                "of its competition.toml back, or choose another directory with --out"
+                "of its competition.toml back, or choose another directory"
+            )
+        if seal(store) and (changed := broken(store)):
+            raise ExperimentError(
+                f"{changed} in {directory} were changed since they were written: put them back"
             )
         store.record_event("resume" if exists else "start", program())
     except BaseException:
@@ -108,14 +111,14 @@ def competition_of(directory: Path) -> Competition:
     """
     path = directory / COMPETITION_FILE
     if not path.is_file():
-        raise ExperimentError(f"{directory} holds no competition: glue-compete run FILE --out DIR makes one")
+        raise ExperimentError(f"{directory} holds no competition: glue-compete run makes one")
     return load_competition(path)
 
 
 def matches(
     competition: Competition, specs: Iterable[TrialSpec], directory: Path, gate: Gate | None = None
 ) -> list[Match]:
-    """Return what the workers do for these trials."""
+    """Return the matches of these trials."""
     entrants = {entrant.name: entrant for entrant in competition.entrants}
     steps = {task.name: task.steps for task in competition.tasks}
     run = name_of_run(directory)
@@ -130,14 +133,14 @@ def matches(
 
 
 def hold(store: Store, competition: Competition, workers: int, say: Say, gate: Gate | None = None) -> int:
-    """Let every entrant play what it has not played yet; return how many trials have failed.
+    """Play every trial that is not over; return the number of trials that have failed.
 
     A trial fails if the environment or this machine does, which is not its entrant's fault; it is played
-    again when the competition goes on.
+    again when the competition is continued.
 
     Args:
         store: of the run.
-        competition: what is played.
+        competition: the competition.
         workers: how many trials are played at once.
         say: shows a line.
         gate: where entrants from elsewhere connect; None if there are none.
@@ -152,8 +155,9 @@ def hold(store: Store, competition: Competition, workers: int, say: Say, gate: G
     waiting = matches(competition, left, store.directory, gate)
     if waiting:
         _check_entrants(waiting)
-        with LocalExecutor(workers, MODULE, encode_match, decode_report) as executor:
-            _Organiser(store, executor, len(over), say).play(waiting)
+        executor = LocalExecutor(workers, MODULE, REPORTS)
+        with _Matches(store, waiting, len(over), say) as played, Interrupts() as interrupts:
+            Dispatcher(executor, played, interrupts).run(match.spec.id for match in waiting)
     return sum(record.failure is not None for record in store.trials())
 
 
@@ -166,72 +170,73 @@ def _check_entrants(waiting: Iterable[Match]) -> None:
         starter.sweep(match.run)
 
 
-class _Organiser:
-    def __init__(self, store: Store, executor: LocalExecutor, over: int, say: Say) -> None:
+class _Matches(Closing):
+    """Stores the reports of matches; see `experiment_runner.executors.dispatch.Collector`."""
+
+    def __init__(self, store: Store, matches: Iterable[Match], over: int, say: Say) -> None:
         self._store = store
-        self._executor = executor
+        self._matches: dict[str, Match] = {match.spec.id: match for match in matches}
         self._over = over
         self._total = len(store.trials())
         self._say = say
-        self._running: dict[str, Match] = {}
         self._records: dict[str, RecordFile] = {}
         self._forfeits: dict[str, str] = {}
-        self._losses: Counter[str] = Counter()
 
-    def play(self, matches: Iterable[Match]) -> None:
-        waiting = deque(matches)
-        try:
-            while waiting or self._running:
-                while len(self._running) < self._executor.size and (match := self._next(waiting)) is not None:
-                    self._begin(match)
-                for trial_id, report in self._executor.receive(_WAIT_SECONDS):
-                    again = self._take(self._running[trial_id], report)
-                    if again is not None:
-                        waiting.append(again)
-        finally:
-            for record in self._records.values():
-                record.close()
+    def close(self) -> None:
+        """Close the records of matches in progress."""
+        for record in self._records.values():
+            record.close()
 
-    def _next(self, waiting: deque[Match]) -> Match | None:
-        """Return what to begin next; those who connect from elsewhere, to one address, play one at a time."""
-        taken = any(match.entrant.key is not None for match in self._running.values())
-        for match in waiting:
-            if match.entrant.key is None or not taken:
-                waiting.remove(match)
-                return match
-        return None
+    def may_start(self, trial_id: str, running: Collection[str]) -> bool:
+        """Return whether a match may start: entrants that join at one address play one at a time."""
+        joins = self._joins_from_elsewhere
+        return not (joins(trial_id) and any(map(joins, running)))
 
-    def _begin(self, match: Match) -> None:
-        trial_id = match.spec.id
+    def _joins_from_elsewhere(self, trial_id: str) -> bool:
+        return self._matches[trial_id].entrant.key is not None
+
+    def start(self, trial_id: str) -> Match:
+        """Return a match, which starts from its beginning."""
         self._store.rewind(trial_id, 0)
-        self._records[trial_id] = RecordFile(record_path(self._store.directory, trial_id), trial_id)
+        self._records[trial_id] = RecordFile(record_path(self._store.directory, trial_id))
         self._forfeits.pop(trial_id, None)
-        self._executor.start(match)
-        self._running[trial_id] = match
+        return self._matches[trial_id]
 
-    def _take(self, match: Match, report: object) -> Match | None:
-        """Store a report; return a match that has to be played again."""
-        trial_id = match.spec.id
+    def take(self, trial_id: str, report: Report) -> None:
+        """Store a report."""
         match report:
             case Recorded(result):
                 self._store.record(trial_id, result)
-            case Played(frame):
-                self._records[trial_id].append(frame)
+            case Played(piece):
+                self._records[trial_id].append(piece)
             case Forfeited(reason):
                 self._forfeits[trial_id] = reason
-            case Ended(None):
-                self._end(match)
-            case Ended(str(failure)):
-                self._fail(match, failure)
-            case Lost(why):
-                return self._lose(match, why)
-        return None
 
-    def _end(self, match: Match) -> None:
-        trial_id = match.spec.id
+    def commit(self) -> None:
+        """Do nothing: every report is stored at once."""
+
+    def lost(self, trial_id: str, why: str) -> int:
+        """Store that the process of a match was lost; there is no progress, as it starts over."""
+        self._store.record_event("lost", why, trial_id)
+        self._say(f"{trial_id}: {why}")
+        return 0
+
+    def starts_again(self, trial_id: str) -> bool:
+        """Return True: a match that was lost starts over."""
+        self._records.pop(trial_id).close()
+        self._say(f"{trial_id} starts over")
+        return True
+
+    def end(self, trial_id: str, failure: str | None) -> None:
+        """Store the outcome of a match, or its failure."""
+        record = self._records.pop(trial_id)
+        if failure is not None:
+            record.close()
+            self._store.record_failure(trial_id, failure)
+            self._say(f"{trial_id} has failed, and is played again when the run is continued: {failure}")
+            return
         reason = self._forfeits.get(trial_id)
-        del self._running[trial_id]
-        self._store.record_outcome(trial_id, Outcome(reason, self._records.pop(trial_id).finish()))
+        record_outcome(self._store, trial_id, Outcome(reason, record.finish()))
         self._over += 1
         if reason is None:
             totals = self._store.totals(trial_id)
@@ -240,34 +245,15 @@ class _Organiser:
             how = f"forfeited: {reason}"
         self._say(f"[{self._over}/{self._total}] {trial_id}: {how}")
 
-    def _fail(self, match: Match, failure: str) -> None:
-        trial_id = match.spec.id
-        del self._running[trial_id]
-        self._records.pop(trial_id).close()
-        self._store.record_failure(trial_id, failure)
-        self._say(f"{trial_id} has failed, and is played again when the competition goes on: {failure}")
-
-    def _lose(self, match: Match, why: str) -> Match | None:
-        trial_id = match.spec.id
-        self._losses[trial_id] += 1
-        if self._losses[trial_id] == _MAX_LOSSES:
-            self._fail(match, f"{why}, {_MAX_LOSSES} times")
-            return None
-        del self._running[trial_id]
-        self._records.pop(trial_id).close()
-        self._store.record_event("lost", why, trial_id)
-        self._say(f"{trial_id}: {why}; it starts over")
-        return match
-
 
 def _rules(competition: Competition) -> object:
-    """Return what the trials themselves do not say of how they are played."""
+    """Return the rules that are not part of the trials."""
     return competition.limits, [(task.name, task.episodes, task.steps) for task in competition.tasks]
 
 
 def _difference(recorded: Sequence[TrialSpec], specs: Sequence[TrialSpec]) -> str:
     ours, theirs = ({spec.id: spec for spec in some} for some in (recorded, specs))
-    hint = "choose another directory with --out"
+    hint = "choose another directory"
     for trial_id in [*theirs, *ours]:
         if trial_id not in ours or trial_id not in theirs:
             return (

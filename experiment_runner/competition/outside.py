@@ -1,4 +1,4 @@
-"""Entrants whose programs somebody else starts, on another machine or with access to a folder.
+"""Entrants whose programs are started elsewhere: on another machine, or with access to a folder.
 
 All entrants with a key connect to one address, and play one at a time. The others find no hub there, or are
 refused their session, so their programs have to be started again until the competition is over.
@@ -12,35 +12,36 @@ from pathlib import Path
 from experiment_runner.competition.settings import Entrant, Gate, Limits
 from experiment_runner.competition.starting import SOCKET, Place
 from experiment_runner.store.database import reported
-from glue.core.config import Bind
-from glue.core.keys import Keys, Permit
 from glue.errors import ConfigError
+from glue.hub.config import Bind
+from glue.hub.keys import Keys, Permit
 from glue.keys.allowed import HUB
 from glue.keys.certificates import SECRET, read_pair, read_public
-from glue.protocol.messages import Role
+from glue.wire.messages import Role
 
 __all__ = ["InFolder", "Outside", "gate_for"]
 
 
 def gate_for(entrant: Entrant, gate: Gate | None) -> Bind:
-    """Return the address at which the owner of an entrant's key can join, as its agent, and nobody else.
+    """Return the address at which only the owner of an entrant's key can join, as its agent.
 
     Raises:
         ConfigError: there is no gate, or a key cannot be read.
     """
     if gate is None or entrant.key is None:
         raise ConfigError(
-            f"entrant {entrant.name} joins with a key: add --keys DIR, with the hub's own pair "
-            f"(glue-keys new {HUB} --dir DIR), and --bind URL"
+            f"entrant {entrant.name} joins with a key: give the directory of the hub's own pair (made "
+            f"by glue-keys new {HUB}), and an address to listen on",
+            settings=("keys", "bind"),
         )
     agent, session = frozenset({Role.AGENT}), frozenset({entrant.name})
-    pair = read_pair(gate.keys / f"{HUB}{SECRET}", "--keys")
+    pair = read_pair(gate.keys / f"{HUB}{SECRET}", "keys")
     permit = Permit(entrant.name, agent, session)
     return Bind(gate.bind, agent, session, Keys(pair.secret, {read_public(entrant.key, "key"): permit}))
 
 
 class Outside:
-    """Waits for entrants who are let in by their key; see `Starter`."""
+    """Waits for entrants that are admitted by their key; see `Starter`."""
 
     def check(self, entrant: Entrant) -> None:
         """Check that the file of the key is there."""
@@ -51,7 +52,7 @@ class Outside:
             )
 
     def start(self, entrant: Entrant, limits: Limits, place: Place) -> _Elsewhere:
-        """Note in the log who is waited for."""
+        """Write to the log that the program is started elsewhere."""
         with reported(f"cannot write {place.log}"):
             place.log.write_text(
                 f"{entrant.name} is not started here: its log is where its program is\n", encoding="utf-8"
@@ -63,24 +64,24 @@ class Outside:
 
 
 class InFolder(Outside):
-    """Waits for entrants who find the hub's socket in a folder: everybody who can reach it may connect."""
+    """Waits for entrants that find the hub's socket in a folder: access to the folder admits."""
 
     def check(self, entrant: Entrant) -> None:
         """Check that the folder is there."""
         if entrant.folder is None or not entrant.folder.is_dir():
             raise ConfigError(
-                f"entrant {entrant.name}: there is no folder {entrant.folder}: make it, and let the "
-                "entrant's program, but nobody else, reach it"
+                f"entrant {entrant.name}: there is no folder {entrant.folder}: make it, and give "
+                "only the entrant's program access to it"
             )
 
     def start(self, entrant: Entrant, limits: Limits, place: Place) -> _Elsewhere:
-        """Let any user connect; note in the log who is waited for."""
+        """Let any user connect; write to the log that the program is started elsewhere."""
         (place.folder / SOCKET).chmod(0o666)
         return super().start(entrant, limits, place)
 
 
 class _Elsewhere:
-    """An entrant's program on another machine: whether it is alive, only its connection shows."""
+    """An entrant's program on another machine; only its connection shows whether it is alive."""
 
     reason: str | None = None
 
@@ -89,7 +90,7 @@ class _Elsewhere:
         self._stopped = threading.Event()
 
     def wait(self, seconds: float) -> bool:
-        """Wait so long, or until `stop`; return False."""
+        """Wait for this many seconds, or until `stop`; return False."""
         self._stopped.wait(seconds)
         return False
 

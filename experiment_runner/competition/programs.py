@@ -5,21 +5,21 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-import sys
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from experiment_runner.children import how_it_ended
 from experiment_runner.competition.keeper import CANNOT_START, MODULE
 from experiment_runner.competition.settings import Entrant, Limits
 from experiment_runner.competition.starting import Place, variables
+from experiment_runner.meeting.children import how_it_ended
+from experiment_runner.meeting.watchdog import spawn
 from glue.errors import ConfigError, ExperimentError
 
 __all__ = ["Programs"]
 
 _STOP_SECONDS: Final = 5.0
-"""How long the keeper of a program may take to end it."""
+"""Time for the keeper of a program to end it."""
 
 
 class Programs:
@@ -46,20 +46,15 @@ class _Program:
 
     def __init__(self, entrant: Entrant, limits: Limits, place: Place) -> None:
         self.log: Path = place.log
-        keeper = [sys.executable, "-P", "-m", MODULE, str(place.log), str(limits.log), *entrant.command]
+        arguments = [str(place.log), str(limits.log), *entrant.command]
         try:
-            self._keeper = subprocess.Popen(
-                keeper,
-                stdin=subprocess.PIPE,
-                env={**os.environ, **variables(place.hub, place.session)},
-                process_group=0,
-            )
+            self._keeper = spawn(MODULE, arguments, env={**os.environ, **variables(place.hub, place.session)})
         except OSError as error:
             raise ExperimentError(f"cannot start {entrant.name}: {error}") from error
 
     @property
     def reason(self) -> str | None:
-        """How it ended; None while it is alive."""
+        """Exit status in words; None while the program is alive."""
         status = self._keeper.poll()
         if status is None:
             return None
@@ -68,13 +63,13 @@ class _Program:
         return how_it_ended(status if status <= 128 else 128 - status)
 
     def wait(self, seconds: float) -> bool:
-        """Wait until it ends, at most so long; return whether it has ended."""
+        """Wait until the program ends, or for this many seconds; return whether it has ended."""
         with suppress(subprocess.TimeoutExpired):
             self._keeper.wait(seconds)
         return self._keeper.returncode is not None
 
     def stop(self) -> None:
-        """End it, with its process group."""
+        """End the program, with its process group."""
         assert self._keeper.stdin is not None
         self._keeper.stdin.close()
         if not self.wait(_STOP_SECONDS):

@@ -2,8 +2,7 @@
 
     python -P -m experiment_runner.competition.remover SOCKET CONTAINER
 
-SOCKET is that of the container engine. Standard input is a pipe to which nothing is written: when it closes,
-nobody else is left to remove the container. A starter that removes it itself then kills this process.
+SOCKET is that of the container engine. A starter that removes the container itself kills this process.
 """
 
 from __future__ import annotations
@@ -13,6 +12,8 @@ import sys
 from contextlib import suppress
 from typing import Final
 
+from experiment_runner.meeting.watchdog import watch_parent
+
 __all__ = ["MODULE", "main"]
 
 MODULE: Final = "experiment_runner.competition.remover"
@@ -21,25 +22,20 @@ _SECONDS: Final = 60.0
 
 
 def main() -> None:
-    """Wait for the end of standard input, and remove the container."""
+    """Wait for the end of the parent, and remove the container."""
     address, container = sys.argv[1:]
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # it ends with its standard input
-    sys.stdin.buffer.read()
-    with suppress(OSError):  # the engine is gone, and with it its containers
-        _remove(address, container)
+        signal.signal(number, signal.SIG_IGN)  # it ends with its parent
+    watch_parent(lambda: _remove(address, container)).join()
 
 
 def _remove(address: str, container: str) -> None:
-    """Ask the engine: one request, for which its SDK would take up memory all the time.
-
-    Raises:
-        OSError: the engine does not answer.
-    """
+    """Ask the engine with one request, for which its SDK would take up memory all the time."""
     import socket
 
     request = f"DELETE /containers/{container}?force=1&v=1 HTTP/1.0\r\nHost: engine\r\n\r\n"
-    with socket.socket(socket.AF_UNIX) as engine:
+    # An engine that is gone has taken its containers with it.
+    with suppress(OSError), socket.socket(socket.AF_UNIX) as engine:
         engine.settimeout(_SECONDS)
         engine.connect(address)
         engine.sendall(request.encode())

@@ -1,4 +1,4 @@
-"""The secret seed of a competition, and what is drawn from it.
+"""The secret seed of a competition, and the seeds and levels drawn from it.
 
 Whatever depends on it is derived by HMAC-SHA-256, from which the secret cannot be computed back: the level
 of one trial says nothing about that of another.
@@ -10,15 +10,16 @@ import hashlib
 import hmac
 import os
 import stat
-from collections.abc import Callable
+from collections.abc import Callable, MutableMapping
 from typing import Final
 
 from experiment_runner.competition.settings import Competition, Task
-from experiment_runner.plan import RoleSpec, TrialSpec
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from glue.errors import ConfigError
 from glue.options import Value, build, parameters
-from glue.players.loading import find
-from glue.protocol.messages import Role
+from glue.plugins.loading import find
+from glue.wire.messages import Role
 
 __all__ = ["agent_seed", "draw", "public_trial", "read_secret", "trials"]
 
@@ -31,14 +32,19 @@ _MAX_SECRET: Final = 65_536
 _HINT: Final = "make one with: head -c 32 /dev/urandom | base64 >"
 
 
-def read_secret(competition: Competition, warn: Callable[[str], None] = lambda line: None) -> bytes:
+def read_secret(
+    competition: Competition,
+    variables: MutableMapping[str, str],
+    warn: Callable[[str], None] = lambda line: None,
+) -> bytes:
     """Return the secret seed of a competition, without the white space around it.
 
-    If it is in an environment variable, that is removed: a program that is started does not inherit it.
+    If it is in an environment variable, that is removed from `variables`.
 
     Args:
         competition: says where it is.
-        warn: takes a line about a file that other users can read.
+        variables: the environment variables of the process; a program started later inherits no secret.
+        warn: shows a line about a file that other users can read.
 
     Raises:
         ConfigError: there is none, or it is empty.
@@ -46,7 +52,7 @@ def read_secret(competition: Competition, warn: Callable[[str], None] = lambda l
     path = competition.seed_file
     if path is None:
         name = competition.seed_env or ""
-        secret, where = os.environ.pop(name, "").encode(), f"the environment variable {name}"
+        secret, where = variables.pop(name, "").encode(), f"the environment variable {name}"
         if not secret:
             raise ConfigError(f"{where} must hold the secret seed: {name}=... glue-compete ...")
     else:
@@ -87,7 +93,7 @@ def trials(competition: Competition, secret: bytes) -> list[TrialSpec]:
             environment = _environment(task, draw(secret, _LEVEL_SEED, task.name, name))
             specs += [
                 TrialSpec(
-                    id=f"{entrant.name}/{task.name}/{number}",
+                    id=TrialId.of(entrant.name, task.name, number),
                     agent=RoleSpec(entrant.player, {}, entrant.name),
                     environment=environment,
                     episodes=task.episodes or task.steps,  # an episode has at least one step
@@ -107,7 +113,7 @@ def public_trial(competition: Competition, entrant: str, episodes: int, max_step
     """
     task = competition.tasks[0]
     environment = _environment(task, None)
-    return TrialSpec(f"{entrant}/check/0", RoleSpec(entrant), environment, episodes, max_steps, 0)
+    return TrialSpec(TrialId.of(entrant, "check", 0), RoleSpec(entrant), environment, episodes, max_steps, 0)
 
 
 def agent_seed(spec: TrialSpec) -> int:

@@ -1,4 +1,4 @@
-"""What a competition is: its tasks, its entrants and their limits. `file` reads it from TOML."""
+"""The settings of a competition: tasks, entrants and their limits. `file` reads them from TOML."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from glue.core.config import TimeLimits
+from glue.hub.config import TimeLimits
 from glue.options import Value
 
 __all__ = ["Competition", "Entrant", "Gate", "Limits", "Task"]
@@ -16,17 +16,17 @@ _MEBIBYTE = 2**20
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What an entrant may use in each trial of a task. Those of memory, processors, processes and disks hold
-    for containers; a trusted command has this machine.
+    """Limits of an entrant in each trial of a task. Those of memory, processors, processes and disks hold
+    for containers; a trusted command may use all of this machine.
 
     Args:
-        time: per answer, per task and to start; see `glue.core.config.TimeLimits`.
+        time: per answer, per task and to start; see `glue.hub.config.TimeLimits`.
         memory: bytes, swap included.
         cpus: cores.
         pids: processes and threads.
         tmp: bytes of files in /tmp.
         shm: bytes of shared memory.
-        log: bytes kept of what it prints.
+        log: bytes of its output that are kept.
     """
 
     time: TimeLimits = field(default_factory=TimeLimits)
@@ -40,12 +40,12 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """An environment, and how long it is played.
+    """An environment, and for how many episodes or steps it is played.
 
     Args:
         name: unique among the tasks.
         env: the environment's name, `module:Class` or `path/file.py:Class`.
-        options: its constructor options, as given: without what is drawn from the secret seed.
+        options: its constructor options, as in the file, without those drawn from the secret seed.
         episodes: number of episodes; 0 if `steps` limits the task.
         steps: number of steps, over as many episodes as it takes; 0 if `episodes` limits the task.
     """
@@ -59,15 +59,15 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Entrant:
-    """Who takes part, and how it is started: one of the four is given.
+    """An entrant, and how it is started: exactly one of image, command, key and folder is given.
 
     Args:
         name: unique among the entrants.
         image: a container image.
         command: a program of this machine and its arguments, which is trusted.
-        key: the file of the public key of somebody who connects from elsewhere.
-        folder: a folder in reach of programs that something else starts, as compose does: one for each trial,
-            which finds the socket `hub` in a folder of its own in it, `TASK-TRIAL`.
+        key: the file of the public key of an entrant that connects from elsewhere.
+        folder: a folder for programs that another tool starts, such as compose: one program for each trial,
+            which finds the socket `hub` in the subfolder `TASK-TRIAL`.
     """
 
     name: str
@@ -78,7 +78,7 @@ class Entrant:
 
     @property
     def player(self) -> str:
-        """What plays, for people: the image, the command, the folder, or the file of the key."""
+        """The player, for people: image, command, folder, or file of the key."""
         if self.image is not None:
             return self.image
         if self.folder is not None:
@@ -88,7 +88,7 @@ class Entrant:
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Where entrants from elsewhere connect.
+    """The address at which entrants from elsewhere connect.
 
     Args:
         bind: URL that the hub listens on for them.

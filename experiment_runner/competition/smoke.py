@@ -1,6 +1,6 @@
 """The smoke phase: before a competition every entrant plays a little, and its owner gets a report.
 
-What is played is the first task with the level that the environment has by default: nothing secret is used.
+It plays the first task on the default level of the environment, so it reveals nothing secret.
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ from typing import Final
 
 from experiment_runner.competition.match import (
     MODULE,
+    REPORTS,
     Forfeited,
     Match,
-    decode_report,
-    encode_match,
     starter_for,
 )
 from experiment_runner.competition.secret import public_trial
@@ -22,8 +21,8 @@ from experiment_runner.competition.settings import Competition, Entrant
 from experiment_runner.competition.starting import name_of_run
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from experiment_runner.executors.local import LocalExecutor
-from experiment_runner.lock import LOCK_FILE, RunLock
 from experiment_runner.store.database import reported
+from experiment_runner.store.lock import LOCK_FILE, RunLock
 from experiment_runner.store.records import EpisodeResult
 from glue.errors import ConfigError, ExperimentError
 
@@ -91,7 +90,7 @@ def _try(
         return [], str(error)
     episodes: list[EpisodeResult] = []
     problem = None
-    with LocalExecutor(1, MODULE, encode_match, decode_report) as executor:
+    with LocalExecutor(1, MODULE, REPORTS) as executor:
         executor.start(Match(spec, entrant, competition.limits, 0, log, run))
         while True:
             for _, report in executor.receive(_WAIT_SECONDS):

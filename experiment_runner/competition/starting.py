@@ -1,7 +1,7 @@
-"""How an entrant's program is started for one trial of a task, whatever it is made of.
+"""The start of an entrant's program for one trial of a task: an interface for all kinds of entrants.
 
 An entrant is given a place: a directory with the Unix socket `hub`, on which the hub of this trial admits
-nobody but the agent of one session. What it finds there is all that connects it with the competition.
+only the agent of one session. Nothing else connects the entrant with the competition.
 
 `programs` starts trusted commands of this machine, `outside` waits for entrants from elsewhere, and
 `containers` starts images.
@@ -25,13 +25,13 @@ SOCKET: Final = "hub"
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where an entrant meets the hub in one trial of a task.
+    """The meeting point of an entrant and its hub in one trial of a task.
 
     Args:
-        folder: a directory of its own, which holds the socket `hub` and nothing else.
+        folder: a directory that holds only the socket `hub`.
         session: the session's name.
-        log: the file that receives what the entrant prints, at most `Limits.log` bytes.
-        run: identifies the run among all runs of this machine, so that what it leaves behind can be found.
+        log: the file that receives the output of the entrant, at most `Limits.log` bytes.
+        run: id of the run among all runs of this machine, by which its leftovers are found.
     """
 
     folder: Path
@@ -49,23 +49,23 @@ class Running(Protocol):
     """An entrant's program, started for one trial.
 
     Attributes:
-        log: the file that receives what it prints.
+        log: the file that receives its output.
     """
 
     log: Path
 
     @property
     def reason(self) -> str | None:
-        """How it ended, as in `ended with status 1` or `used more than 1024 MiB of memory`; None while it
-        is alive."""
+        """Reason of its end, as in `ended with status 1` or `used more than 1024 MiB of memory`; None while
+        it is alive."""
         ...
 
     def wait(self, seconds: float) -> bool:
-        """Wait until it ends, at most so long; return whether it has ended."""
+        """Wait until the program ends, or for this many seconds; return whether it has ended."""
         ...
 
     def stop(self) -> None:
-        """End it, with all that it started, and release what it used; may be called twice."""
+        """End the program and its children, and release its resources; may be called twice."""
         ...
 
 
@@ -91,12 +91,12 @@ class Starter(Protocol):
         ...
 
     def sweep(self, run: str) -> None:
-        """End what an organiser of this run that was killed has left running."""
+        """End programs that a killed organiser of this run has left running."""
         ...
 
 
 def name_of_run(directory: Path) -> str:
-    """Return what identifies a run among all runs of this machine: `Place.run`.
+    """Return the id of a run among all runs of this machine: `Place.run`.
 
     Only the holder of the directory's lock starts entrants under this name. So containers that have it when a
     run begins were left behind by one that was killed.

@@ -18,7 +18,7 @@ LEGEND: Final = (
     "place     by the mean of the ranks in the tasks; those who are equal share it",
     "total     sum of the tasks' scores, with its 95 % bootstrap interval over trials, and the place by it",
     "score     of a task: the sum of all rewards, learning included, mean over trials; a forfeited trial "
-    "scores what an agent that stands still earns",
+    "scores what an agent that stands still earns, or the lowest verified score if that is lower",
 )
 
 _FORMULA: Final = ("=", "+", "-", "@")

@@ -2,7 +2,8 @@
 
 The score of a trial is the sum of the rewards over all its steps, with learning included, as in the
 RL Competition; that of a task is the mean over its trials. Entrants are placed by the mean of their ranks in
-the tasks, and by the total of their scores. A trial that was forfeited scores what a passive agent earns.
+the tasks, and by the total of their scores. A trial that was forfeited scores what a passive agent earns, or
+the lowest verified score of the entrants who played it to the end if that is lower: leaving never pays.
 """
 
 from __future__ import annotations
@@ -18,8 +19,11 @@ import numpy as np
 
 from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
 from experiment_runner.competition.records.record import digest, record_path
+from experiment_runner.competition.records.seal import broken
 from experiment_runner.competition.settings import Competition
-from experiment_runner.plan import TrialSpec
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.report.tables import one_line
 from experiment_runner.store.layout import ABOUT_FILE
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
@@ -28,6 +32,9 @@ from glue.errors import ExperimentError
 __all__ = ["Forfeit", "Seed", "Standing", "Standings", "TaskScore", "ranks", "standings"]
 
 _RESAMPLES: Final = 10_000
+_MOST_BYTES: Final = 2**20
+"""Bytes of the file that says which program held the competition."""
+
 _INTERVAL: Final = (2.5, 97.5)
 _CURVE_POINTS: Final = 200
 """Points of a learning curve, at most."""
@@ -35,13 +42,13 @@ _CURVE_POINTS: Final = 200
 
 @dataclass(frozen=True, slots=True)
 class TaskScore:
-    """What an entrant earned in a task.
+    """Scores of an entrant in a task.
 
     Args:
         score: mean over the trials.
         trials: the score of each trial.
         rank: among those who are ranked; those who share a rank have the mean of their places.
-        curve: mean over the trials of what was earned up to each of some fractions of the task's steps or
+        curve: mean over the trials of the reward up to each of some fractions of the task's steps or
             episodes, shape (points,); empty if the task was forfeited in every trial.
     """
 
@@ -73,7 +80,7 @@ class Standing:
         total: sum of the tasks' scores, and its 95 % bootstrap interval over trials.
         low, high: the interval.
         tasks: by name.
-        forfeits: what it did not play to the end.
+        forfeits: trials that it did not play to the end.
         missing: why it has no place, in short.
     """
 
@@ -91,7 +98,7 @@ class Standing:
 
 @dataclass(frozen=True, slots=True)
 class Seed:
-    """What was drawn from the secret seed for a trial of a task."""
+    """The seed and options of a trial of a task, drawn from the secret seed."""
 
     task: str
     trial: int
@@ -107,8 +114,8 @@ class Standings:
         competition: its name.
         tasks: their names, in order.
         entrants: those with a place first, by place.
-        program: which version held it.
-        seeds: what was drawn, if it is revealed.
+        program: name and version of the program that held it.
+        seeds: the seeds of the trials, if they are revealed.
     """
 
     competition: str
@@ -123,20 +130,26 @@ def standings(results: Results, competition: Competition, reveal: bool = False) 
 
     Args:
         results: of the run.
-        competition: what is played.
-        reveal: whether to include what was drawn from the secret seed.
+        competition: its tasks and entrants.
+        reveal: whether to include the seeds of the trials.
 
     Raises:
-        ExperimentError: the run cannot be read.
+        ExperimentError: the run cannot be read, or was changed since it was sealed.
     """
+    if changed := broken(results):
+        raise ExperimentError(
+            f"{changed} were changed since they were written: put them back in {results.directory}, or try "
+            f"glue-compete verify {results.directory}"
+        )
     tasks = tuple(task.name for task in competition.tasks)
     specs = [record.spec for record in results.trials()]
+    lowest = _lowest(results)
     found = {
-        entrant.name: _Entrant(results, entrant.name, tasks, competition.trials)
+        entrant.name: _Entrant(results, entrant.name, tasks, competition.trials, lowest)
         for entrant in competition.entrants
     }
     for spec in specs:
-        name = spec.id.split("/")[0]
+        name = spec.id.parts[0]
         if name in found:
             found[name].add(spec)
     return Standings(
@@ -155,28 +168,47 @@ def ranks(scores: Sequence[float]) -> list[float]:
     return [first + (count + 1) / 2 for first, count in zip(above, equal, strict=True)]
 
 
-class _Entrant:
-    """What is known of an entrant: the verified score of each trial, by task."""
+def _lowest(results: Results) -> dict[tuple[str, int], float]:
+    """Return the lowest verified score of those who played to the end, by task and number of the trial."""
+    lowest: dict[tuple[str, int], float] = {}
+    outcomes = results.outcomes()
+    for trial_id, verdict in results.verdicts().items():
+        if trial_id in outcomes and outcomes[trial_id].reason is None and verdict.problem is None:
+            _, task, number = TrialId(trial_id).parts
+            lowest[task, number] = min(verdict.score, lowest.get((task, number), math.inf))
+    return lowest
 
-    def __init__(self, results: Results, name: str, tasks: Sequence[str], trials: int) -> None:
+
+class _Entrant:
+    """The verified score of each trial of an entrant, by task."""
+
+    def __init__(
+        self,
+        results: Results,
+        name: str,
+        tasks: Sequence[str],
+        trials: int,
+        lowest: Mapping[tuple[str, int], float],
+    ) -> None:
         self.name = name
         self.scores: dict[str, list[float]] = {task: [] for task in tasks}
         self.curves: dict[str, list[FloatArray]] = {task: [] for task in tasks}
         self.forfeits: list[Forfeit] = []
         self._results = results
+        self._lowest = lowest
         self._expected = trials * len(tasks)
         self._outcomes = results.outcomes()
         self._verdicts = results.verdicts()
         self._missing: list[str] = []
 
     def add(self, spec: TrialSpec) -> None:
-        _, task, number = spec.id.split("/")
+        _, task, number = spec.id.parts
         outcome, verdict = self._outcomes.get(spec.id), self._verdicts.get(spec.id)
         if outcome is None:
             self._missing.append("not played to the end yet")
             return
         if outcome.reason is not None:
-            self.forfeits.append(Forfeit(task, int(number), outcome.reason))
+            self.forfeits.append(Forfeit(task, number, outcome.reason))
         if verdict is None:
             self._missing.append("not verified yet: glue-compete verify does it")
         elif verdict.problem is not None:
@@ -184,8 +216,10 @@ class _Entrant:
         elif _digest(record_path(self._results.directory, spec.id)) != verdict.digest:
             self._missing.append("changed since it was verified")
         else:
-            self.scores[task].append(verdict.score)
-            if outcome.reason is None:
+            forfeited = outcome.reason is not None
+            most = self._lowest.get((task, number), math.inf) if forfeited else math.inf
+            self.scores[task].append(min(verdict.score, most))
+            if not forfeited:
                 self.curves[task].append(_curve(self._results.episodes(spec.id)))
 
     @property
@@ -252,7 +286,7 @@ def _interval(scores: Sequence[Sequence[float]]) -> tuple[float, float]:
 
 
 def _curve(episodes: Sequence[EpisodeResult]) -> FloatArray:
-    """Return what was earned up to each of `_CURVE_POINTS` fractions of a trial's steps."""
+    """Return the reward earned up to each of `_CURVE_POINTS` fractions of a trial's steps."""
     if not episodes:
         return np.zeros(0)
     steps = np.cumsum([episode.steps for episode in episodes])
@@ -274,15 +308,16 @@ def _seeds(specs: Sequence[TrialSpec], competition: Competition) -> list[Seed]:
     first = competition.entrants[0].name
     seeds = []
     for spec in specs:
-        name, task, number = spec.id.split("/")
+        name, task, number = spec.id.parts
         if name == first and spec.environment is not None:
-            seeds.append(Seed(task, int(number), spec.seed, spec.environment.options))
+            seeds.append(Seed(task, number, spec.seed, spec.environment.options))
     return seeds
 
 
 def _program(directory: Path) -> str:
     try:
-        about = json.loads((directory / ABOUT_FILE).read_text(encoding="utf-8"))
-        return str(about["program"])
-    except (OSError, ValueError, TypeError, KeyError) as error:
-        raise ExperimentError(f"cannot read {directory / ABOUT_FILE}: {error!r:.80}") from None
+        with (directory / ABOUT_FILE).open("rb") as file:
+            about = json.loads(file.read(_MOST_BYTES))
+        return one_line(str(about["program"]).encode("utf-8", "replace").decode())
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        raise ExperimentError(f"cannot read {directory / ABOUT_FILE}: {type(error).__name__}") from None

@@ -1,1 +1,1 @@
-"""What was played in a competition: written down, and played again to verify it."""
+"""Records of the trials of a competition: written, and replayed to verify them."""

@@ -1,7 +1,7 @@
 """Play recorded actions again.
 
-An environment whose name stands in the entry-point group `glue.replays` too is played by what that names,
-which may be much faster; any other through its `env_step`.
+An entry point in the group `glue.replays` may name a faster replay for an environment; any other is played
+through its `env_step`.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from typing import Final, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from experiment_runner.plan import TrialSpec
-from glue.core.engine import role_seed
+from experiment_runner.plan.plan import TrialSpec
+from glue.engine.engine import role_seed
 from glue.options import build
-from glue.players.loading import find
-from glue.protocol.messages import Role
+from glue.plugins.loading import find
 from glue.roles import Environment, SeedableEnvironment, offers
 from glue.taskspec import Ranges, parse_task_spec
-from glue.types import Action
+from glue.types import Action, step_of
+from glue.wire.messages import Role
 
 __all__ = ["Replay", "made_for", "passive_action", "passive_score", "replay_of"]
 
@@ -90,15 +90,15 @@ class _StepByStep:
     ) -> tuple[npt.NDArray[np.float64], bool]:
         rewards = np.empty(len(choices))
         for i, choice in enumerate(choices.tolist()):
-            rewards[i], _, terminal = self._environment.env_step(actions[choice])
-            if terminal:
+            step = step_of(self._environment, self._environment.env_step(actions[choice]))
+            rewards[i] = step.reward
+            if step.terminal:
                 return rewards[: i + 1], True
         return rewards, False
 
 
 def passive_action(task_spec: str) -> Action:
-    """Return what a passive agent always does: zero in every dimension or, where zero is not legal, the legal
-    number nearest to it.
+    """Return the only action of a passive agent: in every dimension zero, or the nearest legal number.
 
     Raises:
         TaskSpecError: the task spec does not parse.

@@ -1,9 +1,9 @@
 """Verify a competition: play every recorded action again, and compare every reward and every score.
 
-Only what was verified is on the final board. A trial is verified if
+Only verified trials count on the final board. A trial is verified if
 
 - its record is, to the byte, the one that the organiser finished, and can be read;
-- the environment, made anew from the trial's options and seed, pays the same rewards for the same actions,
+- the environment, constructed from the trial's options and seed, pays the same rewards for the same actions,
   bit for bit, and ends its episodes where they ended;
 - the episodes in the database are those of the record;
 - it was played to its end, unless it was forfeited.
@@ -12,27 +12,24 @@ Only what was verified is on the final board. A trial is verified if
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from experiment_runner.competition.records.record import (
-    End,
-    Part,
-    RecordError,
-    digest,
-    read_parts,
-    record_path,
-)
-from experiment_runner.competition.records.replay import passive_score, replay_of
-from experiment_runner.plan import TrialSpec
+from experiment_runner.competition.records.record import digest, record_path
+from experiment_runner.competition.records.replay import Replay, passive_score, replay_of
+from experiment_runner.competition.records.seal import record_verdict, seal
+from experiment_runner.executors.recording import run_of
+from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import EpisodeResult, Outcome, Verdict
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError, GlueError
+from glue.trajectory import ActionSteps, Ending, Episode, Run, TrajectoryReader
+from glue.trajectory.comparison import Outcomes, compare
 from glue.types import Action
 
 __all__ = ["Mismatch", "replay_trial", "verify"]
@@ -53,15 +50,15 @@ def verify(store: Store, steps: Mapping[str, int], say: Callable[[str], None]) -
     Raises:
         StorageError: the run cannot be written to.
     """
+    seal(store)
     outcomes = store.outcomes()
     problems = 0
-
-    passive: dict[tuple[str, str], float] = {}
+    passive: dict[tuple[str, int], float] = {}
     for record in store.trials():
         spec = record.spec
         if spec.id not in outcomes:
             continue
-        _, task, number = spec.id.split("/")
+        _, task, number = spec.id.parts
         path = record_path(store.directory, spec.id)
         sha256, problem, score = b"", None, math.nan
         try:
@@ -75,7 +72,7 @@ def verify(store: Store, steps: Mapping[str, int], say: Callable[[str], None]) -
             problem, score = str(error), math.nan
         except Exception as error:  # of an environment, which may have changed since
             problem, score = f"the environment failed: {type(error).__name__}: {error}", math.nan
-        store.record_verdict(spec.id, Verdict(sha256, problem, score))
+        record_verdict(store, spec.id, Verdict(sha256, problem, score))
         if problem is not None:
             problems += 1
             say(f"{spec.id} does not match: {problem}")
@@ -92,16 +89,13 @@ def _verified_score(
         GlueError: the record cannot be read, or the environment cannot be made.
     """
     if sha256 != outcome.digest:
-        # Found in any case; the report is as exact as possible.
-        for _ in read_parts(path, spec.id):
-            pass
-        raise RecordError(f"{path} is not the record that was finished: bytes in it were changed")
+        raise Mismatch(f"{path} is not the record that was finished: bytes in it were changed")
     episodes, score = replay_trial(spec, path)
     _compare_episodes(results.episodes(spec.id), episodes)
     ends = [end for end, _, _ in episodes]
     if outcome.reason is None:
         total = sum(count for _, count, _ in episodes)
-        whole = len(ends) == spec.episodes and End.FORFEIT not in ends
+        whole = len(ends) == spec.episodes and Ending.VOID not in ends
         complete = total == steps if steps else whole
         if not complete:
             raise Mismatch(
@@ -110,69 +104,71 @@ def _verified_score(
     return score
 
 
-Episode = tuple[End, int, float]
-"""How it ended, its steps and its return."""
+Replayed = tuple[Ending, int, float]
+"""The ending of an episode, its number of steps, and its return."""
 
 
-def replay_trial(spec: TrialSpec, path: Path) -> tuple[list[Episode], float]:
+def replay_trial(spec: TrialSpec, path: Path) -> tuple[list[Replayed], float]:
     """Play a record again; return its episodes, and the sum of all rewards.
 
     Raises:
-        Mismatch: a reward or the end of an episode differs.
-        RecordError: the record is damaged.
+        Mismatch: the record is not of this trial, or a reward or the end of an episode differs.
+        TrajectoryError: the record is damaged.
     """
-    replay, _ = replay_of(spec)
-    episodes: list[Episode] = []
-    score, count, total, going = 0.0, 0, 0.0, False
-    actions: tuple[bytes, ...] = ()
-    made: list[Action] = []
-    for part in read_parts(path, spec.id):
-        if not going:
-            replay.start()
-            count, total = 0, 0.0
-        if part.actions is not actions:
-            actions, made = part.actions, [Action.from_body(body) for body in part.actions]
-        rewards, ended = _NOTHING
-        if len(part.choices):
-            rewards, ended = replay.play(made, part.choices.astype(np.int64))
-        _compare_part(part, rewards, ended, len(episodes) + 1, count)
-        count += len(rewards)
-        total, score = _add(total, rewards), _add(score, rewards)
-        going = part.end is End.GOES_ON
-        if not going:
-            episodes.append((part.end, count, total))
-    if going:
+    replay, task_spec = replay_of(spec)
+    run = run_of(spec, task_spec)
+    episodes: list[Replayed] = []
+    score = 0.0
+    reader = TrajectoryReader(path)
+    for number, episode in enumerate(reader, 1):
+        if episode.run != run or not isinstance(episode.steps, ActionSteps):
+            raise Mismatch(f"{path} is not a record of {spec.id}: it is of {_shown(episode.run)}")
+        replay.start()
+        count, total = 0, 0.0
+        for rewards in _replayed(replay, episode, number):
+            count += len(rewards)
+            total, score = _add(total, rewards), _add(score, rewards)
+        episodes.append((episode.ending, count, total))
+    if reader.torn:
         raise Mismatch(f"the record ends in the middle of episode {len(episodes) + 1}")
     return episodes, score
 
 
-_NOTHING: Final[tuple[npt.NDArray[np.float64], bool]] = (np.empty(0), False)
+def _replayed(replay: Replay, episode: Episode, number: int) -> Iterator[npt.NDArray[np.float64]]:
+    """Yield the rewards of each block of an episode, once they have been compared."""
+    assert isinstance(episode.steps, ActionSteps)
+    blocks = episode.steps.blocks
+    before = 0
+    for block in blocks:
+        actions = _actions(block.actions)
+        rewards, ended = replay.play(actions, block.choices.astype(np.int64))
+        # An environment may cut an episode off itself, or be cut off.
+        terminal: bool | None = False
+        if block is blocks[-1]:
+            terminal = None if episode.ending is Ending.CUTOFF else episode.ending is Ending.TERMINAL
+        if (difference := compare(Outcomes(block.rewards, terminal), Outcomes(rewards, ended))) is not None:
+            step, how = difference
+            raise Mismatch(f"episode {number}, step {before + step + 1}: {how}")
+        before += len(rewards)
+        yield rewards
 
 
-def _compare_part(
-    part: Part, rewards: npt.NDArray[np.float64], ended: bool, episode: int, before: int
-) -> None:
-    recorded = part.rewards[: len(rewards)]
-    differing = np.flatnonzero(recorded.view(np.uint64) != rewards.view(np.uint64))
-    if len(differing):
-        step = int(differing[0])
-        raise Mismatch(
-            f"step {before + step + 1} of episode {episode} pays {rewards[step]!r}, and the record says "
-            f"{recorded[step]!r}"
-        )
-    # An environment may cut an episode off itself, or be cut off.
-    ends_alike = part.end is End.CUT_OFF or ended is (part.end is End.TERMINAL)
-    if len(rewards) < len(part.rewards) or not ends_alike:
-        what = "ends" if ended else "does not end"
-        raise Mismatch(f"episode {episode} {what} with step {before + len(rewards)}, and the record differs")
+@lru_cache(maxsize=1)
+def _actions(bodies: tuple[bytes, ...]) -> list[Action]:
+    """Return actions from their bodies; consecutive episodes often have the same ones."""
+    return [Action.from_body(body) for body in bodies]
 
 
-def _compare_episodes(stored: Sequence[EpisodeResult], replayed: Sequence[Episode]) -> None:
-    whole = [episode for episode in replayed if episode[0] is not End.FORFEIT]
+def _shown(run: Run) -> str:
+    return f"{run.environment} with {dict(run.options)!r:.200} and seed {run.seed}"
+
+
+def _compare_episodes(stored: Sequence[EpisodeResult], replayed: Sequence[Replayed]) -> None:
+    whole = [episode for episode in replayed if episode[0] is not Ending.VOID]
     if len(stored) != len(whole):
         raise Mismatch(f"the record has {len(whole)} episodes, and the database {len(stored)}")
     for row, (end, count, total) in zip(stored, whole, strict=True):
-        terminal = end is End.TERMINAL
+        terminal = end is Ending.TERMINAL
         # RL_num_steps counts observations, of which the last step of an episode has none.
         expected = (total, count if terminal else count + 1, terminal)
         found = (row.episode_return, row.steps, row.terminal)

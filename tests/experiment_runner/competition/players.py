@@ -14,23 +14,21 @@ from experiment_runner.competition.secret import trials
 from experiment_runner.competition.settings import Competition, Entrant, Limits, Task
 from experiment_runner.competition.starting import Place
 from glue.client.players import serve_agent
-from glue.core.config import TimeLimits
 from glue.errors import GlueError
+from glue.hub.config import TimeLimits
+from glue.roles import Agent
 from glue.types import Action, Observation
 
 SECRET = b"nobody knows"
 
 
-class Walker:
+class Walker(Agent):
     """Plays mines by walking along a fixed path."""
 
     def __init__(self, path: tuple[int, ...] = (3, 3, 0, 3, 1, 2)) -> None:
         self.path = path
         self.steps = 0
         self.seeds: list[int] = []
-
-    def agent_init(self, task_spec: str) -> None:
-        pass
 
     def agent_seed(self, seed: int) -> None:
         self.seeds.append(seed)
@@ -44,15 +42,6 @@ class Walker:
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
         return self.act()
-
-    def agent_end(self, reward: float) -> None:
-        pass
-
-    def agent_cleanup(self) -> None:
-        pass
-
-    def agent_message(self, message: str) -> str:
-        return ""
 
 
 class InThread:

@@ -12,11 +12,11 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.competition.command import compete
+from experiment_runner.cli.compete import compete
 from experiment_runner.competition.file import load_competition, parse_competition
 from experiment_runner.competition.secret import trials
 from experiment_runner.competition.settings import Limits
-from glue.keys.command import keys
+from glue.cli.keys import keys
 from tests.house.imports import ROOT
 from tests.proof import FULL
 

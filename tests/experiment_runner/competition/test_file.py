@@ -89,6 +89,7 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ("step_seconds = 0.5", "bank_seconds = -1", 6, "bank_seconds must be"),
         ("step_seconds = 0.5", "start_seconds = true", 6, "start_seconds must be a number"),
         ("step_seconds = 0.5", "total_seconds = -inf", 6, "total_seconds must be"),
+        ("step_seconds = 0.5", "bank_seconds = 0x" + 400 * "f", 6, "bank_seconds must be a number"),
         ("step_seconds = 0.5", "pids = 0", 6, "pids must be a whole number"),
         ("step_seconds = 0.5", "tmp = -1", 6, "tmp is a number of bytes"),
         ("step_seconds = 0.5", "shm = 1.5", 6, "shm is a number of bytes"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import io
 import json
 import os
@@ -12,7 +13,6 @@ import sqlite3
 import struct
 import subprocess
 import sys
-import zlib
 from contextlib import closing
 from html.parser import HTMLParser
 from pathlib import Path
@@ -23,9 +23,10 @@ import pytest
 from experiment_runner.competition.organiser import competition_of
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.verify import verify
-from experiment_runner.lock import LOCK_FILE, RunLock
+from experiment_runner.store.lock import LOCK_FILE, RunLock
 from experiment_runner.store.store import Store
 from tests import forked
+from tests.experiment_runner.view.pages import glue_view
 from tests.forked import BIN
 from tests.proof import FULL, size
 
@@ -127,7 +128,17 @@ def test_every_entrant_has_its_place_and_every_forfeit_its_reason(held: Path) ->
         assert all(why in reason for reason in reasons[name])
     places = {name: one["place"] for name, one in entrants.items()}
     assert places["crash"] == places["raise"] == places["sleep"]
-    assert set(places.values()) <= {1, 2, 4}
+
+
+def test_a_forfeit_never_beats_a_game_that_was_played_to_its_end(held: Path) -> None:
+    """In the mines, whoever walks earns less than whoever stands still; the score of a forfeit is no more."""
+    entrants = board(held)
+    walked = entrants["walk"]["tasks"]["mines"]["trials"]
+    assert min(walked) < -200  # the cost of 200 steps against a wall, which leaving would have saved
+    for name in ("crash", "raise", "sleep"):
+        forfeited = entrants[name]["tasks"]["mines"]["trials"]
+        assert all(score <= played for score, played in zip(forfeited, walked, strict=True))
+        assert forfeited[walked.index(min(walked))] == min(walked)
 
 
 def test_csv_has_a_line_for_each_entrant(held: Path) -> None:
@@ -160,7 +171,7 @@ def test_the_page_stands_alone_and_escapes_what_entrants_say(held: Path) -> None
     assert "<b>spring" not in text
     assert "&lt;script&gt;" in text
     assert page.fetched == []
-    assert "http:" not in text
+    assert "http:" not in text.replace('xmlns="http://www.w3.org/2000/svg"', "")
     assert "https:" not in text
 
 
@@ -225,7 +236,7 @@ def test_a_full_disk_is_one_line_and_nothing_recorded_is_lost(tmp_path: Path) ->
     """A limit on the size of files stands in for it."""
     (tmp_path / "agent.py").write_text(AGENT)
     (tmp_path / "spring.toml").write_text(FILE)
-    command = f"ulimit -f 100; exec {BIN / 'glue-compete'} run spring.toml --out run"
+    command = f"ulimit -f 200; exec {BIN / 'glue-compete'} run spring.toml --out run"
     environment = {**os.environ, "SECRET": "xyzzy"}
     full = subprocess.run(
         ["sh", "-c", command], cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=200
@@ -298,15 +309,11 @@ def test_random_changes_of_a_record_are_found(run: Path) -> None:
 
 
 def forge(run: Path, trial: str, change: bytes, to: bytes) -> None:
-    """Change what a record says, with checksum, digest and all."""
+    """Change the contents of a record, with checksum, digest and all."""
     path = record_path(run, trial)
-    whole = path.read_bytes()
-    (length,) = struct.unpack_from("<I", whole, 8)
-    begin = 8 + 8 + length
-    content = zlib.decompress(whole[begin + 8 :])
+    content = gzip.decompress(path.read_bytes())
     assert change in content
-    packed = zlib.compress(content.replace(change, to, 1))
-    path.write_bytes(whole[:begin] + struct.pack("<II", len(packed), zlib.crc32(packed)) + packed)
+    path.write_bytes(gzip.compress(content.replace(change, to, 1)))
     with closing(sqlite3.connect(run / "results.sqlite")) as database, database:
         database.execute(
             "UPDATE outcomes SET digest = ? WHERE trial = (SELECT key FROM trials WHERE id = ?)",
@@ -318,7 +325,7 @@ def test_a_forged_reward_is_found_by_replay(run: Path) -> None:
     forge(run, "walk/walk/0", struct.pack("<d", 1.0), struct.pack("<d", 100.0))
     (problem,) = problems(run)
     assert "walk/walk/0" in problem
-    assert "the record says" in problem
+    assert "the reward: expected" in problem
 
 
 def test_a_forged_episode_in_the_database_is_found(run: Path) -> None:
@@ -328,6 +335,94 @@ def test_a_forged_episode_in_the_database_is_found(run: Path) -> None:
         )
     (problem,) = problems(run)
     assert "in the database" in problem
+
+
+_FORFEITED = (
+    "UPDATE outcomes SET reason = 'it left' WHERE trial = (SELECT key FROM trials WHERE id = 'walk/mines/0')"
+)
+_EDITS = {
+    "a reason for a trial that was played": _FORFEITED,
+    "a trial less": "DELETE FROM trials WHERE id = 'crash/walk/1'",
+    "another score": "UPDATE verdicts SET score = score + 100 WHERE trial = 1",
+    "another return": "UPDATE episodes SET episode_return = 99 WHERE trial = 1 AND episode = 1",
+    "an entrant less": (f'[entrants.sleep]\ncommand = ["{sys.executable}", "agent.py", "sleep"]\n', ""),
+    "trials = 1": ("trials = 2", "trials = 1"),
+}
+
+
+@pytest.mark.parametrize("edit", _EDITS.values(), ids=_EDITS.keys())
+def test_an_edit_of_the_directory_is_found_by_verify_and_on_the_board(
+    run: Path, edit: str | tuple[str, str]
+) -> None:
+    if isinstance(edit, str):
+        with closing(sqlite3.connect(run / "results.sqlite")) as database, database:
+            database.execute("PRAGMA foreign_keys = off")
+            assert database.execute(edit).rowcount == 1
+    else:
+        file = run / "competition.toml"
+        assert edit[0] in file.read_text()
+        file.write_text(file.read_text().replace(*edit))
+    shown = compete(run.parent, "board", "run")
+    assert (shown.returncode, shown.stdout) == (1, "")
+    assert "were changed" in shown.stderr
+    assert len(shown.stderr.splitlines()) == 1
+    verified = compete(run.parent, "verify", "run")
+    assert verified.returncode == 1
+    assert "were changed" in verified.stderr
+
+
+def test_a_signature_shows_others_whose_board_it_is(run: Path) -> None:
+    folder = run.parent
+    for name in ("organiser", "somebody"):
+        made = forked.run("glue-keys", "new", name, cwd=folder)
+        assert made.returncode == 0, made.stderr
+    unsigned = compete(folder, "board", "run", "--signed-by", "organiser.key")
+    assert (unsigned.returncode, unsigned.stdout) == (1, "")
+    signed = compete(folder, "verify", "run", "--sign", "organiser.key_secret")
+    assert signed.returncode == 0, signed.stderr
+    assert compete(folder, "verify", "run").returncode == 0  # the signature stays, as nothing has changed
+    assert compete(folder, "board", "run", "--signed-by", "organiser.key").returncode == 0
+    assert compete(folder, "board", "run", "--signed-by", "somebody.key").returncode == 1
+    with closing(sqlite3.connect(run / "results.sqlite")) as database, database:
+        database.execute(_FORFEITED)
+    (run / "seal.json").unlink()
+    again = compete(folder, "verify", "run", "--sign", "somebody.key_secret")
+    assert again.returncode == 0, again.stderr  # an organiser can lie to himself
+    assert compete(folder, "board", "run", "--signed-by", "organiser.key").returncode == 1
+
+
+_HOSTILE = {
+    "deep TOML": ("competition.toml", "x = " + 100_000 * "["),
+    "a number of many digits": ("competition.toml", f"trials = {9_000 * '9'}"),
+    "a number of many digits in base 16": ("competition.toml", f"trials = 0x{9_000 * 'f'}"),
+    "a long competition": ("competition.toml", "#" * 2**21),
+    "no text": ("competition.toml", "\udcff"),
+    "NaN": ("run.json", '{"program": NaN, "machine": {"a": Infinity, "b": 1e999}}'),
+    "half a character": ("run.json", '{"program": "\\ud800"}'),
+    "deep JSON": ("run.json", 100_000 * "["),
+    "a seal of another kind": ("seal.json", "[NaN]"),
+    "a deep seal": ("seal.json", 100_000 * '{"played":'),
+}
+
+
+@pytest.mark.parametrize(("file", "text"), _HOSTILE.values(), ids=_HOSTILE.keys())
+def test_a_hostile_directory_is_one_line(run: Path, file: str, text: str) -> None:
+    """In the terminal and on the page, in a folder whose name is not UTF-8."""
+    folder = Path(os.fsdecode(os.fsencode(run.parent) + b"/\xff"))
+    folder.mkdir()
+    run = run.rename(folder / "run")
+    (run / file).write_bytes(os.fsencode(text))
+    shown = compete(folder, "board", "run")
+    assert (shown.returncode, len(shown.stderr.splitlines())) in ((1, 1), (2, 1)), shown
+    checked = compete(folder, "check", "run/competition.toml", "--out", "check")
+    if file == "competition.toml":
+        assert (checked.returncode, len(checked.stderr.splitlines())) == (2, 1), checked
+    with glue_view(folder) as page:
+        run_id = page.run_id("run")
+        assert page.ask(f"/api/standings/{run_id}").status == 422
+        found = page.ask(f"/api/run/{run_id}")
+        assert found.status == 200
+        assert page.ask(f"/api/curves?run={run_id}").status == 200
 
 
 def test_only_what_was_verified_is_on_the_board(run: Path) -> None:
@@ -372,3 +467,4 @@ def test_a_mistake_is_one_line_that_says_what_to_do(old: str, new: str, why: str
     assert refused.stderr.startswith("Error: ")
     assert why in refused.stderr
     assert len(refused.stderr.splitlines()) == 1
+    assert not (tmp_path / "run").exists()  # the next try is not refused

@@ -1,7 +1,8 @@
-"""What a jail is; tests/jails runs programs in one."""
+"""The settings of a jail; tests/jails runs programs in one."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -16,19 +17,44 @@ PLACE = Place(Path("/run/1000/easy-alice-0"), "easy/alice/0", Path("log"), "spri
 
 def test_every_door_is_shut() -> None:
     made = jail(Limits(memory=2**30, cpus=1.5, pids=100, tmp=2**20, shm=2**21), PLACE, "1000:1000")
-    assert made["network_mode"] == "none"
-    assert made["volumes"] == {"/run/1000/easy-alice-0": {"bind": "/run/glue", "mode": "ro"}}
-    assert made["environment"] == {"GLUE_HUB": "ipc:///run/glue/hub", "GLUE_SESSION": "easy/alice/0"}
-    assert made["user"] == "1000:1000"
-    assert made["init"] is made["read_only"] is True
-    assert made["cap_drop"] == ["ALL"]
-    assert made["security_opt"] == ["no-new-privileges"]
-    assert made["mem_limit"] == made["memswap_limit"] == 2**30
-    assert made["nano_cpus"] == 1_500_000_000
-    assert made["pids_limit"] == 100
-    assert made["shm_size"] == 2**21
-    assert made["tmpfs"] == {"/tmp": "size=1048576,mode=1777,nosuid,nodev,noexec"}
-    assert made["labels"] == {"glue.competition": "spring"}
+    assert made["Env"] == ["GLUE_HUB=ipc:///run/glue/hub", "GLUE_SESSION=easy/alice/0"]
+    assert made["User"] == "1000:1000"
+    assert made["Labels"] == {"glue.competition": "spring"}
+    host = made["HostConfig"]
+    assert host["NetworkMode"] == "none"
+    (mount,) = host["Mounts"]
+    assert (mount["Source"], mount["Target"]) == ("/run/1000/easy-alice-0", "/run/glue")
+    assert mount["ReadOnly"] is host["Init"] is host["ReadonlyRootfs"] is True
+    assert host["CapDrop"] == ["ALL"]
+    assert host["Memory"] == host["MemorySwap"] == 2**30
+    assert host["NanoCpus"] == 1_500_000_000
+    assert host["PidsLimit"] == 100
+    assert host["ShmSize"] == 2**21
+    assert host["Tmpfs"] == {"/tmp": "size=1048576,mode=1777,nosuid,nodev,noexec"}
+    assert host["SecurityOpt"][0] == "no-new-privileges"
+
+
+def test_the_seccomp_profile_is_text_for_docker_and_a_path_for_podman() -> None:
+    docker, podman = (
+        jail(Limits(), PLACE, "1000:1000", podman)["HostConfig"]["SecurityOpt"][1].removeprefix("seccomp=")
+        for podman in (False, True)
+    )
+    assert docker == Path(podman).read_text()
+    rules = json.loads(docker)["syscalls"]
+    allowed = {name for rule in rules if rule["action"] == "SCMP_ACT_ALLOW" for name in rule["names"]}
+    assert {"read", "mmap", "execve", "recvmsg"} <= allowed
+    families = [rule["args"][0]["value"] for rule in rules if "socket" in rule["names"]]
+    assert families == [1, 2, 10, 16]
+    assert not allowed & {
+        "socketcall",
+        "io_uring_setup",
+        "ptrace",
+        "unshare",
+        "setns",
+        "mount",
+        "bpf",
+        "keyctl",
+    }
 
 
 @pytest.mark.parametrize(

@@ -22,8 +22,8 @@ from experiment_runner.competition.secret import trials
 from experiment_runner.competition.settings import Entrant, Gate
 from glue.client.libzmq import new_pair
 from glue.client.players import serve_agent
-from glue.core.config import TimeLimits
 from glue.errors import GlueError
+from glue.hub.config import TimeLimits
 from glue.keys.certificates import write_pair
 from tests import forked
 from tests.experiment_runner.competition.players import SECRET, Walker, competition

@@ -20,7 +20,7 @@ KILLS = int(os.environ.get("GLUE_KILLS", "2"))
 
 TRIALS, LONGEST_LIFE = (1, 2.0) if KILLS <= 2 else (2, 3.0)
 
-COMPETE = [sys.executable, "-m", "experiment_runner.competition.command"]
+COMPETE = [sys.executable, "-m", "experiment_runner.cli.compete"]
 
 FILE = f"""\
 name = "spring"
@@ -77,7 +77,7 @@ def test_an_organiser_that_is_killed_comes_to_the_same_standings(tmp_path: Path)
 
 
 def run_of(kill: int) -> str:
-    """Return which of the runs is killed: a few kills each, at its beginning, its middle and its end."""
+    """Return the number of the run to be killed: a few kills for each, early, midway and late."""
     return f"killed-{kill // 5}"
 
 

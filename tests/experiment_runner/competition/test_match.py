@@ -9,15 +9,15 @@ from typing import Any
 import pytest
 
 from experiment_runner.competition.match import Forfeited, Played, starter_for
-from experiment_runner.competition.records.record import End, header, read_parts
 from experiment_runner.competition.secret import agent_seed, draw, trials
 from experiment_runner.competition.settings import Entrant
 from experiment_runner.executors.job import Ended, Recorded
-from glue.core.config import TimeLimits
-from glue.core.engine import role_seed
+from glue.engine.engine import role_seed
 from glue.errors import ConfigError
-from glue.protocol.messages import Role
+from glue.hub.config import TimeLimits
+from glue.trajectory import Ending, Episode, TrajectoryReader
 from glue.types import Action, Observation
+from glue.wire.messages import Role
 from tests.experiment_runner.competition.players import SECRET, InThread, Walker, competition, reports_of
 
 
@@ -28,22 +28,22 @@ def forfeit(reports: list[Any]) -> str:
     return str(reports[-2].reason)
 
 
-def parts(reports: list[Any], folder: Path) -> list[Any]:
-    path = folder / "record"
-    frames = [report.frame for report in reports if isinstance(report, Played)]
-    path.write_bytes(header("alice/walk/0") + b"".join(frames))
-    return list(read_parts(path, "alice/walk/0"))
+def episodes(reports: list[Any], folder: Path) -> list[Episode]:
+    """Return the episodes of the record that a match has sent."""
+    path = folder / "record.traj"
+    path.write_bytes(b"".join(report.piece for report in reports if isinstance(report, Played)))
+    return list(TrajectoryReader(path))
 
 
 def test_a_task_of_steps_is_played_to_its_last_step(tmp_path: Path) -> None:
     reports = reports_of(Walker(), tmp_path, steps=40)
     assert reports[-1] == Ended(None)
     assert not any(isinstance(report, Forfeited) for report in reports)
-    recorded = parts(reports, tmp_path)
-    assert sum(len(part.choices) for part in recorded) == 40
+    recorded = episodes(reports, tmp_path)
+    assert sum(len(episode.steps) for episode in recorded) == 40
     returns = [report.result.episode_return for report in reports if isinstance(report, Recorded)]
-    assert [float(part.rewards.sum()) for part in recorded] == returns
-    assert {part.end for part in recorded[:-1]} <= {End.TERMINAL}
+    assert [episode.episode_return for episode in recorded] == returns
+    assert {episode.ending for episode in recorded[:-1]} <= {Ending.TERMINAL}
 
 
 def test_the_agents_seed_says_nothing_of_the_environments(tmp_path: Path) -> None:
@@ -57,7 +57,9 @@ def test_the_agents_seed_says_nothing_of_the_environments(tmp_path: Path) -> Non
 
 def test_every_entrant_meets_the_same_level_and_another_in_each_trial() -> None:
     specs = trials(competition("alice", "bob", trials=2, env="mario"), SECRET)
-    levels = {spec.id: spec.environment.options["level_seed"] for spec in specs if spec.environment}
+    levels: dict[str, object] = {
+        spec.id: spec.environment.options["level_seed"] for spec in specs if spec.environment
+    }
     assert levels["alice/walk/0"] == levels["bob/walk/0"]
     assert levels["alice/walk/0"] != levels["alice/walk/1"]
     assert trials(competition("alice", "bob", trials=2, env="mario"), SECRET + b"!") != specs
@@ -93,7 +95,7 @@ def test_a_bank_that_is_drained_slowly_ends_the_task(tmp_path: Path) -> None:
     reports = reports_of(thinker, tmp_path, clock, limits=LIMITS)
     assert "bank of 5 s is empty" in forfeit(reports)
     assert clock.now == 11 * 1.5  # ten half seconds are the bank, and the eleventh is one too many
-    assert parts(reports, tmp_path)[-1].end is End.FORFEIT
+    assert episodes(reports, tmp_path)[-1].ending is Ending.VOID
 
 
 def test_a_fast_answer_drains_nothing(tmp_path: Path) -> None:
@@ -143,7 +145,7 @@ def test_what_an_agent_does_wrong_is_the_reason_in_one_line(agent: Walker, why: 
 def test_one_who_never_connects_forfeits(tmp_path: Path) -> None:
     reports = reports_of(None, tmp_path, limits=TimeLimits(start_seconds=0.2))
     assert "did not connect within 0.2 s" in forfeit(reports)
-    assert not any(isinstance(report, Played) for report in reports)
+    assert episodes(reports, tmp_path) == []
 
 
 def test_an_environment_that_fails_is_not_the_entrants_fault(tmp_path: Path) -> None:

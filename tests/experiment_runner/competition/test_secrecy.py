@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import struct
 import threading
 from collections.abc import Iterator
@@ -10,7 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 import pytest
-import zmq
 
 from env_server.toys import MinesEnvironment
 from experiment_runner.competition.match import Forfeited
@@ -18,13 +16,14 @@ from experiment_runner.competition.secret import trials
 from experiment_runner.competition.settings import Entrant, Limits
 from experiment_runner.competition.starting import Place, variables
 from experiment_runner.executors.job import Ended
-from glue.core.config import TimeLimits
-from glue.core.engine import role_seed
+from glue.engine.engine import role_seed
+from glue.hub.config import TimeLimits
 from glue.options import Option
-from glue.protocol.messages import CALLS, PROTOCOL_VERSION, Body, Kind, Message, Role
-from glue.protocol.wire import FROM_HUB, TO_HUB, decode, encode
-from glue.types import Action, Observation
+from glue.types import Action, Observation, Step
+from glue.wire.codec import FROM_HUB, TO_HUB, decode
+from glue.wire.messages import CALLS, Body, Kind, Role
 from tests.experiment_runner.competition.players import SECRET, competition, reports_of
+from tests.scripted.peer import ScriptedPeer, hello_scalars
 
 CANARY = "sings in the mine"
 
@@ -32,7 +31,7 @@ ASKED = {
     *(Kind.AGENT_SEED, Kind.AGENT_INIT, Kind.AGENT_START, Kind.AGENT_STEP, Kind.AGENT_END),
     Kind.AGENT_CLEANUP,
 }
-"""What an agent is asked in a competition: no message, and no save."""
+"""Calls of an agent in a competition: no message, and no save."""
 
 TO_KEEP_UP = {Kind.WELCOME, Kind.HEARTBEAT, Kind.GOODBYE}
 
@@ -62,7 +61,7 @@ class Listening(MinesEnvironment):
         self.heard.append("start")
         return super().env_start()
 
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+    def env_step(self, action: Action) -> Step:
         self.heard.append("step")
         assert (len(action.ints), len(action.doubles), bytes(action.chars)) == (1, 0, b"")
         return super().env_step(action)
@@ -100,36 +99,34 @@ class RawAgent:
         return _Running(self, place)
 
     def serve(self, place: Place, over: threading.Event) -> None:
-        with zmq.Context() as context, context.socket(zmq.DEALER) as socket:
-            socket.linger = 0
-            socket.connect(place.hub)
-            hello = ((PROTOCOL_VERSION,), "agent", os.urandom(16), CANARY, CANARY, ("seed", "save"))
-            socket.send_multipart(encode(Message(Kind.HELLO, place.session, 0, hello), TO_HUB))
+        with ScriptedPeer(place.hub, session=place.session).greet() as peer:
+            peer.say(Kind.HELLO, 0, *hello_scalars("agent", CANARY, ("seed", "save")))
             while not over.is_set():
-                if socket.poll(50):
-                    self._take(socket, socket.recv_multipart(), place)
+                if peer.can_read(0.05):
+                    self._take(peer)
 
-    def _take(self, socket: Any, frames: list[bytes], place: Place) -> None:
+    def _take(self, peer: ScriptedPeer) -> None:
+        frames = peer.receive_frames()
         self.received += frames
         kind, session, seq, _, _ = decode(frames, FROM_HUB)
         self.kinds.add(kind)
         if kind not in CALLS:
             return
         if kind is Kind.AGENT_STEP and self.smuggled is not None:
-            socket.send_multipart(self._smuggle(self.smuggled, place))
+            self._smuggle(self.smuggled, peer)
             self.smuggled = None
         acts = CALLS[kind].reply.body is Body.ACTION
         body = self.action.body if acts else b""
-        socket.send_multipart(encode(Message(kind, session, seq, (), body), TO_HUB))
+        peer.say(kind, seq, body=body, session=session)
 
     @staticmethod
-    def _smuggle(kind: Kind, place: Place) -> tuple[bytes, ...]:
-        """A message that is well formed, but not for its sender."""
+    def _smuggle(kind: Kind, peer: ScriptedPeer) -> None:
+        """Send a message that is well formed, but not for its sender."""
         scalars: dict[type, Any] = {int: 1, float: 1.0, bool: True, str: CANARY, bytes: CANARY.encode()}
         shape = TO_HUB[kind]
         values = tuple(scalars.get(scalar.type, ()) for scalar in shape.scalars)
         body = Action(chars=CANARY.encode()).body if shape.body is Body.ACTION else CANARY.encode()
-        return encode(Message(kind, place.session, 1, values, body if shape.body else b""), TO_HUB)
+        peer.say(kind, 1, *values, body=body if shape.body else b"")
 
 
 class _Running:

@@ -1,4 +1,4 @@
-"""Where the secret seed is read from."""
+"""The sources of the secret seed."""
 
 from __future__ import annotations
 
@@ -17,5 +17,5 @@ def test_a_secret_that_other_users_can_read_is_warned_of(tmp_path: Path, mode: i
     file.write_text("hush\n")
     file.chmod(mode)
     warnings: list[str] = []
-    assert read_secret(replace(competition("alice"), seed_file=file), warnings.append) == b"hush"
+    assert read_secret(replace(competition("alice"), seed_file=file), {}, warnings.append) == b"hush"
     assert [f"chmod 600 {file}" in line for line in warnings] == [True] * warned

@@ -5,32 +5,21 @@ from __future__ import annotations
 import os
 
 from glue import serve_agent
+from glue.roles import Agent
 from glue.types import Action, Observation
 
 
-class Honest:
+class Honest(Agent):
     """Walks among the mines: in a direction that it keeps for three steps."""
 
     def __init__(self) -> None:
         self.steps = 0
-
-    def agent_init(self, task_spec: str) -> None:
-        pass
 
     def agent_start(self, observation: Observation) -> Action:
         return self.act()
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
         return self.act()
-
-    def agent_end(self, reward: float) -> None:
-        pass
-
-    def agent_cleanup(self) -> None:
-        pass
-
-    def agent_message(self, message: str) -> str:
-        return ""
 
     def act(self) -> Action:
         self.steps += 1

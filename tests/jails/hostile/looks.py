@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
+import mmap
 import os
+import platform
 import socket
 import sys
 from collections.abc import Callable, Iterator
@@ -20,6 +23,14 @@ _HOSTS = (
     "1.1.1.1",
 )
 _PORTS = (22, 53, 80, 443, 2375, 4096, 4097)
+_FAMILIES = 64
+"""Linux has 46 address families, from AF_UNSPEC to AF_MCTP."""
+
+_IO_URING_SETUP = 425
+
+_LOAD = ("loadavg", "stat", "meminfo", "vmstat", "uptime", "schedstat", "pressure/cpu", "interrupts")
+"""Files of /proc that tell how busy the whole machine is."""
+
 _SKIPPED = ("/proc", "/sys", "/usr", "/opt", "/lib", "/bin", "/sbin", "/etc/ssl", "/var/lib/dpkg")
 """Trees of the image and of the kernel, which hold nothing of the organiser's; a part of /proc is read."""
 
@@ -39,15 +50,38 @@ def reached() -> Iterator[str]:
             udp.sendto(b"x", (host, 53))
             if not host.startswith("127."):
                 yield f"udp {host}"
-    for kind in ("AF_PACKET", "AF_NETLINK"):
-        with suppress(OSError), socket.socket(getattr(socket, kind), socket.SOCK_RAW):
-            if kind == "AF_PACKET":
-                yield f"a socket of {kind}"
+    for family in set(range(_FAMILIES)) - {socket.AF_UNIX, socket.AF_INET, socket.AF_INET6}:
+        for kind in range(1, 11):
+            # Protocol 0 of AF_NETLINK lists interfaces, of which there is one.
+            for protocol in range(family == socket.AF_NETLINK, 30):
+                with suppress(OSError), socket.socket(family, kind, protocol):
+                    yield f"a socket of family {family}, type {kind}, protocol {protocol}"
+    if (number := io_uring()) >= 0:
+        yield f"a ring of system calls, {number}"
+    if platform.machine() == "x86_64" and (number := socket_of_32_bits()) >= 0:
+        yield f"a socket of AF_VSOCK by a system call of 32 bits, {number}"
     for name in Path("/proc/net/unix").read_text().split():
         if name.startswith("@"):
             yield f"abstract socket {name}"
     with suppress(OSError):
         yield f"example.org is {socket.gethostbyname('example.org')}"
+
+
+def io_uring() -> int:
+    """Return the descriptor of a ring, in which the kernel makes sockets that no filter sees; -1 without."""
+    return int(ctypes.CDLL(None).syscall(_IO_URING_SETUP, 1, ctypes.create_string_buffer(120)))
+
+
+def socket_of_32_bits() -> int:
+    """Return 0 if the system calls of a 32-bit program make a socket of AF_VSOCK; -1 if they are refused."""
+    code = bytes.fromhex("53 b867010000 bb28000000 b901000000 31d2 cd80 5b c3")
+    memory = mmap.mmap(-1, mmap.PAGESIZE, prot=mmap.PROT_READ | mmap.PROT_WRITE | mmap.PROT_EXEC)
+    memory.write(code)
+    call = ctypes.CFUNCTYPE(ctypes.c_int)(ctypes.addressof(ctypes.c_char.from_buffer(memory)))
+    child = os.fork()  # which a filter may kill
+    if not child:
+        os._exit(0 if call() >= 0 else 1)
+    return -1 if os.waitpid(child, 0)[1] else 0
 
 
 def files() -> Iterator[Path]:
@@ -60,7 +94,11 @@ def files() -> Iterator[Path]:
 
 
 def found() -> Iterator[str]:
-    """Yield sockets, devices that can be opened, and the beginnings of files."""
+    """Yield the machine's load, sockets, devices that can be opened, and the beginnings of files."""
+    for name in _LOAD:
+        with suppress(OSError):
+            if text := Path("/proc", name).read_text():
+                yield f"load {name}: {text[:80]!r}"
     for path in files():
         with suppress(OSError):
             if path.is_socket():

@@ -18,7 +18,7 @@ _SECONDS = 5.0
 
 
 def poses(hub: str, own: str) -> dict[str, Callable[[], object]]:
-    """Return what is tried, by name."""
+    """Return the attempts, by name."""
     others = [own.replace(part, other) for part in own.split("/") for other in ("honest", "0", "1")]
     tried: dict[str, Callable[[], object]] = {
         "environment": lambda: serve_environment(SkeletonEnvironment(), hub, own, wait=_SECONDS),

@@ -1,0 +1,160 @@
+"""The seal of a competition: digests of everything that its board shows, in the run's file `seal.json`.
+
+`played` covers the competition's file, the trials and their outcomes, and is renewed with each outcome;
+`verified` covers each verdict and the episodes behind it. An edit of the directory breaks the seal. Whoever
+may write to the directory can also make a new seal: only a signature shows others who has made it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+from experiment_runner.store.database import KEPT, reported
+from experiment_runner.store.layout import ABOUT_FILE, COMPETITION_FILE, SEAL_FILE, replace_flushed
+from experiment_runner.store.records import Outcome, Verdict
+from experiment_runner.store.results import Results
+from experiment_runner.store.store import Store
+from glue.errors import ExperimentError
+
+__all__ = ["broken", "record_outcome", "record_verdict", "seal", "sign", "signed_message"]
+
+_MOST_BYTES: Final = 2**24
+_TRIES: Final = 3
+_FILES: Final = (COMPETITION_FILE, ABOUT_FILE)
+
+
+def seal(store: Store) -> bool:
+    """Seal a competition as it is, if it has no seal yet; return whether it had one."""
+    sealed = (store.directory / SEAL_FILE).exists()
+    if not sealed:
+        verified = {name: [_verified(store, name, verdict)] for name, verdict in store.verdicts().items()}
+        _write(store.directory, {"played": [_played(store, {})], "verified": verified})
+    return sealed
+
+
+def record_outcome(store: Store, trial_id: str, outcome: Outcome) -> None:
+    """Store how a trial ended, and renew the seal.
+
+    The new digest is written before the outcome, and the old one is kept with it: a process that is killed
+    between the two leaves a seal that fits.
+    """
+    found = _read(store.directory)
+    found["played"] = [_played(store, {}), _played(store, {trial_id: outcome})]
+    _write(store.directory, found)
+    store.record_outcome(trial_id, outcome)
+
+
+def record_verdict(store: Store, trial_id: str, verdict: Verdict) -> None:
+    """Store the result of replaying a trial, and renew the seal in the same way."""
+    found = _read(store.directory)
+    digests = [_verified(store, trial_id, one) for one in (store.verdicts().get(trial_id), verdict) if one]
+    if found["verified"].get(trial_id, [])[-1:] != digests[-1:]:
+        found["verified"][trial_id] = digests
+        _write(store.directory, found)
+    store.record_verdict(trial_id, verdict)
+
+
+def sign(directory: Path, key: str, signed: Callable[[bytes], bytes]) -> None:
+    """Sign the seal of a competition.
+
+    Args:
+        directory: of the run.
+        key: the public key, for people.
+        signed: returns the signature of a message.
+    """
+    found = _read(directory)
+    _write(directory, found | {"key": key, "signature": signed(_message(found)).hex()})
+
+
+def broken(results: Results) -> str:
+    """Name the part that was changed since it was sealed; empty if nothing was, or there is no seal.
+
+    Raises:
+        ExperimentError: the seal cannot be read.
+    """
+    directory = results.directory
+    if not (directory / SEAL_FILE).exists():  # of version 0.1.0
+        return ""
+    verdicts = results.verdicts()
+    # Of a competition that is being held, an outcome may have come between the database and the seal.
+    for found in (_read(directory) for _ in range(_TRIES)):
+        if _played(results, {}) in found["played"]:
+            break
+    else:
+        return f"{COMPETITION_FILE}, {ABOUT_FILE}, the trials or their outcomes"
+    for name, verdict in verdicts.items():
+        if _verified(results, name, verdict) not in found["verified"].get(name, ()):
+            return f"the verdict or the episodes of {name}"
+    return ""
+
+
+def signed_message(directory: Path) -> tuple[bytes, bytes]:
+    """Return the message that a seal is signed for, and the signature.
+
+    Raises:
+        ExperimentError: the seal cannot be read, or has no signature.
+    """
+    found = _read(directory)
+    try:
+        return _message(found), bytes.fromhex(found["signature"])
+    except (KeyError, TypeError, ValueError):
+        raise ExperimentError(f"{directory} is not signed: glue-compete verify can sign it") from None
+
+
+def _message(found: dict[str, Any]) -> bytes:
+    last = {name: digests[-1] for name, digests in found["verified"].items()}
+    return b"glue-compete seal 1\n" + _digest(found["played"][-1], last).encode()
+
+
+def _played(results: Results, new: dict[str, Outcome]) -> str:
+    outcomes = results.outcomes() | new
+    return _digest(
+        [hashlib.sha256(_content(results.directory / name)).hexdigest() for name in _FILES],
+        [asdict(record.spec) for record in results.trials()],
+        {name: [outcome.reason, outcome.digest.hex()] for name, outcome in outcomes.items()},
+    )
+
+
+def _verified(results: Results, name: str, verdict: Verdict) -> str:
+    episodes = results.episodes(name)
+    return _digest(
+        [verdict.digest.hex(), verdict.problem, repr(verdict.score)],
+        [[row.episode, repr(row.episode_return), row.steps, row.terminal] for row in episodes],
+    )
+
+
+def _digest(*parts: object) -> str:
+    whole = hashlib.sha256()
+    for chunk in json.JSONEncoder(sort_keys=True).iterencode(parts):
+        whole.update(chunk.encode())
+    return whole.hexdigest()
+
+
+def _content(path: Path) -> bytes:
+    with reported(f"cannot read {path}"):
+        return path.read_bytes()
+
+
+def _read(directory: Path) -> dict[str, Any]:
+    """Return the seal; its digests are lists, of which the newest is the last."""
+    path = directory / SEAL_FILE
+    try:
+        with path.open("rb") as file:
+            found = json.loads(file.read(_MOST_BYTES))
+        parts = [found["played"], *found["verified"].values()]
+        if all(
+            isinstance(part, list) and part and all(isinstance(one, str) for one in part) for part in parts
+        ):
+            return dict(found)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        pass
+    raise ExperimentError(f"{path} is not a seal: put the file back that glue-compete wrote")
+
+
+def _write(directory: Path, made: dict[str, Any]) -> None:
+    replace_flushed(directory / SEAL_FILE, json.dumps(made, indent=2) + "\n", KEPT)
