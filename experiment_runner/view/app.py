@@ -9,21 +9,18 @@ from typing import Final
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 from starlette.routing import BaseRoute, Route
 
 from experiment_runner.analysis.stats import has_scipy
 from experiment_runner.view import assets, episodes, stream
-from experiment_runner.view.catalog import Catalog
-from experiment_runner.view.curves import curves, wanted_by
-from experiment_runner.view.guard import Address, Guard
-from experiment_runner.view.kept import Kept
+from experiment_runner.view.catalog import NOTES_LIMIT, Catalog, Watcher, checked_notes, write_notes
+from experiment_runner.view.curves import curves, drawn, look_of, wanted_by
+from experiment_runner.view.guard import WRITABLE, Address, Guard
 from experiment_runner.view.live import Live
-from experiment_runner.view.reader import Reader
-from experiment_runner.view.standing import standings_of
+from experiment_runner.view.reader import Kept, Reader, json_response
 from experiment_runner.view.stream import Pulse
-from experiment_runner.view.summary import run_in_full
-from experiment_runner.view.watching import Watcher
+from experiment_runner.view.summary import run_in_full, standings_of
 from glue.errors import GlueError
 
 __all__ = ["page"]
@@ -51,7 +48,7 @@ def page(folders: Sequence[Path], address: Address, token: str, pulse: Pulse) ->
         *assets.routes(),
         *stream.routes(pulse, sources),
         *_run_routes(catalog, read),
-        *episodes.routes(catalog, Reader("recordings")),  # which can be long: nobody else waits for them
+        *episodes.routes(catalog, Reader("recordings")),  # a thread of their own, as they can be long
     ]
     handlers = {GlueError: _cannot_read, KeyError: _unknown, HTTPException: _refused}
     return Guard(Starlette(routes=routes, exception_handlers=handlers), address, token)
@@ -60,7 +57,7 @@ def page(folders: Sequence[Path], address: Address, token: str, pulse: Pulse) ->
 def _run_routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
     async def run(request: Request) -> Response:
         directory = catalog.entry(request.path_params["run"]).directory
-        return JSONResponse(await read(lambda: run_in_full(directory)))
+        return json_response(await read(lambda: run_in_full(directory)))
 
     async def curves_of(request: Request) -> Response:
         runs = request.query_params.getlist("run")
@@ -68,29 +65,44 @@ def _run_routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
             raise HTTPException(404, f"choose 1 to {_MOST_RUNS} runs")
         wanted = wanted_by([catalog.entry(run).directory for run in runs], request.query_params)
         signs = [catalog.signs(run) for run in runs]
-        return JSONResponse(await read(lambda: kept.get(wanted, signs, lambda: curves(wanted))))
+        look = look_of(request.query_params)
+        return json_response(
+            await read(lambda: drawn(kept.get(wanted, signs, lambda: curves(wanted)), wanted.over, look))
+        )
 
     async def board(request: Request) -> Response:
         run_id = request.path_params["run"]
         directory, signs = catalog.entry(run_id).directory, catalog.signs(run_id)
-        return JSONResponse(await read(lambda: kept.get(directory, signs, lambda: standings_of(directory))))
+        return json_response(await read(lambda: kept.get(directory, signs, lambda: standings_of(directory))))
+
+    async def notes(request: Request) -> Response:
+        directory = catalog.entry(request.path_params["run"]).directory
+        content = bytearray()
+        async for chunk in request.stream():
+            content += chunk
+            if len(content) > NOTES_LIMIT:
+                raise HTTPException(413, "the note is too long")
+        found = checked_notes(bytes(content))
+        await read(lambda: write_notes(directory, found))
+        return json_response(found)
 
     kept = Kept()
     return [
         Route("/api/run/{run}", run),
+        Route(WRITABLE + "{run}", notes, methods=["PUT"]),
         Route("/api/curves", curves_of),
         Route("/api/standings/{run}", board),
     ]
 
 
 async def _cannot_read(request: Request, error: Exception) -> Response:
-    return JSONResponse({"error": str(error)}, 422)
+    return json_response({"error": str(error)}, 422)
 
 
 async def _unknown(request: Request, error: Exception) -> Response:
-    return JSONResponse({"error": "there is no such run"}, 404)
+    return json_response({"error": "there is no such run"}, 404)
 
 
 async def _refused(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
-    return JSONResponse({"error": error.detail}, error.status_code)
+    return json_response({"error": error.detail}, error.status_code)

@@ -1,19 +1,28 @@
-"""The page's own files, and what games are drawn with, read once: no request leads to a path on the disk."""
+"""The page's own files, and the drawings of installed environments: no request leads to a path on the disk.
+
+A drawing is an entry point of the group `glue.drawings`: a table of files by name, with functions that return
+their contents. The page imports its `drawing.js`; docs/view.md describes what that exports.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Final
 
+from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 from starlette.routing import BaseRoute, Route
 
-from env_server.render.sheet import colors, places, sheet_png
-from env_server.toys import MINES_MAP
+from experiment_runner.view.reader import json_response
+from glue.errors import ConfigError, GlueError
 
 __all__ = ["routes"]
+
+Drawing = Mapping[str, Callable[[], bytes]]
+"""Functions that return the contents of a drawing's files, by name."""
 
 _FOLDER: Final = Path(__file__).with_name("static")
 _TYPES: Final[Mapping[str, str]] = {
@@ -27,30 +36,61 @@ _TYPES: Final[Mapping[str, str]] = {
 
 
 def routes() -> list[BaseRoute]:
-    """Return a route for each file of `static/`, for the page itself, and for `/api/artwork`.
+    """Return a route for each file of `static/`, for the page itself, and for the drawings.
 
-    The last is JSON: the places in the sprite sheet `/api/artwork.png`, colors, and the map of the mines.
+    `/api/drawings` lists the drawings as JSON: `name`, and `problem` if it cannot be loaded. Their files are
+    `/drawings/NAME/FILE`.
     """
     found = [path for path in sorted(_FOLDER.rglob("*")) if path.suffix in _TYPES]
-    return (
-        [Route("/", _serve(_FOLDER / "index.html"))]
-        + [Route(f"/static/{path.relative_to(_FOLDER).as_posix()}", _serve(path)) for path in found]
-        + [Route("/api/artwork", _artwork), Route("/api/artwork.png", _sheet)]
-    )
+    drawings, problems = _drawings()
+    listed = [{"name": name, "problem": problems.get(name)} for name in sorted(drawings | problems)]
+
+    async def listing(request: Request) -> Response:
+        return json_response(listed)
+
+    async def drawing(request: Request) -> Response:
+        name, file = request.path_params["name"], request.path_params["file"]
+        if file not in drawings.get(name, {}):
+            raise HTTPException(404, "there is no such drawing")
+        return _response(file, _content(name, drawings[name][file]))
+
+    return [
+        Route("/", _serve(_FOLDER / "index.html")),
+        *(Route(f"/static/{path.relative_to(_FOLDER).as_posix()}", _serve(path)) for path in found),
+        Route("/api/drawings", listing),
+        Route("/drawings/{name}/{file}", drawing),
+    ]
 
 
 def _serve(path: Path) -> object:
-    content, kind = path.read_bytes(), _TYPES[path.suffix]
+    content = path.read_bytes()
 
     async def endpoint(request: Request) -> Response:
-        return Response(content, media_type=kind)
+        return _response(path.name, content)
 
     return endpoint
 
 
-async def _artwork(request: Request) -> Response:
-    return JSONResponse({"places": places(), "colors": colors(), "mines": MINES_MAP})
+def _response(name: str, content: bytes) -> Response:
+    return Response(content, media_type=_TYPES.get(Path(name).suffix, "application/octet-stream"))
 
 
-async def _sheet(request: Request) -> Response:
-    return Response(sheet_png(), media_type="image/png")
+def _drawings() -> tuple[dict[str, Drawing], dict[str, str]]:
+    """Return the installed drawings, and why others cannot be loaded; both by name."""
+    drawings: dict[str, Drawing] = {}
+    problems: dict[str, str] = {}
+    for point in entry_points(group="glue.drawings"):
+        try:
+            drawings[point.name] = dict(point.load())
+        except Exception as error:  # of any kind: it is another package's module
+            problems[point.name] = f"{point.value}: {type(error).__name__}: {error}"
+    return drawings, problems
+
+
+def _content(name: str, read: Callable[[], bytes]) -> bytes:
+    try:
+        return bytes(read())
+    except GlueError:
+        raise
+    except Exception as error:
+        raise ConfigError(f"the drawing {name} failed: {type(error).__name__}: {error}") from error

@@ -1,30 +1,58 @@
-"""The runs that the page shows: which there are, and what each comes to in a few words."""
+"""The table of runs that the page shows: a summary, the note and the tags of each."""
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
+import json
+import math
 import os
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from experiment_runner.lock import lock_holder
-from experiment_runner.plan import REMOTE, RoleSpec
+from experiment_runner.plan.ids import REMOTE
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.report.overview import Overview, overview
 from experiment_runner.store.database import DATABASE_FILES
-from experiment_runner.store.joined import joined_players
-from experiment_runner.store.layout import COMPETITION_FILE, runs_under
+from experiment_runner.store.layout import COMPETITION_FILE, NOTES_FILE, replace_flushed, runs_under
+from experiment_runner.store.lock import lock_holder
+from experiment_runner.store.output import read_regular
 from experiment_runner.store.results import Results
+from experiment_runner.view.reader import Reader
+from experiment_runner.view.stream import Pulse, Topic
 from glue.errors import ExperimentError
 
-__all__ = ["Catalog", "Entry"]
+__all__ = [
+    "NOTES_LIMIT",
+    "Catalog",
+    "Entry",
+    "Watcher",
+    "checked_notes",
+    "read_notes",
+    "write_notes",
+]
 
 _ID_LETTERS: Final = 12
-_MOST_NAMES: Final = 20  # of agents, environments and seeds in a line
+_MOST_NAMES: Final = 20  # of agents, environments and values of an option in a line
+_MOST_OPTIONS: Final = 50  # that are listed
+_LAST: Final = 100  # episodes of a trial, of which the mean return is shown
+_MOST_TRIALS: Final = 500  # whose returns are read
+NOTES_LIMIT: Final = 16_384
+"""Bytes of a run's notes."""
+
+_MOST_TEXT: Final = 4000
+_MOST_TAGS: Final = 20
+_MOST_TAG: Final = 40
 _RATE_SECONDS: Final = 60.0  # over which the rate of a run is taken
 _LEAST_RATE_SECONDS: Final = 2.0
+
+
+_WATCH_SECONDS: Final = 1.0
+_REST: Final = 20  # seconds between looks for runs, for each second that a look takes
 
 
 class Entry(NamedTuple):
@@ -35,7 +63,7 @@ class Entry(NamedTuple):
 
 
 class Catalog:
-    """The table of runs. What a browser asks for is looked up here: no path is ever made of what it sends.
+    """The table of runs. Ids from a browser are looked up here: no path is ever made from a request.
 
     Args:
         folders: runs, and folders of runs, that are shown; one that does not exist yet may come to exist.
@@ -56,7 +84,7 @@ class Catalog:
         return self._entries[run_id]
 
     def signs(self, run_id: str) -> tuple[object, ...]:
-        """Return what is different when a run has changed.
+        """Return a value that differs when a run has changed.
 
         Raises:
             KeyError: there is no such run.
@@ -74,7 +102,7 @@ class Catalog:
         return entries
 
     def changes(self) -> dict[str, dict[str, Any] | None]:
-        """Look for runs; return what has changed since the last call: a summary each, None for one gone."""
+        """Look for runs; return a summary of each changed one since the last call, None for a removed one."""
         entries = self.find()
         changed: dict[str, dict[str, Any] | None] = {}
         for run_id in self._seen.keys() - entries.keys():
@@ -92,6 +120,7 @@ class Catalog:
         try:
             with Results.open(directory) as results:
                 summary = _summary(results)
+            summary |= read_notes(directory)
         except ExperimentError as error:
             return {"state": "damaged", "reason": _printable(str(error)), "path": str(directory)}
         if summary["state"] == "running":
@@ -102,6 +131,50 @@ class Catalog:
         else:
             self._rates.pop(run_id, None)
         return summary
+
+
+class Watcher:
+    """Keeps the topic `runs` up to date, as long as at least one page listens to it."""
+
+    def __init__(self, catalog: Catalog, pulse: Pulse) -> None:
+        self._catalog = catalog
+        self._topic = Topic(pulse)
+        self._read = Reader("watcher")
+        self._listeners = 0
+        self._task: asyncio.Task[None] | None = None
+
+    @asynccontextmanager
+    async def open(self, argument: str) -> AsyncIterator[Topic]:
+        """Yield the topic; see `experiment_runner.view.stream.Source`."""
+        if argument:
+            raise KeyError(argument)
+        self._listeners += 1
+        try:
+            if self._task is None:
+                await self._look()
+                self._task = asyncio.create_task(self._watch())
+            yield self._topic
+        finally:
+            self._listeners -= 1
+            if not self._listeners and self._task is not None:
+                self._task.cancel()
+                self._task = None
+
+    async def _watch(self) -> None:
+        while True:
+            began = time.monotonic()
+            await self._look()
+            took = time.monotonic() - began
+            await asyncio.sleep(max(_WATCH_SECONDS, _REST * took))
+
+    async def _look(self) -> None:
+        # The catalog names a change once: it must not be lost when the last page goes away meanwhile.
+        await asyncio.shield(asyncio.create_task(self._take_changes()))
+
+    async def _take_changes(self) -> None:
+        changes = await self._read(self._catalog.changes)
+        for run_id, summary in changes.items():
+            self._topic.put(run_id, summary)
 
 
 class _Rate:
@@ -123,7 +196,7 @@ class _Rate:
 
 
 def _summary(results: Results) -> dict[str, Any]:
-    joined = joined_players(results)
+    joined = results.joined_players()
     specs = [trial.spec for trial in results.trials()]
     agents = [_label(spec.agent, joined.get((spec.id, "agent"))) for spec in specs]
     environments = [_label(spec.environment, joined.get((spec.id, "environment"))) for spec in specs]
@@ -137,12 +210,72 @@ def _summary(results: Results) -> dict[str, Any]:
     }
     if found["competition"]:
         return found | _competition(results, run)
-    done, planned = run.episodes
-    return found | {"done": done, "planned": planned, "seeds": _some([str(spec.seed) for spec in specs])}
+    done, planned = run.steps if run.steps[1] else run.episodes
+    numbers = {"returns": _returns(results, specs), "options": _options(specs)}
+    return found | {"done": done, "planned": planned, **numbers}
+
+
+def _returns(results: Results, specs: Sequence[TrialSpec]) -> list[float]:
+    """Return the mean return of each setting: of the last episodes of its trials so far."""
+    found: dict[str, list[float]] = {}
+    for spec in specs[:_MOST_TRIALS]:
+        last = results.totals(spec.id, _LAST)
+        if last.episodes and math.isfinite(last.sum_of_returns):
+            found.setdefault(repr((spec.agent, spec.environment)), []).append(
+                last.sum_of_returns / last.episodes
+            )
+    return [sum(means) / len(means) for means in found.values()][:_MOST_NAMES]
+
+
+def _options(specs: Sequence[TrialSpec]) -> dict[str, list[str]]:
+    """Return the values of each option that a setting of the run has, of agents and environments."""
+    found: dict[str, dict[str, None]] = {}
+    for spec in specs:
+        for role in (spec.environment, spec.agent):
+            for name, value in (role.options if role is not None else {}).items():
+                if name in found or len(found) < _MOST_OPTIONS:
+                    found.setdefault(name, {})[str(value)] = None
+    return {_printable(name): _some(list(values)) for name, values in found.items()}
+
+
+def read_notes(directory: Path) -> dict[str, Any]:
+    """Return a run's `note` and `tags`, which may come from anyone: within limits, or empty."""
+    try:
+        return checked_notes(read_regular(directory / NOTES_FILE, NOTES_LIMIT))
+    except ExperimentError:
+        return {"note": "", "tags": []}
+
+
+def checked_notes(content: bytes) -> dict[str, Any]:
+    """Return a note and tags from JSON.
+
+    Raises:
+        ExperimentError: it has another form, or is too long.
+    """
+    try:
+        found = json.loads(content)
+        note, tags = _printable(found["note"]), [_printable(tag.strip()) for tag in found["tags"]]
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        raise ExperimentError('notes are JSON: {"note": "text", "tags": ["word"]}') from None
+    tags = [tag for tag in dict.fromkeys(tags) if tag]
+    if len(note) > _MOST_TEXT or len(tags) > _MOST_TAGS or any(len(tag) > _MOST_TAG for tag in tags):
+        raise ExperimentError(
+            f"a note has at most {_MOST_TEXT} characters, and a run {_MOST_TAGS} tags of {_MOST_TAG}"
+        )
+    return {"note": note, "tags": tags}
+
+
+def write_notes(directory: Path, notes: dict[str, Any]) -> None:
+    """Store a run's note and tags, in its file `notes.json`.
+
+    Raises:
+        ExperimentError: the file cannot be written.
+    """
+    replace_flushed(directory / NOTES_FILE, json.dumps(notes) + "\n")
 
 
 def _competition(results: Results, run: Overview) -> dict[str, Any]:
-    """Return what is different for a competition: its trials count, and its seeds are secret."""
+    """Return the fields that a competition replaces: it counts trials, not episodes."""
     verdicts = [verdict.problem for verdict in results.verdicts().values()]
     over, trials = len(results.outcomes()), run.trials[1]
     return {
@@ -166,8 +299,9 @@ def _some(names: Sequence[str]) -> list[str]:
 
 
 def _signs(directory: Path) -> tuple[object, ...]:
-    """Return what is different when a run has changed, at the price of a few system calls."""
-    return (lock_holder(directory), *(_version(directory / name) for name in DATABASE_FILES[:2]))
+    """Return a value that differs when a run has changed, at the price of a few system calls."""
+    names = (*DATABASE_FILES[:2], NOTES_FILE)
+    return (lock_holder(directory), *(_version(directory / name) for name in names))
 
 
 def _version(path: Path) -> tuple[int, int] | None:
@@ -183,5 +317,5 @@ def _id(directory: Path) -> str:
 
 
 def _printable(text: str) -> str:
-    """Return a text that can be encoded: a file name may hold any bytes."""
+    """Replace the characters of a text that cannot be encoded: a file name may hold any bytes."""
     return text.encode("utf-8", "replace").decode("utf-8")

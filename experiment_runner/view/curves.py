@@ -1,4 +1,4 @@
-"""Learning curves as JSON: the numbers of `glue-plot` and `glue-results`, reduced to what can be seen."""
+"""Learning curves as JSON: the numbers of `glue-plot` and `glue-results`, thinned out, and their drawing."""
 
 from __future__ import annotations
 
@@ -9,62 +9,132 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from experiment_runner.analysis.curves import Curve, over_episodes, over_steps
+from experiment_runner.analysis.curves import Curve, of_metric, over_episodes, over_steps
 from experiment_runner.analysis.settings import Setting, collect
 from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
+from experiment_runner.report import svg
 from experiment_runner.report.overview import setting_numbers
-from experiment_runner.report.plots import fitting_window
+from experiment_runner.report.plots import fitting_window, step_window
 from experiment_runner.store.output import finite
+from experiment_runner.store.records import MEASURES
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
+from glue.suggestions import did_you_mean
 
-__all__ = ["Wanted", "curves", "wanted_by"]
+__all__ = ["Wanted", "curves", "drawn", "look_of", "wanted_by"]
 
-_WIDEST: Final = 1_000_000
+_HEIGHT: Final = 420  # of a drawing, in pixels
+_WIDEST: Final = 1_000_000_000
 _MOST_NUMBERS: Final = 8000  # of the single trials of a curve, at some 20 bytes each
 
 
 class Wanted(NamedTuple):
-    """What a page asks for.
+    """The curves that a page requests.
 
     directories  of the runs that are compared
-    window       episodes in the running mean; at most a tenth of the longest curve is used
+    window       episodes or steps in the running mean; at most a tenth of the longest curve is used; 0 for
+                 the default, 100 episodes or a fiftieth of the steps
     over         `episodes` or `steps`
     span         the part that is looked at, in what `over` says
+    measure      name of one of `MEASURES`, or of a metric of the agents, which is always over steps
     """
 
     directories: tuple[Path, ...]
     window: int
     over: str
     span: tuple[float, float]
+    measure: str = "return"
+
+
+class Look(NamedTuple):
+    """The width of a drawing in pixels, and whether each axis is logarithmic."""
+
+    width: int
+    log: tuple[bool, bool]
 
 
 def curves(wanted: Wanted) -> dict[str, Any]:
-    """Return the curves of some runs, and the table beside them.
+    """Return the curves of some runs, and their table.
 
     Raises:
         ExperimentError: a run cannot be read, two have a trial in common, or SciPy is not installed.
     """
     with ExitStack() as stack:
-        settings = collect([stack.enter_context(Results.open(path)) for path in wanted.directories])
+        runs = [stack.enter_context(Results.open(path)) for path in wanted.directories]
+        names = list(dict.fromkeys(name for run in runs for name in run.metric_names()))
+        if wanted.measure not in (known := [*MEASURES, *names]):
+            raise ExperimentError(
+                f"there is no measure {wanted.measure!r}{did_you_mean(wanted.measure, known)}"
+            )
+        is_metric = wanted.measure in names
+        settings = collect(
+            runs, "return" if is_metric else wanted.measure, wanted.measure if is_metric else ""
+        )
+        returns = settings if wanted.measure == "return" else collect(runs)
     begun = [setting for setting in settings if setting.curves().size]
-    table = [{key: finite(value) for key, value in row.items()} for row in setting_numbers(settings)]
+    table = [{key: finite(value) for key, value in row.items()} for row in setting_numbers(returns)]
+    shown = {"measure": wanted.measure, "measures": known}
     if not begun:
-        return {"window": wanted.window, "curves": [], "settings": table}
-    window = fitting_window(wanted.window, {setting.label: setting.curves() for setting in begun})
+        return {"window": wanted.window, "curves": [], "settings": table, **shown}
+    window = _window(wanted, begun)
     rng = bootstrap_rng()  # one for all, as glue-plot draws them
     drawn = [(setting, _curve(setting, window, wanted, rng)) for setting in begun]
     return {
         "window": window,
         "curves": [_as_json(setting.label, curve) for setting, curve in drawn if curve is not None],
         "settings": table,
+        **shown,
     }
 
 
+def drawn(found: dict[str, Any], over: str, look: Look) -> dict[str, Any]:
+    """Return curves with their drawing, and a sample of each line for the legend.
+
+    Args:
+        found: the result of `curves`.
+        over: `episodes` or `steps`.
+        look: the size and scales of the drawing.
+    """
+    shown = [curve for curve in found["curves"] if curve["at"]]
+    lines = [svg.Line(*(curve[name] for name in svg.Line._fields)) for curve in shown]
+    measure = MEASURES.get(found["measure"])
+    axes = (over[:-1], measure.label) if measure else ("step", found["measure"])
+    return {
+        **found,
+        "drawing": svg.draw(lines, axes, (look.width, _HEIGHT), look.log) if lines else None,
+        "curves": [
+            {name: value for name, value in curve.items() if name not in ("single_at", "singles")}
+            | {"sample": svg.sample(number)}
+            for number, curve in enumerate(shown)
+        ],
+    }
+
+
+def look_of(query: Any) -> Look:
+    """Return the drawing's size and scales from a query: `width`, and `log` with the axes x and y.
+
+    Raises:
+        ExperimentError: the width is no number.
+    """
+    try:
+        width = int(query.get("width", "800"))
+    except ValueError:
+        raise ExperimentError("the width is a number of pixels") from None
+    return Look(min(max(width, 280), 2000), ("x" in query.getlist("log"), "y" in query.getlist("log")))
+
+
 def _curve(setting: Setting, window: int, wanted: Wanted, rng: np.random.Generator) -> Curve | None:
+    if setting.metrics:
+        return of_metric([(metric.steps, metric.values) for metric in setting.metrics], rng, wanted.span)
     if wanted.over == "episodes":
         return over_episodes(setting.curves(), window, rng, wanted.span)
-    return over_steps(setting.curves(), setting.curve_steps(), window, rng, wanted.span)
+    return over_steps(setting.step_totals(), window, rng, wanted.span)
+
+
+def _window(wanted: Wanted, begun: Sequence[Setting]) -> int:
+    if wanted.over == "episodes":
+        return fitting_window(wanted.window or 100, [setting.curves().shape[1] for setting in begun])
+    return step_window(wanted.window, [setting.step_totals() for setting in begun])
 
 
 def _as_json(label: str, curve: Curve) -> dict[str, Any]:
@@ -88,24 +158,26 @@ def _numbers(values: FloatArray) -> Sequence[object]:
 
 
 def wanted_by(directories: Sequence[Path], query: Any) -> Wanted:
-    """Return what the query of a request asks for.
+    """Return the requested curves from a query.
 
     Raises:
-        ExperimentError: it asks for something that does not exist.
+        ExperimentError: a value is out of range.
     """
     try:
-        window = int(query.get("window", "100"))
+        window = int(query.get("window") or 100)
         span = (float(query.get("from", "-inf")), float(query.get("to", "inf")))
     except ValueError:
         raise ExperimentError("window, from and to are numbers") from None
-    over = query.get("over", "episodes")
+    over, measure = query.get("over", "episodes"), query.get("measure", "return")
+    if not query.get("window") and over == "steps":
+        window = 0
     if (
-        not 1 <= window <= _WIDEST
+        not (1 if query.get("window") else 0) <= window <= _WIDEST
         or over not in ("episodes", "steps")
         or span[0] != span[0]
         or span[1] != span[1]
     ):
         raise ExperimentError(
-            "a window is from 1 to 1,000,000 episodes, and curves are over episodes or steps"
+            "a window is from 1 to 1,000,000,000 episodes or steps, and curves are over episodes or steps"
         )
-    return Wanted(tuple(directories), window, over, span)
+    return Wanted(tuple(directories), window, over, span, measure)

@@ -1,7 +1,7 @@
-"""The recorded episodes of a run, and one of them in full, for the page to show.
+"""The recorded episodes of a run, and the steps of one of them, for the page to show.
 
 A recording is a file `*.traj` in the run's folder. It may come from anywhere: it is read by
-`glue.trajectory.TrajectoryReader`, which takes memory only within its limits, and what a browser asks for is
+`glue.trajectory.TrajectoryReader`, whose memory is bounded, and a request of the browser is
 looked up among the files that were found.
 """
 
@@ -20,12 +20,11 @@ from typing import Any, Final
 
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 from starlette.routing import BaseRoute, Route
 
 from experiment_runner.view.catalog import Catalog
-from experiment_runner.view.kept import Kept
-from experiment_runner.view.reader import Reader
+from experiment_runner.view.reader import Kept, Reader, json_response
 from glue.errors import ExperimentError, TaskSpecError
 from glue.taskspec import Bound, Ranges, parse_task_spec
 from glue.trajectory import Answer, Episode, TrajectoryError, TrajectoryReader
@@ -60,7 +59,7 @@ def routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
 
     async def recordings(request: Request) -> Response:
         directory = catalog.entry(request.path_params["run"]).directory
-        return JSONResponse(await read(lambda: [_listed(*item, kept) for item in _found(directory).items()]))
+        return json_response(await read(lambda: [_listed(*item, kept) for item in _found(directory).items()]))
 
     async def episode(request: Request) -> Response:
         directory = catalog.entry(request.path_params["run"]).directory
@@ -80,7 +79,7 @@ def routes(catalog: Catalog, read: Reader) -> list[BaseRoute]:
 
 
 def described(task_spec: str) -> dict[str, Any]:
-    """Return as JSON what a task spec says of observations and actions: runs of equal ranges, each with its
+    """Return the observations and actions of a task spec as JSON: runs of equal ranges, each with its
     length, for ints and doubles, and the number of chars. `extra` is its free text."""
     try:
         spec = parse_task_spec(task_spec)
@@ -98,7 +97,7 @@ def described(task_spec: str) -> dict[str, Any]:
 
 
 def _answers(episode: Episode) -> list[Answer]:
-    """Return what the agent answered, of each answer the beginning; the first ones, if they are too many."""
+    """Return the beginning of each answer of the agent; the first answers only, if they are too many."""
     shown: list[Answer] = []
     room = _MOST_ANSWER_BYTES
     for step, message, answer in episode.answers:
@@ -123,7 +122,7 @@ def _bound(bound: Bound) -> str:
 
 
 def _found(directory: Path) -> dict[str, Path]:
-    """Return the recordings of a run by what names them on the page: nothing for the first."""
+    """Return the recordings of a run by their ids on the page: empty for the first."""
     names = sorted(name for name in _names(directory) if name.endswith(_SUFFIX))
     files = [directory / name for name in names if _is_file(directory / name)][:_MOST_FILES]
     return {
@@ -140,7 +139,7 @@ def _names(directory: Path) -> list[str]:
 
 
 def _is_file(path: Path) -> bool:
-    """Return whether a path leads to a file, and is not a link: a run may come from elsewhere."""
+    """Tell whether a path is a regular file and no link: a run may come from elsewhere."""
     try:
         return stat.S_ISREG(path.lstat().st_mode)
     except OSError:
@@ -185,6 +184,10 @@ def _packed(directory: Path, name: str, wanted: int) -> bytes:
 
 
 def _pieces(path: Path, count: int, episode: Episode) -> Iterator[bytes]:
+    if episode.start is None:
+        raise ExperimentError(
+            f"{_printable(path)} has no observations: glue-replay shows it with its environment"
+        )
     size = len(episode.steps)
     header: Mapping[str, Any] = {
         "recording": _printable(path),
@@ -200,6 +203,7 @@ def _pieces(path: Path, count: int, episode: Episode) -> Iterator[bytes]:
     yield _REWARD.pack(0.0) + Action().body + episode.start.body
     sent = 0
     for step in episode.steps:
+        assert step.observation is not None  # as the start has one
         piece = _REWARD.pack(step.reward) + step.action.body + step.observation.body
         sent += len(piece)
         if size > _MOST_SENT_STEPS or sent > _MOST_SENT_BYTES:

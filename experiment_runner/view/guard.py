@@ -1,4 +1,4 @@
-"""Who may ask the page's server, and what every answer says to the browser.
+"""Access control of the page's server, and the security headers of its responses.
 
 A page of another site that is open in the same browser can send requests to this server, and with a name
 that it points to 127.0.0.1 even read the answers. So Host and Origin are checked on every request of every
@@ -21,7 +21,10 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-__all__ = ["HEADERS", "Address", "Guard"]
+__all__ = ["ADMIT", "HEADERS", "WRITABLE", "Address", "Guard"]
+
+ADMIT: Final = "admit"
+"""Key in a request's state of a function that is called when the request has shown the cookie."""
 
 HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
@@ -35,9 +38,12 @@ HEADERS: Final = {
     "X-Frame-Options": "DENY",
     "Cache-Control": "no-store",
 }
-"""What every response carries."""
+"""Headers of every response."""
 
 _METHODS: Final = ("GET", "HEAD")
+WRITABLE: Final = "/api/notes/"
+"""Paths to which a page may send: the notes of a run."""
+
 _LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 _LOCKED: Final = (
     "Open the address that glue-view printed, with its token: it opens this page once for each browser."
@@ -45,7 +51,7 @@ _LOCKED: Final = (
 
 
 class Address:
-    """By which names browsers may call the server.
+    """Names by which browsers may address the server.
 
     Args:
         port: at which it listens.
@@ -55,7 +61,7 @@ class Address:
 
     def __init__(self, port: int, proxy: str = "", open_to_all: bool = False) -> None:
         self.port = port
-        self.secure = proxy.startswith("https://")
+        self.secure: bool = proxy.startswith("https://")
         self._hosts = {f"{name}:{port}" for name in _LOOPBACK}
         self._any_ip = open_to_all
         if proxy:
@@ -64,11 +70,11 @@ class Address:
             self._hosts |= {f"{name.lower()}:{port}" for name in (socket.gethostname(), socket.getfqdn())}
 
     def knows_host(self, host: str) -> bool:
-        """Return whether a request may have this Host; a name that anyone can point here may not."""
+        """Tell whether a request may have this Host; names that anyone can point here are refused."""
         return host.lower() in self._hosts or (self._any_ip and self._is_ip(host))
 
     def knows_origin(self, origin: str) -> bool:
-        """Return whether a request may come from a page of this Origin."""
+        """Tell whether a request may come from a page of this Origin."""
         scheme, _, host = origin.partition("://")
         return scheme in ("http", "https") and self.knows_host(host)
 
@@ -82,12 +88,12 @@ class Address:
 
 
 class Guard:
-    """Lets through to `app` what the address and the token allow, and adds `HEADERS` to every response.
+    """Passes requests to `app` that the address and the token allow, and adds `HEADERS` to every response.
 
     Args:
-        app: what is guarded.
-        address: by which names it may be called.
-        token: opens it, as `?token=...` of its first page.
+        app: the guarded application.
+        address: names by which it may be addressed.
+        token: secret that opens it, as `?token=...` of its first page.
     """
 
     def __init__(self, app: ASGIApp, address: Address, token: str) -> None:
@@ -113,10 +119,12 @@ class Guard:
             await send(message)
 
         refusal = self._refusal(Request(scope))
+        if refusal is None and (admit := scope.get("state", {}).get(ADMIT)):
+            admit()
         await (refusal or self._app)(scope, receive, send_guarded)
 
     def _refusal(self, request: Request) -> Response | None:
-        """Return the answer to a request that does not get through; None if it does."""
+        """Return the refusal of a request; None if it may pass."""
         headers = request.headers
         if not all(map(self._address.knows_host, headers.getlist("host") or [""])):
             return PlainTextResponse("This Host is not one by which the page may be called.", 403)
@@ -124,8 +132,11 @@ class Guard:
             return PlainTextResponse("The page is not open to other sites.", 403)
         if headers.get("sec-fetch-site") == "cross-site" and headers.get("sec-fetch-mode") != "navigate":
             return PlainTextResponse("The page is not open to other sites.", 403)
-        if request.method not in _METHODS:
-            return PlainTextResponse("The page is read-only.", 405, {"Allow": ", ".join(_METHODS)})
+        writes = request.method == "PUT" and request.url.path.startswith(WRITABLE)
+        if writes and not headers.getlist("origin"):
+            return PlainTextResponse("Only the page itself may write.", 403)
+        if request.method not in _METHODS and not writes:
+            return PlainTextResponse("Only notes can be written.", 405, {"Allow": ", ".join(_METHODS)})
         token = request.query_params.get("token")
         if request.url.path == "/" and token is not None and _equal(token, self._token):
             response = RedirectResponse("./", 303)

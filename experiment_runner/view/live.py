@@ -1,8 +1,8 @@
 """The topics `live:RUN`: a trial in progress, as an observer of its session sees it.
 
 An observer (docs/protocol.md) cannot change anything, and the hub never waits for it. There is one for all
-pages that look at the same trial, and none while nobody does. It asks for one moment after the other, at most
-30 a second, so whatever is played in between is never sent; a page that is slower gets the newest alone.
+pages that look at the same trial, and none otherwise. It asks for one moment after the other, at most
+30 a second, so moments in between are never sent; a slower page gets only the newest.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Live:
     """Opens the topics: `RUN` is a run's first trial in progress, `RUN/TRIAL` that trial.
 
     A topic has `trials`, the ids of those in progress; `trial`, the one that is shown, if any; `spec`, its
-    task spec; `moment`, the newest; and `answers`, what the agent answered last, by message.
+    task spec; `moment`, the newest; and `answers`, the last answers of the agent, by message.
     """
 
     def __init__(self, catalog: Catalog, pulse: Pulse) -> None:
@@ -68,7 +68,7 @@ class Live:
 
 
 class _Watch:
-    """A thread that looks on, until `over` is set."""
+    """A thread that observes a trial until `over` is set."""
 
     def __init__(self, directory: Path, trial: str, topic: Topic) -> None:
         self.topic = topic

@@ -1,21 +1,30 @@
-"""A thread that reads stores for the event loop, one after the other: all pages together cost one core."""
+"""Reading stores for the event loop, at a bounded cost: in one thread, and no answer computed too often."""
 
 from __future__ import annotations
 
 import asyncio
+import json
 import queue
 import threading
-from collections.abc import Callable
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
 from concurrent.futures import Future
-from typing import Any, TypeVar
+from typing import Any, Final, NamedTuple, TypeVar
 
-__all__ = ["Reader"]
+from starlette.responses import Response
+
+__all__ = ["Kept", "Reader", "json_response"]
 
 _T = TypeVar("_T")
 
+_MOST_ANSWERS: Final = 32
+_REST: Final = 20
+"""An answer is kept for this multiple of the time that it took to compute: at most 5 % of a core."""
+
 
 class Reader:
-    """Calls functions in a thread of its own, which does not keep the program from ending.
+    """Calls functions in a daemon thread, which does not keep the program from ending.
 
     Args:
         name: of the thread.
@@ -45,3 +54,35 @@ class Reader:
                 future.set_exception(error)
             else:
                 future.set_result(result)
+
+
+class _Answer(NamedTuple):
+    signs: object
+    until: float
+    value: Any
+
+
+class Kept:
+    """Cache of the newest answers, by question."""
+
+    def __init__(self) -> None:
+        self._answers: OrderedDict[Hashable, _Answer] = OrderedDict()
+
+    def get(self, question: Hashable, signs: object, compute: Callable[[], Any]) -> Any:
+        """Return the answer to a question; as long as `signs` are equal, it cannot have changed."""
+        now = time.monotonic()
+        found = self._answers.get(question)
+        if found is None or (found.signs != signs and now >= found.until):
+            value = compute()
+            done = time.monotonic()
+            found = self._answers[question] = _Answer(signs, done + _REST * (done - now), value)
+            if len(self._answers) > _MOST_ANSWERS:
+                self._answers.popitem(last=False)
+        self._answers.move_to_end(question)
+        return found.value
+
+
+def json_response(content: object, status: int = 200) -> Response:
+    """Return a response in JSON, in ASCII: a file name may hold bytes that are not UTF-8."""
+    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
+    return Response(text, status, media_type="application/json")

@@ -13,6 +13,7 @@ from typing import Final
 import uvicorn
 
 from experiment_runner.view.app import page
+from experiment_runner.view.connections import Connection, raise_descriptors
 from experiment_runner.view.guard import Address
 from experiment_runner.view.stream import Pulse
 from glue.errors import ConfigError
@@ -45,6 +46,7 @@ def serve(
     Raises:
         ConfigError: it cannot listen there.
     """
+    raise_descriptors()
     listening = _listen(host, port)
     with listening:
         port = int(listening.getsockname()[1])
@@ -54,7 +56,7 @@ def serve(
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether only this machine reaches an address."""
+    """Tell whether only this machine reaches an address."""
     try:
         found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     except OSError:
@@ -75,7 +77,7 @@ async def _serve(
         uvicorn.Config(
             page(folders, address, token, pulse),
             access_log=False,  # it would hold the token
-            http="h11",
+            http=Connection,
             lifespan="off",
             log_config=None,
             log_level=logging.CRITICAL,
@@ -112,7 +114,8 @@ def _listen(host: str, port: int | None) -> socket.socket:
             listening.close()
             if number == wanted[-1]:
                 raise ConfigError(
-                    f"cannot listen at {host}, port {number}: {error.strerror}: choose another with --port"
+                    f"cannot listen at {host}, port {number}: {error.strerror}: choose another port",
+                    settings=("port",),
                 ) from error
             continue
         return listening

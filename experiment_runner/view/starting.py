@@ -1,6 +1,6 @@
 """The page of a run that is starting: `--view`.
 
-It is served by a process of its own, at a lower priority, which only reads the run's files: it can neither
+It is served by a separate process, at a lower priority, which only reads the run's files: it can neither
 slow the run down nor break it. It ends with the process that started it.
 """
 
@@ -14,30 +14,32 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from experiment_runner import children
+from experiment_runner.meeting import children
 from glue.errors import ConfigError
 
 __all__ = ["check_view", "viewed"]
 
-_MODULE: Final = "experiment_runner.view.command"
+_MODULE: Final = "experiment_runner.cli.view"
 _STANDARD_STREAMS: Final = (0, 1, 2)
 
 
 def check_view() -> None:
-    """Refuse `--view` before anything is written, if the page cannot be served.
+    """Check, before anything is written, that the page can be served.
 
     Raises:
         ConfigError: Starlette or uvicorn is not installed.
     """
     if any(find_spec(name) is None for name in ("starlette", "uvicorn")):
-        raise ConfigError("--view needs Starlette and uvicorn: pip install 'glue-rl[web]'")
+        raise ConfigError(
+            "the page needs Starlette and uvicorn: pip install 'glue-rl[web]'", settings=("view",)
+        )
 
 
 @contextlib.contextmanager
 def viewed(directory: Path, say: Callable[[str], None]) -> Iterator[Callable[[], None]]:
     """Show a run on a page; yield a function that waits, after the run, until the page is ended by Ctrl-C.
 
-    Without a terminal nobody can press Ctrl-C, and a script would wait forever: then it does not wait.
+    Without a terminal it does not wait, since a script would wait forever.
 
     Raises:
         ExperimentError: the page's process cannot be started.

@@ -1,4 +1,4 @@
-"""What changes, sent to pages as server-sent events: one stream for each page.
+"""Changes, sent to pages as server-sent events: one stream for each page.
 
 A topic holds values by key, and for each the number of the change that made it. A page that was away names
 the last change that it has seen, and is sent everything that has changed since, each value once: nothing has
@@ -36,13 +36,13 @@ class Pulse:
     """Numbers all changes, and wakes the streams at each."""
 
     def __init__(self) -> None:
-        self.run = secrets.token_hex(4)  # changes of another server are numbered anew
-        self.change = 0
-        self.closed = False
+        self.run: str = secrets.token_hex(4)  # changes of another server have other numbers
+        self.change: int = 0
+        self.closed: bool = False
         self._changed = asyncio.Event()
 
     def beat(self) -> int:
-        """Return the number of a new change, and wake everyone who waits."""
+        """Return the number of a new change, and wake all streams."""
         self.change += 1
         self._wake()
         return self.change
@@ -117,7 +117,7 @@ async def _events(
         while not pulse.closed:
             seen = pulse.change
             found = {name: topic and topic.since(change) for name, topic in topics.items()}
-            # The first event tells a page also what is empty, or not there.
+            # The first event also has topics that are empty or missing.
             changed = found if first else {name: values for name, values in found.items() if values}
             if changed:
                 yield f"id: {pulse.run}-{seen}\ndata: {json.dumps(changed, allow_nan=False)}\n\n"
@@ -133,7 +133,7 @@ async def _events(
 
 
 def _change(pulse: Pulse, since: str) -> int:
-    """Return which change an event's id names; 0, before all, if it is not of this server."""
+    """Return the number of the change that an event's id names; 0, before all, if it is another server's."""
     run, _, number = since.partition("-")
     if run != pulse.run or not number.isascii() or not number.isdigit() or len(number) > 18:
         return 0

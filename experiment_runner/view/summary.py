@@ -1,18 +1,22 @@
-"""A run in full, as JSON: its results, plan, versions and machine."""
+"""A run without its episodes, as JSON: results, plan, versions, machine; of a competition, its standings."""
 
 from __future__ import annotations
 
 import json
-import os
-import stat
+import math
 from pathlib import Path
 from typing import Any, Final
 
+from experiment_runner.competition.board.forms import LEGEND, as_json
+from experiment_runner.competition.board.standings import standings
+from experiment_runner.competition.organiser import competition_of
 from experiment_runner.report.overview import as_object
 from experiment_runner.store.layout import ABOUT_FILE, COMPETITION_FILE, PLAN_FILE
+from experiment_runner.store.output import read_regular
 from experiment_runner.store.results import Results
+from experiment_runner.view.export import figures
 
-__all__ = ["run_in_full"]
+__all__ = ["run_in_full", "standings_of"]
 
 _MOST_NOTES: Final = 200  # voids and events, the newest; answers
 _MOST_TEXT: Final = 2000  # of an answer
@@ -47,21 +51,33 @@ def run_in_full(directory: Path) -> dict[str, Any]:
     }
 
 
+def standings_of(directory: Path) -> dict[str, Any]:
+    """Return the board of a competition, and how far it has come; nothing of the secret seed.
+
+    Raises:
+        ExperimentError: the directory holds no competition, or cannot be read.
+    """
+    with Results.open(directory) as results:
+        found = standings(results, competition_of(directory))
+        board: dict[str, Any] = json.loads(as_json(found))
+        progress = {"matches": len(results.trials()), "over": len(results.outcomes())}
+        return board | progress | {"legend": LEGEND, "figures": figures(found)}
+
+
 def _about(text: str) -> dict[str, Any]:
     try:
-        about = json.loads(text)
+        # A number that JSON has not, or one that is too large to be read, as its text.
+        about = json.loads(text, parse_constant=str, parse_float=_finite)
+        json.dumps(about)
     except (ValueError, RecursionError):
         return {}
     return about if isinstance(about, dict) else {}
 
 
+def _finite(text: str) -> float | str:
+    return float(text) if math.isfinite(float(text)) else text
+
+
 def _text(path: Path) -> str:
-    """Return the contents of a text file, if there is one; a run from elsewhere may link to anything."""
-    try:
-        file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    except OSError:
-        return ""
-    with os.fdopen(file, "rb") as opened:
-        if not stat.S_ISREG(os.fstat(file).st_mode):
-            return ""
-        return opened.read(_MOST_BYTES).decode("utf-8", "replace")
+    """Return the contents of a text file, if there is one."""
+    return read_regular(path, _MOST_BYTES).decode("utf-8", "replace")

@@ -1,29 +1,46 @@
-// Learning curves: over episodes or steps, with bands; single trials on hover; the table of the same numbers beside.
+// Learning curves as the server draws them: over episodes or steps, with bands; single trials on hover; tables of the numbers.
 
 import { count, failure, get, h, score, setText, table } from "./dom.js";
 import { settingsTable } from "./run.js";
 import { listen } from "./stream.js";
-import uPlot from "./uplot/uPlot.esm.js";
 
 const REFRESH_SECONDS = 2;
 const HEIGHT = 420;
+const WIDTHS = { least: 280, most: 2000, step: 20 }; // of a drawing, in pixels
 const TABLE_ROWS = 12;
-// Okabe and Ito's colors, which the color-blind can tell apart; each line has its own dash and mark, too.
-const LIGHT = ["#0072b2", "#b34f00", "#00795a", "#a8497f", "#8a6100", "#2b7fae", "#333333"];
-const DARK = ["#6cb8ec", "#ff9a4d", "#3fd0a4", "#f0a3cd", "#f0c04a", "#9adcff", "#eeeeee"];
-const DASHES = [[], [10, 4], [2, 4], [10, 4, 2, 4], [16, 6], [5, 3]];
+const NEAR = 30; // pixels from a curve that is pointed at
+const FINE = 2; // pixels of a saved picture for each one here
+const SVG = "http://www.w3.org/2000/svg";
 const MARKS = ["●", "▲", "■", "◆", "▼", "✚", "★"];
+const PAINT = ["fill", "fill-opacity", "stroke", "stroke-width", "font-family", "font-size", "display"];
 
-/** Return the values of `lines`, each with its own places, at all places together: what uPlot draws. */
-function joined(lines) {
-  return uPlot.join(lines.map(({ at, values }) => [at, ...values]));
+// How each kind of scale bends numbers, and back; experiment_runner/report/svg.py draws so.
+const BENT = { linear: (v) => v, log: (v) => Math.log10(Math.max(v, 1e-300)), symlog: (v) => Math.sign(v) * Math.log10(1 + Math.abs(v)) };
+const STRAIGHT = { linear: (v) => v, log: (v) => 10 ** v, symlog: (v) => Math.sign(v) * (10 ** Math.abs(v) - 1) };
+
+/** Return how far along a scale a value is, from 0 to 1. */
+function share({ kind, low, high }, value) {
+  const [first, last] = [BENT[kind](low), BENT[kind](high)];
+  return (BENT[kind](value) - first) / (last - first || 1);
 }
+
+/** Return the value at a share of a scale. */
+function valueAt({ kind, low, high }, part) {
+  const [first, last] = [BENT[kind](low), BENT[kind](high)];
+  return STRAIGHT[kind](first + part * (last - first));
+}
+
+/** Return an element of a drawing from the server, which holds no text of a run. */
+export const drawing = (text) => document.importNode(new DOMParser().parseFromString(text, "image/svg+xml").documentElement, true);
 
 export function mount(element, { query }) {
   const chosen = new Set(query.getAll("run"));
-  const state = { over: query.get("over") === "steps" ? "steps" : "episodes", window: query.get("window") || "100",
+  const state = { over: query.get("over") === "steps" ? "steps" : "episodes", window: query.get("window") || "", measure: query.get("measure") || "return",
     logX: query.get("x") === "log", logY: query.get("y") === "log", span: null };
-  let plot = null;
+  let plot = null; // the element of the drawing
+  let places = []; // of all curves, along the axis
+  let cursor = -1; // index of the place that is read
+  let from = null; // where a drag has begun
   let data = null;
   let timer = null;
   let request = null;
@@ -43,13 +60,21 @@ export function mount(element, { query }) {
     return button;
   };
   const toggles = [];
-  const width = h("input", { type: "number", id: "window", min: "1", max: "1000000", value: state.window,
-    onchange: () => { state.window = width.value || "100"; save(); refresh(); } });
-  const over = (name) => () => { state.over = name; state.span = null; save(); refresh(); };
-  const scale = (axis, isLog) => () => { state[axis] = isLog; save(); draw(); };
+  const width = h("input", { type: "number", id: "window", min: "1", max: "1000000000", placeholder: "100", value: state.window,
+    onchange: () => { state.window = width.value; save(); refresh(); } });
+  const measures = h("select", { id: "measure", onchange: () => { state.measure = measures.value; save(); refresh(); } });
+  const unit = h("span", {}, state.over);
+  const over = (name) => () => {
+    [state.over, state.span, state.window, width.value] = [name, null, "", ""];
+    unit.textContent = name;
+    save();
+    refresh();
+  };
+  const scale = (axis, isLog) => () => { state[axis] = isLog; save(); refresh(); };
   const reset = h("button", { type: "button", disabled: true, onclick: () => { state.span = null; refresh(); } }, "Whole run");
   const box = h("div", { class: "plot", tabindex: "0", role: "img", "aria-label": "Learning curves",
-    "aria-describedby": "curve-note", hidden: true, onkeydown: move });
+    "aria-describedby": "curve-note", hidden: true, onkeydown: move, onpointerdown: press, onpointermove: point,
+    onpointerup: release, onpointerleave: leave });
   const note = h("p", { id: "curve-note", class: "quiet" });
   const readout = h("p", { class: "readout", role: "status", "aria-live": "polite" });
   const legend = h("ul", { class: "legend" });
@@ -63,7 +88,8 @@ export function mount(element, { query }) {
         toggle("log", () => state.logX, scale("logX", true))),
       h("fieldset", {}, h("legend", {}, "return"), toggle("linear", () => !state.logY, scale("logY", false)),
         toggle("log", () => state.logY, scale("logY", true))),
-      h("label", { for: "window" }, "running mean of"), width, h("span", {}, "episodes"), reset,
+      h("label", { for: "measure" }, "measure"), measures,
+      h("label", { for: "window" }, "running mean of"), width, unit, reset,
       h("button", { type: "button", onclick: savePicture }, "PNG"),
       h("button", { type: "button", onclick: saveTable }, "CSV")),
     problem, h("div", { class: "card" }, box, legend, readout, note), tables);
@@ -71,7 +97,8 @@ export function mount(element, { query }) {
   function save() {
     const search = new URLSearchParams([...chosen].map((id) => ["run", id]));
     if (state.over !== "episodes") search.set("over", state.over);
-    if (state.window !== "100") search.set("window", state.window);
+    if (state.measure !== "return") search.set("measure", state.measure);
+    if (state.window) search.set("window", state.window);
     if (state.logX) search.set("x", "log");
     if (state.logY) search.set("y", "log");
     history.replaceState(null, "", `#/curves?${search}`);
@@ -84,15 +111,16 @@ export function mount(element, { query }) {
     request = new AbortController();
     if (!chosen.size) {
       data = null;
-      plot?.destroy();
       plot = null;
+      box.replaceChildren();
       legend.replaceChildren();
       tables.replaceChildren();
       box.hidden = true;
       setText(note, "Choose one or more runs above.");
       return;
     }
-    const query = { run: [...chosen], window: state.window, over: state.over };
+    const query = { run: [...chosen], window: state.window, over: state.over, measure: state.measure, width: room(),
+      log: [state.logX && "x", state.logY && "y"].filter(Boolean) };
     if (state.span) [query.from, query.to] = state.span;
     try {
       const found = await get("curves", query, request.signal);
@@ -105,54 +133,28 @@ export function mount(element, { query }) {
     }
   }
 
+  /** Return the width that a drawing may have. */
+  function room() {
+    const { least, most, step } = WIDTHS;
+    return Math.min(Math.max(Math.floor((box.parentElement.clientWidth - 32) / step) * step, least), most);
+  }
+
   function draw() {
     if (!data) return;
-    plot?.destroy();
-    plot = null;
     reset.disabled = !state.span;
-    const styles = getComputedStyle(document.documentElement);
-    const text = styles.getPropertyValue("--text").trim();
-    const grid = styles.getPropertyValue("--line").trim();
-    const colors = styles.colorScheme.startsWith("dark") ? DARK : LIGHT;
-    const series = [{ label: state.over.slice(0, -1) }];
-    const bands = [];
-    const lines = [];
-    data.curves.forEach((curve, i) => {
-      const color = colors[i % colors.length];
-      const first = series.length;
-      series.push({ label: curve.label, stroke: color, width: 2.5, dash: DASHES[i % DASHES.length], spanGaps: true, points: { show: false } },
-        { stroke: "transparent", spanGaps: true, points: { show: false } },
-        { stroke: "transparent", spanGaps: true, points: { show: false } });
-      bands.push({ series: [first + 2, first + 1], fill: `${color}33` });
-      lines.push({ at: curve.at, values: [curve.mean, curve.low, curve.high] });
-      curve.singles.forEach((values) => {
-        series.push({ stroke: `${color}99`, width: 1, show: false, spanGaps: true, points: { show: false }, curve: i });
-      });
-      if (curve.singles.length) lines.push({ at: curve.single_at, values: curve.singles });
-    });
-    const values = data.curves.flatMap((curve) => curve.mean).filter((value) => value !== null);
-    const positive = values.every((value) => value > 0);
-    const axis = { stroke: text, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid }, font: "13px system-ui" };
-    box.hidden = !lines.length;
-    if (lines.length) {
-      plot = new uPlot({
-        width: Math.max(box.clientWidth, 280), height: HEIGHT, series, bands,
-        scales: { x: { time: false, distr: state.logX ? 3 : 1 },
-          // A return can be negative: then the scale is logarithmic on both sides of 0.
-          y: { distr: state.logY ? (positive ? 3 : 4) : 1 } },
-        axes: [{ ...axis, label: state.over.slice(0, -1), labelFont: "13px system-ui" },
-          { ...axis, label: "episode return (reward)", labelFont: "13px system-ui", size: 64 }],
-        legend: { show: false }, cursor: { drag: { x: true, y: false, setScale: false } },
-        hooks: { setSelect: [select], setCursor: [hover] },
-      }, joined(lines), box);
-    }
-    legend.replaceChildren(...data.curves.map((curve, i) => {
-      const mark = h("span", { class: "mark", "aria-hidden": "true" }, MARKS[i % MARKS.length]);
-      mark.style.color = colors[i % colors.length];
-      return h("li", {}, h("button", { type: "button", class: "quiet", onfocus: () => highlight(i), onmouseenter: () => highlight(i),
-        onblur: () => highlight(-1), onmouseleave: () => highlight(-1) }, mark, " ", curve.label, ` (${count(curve.trials)} trials)`));
-    }));
-    const what = `running mean of ${count(data.window)} episodes, with 95 % bootstrap bands`;
+    if (!measures.options.length) measures.replaceChildren(...data.measures.map((name) => h("option", { value: name }, name)));
+    measures.value = data.measure;
+    places = [...new Set(data.curves.flatMap((curve) => curve.at))].sort((a, b) => a - b);
+    [cursor, hovered, from] = [-1, -1, null];
+    plot = data.drawing ? drawing(data.drawing.svg) : null;
+    box.hidden = !plot;
+    box.replaceChildren(...[plot].filter(Boolean));
+    setText(readout, "");
+    legend.replaceChildren(...data.curves.map((curve, i) =>
+      h("li", {}, h("button", { type: "button", class: "quiet", onfocus: () => highlight(i), onmouseenter: () => highlight(i),
+        onblur: () => highlight(-1), onmouseleave: () => highlight(-1) }, drawing(curve.sample), " ",
+      h("span", { "aria-hidden": "true" }, MARKS[i % MARKS.length]), " ", curve.label, ` (${count(curve.trials)} trials)`))));
+    const what = `running mean of ${count(data.window)} ${state.over}, with 95 % bootstrap bands`;
     setText(note, data.curves.length
       ? `${what}${state.span ? "; a part" : ""}. Drag to zoom; point at a curve, or at its name, for its single trials. The tables below hold the same numbers.`
       : "No trial has as many episodes as the running mean needs yet.");
@@ -170,47 +172,100 @@ export function mount(element, { query }) {
     tables.replaceChildren(settingsTable(data.settings, marks), ...data.curves.map((curve) => {
       const every = Math.max(1, Math.floor((curve.at.length - 1) / TABLE_ROWS));
       const rows = curve.at.map((at, i) => i).filter((i) => i % every === 0 || i === curve.at.length - 1);
-      return table(`${curve.label}: running mean`, [state.over.slice(0, -1), "mean return", "95 % band"],
+      return table(`${curve.label}: running mean`, [state.over.slice(0, -1), `mean ${data.measure}`, "95 % band"],
         rows.map((i) => [count(curve.at[i]), score(curve.mean[i]),
           curve.low[i] === null ? "-" : `${score(curve.low[i])} to ${score(curve.high[i])}`]));
     }));
   }
 
-  function select(u) {
-    const { left, width: wide } = u.select;
-    if (wide < 5) return;
-    state.span = [Math.max(0, Math.floor(u.posToVal(left, "x"))), Math.ceil(u.posToVal(left + wide, "x"))];
-    u.setSelect({ left: 0, width: 0, top: 0, height: 0 }, false);
+  /** Return where a pointer is in the drawing, in its own pixels. */
+  function spot({ clientX, clientY }) {
+    const { left, top, width, height } = plot.getBoundingClientRect();
+    const { viewBox: { baseVal } } = plot;
+    return [((clientX - left) * baseVal.width) / width, ((clientY - top) * baseVal.height) / height];
+  }
+
+  /** Return the value on the horizontal axis at a pixel. */
+  function across(x) {
+    const [left, , width] = data.drawing.box;
+    return valueAt(data.drawing.x, Math.min(Math.max((x - left) / width, 0), 1));
+  }
+
+  /** Draw a path over the curves, in place of the last one of its class. */
+  function overlay(name, path) {
+    plot.querySelector(`.${name}`)?.remove();
+    if (!path) return;
+    const element = document.createElementNS(SVG, "path");
+    element.setAttribute("class", name);
+    element.setAttribute("d", path);
+    plot.append(element);
+  }
+
+  function press(event) {
+    if (!plot || event.button) return;
+    [from] = spot(event);
+    box.setPointerCapture(event.pointerId);
+  }
+
+  function release(event) {
+    if (!plot || from === null) return;
+    const [x] = spot(event);
+    const [first, last] = [Math.min(x, from), Math.max(x, from)];
+    from = null;
+    overlay("selection", "");
+    if (last - first < 5) return;
+    state.span = [Math.max(0, Math.floor(across(first))), Math.ceil(across(last))];
     refresh();
   }
 
-  function nearest(u) {
-    const { left, top, idx } = u.cursor;
-    if (idx === null || idx === undefined || left < 0) return -1;
-    let best = -1;
-    let least = 30;
-    data.curves.forEach((curve, i) => {
-      const at = curve.at;
-      const x = u.data[0][idx];
-      let k = at.findIndex((value) => value >= x);
-      if (k < 0) k = at.length - 1;
-      const away = Math.abs(u.valToPos(curve.mean[k], "y") - top);
-      if (away < least) [best, least] = [i, away];
-    });
-    return best;
-  }
-
-  function hover(u) {
-    const { idx } = u.cursor;
-    highlight(nearest(u));
-    if (idx === null || idx === undefined) {
-      setText(readout, "");
+  function point(event) {
+    if (!plot) return;
+    const [x, y] = spot(event);
+    if (from !== null) {
+      const [, top, , height] = data.drawing.box;
+      overlay("selection", `M${from} ${top}H${x}V${top + height}H${from}Z`);
       return;
     }
-    const x = u.data[0][idx];
-    setText(readout, `${state.over.slice(0, -1)} ${count(x)}: ` + data.curves.map((curve) => {
-      let k = curve.at.findIndex((value) => value >= x);
-      if (k < 0) k = curve.at.length - 1;
+    const value = across(x);
+    let next = places.findIndex((place) => place >= value);
+    if (next < 0) next = places.length - 1;
+    if (next > 0 && value - places[next - 1] < places[next] - value) next -= 1;
+    read(next);
+    highlight(nearest(y));
+  }
+
+  function leave() {
+    if (!plot) return;
+    overlay("cursor", "");
+    setText(readout, "");
+    highlight(-1);
+  }
+
+  /** Return the index of a curve's point at a place, or the next. */
+  function indexOf(curve, place) {
+    const i = curve.at.findIndex((value) => value >= place);
+    return i < 0 ? curve.at.length - 1 : i;
+  }
+
+  /** Return the curve that is nearest to a height, at the place that is read. */
+  function nearest(y) {
+    const [, top, , height] = data.drawing.box;
+    const away = data.curves.map((curve) => {
+      const value = curve.mean[indexOf(curve, places[cursor])];
+      return value === null ? Infinity : Math.abs(top + height * (1 - share(data.drawing.y, value)) - y);
+    });
+    const least = Math.min(...away);
+    return least < NEAR ? away.indexOf(least) : -1;
+  }
+
+  /** Say the numbers at a place. */
+  function read(i) {
+    cursor = i;
+    const place = places[i];
+    const [left, top, width, height] = data.drawing.box;
+    overlay("cursor", `M${left + width * share(data.drawing.x, place)} ${top}V${top + height}`);
+    setText(readout, `${state.over.slice(0, -1)} ${count(place)}: ` + data.curves.map((curve) => {
+      const k = indexOf(curve, place);
       return `${curve.label} ${score(curve.mean[k])}` + (curve.low[k] === null ? "" : ` (${score(curve.low[k])} to ${score(curve.high[k])})`);
     }).join("; "));
   }
@@ -218,20 +273,16 @@ export function mount(element, { query }) {
   function highlight(i) {
     if (i === hovered || !plot) return;
     hovered = i;
-    plot.batch(() => plot.series.forEach((series, s) => {
-      if (series.curve !== undefined && series.show !== (series.curve === i)) plot.setSeries(s, { show: series.curve === i });
-    }));
+    for (const trials of plot.querySelectorAll(".trials")) trials.classList.toggle("lit", Number(trials.dataset.curve) === i);
   }
 
   function move(event) {
     if (!plot || !data) return;
-    const last = plot.data[0].length - 1;
-    const now = plot.cursor.idx ?? -1;
-    const next = { ArrowLeft: now - 1, ArrowRight: now + 1, Home: 0, End: last }[event.key];
+    const last = places.length - 1;
+    const next = { ArrowLeft: cursor - 1, ArrowRight: cursor + 1, Home: 0, End: last }[event.key];
     if (next === undefined) return;
     event.preventDefault();
-    const x = plot.data[0][Math.min(last, Math.max(0, next))];
-    plot.setCursor({ left: plot.valToPos(x, "x"), top: plot.valToPos(data.curves[0].mean[0], "y") });
+    read(Math.min(last, Math.max(0, next)));
   }
 
   function download(name, href) {
@@ -239,20 +290,40 @@ export function mount(element, { query }) {
     link.click();
   }
 
-  function savePicture() {
+  async function savePicture() {
     if (!plot) return;
-    const from = plot.ctx.canvas;
-    const canvas = h("canvas", { width: from.width, height: from.height + 30 * data.curves.length });
+    const copy = plot.cloneNode(true);
+    const painted = [...plot.querySelectorAll("*")];
+    [...copy.querySelectorAll("*")].forEach((element, i) => {
+      const style = getComputedStyle(painted[i]);
+      for (const name of PAINT) element.setAttribute(name, style.getPropertyValue(name));
+    });
+    const url = URL.createObjectURL(new Blob([new XMLSerializer().serializeToString(copy)], { type: "image/svg+xml" }));
+    const image = new Image();
+    image.src = url;
+    await image.decode();
+    URL.revokeObjectURL(url);
+    const { width, height } = plot.viewBox.baseVal;
+    const line = 24;
+    const canvas = h("canvas", { width: FINE * width, height: FINE * (height + line * data.curves.length) });
     const context = canvas.getContext("2d");
     const styles = getComputedStyle(document.documentElement);
     context.fillStyle = styles.getPropertyValue("--card").trim();
     context.fillRect(0, 0, canvas.width, canvas.height);
-    context.drawImage(from, 0, 0);
-    const colors = styles.colorScheme.startsWith("dark") ? DARK : LIGHT;
-    context.font = "18px system-ui";
-    data.curves.forEach((curve, i) => {
-      context.fillStyle = colors[i % colors.length];
-      context.fillText(`${MARKS[i % MARKS.length]} ${curve.label}`, 20, from.height + 22 + 30 * i);
+    context.scale(FINE, FINE);
+    context.drawImage(image, 0, 0, width, height);
+    context.font = "14px system-ui";
+    context.lineWidth = 2.5;
+    [...legend.querySelectorAll("polyline")].forEach((sample, i) => {
+      const y = height + line * (i + 0.5);
+      context.strokeStyle = getComputedStyle(sample).stroke;
+      context.setLineDash((sample.getAttribute("stroke-dasharray") ?? "").split(" ").filter(Boolean).map(Number));
+      context.beginPath();
+      context.moveTo(20, y);
+      context.lineTo(60, y);
+      context.stroke();
+      context.fillStyle = styles.getPropertyValue("--text").trim();
+      context.fillText(data.curves[i].label, 70, y + 5);
     });
     download("curves.png", canvas.toDataURL("image/png"));
   }
@@ -285,16 +356,17 @@ export function mount(element, { query }) {
     else if ([...chosen].some((id) => id in changed)) timer ??= setTimeout(refresh, REFRESH_SECONDS * 1000);
   });
   picker.open = !chosen.size;
-  const resized = new ResizeObserver(() => plot?.setSize({ width: Math.max(box.clientWidth, 280), height: HEIGHT }));
-  resized.observe(box);
-  window.addEventListener("themechange", draw);
+  let drawn = 0;
+  const resized = new ResizeObserver(() => {
+    if (drawn && drawn !== room()) refresh();
+    drawn = room();
+  });
+  resized.observe(element);
   return () => {
     ended = true;
     stop();
     clearTimeout(timer);
     request?.abort();
     resized.disconnect();
-    window.removeEventListener("themechange", draw);
-    plot?.destroy();
   };
 }

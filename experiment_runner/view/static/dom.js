@@ -61,7 +61,14 @@ export async function get(path, query = {}, signal = undefined) {
   for (const [name, value] of Object.entries(query)) {
     for (const one of [value].flat()) search.append(name, one);
   }
-  const response = await fetch(`api/${path}?${search}`, { signal });
+  return answer(await fetch(`api/${path}?${search}`, { signal }));
+}
+
+/** Send a value, and return the answer of the server; an `Error` says in its message what is wrong. */
+export const put = async (path, value) =>
+  answer(await fetch(`api/${path}`, { method: "PUT", headers: { "Content-Type": "application/json" }, body: JSON.stringify(value) }));
+
+async function answer(response) {
   const type = response.headers.get("Content-Type") ?? "";
   const body = type.startsWith("application/json") ? await response.json() : { error: await response.text() };
   if (!response.ok) throw new Error(body.error);

@@ -1,11 +1,24 @@
-// The list of runs: state, progress, time left; filters; and which to compare.
+// The list of runs: state, progress, returns, options, notes and tags; filters, order and groups; and which to compare.
 
-import { count, date, duration, h, setText } from "./dom.js";
+import { count, date, duration, failure, h, put, score, setText } from "./dom.js";
 import { listen } from "./stream.js";
 
 export const STATES = ["running", "finished", "interrupted", "failed", "damaged"];
 const MARKS = { running: "▶", finished: "✓", interrupted: "❚❚", failed: "✗", damaged: "⚠" };
-const COLUMNS = ["Compare", "Run", "State", "Progress", "Time left", "Agents", "Environments", "Seeds", "Started"];
+const COLUMNS = ["Compare", "Run", "State", "Progress", "Time left", "Agents", "Environments", "Return", "Started", "Notes"];
+const ORDERS = { Run: (run) => run.name, State: (run) => run.state, Agents: (run) => (run.agents ?? []).join(), Return: (run) => best(run),
+  Environments: (run) => (run.environments ?? []).join(), Progress: (run) => run.done ?? 0, Started: (run) => run.started ?? 0 };
+const DOWN = ["Started", "Return", "Progress"]; // what is sorted from the highest
+const GROUPS = { agents: (run) => run.agents ?? [], environments: (run) => run.environments ?? [], state: (run) => [run.state],
+  tags: (run) => run.tags ?? [] };
+const words = new Intl.Collator("en");
+
+/** Compare two texts, as numbers if both are. */
+function compared(a, b) {
+  const [first, second] = [Number(a), Number(b)];
+  return (a !== "" && b !== "" && (first - second || 0)) || words.compare(a, b);
+}
+
 
 /** Return a label of a run's state, which does not tell it by color alone. */
 export function badge(state) {
@@ -29,9 +42,44 @@ export function timeLeft(run) {
   return run.seconds_left === null ? "…" : duration(run.seconds_left);
 }
 
-/** Return some of a list: seeds have up to 19 digits. */
-function few(values) {
-  return values.length <= 3 ? values.join(", ") : `${values[0]}, and ${count(values.length - 1)} more`;
+/** Return the best return of a run's settings. */
+const best = (run) => ((run.returns ?? []).length ? Math.max(...run.returns) : -Infinity);
+
+/** Return the returns of a run's settings: the mean of the last 100 episodes of each trial. */
+function returns({ returns: found = [] }) {
+  if (found.length < 2) return found.map(score).join();
+  return `${score(Math.min(...found))} to ${score(Math.max(...found))}`;
+}
+
+/** Return what a run has for a group: an option is named with "option ". */
+function grouped(run, group) {
+  const values = group in GROUPS ? GROUPS[group](run) : run.options?.[group.replace(/^option /, "")] ?? [];
+  return [...values].sort(compared).join(", ");
+}
+
+/** Return the cell of a run's notes and tags, with a button to edit them. */
+function notes(run) {
+  const cell = h("div", { class: "notes" });
+  const show = () => cell.replaceChildren(...(run.tags ?? []).map((tag) => h("span", { class: "tag" }, tag)), " ", run.note ?? "", " ",
+    h("button", { type: "button", class: "quiet", "aria-label": `Edit the notes of ${run.name}`, onclick: edit }, "✎"));
+  const edit = () => {
+    const tags = h("input", { type: "text", value: (run.tags ?? []).join(", "), placeholder: "tags, with commas", "aria-label": "Tags" });
+    const note = h("input", { type: "text", value: run.note ?? "", placeholder: "note", "aria-label": "Note" });
+    const save = async (event) => {
+      event.preventDefault();
+      try {
+        Object.assign(run, await put(`notes/${run.id}`, { note: note.value, tags: tags.value.split(",") }));
+        show();
+      } catch (error) {
+        cell.append(failure(error));
+      }
+    };
+    cell.replaceChildren(h("form", { class: "editing", onsubmit: save }, tags, note, h("button", {}, "Save"),
+      h("button", { type: "button", class: "quiet", onclick: show }, "Cancel")));
+    tags.focus();
+  };
+  show();
+  return cell;
 }
 
 export function mount(element, { query }) {
@@ -42,6 +90,11 @@ export function mount(element, { query }) {
   const state = h("select", { id: "state", onchange: filter }, h("option", { value: "" }, "all states"),
     ...STATES.map((name) => h("option", { value: name }, name)));
   state.value = query.get("state") ?? "";
+  const group = h("select", { id: "group", onchange: arrange });
+  let order = "Started";
+  let reversed = false;
+  const heads = COLUMNS.map((name) => h("th", { scope: "col" }, name in ORDERS
+    ? h("button", { type: "button", class: "quiet", onclick: () => sortBy(name) }, name) : name));
   const compare = h("a", { class: "button", href: "#/curves", "aria-disabled": "true" }, "Compare");
   const summary = h("p", { class: "quiet", role: "status" });
   const body = h("tbody");
@@ -49,21 +102,29 @@ export function mount(element, { query }) {
     h("pre", {}, "glue-experiment --env mario --agent hierarchical --episodes 500 --view"));
   const box = h("div", { class: "scroll cards", tabindex: "0", role: "region", "aria-label": "Runs" },
     h("table", { class: "runs" },
-      h("thead", {}, h("tr", {}, ...COLUMNS.map((name) => h("th", { scope: "col" }, name)))), body));
+      h("thead", {}, h("tr", {}, ...heads)), body));
   element.append(
     h("h1", {}, "Runs"),
     h("form", { class: "filters", role: "search", onsubmit: (event) => event.preventDefault() },
-      h("label", { for: "search" }, "Search"), search, h("label", { for: "state" }, "State"), state, compare, summary),
+      h("label", { for: "search" }, "Search"), search, h("label", { for: "state" }, "State"), state,
+      h("label", { for: "group" }, "Group by"), group, compare, summary),
     empty, box);
 
   function filter() {
     const words = search.value.toLowerCase().split(/\s+/).filter(Boolean);
     let visible = 0;
     for (const { row, run } of rows.values()) {
-      const text = [run.name, run.state, ...(run.agents ?? []), ...(run.environments ?? [])].join(" ").toLowerCase();
+      const options = Object.entries(run.options ?? {}).flatMap(([name, values]) => values.map((value) => `${name}=${value}`));
+      const text = [run.name, run.state, ...(run.agents ?? []), ...(run.environments ?? []), ...options, ...(run.tags ?? []),
+        run.note ?? ""].join(" ").toLowerCase();
       const shown = (!state.value || run.state === state.value) && words.every((word) => text.includes(word));
       row.hidden = !shown;
       visible += shown;
+    }
+    let heading = null; // of a group, which is hidden with its last run
+    for (const row of body.children) {
+      if (row.className === "group") [heading, row.hidden] = [row, true];
+      else if (heading && !row.hidden) heading.hidden = false;
     }
     const all = rows.size;
     setText(summary, visible === all ? `${count(all)} ${all === 1 ? "run" : "runs"}` : `${count(visible)} of ${count(all)} runs`);
@@ -86,10 +147,54 @@ export function mount(element, { query }) {
     box.checked = chosen.has(run.id);
     const reason = ["failed", "damaged"].includes(run.state) ? h("div", { class: "reason" }, run.reason) : null;
     const cells = [box, link, h("div", {}, badge(run.state), reason), progress(run), timeLeft(run),
-      (run.agents ?? []).join(", "), (run.environments ?? []).join(", "), few(run.seeds ?? []),
-      date(run.started ?? null)];
+      (run.agents ?? []).join(", "), (run.environments ?? []).join(", "), returns(run),
+      date(run.started ?? null), notes(run)];
     return h("tr", { "data-run": run.id }, ...cells.map((cell, i) =>
       h(i === 1 ? "th" : "td", { "data-label": COLUMNS[i], scope: i === 1 ? "row" : null }, cell)));
+  }
+
+  function sortBy(name) {
+    reversed = order === name && !reversed;
+    order = name;
+    arrange();
+  }
+
+  /** Offer every option of a run as a group. */
+  function offer() {
+    const options = [...new Set([...rows.values()].flatMap(({ run }) => Object.keys(run.options ?? {})))].sort(compared);
+    const names = ["", ...Object.keys(GROUPS), ...options.map((name) => `option ${name}`)];
+    if (names.join() === [...group.options].map((one) => one.value).join()) return;
+    const chosenGroup = group.value;
+    group.replaceChildren(...names.map((name) => h("option", { value: name }, name || "nothing")));
+    group.value = names.includes(chosenGroup) ? chosenGroup : "";
+  }
+
+  /** Put the rows in order, under a heading for each group. */
+  function arrange() {
+    offer();
+    heads.forEach((head, i) => {
+      const down = DOWN.includes(order) !== reversed;
+      if (COLUMNS[i] === order) head.setAttribute("aria-sort", down ? "descending" : "ascending");
+      else head.removeAttribute("aria-sort");
+    });
+    const sign = DOWN.includes(order) !== reversed ? -1 : 1;
+    const keyed = [...rows.values()].map((one) => ({ ...one, key: group.value ? grouped(one.run, group.value) : "" }));
+    keyed.sort((a, b) => compared(a.key, b.key) || sign * compared(`${ORDERS[order](a.run)}`, `${ORDERS[order](b.run)}`) ||
+      compared(a.run.name, b.run.name));
+    const wanted = [];
+    keyed.forEach(({ row, key }, i) => {
+      if (group.value && (!i || key !== keyed[i - 1].key)) {
+        wanted.push(h("tr", { class: "group" }, h("th", { colspan: COLUMNS.length, scope: "rowgroup" },
+          `${group.value.replace(/^option /, "")}: ${key || "none"}`)));
+      }
+      wanted.push(row);
+    });
+    body.querySelectorAll(".group").forEach((one) => one.remove());
+    // Only a row that is out of place is moved: the others keep the focus and the selection.
+    wanted.forEach((row, i) => {
+      if (body.children[i] !== row) body.insertBefore(row, body.children[i] ?? null);
+    });
+    filter();
   }
 
   const stop = listen("runs", (changed) => {
@@ -101,6 +206,10 @@ export function mount(element, { query }) {
         choose(id, false);
         continue;
       }
+      if (old?.querySelector(".editing")) {
+        rows.set(id, { row: old, run }); // what is typed is not lost
+        continue;
+      }
       const focused = old?.contains(document.activeElement) ? document.activeElement.tagName : null;
       const row = draw(run);
       if (old) old.replaceWith(row);
@@ -108,13 +217,7 @@ export function mount(element, { query }) {
       if (focused) row.querySelector(focused)?.focus();
       rows.set(id, { row, run });
     }
-    const newest = (one) => one.run.started ?? 0;
-    const order = [...rows.values()].sort((a, b) => newest(b) - newest(a) || (a.run.name < b.run.name ? -1 : 1));
-    // Only a row that is out of place is moved: the others keep the focus and the selection.
-    order.forEach(({ row }, i) => {
-      if (body.children[i] !== row) body.insertBefore(row, body.children[i] ?? null);
-    });
-    filter();
+    arrange();
   });
   filter();
   return stop;

@@ -1,5 +1,6 @@
 // The standings of a competition as they come, also large for a lecture hall.
 
+import { drawing } from "./curves.js";
 import { count, failure, get, h, score, setText, table } from "./dom.js";
 import { listen } from "./stream.js";
 
@@ -72,6 +73,9 @@ function draw(board) {
   if (missing.length) parts.push(table("Without a place", ["entrant", "why"], missing.map((one) => [one.name, one.missing])));
   const forfeits = board.entrants.flatMap((one) => one.forfeits.map((lost) => [one.name, lost.task, `${lost.trial}`, lost.reason]));
   if (forfeits.length) parts.push(table("Forfeits", ["entrant", "task", "trial", "reason"], forfeits));
+  parts.push(h("div", { class: "figures" }, ...board.figures.map(({ task, svg, legend }) =>
+    h("figure", { class: "card", role: "img", "aria-label": `Learning curves of ${task}` }, h("figcaption", {}, task), drawing(svg),
+      h("ul", { class: "legend" }, ...legend.map(({ name, sample }) => h("li", {}, drawing(sample), " ", name)))))));
   parts.push(h("dl", { class: "terms" }, ...board.legend.flatMap((line) => {
     const [term, ...rest] = line.split(/\s+/);
     return [h("dt", {}, term), h("dd", {}, rest.join(" "))];

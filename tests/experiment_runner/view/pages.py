@@ -23,7 +23,7 @@ _SECONDS = 100.0  # the page lets everything else go first
 
 
 class Answer(NamedTuple):
-    """What came back: status, headers by name in small letters, and the body."""
+    """A response: status, headers by name in small letters, and the body."""
 
     status: int
     headers: Mapping[str, str]
@@ -51,7 +51,9 @@ class Page:
         self.cookie = answer.headers["set-cookie"].partition(";")[0]
         return answer
 
-    def ask(self, path: str, headers: Mapping[str, str] | None = None, method: str = "GET") -> Answer:
+    def ask(
+        self, path: str, headers: Mapping[str, str] | None = None, method: str = "GET", content: bytes = b""
+    ) -> Answer:
         """Send a request as it is, nothing normalised, with the cookie unless `headers` has another."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=_SECONDS)
         with contextlib.closing(connection):
@@ -59,7 +61,9 @@ class Page:
             connection.putrequest(method, path, skip_host="Host" in given)
             for name, value in given.items():
                 connection.putheader(name, value)
-            connection.endheaders()
+            if content:
+                connection.putheader("Content-Length", str(len(content)))
+            connection.endheaders(content or None)
             response = connection.getresponse()
             found = {name.lower(): value for name, value in response.getheaders()}
             return Answer(response.status, found, response.read())
@@ -113,7 +117,7 @@ class Stream:
 @contextlib.contextmanager
 def glue_view(*arguments: object, cwd: Path | None = None) -> Iterator[Page]:
     """Run `glue-view` at a free port until the context ends."""
-    command = [sys.executable, "-m", "experiment_runner.view.command", *map(str, arguments), "--no-browser"]
+    command = [sys.executable, "-m", "experiment_runner.cli.view", *map(str, arguments), "--no-browser"]
     process = subprocess.Popen(
         [*command, "--port", "0"], cwd=cwd, stdout=subprocess.PIPE, text=True, env={**os.environ}
     )

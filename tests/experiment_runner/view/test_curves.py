@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -9,14 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiment_runner.analysis.curves import over_episodes, over_steps
+from experiment_runner.analysis.curves import of_metric, over_episodes
 from experiment_runner.analysis.stats import bootstrap_rng, estimate, mean, running_mean
-from experiment_runner.plan import RoleSpec, TrialSpec
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.report.overview import as_object
-from experiment_runner.store.records import EpisodeResult
+from experiment_runner.report.svg import Line, draw, sample
+from experiment_runner.store.records import MEASURES, EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from tests.experiment_runner.view.pages import Page, glue_view
+from tests.system.runs import run as execute
 
 NAME = "<script>alert(1)</script>"
 TRIALS, EPISODES = 3, 600
@@ -25,10 +29,21 @@ RETURNS = RNG.normal(size=(TRIALS, EPISODES)).cumsum(axis=1)
 STEPS = RNG.integers(1, 50, size=(TRIALS, EPISODES))
 
 
+METRIC = "mean TD error"
+
+
+def store_metrics(directory: Path) -> None:
+    """Store a run whose agent reports metrics every 50 steps."""
+    plan = ("--env", "mines", "--agent", "sarsa", "--episodes", 60, "--max-steps", 40, "--trials", 2)
+    done = execute(*plan, "--metrics-every", 50, "--in-process", "--out", directory, cwd=directory.parent)
+    assert done.returncode == 0, done.stderr
+
+
 def store_run(directory: Path, name: str = NAME, all_returns: Any = RETURNS) -> None:
     agent, environment = RoleSpec(f"{name[1]}.py:A", label=name), RoleSpec("mines", label="mines")
     specs = [
-        TrialSpec(f"{name[1]}/mines/{i}", agent, environment, EPISODES, 0, 2**62 + i) for i in range(TRIALS)
+        TrialSpec(TrialId(f"{name[1]}/mines/{i}"), agent, environment, EPISODES, 0, 2**62 + i)
+        for i in range(TRIALS)
     ]
     with Store.create(directory, specs, {}) as store:
         for spec, returns, steps in zip(specs, all_returns, STEPS, strict=True):
@@ -68,13 +83,28 @@ def test_a_curve_is_that_of_glue_plot(shown: tuple[Page, Path, str]) -> None:
     assert curve["mean"] == value.tolist()
     assert curve["low"] == low.tolist()
     assert curve["high"] == high.tolist()
-    assert curve["singles"] == means[:, at].tolist()
+    drawing = found["drawing"]["svg"]
+    assert drawing.count('class="curve single') == len(RETURNS)
+    assert "NaN" not in drawing.replace("nan", "NaN")
 
 
 def test_the_table_is_that_of_glue_results(shown: tuple[Page, Path, str]) -> None:
     found, _ = curve_of(shown)
     with Results.open(shown[1]) as results:
         assert found["settings"] == as_object(results)["settings"]
+
+
+def test_another_measure_has_its_own_curve_and_axis_beside_the_table_of_returns(
+    shown: tuple[Page, Path, str],
+) -> None:
+    returns, _ = curve_of(shown)
+    found, curve = curve_of(shown, "&measure=steps")
+    with Results.open(shown[1]) as results:
+        steps = np.array([results.measure(trial.spec.id, "steps") for trial in results.trials()])
+    assert curve["mean"][-1] == pytest.approx(steps[:, -60:].mean())
+    assert MEASURES["steps"].label in found["drawing"]["svg"]
+    assert found["measures"] == list(MEASURES)
+    assert found["settings"] == returns["settings"]
 
 
 def test_a_part_is_shown_with_the_same_numbers_in_more_detail(shown: tuple[Page, Path, str]) -> None:
@@ -87,12 +117,7 @@ def test_a_part_is_shown_with_the_same_numbers_in_more_detail(shown: tuple[Page,
     assert [old for old, _ in both] == [new for _, new in both]
 
 
-def test_over_steps_each_trial_counts_where_it_was_after_so_many_steps() -> None:
-    curve = over_steps(np.array([[1.0, 3.0], [2.0, 6.0]]), [np.array([2, 4]), np.array([4, 8])], 1, RNG)
-    assert curve is not None
-    assert curve.at.tolist() == [4.0, 5.0, 6.0]
-    np.testing.assert_allclose(curve.means, [[2.0, 2.5, 3.0], [2.0, 2.5, 3.0]])
-    assert over_steps(np.ones((1, 3)), [np.ones(3, np.int64)], 5, RNG) is None
+def test_over_episodes_a_span_beyond_the_end_has_no_curve() -> None:
     assert over_episodes(np.ones((1, 3)), 1, RNG, (7, 9)) is None
 
 
@@ -115,3 +140,39 @@ def test_what_there_is_not_is_an_error_for_people(shown: tuple[Page, Path, str],
     assert page.ask("/api/curves?run=0").status == 404
     assert page.ask("/api/curves").status == 404
     assert page.ask(f"/api/standings/{run_id}").status == 422
+
+
+def test_no_two_of_forty_lines_look_the_same() -> None:
+    lines = [Line([0, 1], [number, number + 1]) for number in range(42)]
+    drawing = draw(lines, ("x", "y"))["svg"]
+    looks = re.findall(r'<polyline (.*?) points="', drawing)
+    assert len(set(looks)) == len(looks) == 42
+    assert [re.findall(r"<polyline (.*?) points=", sample(number))[0] for number in range(42)] == looks
+
+
+@pytest.mark.parametrize("log", [(False, False), (True, True)])
+@pytest.mark.parametrize("values", [[0.0, 0.0], [-1e300, 1e300], [1e-300, 1e300], [-5.0, 7.0], [None, 3.0]])
+def test_any_numbers_are_drawn_inside_the_axes(values: list[float | None], log: tuple[bool, bool]) -> None:
+    drawing = draw([Line([1.0, 2.0], values, values, values)], ("x", "y"), log=log)
+    left, top, width, height = drawing["box"]
+    for points in re.findall(r'points="(.*?)"', drawing["svg"]):
+        for x, y in (map(float, point.split(",")) for point in points.split()):
+            assert left - 0.1 <= x <= left + width + 0.1
+            assert top - 0.1 <= y <= top + height + 0.1
+
+
+def test_a_metric_is_drawn_over_steps(tmp_path: Path) -> None:
+    store_metrics(tmp_path / "run")
+    with glue_view(tmp_path) as page:
+        found = page.ask(f"/api/curves?run={page.run_id('run')}&measure={METRIC.replace(' ', '%20')}").json()
+        wrong = page.ask(f"/api/curves?run={page.run_id('run')}&measure=mean%20TD%20eror")
+    (curve,) = found["curves"]
+    with Results.open(tmp_path / "run") as results:
+        readings = [results.metric(trial.spec.id, METRIC) for trial in results.trials()]
+    expected = of_metric([(each.steps, each.values) for each in readings], bootstrap_rng())
+    assert expected is not None
+    assert curve["at"] == expected.at.tolist()
+    assert curve["mean"] == pytest.approx(expected.band.value.tolist())
+    assert METRIC in found["measures"]
+    assert wrong.status == 422
+    assert f"did you mean {METRIC}" in wrong.body.decode()

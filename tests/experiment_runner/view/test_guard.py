@@ -1,7 +1,8 @@
-"""Who may ask the page's server, tried from outside with real requests."""
+"""Access to the page's server, tried from outside with real requests."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -9,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from experiment_runner.view.catalog import read_notes
 from experiment_runner.view.guard import HEADERS, Address
 from tests.experiment_runner.view.pages import Page, glue_view
+from tests.experiment_runner.view.test_stream import make_run
 
 EVERYTHING = ("/", "/static/main.js", "/api/stream?topic=runs", "/api/run/0", "/nothing")
 METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "PATCH", "OPTIONS", "TRACE", "PROPFIND")
@@ -75,6 +78,31 @@ def test_only_reading_is_allowed(page: Page, method: str) -> None:
     assert answer.headers["allow"] == "GET, HEAD"
 
 
+def test_only_the_page_itself_writes_and_only_notes(tmp_path: Path) -> None:
+    make_run(tmp_path / "run").close()
+    with glue_view(tmp_path) as page:
+        path, own = f"/api/notes/{page.run_id('run')}", {"Origin": f"http://127.0.0.1:{page.port}"}
+        good = json.dumps({"note": "x", "tags": ["a", " a", ""]}).encode()
+        for headers in ({}, {**own, "Cookie": ""}, {"Origin": "http://evil.example"}):
+            assert page.ask(path, headers, "PUT", good).status == 403
+        assert page.ask(path, own, "PUT", good).json() == {"note": "x", "tags": ["a"]}
+        for content, status in (
+            (b"x" * 20_000, 413),
+            (b"{", 422),
+            (b'{"note": 1, "tags": []}', 422),
+            (json.dumps({"note": "", "tags": ["x" * 41]}).encode(), 422),
+            (b"[" * 10_000, 422),
+        ):
+            assert page.ask(path, own, "PUT", content).status == status
+        assert page.ask("/api/notes/0", own, "PUT", good).status == 404
+        assert page.ask("/api/run/0", own, "PUT", good).status == 405
+        assert sorted(one.name for one in tmp_path.iterdir()) == ["run"]
+    assert read_notes(tmp_path / "run") == {"note": "x", "tags": ["a"]}
+    (tmp_path / "run/notes.json").unlink()
+    (tmp_path / "run/notes.json").symlink_to("/etc/passwd")
+    assert read_notes(tmp_path / "run") == {"note": "", "tags": []}
+
+
 def test_names_of_this_machine_may_be_used(page: Page) -> None:
     for host in ("127.0.0.1", "localhost", "LocalHost", "[::1]"):
         headers = {"Host": f"{host}:{page.port}", "Origin": f"http://{host}:{page.port}"}
@@ -136,7 +164,7 @@ def test_behind_a_proxy_its_name_counts_and_off_loopback_any_ip_but_no_other_nam
 
 
 def test_off_loopback_only_when_told_to(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "experiment_runner.view.command", str(tmp_path), "--host", "0.0.0.0"]
+    command = [sys.executable, "-m", "experiment_runner.cli.view", str(tmp_path), "--host", "0.0.0.0"]
     refused = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert refused.returncode == 2
     assert "--insecure" in refused.stderr

@@ -11,17 +11,17 @@ from typing import Any
 
 import pytest
 
-from experiment_runner.plan import TrialSpec
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.store import Store
-from experiment_runner.view.catalog import Catalog
+from experiment_runner.view.catalog import Catalog, Watcher
 from experiment_runner.view.stream import Pulse
-from experiment_runner.view.watching import Watcher
 from tests.experiment_runner.view.pages import Page, glue_view
 
 
 def make_run(directory: Path, episodes: int = 10) -> Store:
-    return Store.create(directory, [TrialSpec("remote/remote/0", None, None, episodes, 0, 1)], {})
+    return Store.create(directory, [TrialSpec(TrialId("remote/remote/0"), None, None, episodes, 0, 1)], {})
 
 
 def play(store: Store, episode: int) -> None:
@@ -126,3 +126,28 @@ def test_ctrl_c_ends_the_server_at_once_with_pages_open(page: Page) -> None:
     took = time.monotonic() - began
     assert [stream.next() for stream in streams] == [None] * 5
     assert took < 10  # a second on a quiet machine; without the end of the streams it would be never
+
+
+def test_a_run_is_summed_up_by_the_returns_of_its_settings_and_their_options(
+    page: Page, tmp_path: Path
+) -> None:
+    specs = [
+        TrialSpec(
+            TrialId(f"sarsa/step_size={step_size}/mines/{trial}"),
+            RoleSpec("sarsa", {"step_size": step_size}),
+            RoleSpec("mines"),
+            *(300, 0, 2**62),
+        )
+        for step_size in (0.5, 0.05)
+        for trial in range(2)
+    ]
+    with Store.create(tmp_path / "sweep", specs, {}) as store:
+        for number, spec in enumerate(specs):
+            for episode in range(1, 201):  # the last 100 count
+                store.record(
+                    spec.id, EpisodeResult(episode, float(number if episode > 100 else -99), 3, True, 0.1)
+                )
+    (found,) = page.stream("topic=runs").next()["runs"].values()
+    assert found["returns"] == [0.5, 2.5]
+    assert found["options"] == {"step_size": ["0.5", "0.05"]}
+    assert "seeds" not in found

@@ -1,30 +1,41 @@
-// Moments in, canvas out: what an agent sees, beside it the action, reward and return, and below it all numbers.
+// Moments in, canvas out: the observation as a drawing, beside it the action, reward and return, and below it all numbers.
 
 import { get, h, setText, table } from "../dom.js";
-import { HEIGHT, WIDTH, describe, drawScene, isScene, readScene } from "./mario.js";
-import { mines, skeleton } from "./toys.js";
 import { inWords, textOf } from "./values.js";
 
 const MOST_ROWS = 600;
 const LINE = 22; // chars in a row of the table, and in a row of Mario's tiles
+const MOST_PIXELS = 4096; // of a drawing, in each direction
 const plain = new Intl.NumberFormat("en", { maximumFractionDigits: 4 });
 
-let artwork = null;
-
-/** Return what games are drawn with; without the sheet, and with a `problem`, if the server cannot make it. */
-async function loadArtwork() {
-  const found = await get("artwork");
-  const response = await fetch("api/artwork.png");
-  if (!response.ok) return { ...found, problem: (await response.json()).error };
-  const options = { premultiplyAlpha: "none", colorSpaceConversion: "none" };
-  return { ...found, sheet: await createImageBitmap(await response.blob(), options) };
+/** Return the drawings that installed environments offer for a task spec, and why others cannot be had. */
+async function openDrawings(spec) {
+  const drawings = [];
+  const problems = [];
+  for (const { name, problem } of await get("drawings")) {
+    const base = new URL(`drawings/${encodeURIComponent(name)}/`, document.baseURI);
+    const file = async (path) => {
+      const response = await fetch(new URL(path, base));
+      if (!response.ok) throw new Error((await response.json()).error);
+      return response;
+    };
+    try {
+      if (problem) throw new Error(problem);
+      const drawing = await (await import(new URL("drawing.js", base))).open(spec, file);
+      if (drawing) drawings.push(drawing);
+    } catch (error) {
+      problems.push(`The drawing ${name} cannot be used: ${error.message}`);
+    }
+  }
+  return { drawings, problems };
 }
 
 /** A place in which moments are shown; `element` holds it. `spec` is the task spec, as the server describes it. */
 export class Screen {
-  constructor(spec, art) {
+  constructor(spec, { drawings, problems }) {
     this._spec = spec;
-    this._art = art;
+    this._drawings = drawings;
+    this._problems = problems;
     this._moment = null;
     this._names = null;
     this._messages = "";
@@ -48,13 +59,7 @@ export class Screen {
 
   /** Return a new screen, once there is what it draws with. */
   static async open(spec) {
-    artwork ??= loadArtwork();
-    try {
-      return new Screen(spec, await artwork);
-    } catch (error) {
-      artwork = null;
-      throw error;
-    }
+    return new Screen(spec, await openDrawings(spec));
   }
 
   /** Show a moment: its `step`, `action` (or null), `observation`, `reward`, `total`, `ending` and `answers`. */
@@ -86,15 +91,7 @@ export class Screen {
 
   /** Return an action in words. */
   words(action, observation) {
-    const [first, jump, run] = action.ints;
-    const alone = action.doubles.length === 0 && action.chars.length === 0;
-    const moves = this._toy(observation)?.moves;
-    if (moves && alone && action.ints.length === 1 && first in moves) return moves[first];
-    if (isScene(observation) && alone && action.ints.length === 3) {
-      const held = [{ "-1": "left", 1: "right" }[first], jump && "jump", run && "run"].filter(Boolean);
-      return held.join(", ") || "no button";
-    }
-    return inWords(action);
+    return this._drawing(observation)?.words?.(action, observation) ?? inWords(action);
   }
 
   /** End it. */
@@ -102,38 +99,31 @@ export class Screen {
     window.removeEventListener("themechange", this._redraw);
   }
 
-  _toy({ ints, doubles, chars }) {
-    if (ints.length !== 1 || doubles.length || chars.length) return null;
-    return { mines: mines(this._art.mines), skeleton }[this._spec.extra] ?? null;
+  _drawing(observation) {
+    return this._drawings.find((one) => one.shows(observation));
   }
 
   _draw(observation) {
-    let note = "";
-    let drawn = true;
-    const toy = this._toy(observation);
-    if (isScene(observation) && this._art.sheet) {
+    let note = ["There is no drawing of this environment: below are its numbers.", ...this._problems].join(" ");
+    let drawn = false;
+    const drawing = this._drawing(observation);
+    if (drawing) {
       try {
-        const scene = readScene(observation);
-        this._size(WIDTH, HEIGHT, "pixels");
-        drawScene(this._canvas.getContext("2d"), scene, this._art);
-        this._canvas.setAttribute("aria-label", describe(scene));
+        this._size(drawing.width, drawing.height, drawing.pixelated ? "pixels" : "");
+        drawing.draw(this._canvas.getContext("2d"), observation);
+        this._canvas.setAttribute("aria-label", drawing.describe(observation));
+        [note, drawn] = ["", true];
       } catch (error) {
-        [note, drawn] = [error.message, false];
+        note = error.message;
       }
-    } else if (toy) {
-      this._size(toy.width, toy.height, "");
-      toy.draw(this._canvas.getContext("2d"), observation.ints);
-      this._canvas.setAttribute("aria-label", toy.describe(observation.ints));
-    } else {
-      drawn = false;
-      note = isScene(observation) ? this._art.problem : "There is no drawing of this environment: below are its numbers.";
     }
     this._canvas.hidden = !drawn;
     setText(this._note, note);
     if (!drawn && this._names === null) this._numbers.open = true;
   }
 
-  _size(width, height, style) {
+  _size(wide, high, style) {
+    const [width, height] = [wide, high].map((pixels) => Math.min(Math.max(Math.trunc(pixels), 1), MOST_PIXELS));
     if (this._canvas.width !== width || this._canvas.height !== height) {
       this._canvas.width = width;
       this._canvas.height = height;
@@ -144,7 +134,8 @@ export class Screen {
   /** Bring the table of numbers up to date, if somebody looks at it. */
   _count() {
     if (!this._numbers.open || !this._moment) return;
-    const rows = numbersOf(this._moment.observation, this._spec.observation, isScene(this._moment.observation));
+    const { observation } = this._moment;
+    const rows = numbersOf(observation, this._spec.observation, this._drawing(observation)?.names);
     const names = rows.map(([name]) => name).join();
     if (names !== this._names) {
       this._names = names;
@@ -158,23 +149,20 @@ export class Screen {
   }
 }
 
-/** Return rows of the name, value and range of every number of an observation. */
-function numbersOf({ ints, doubles, chars }, space, scene) {
+/** Return rows of the name, value and range of every number of an observation; a drawing may have names for them. */
+function numbersOf({ ints, doubles, chars }, space, names = {}) {
+  const nameOf = (kind, i, otherwise) => names[kind]?.(i) ?? otherwise;
   const rows = [
-    ...ints.map((value, i) => [scene ? intName(i) : `int ${i}`, String(value), rangeOf(space?.ints, i)]),
-    ...doubles.map((value, i) => [scene ? doubleName(i) : `double ${i}`, String(value), rangeOf(space?.doubles, i)]),
+    ...ints.map((value, i) => [nameOf("int", i, `int ${i}`), String(value), rangeOf(space?.ints, i)]),
+    ...doubles.map((value, i) => [nameOf("double", i, `double ${i}`), String(value), rangeOf(space?.doubles, i)]),
   ];
   for (let i = 0; i < chars.length; i += LINE) {
     const part = chars.subarray(i, i + LINE);
-    rows.push([scene ? `tiles, row ${i / LINE}` : `chars ${i} to ${i + part.length - 1}`, textOf(part), ""]);
+    rows.push([nameOf("chars", i, `chars ${i} to ${i + part.length - 1}`), textOf(part), ""]);
   }
   const more = rows.length - MOST_ROWS;
   return more > 0 ? [...rows.slice(0, MOST_ROWS), [`and ${more} more`, "", ""]] : rows;
 }
-
-const intName = (i) => (i === 0 ? "the camera's column" : `${["kind", "winged"][(i - 1) % 2]} of sprite ${Math.floor((i - 1) / 2)}`);
-
-const doubleName = (i) => `${["x", "height", "horizontal speed", "vertical speed"][i % 4]} of sprite ${Math.floor(i / 4)}`;
 
 /** Return the range of number `i`; `runs` are pairs of how many numbers have a range, and the range. */
 function rangeOf(runs, i) {

@@ -172,17 +172,18 @@ def test_an_episode_that_is_too_long_is_refused_with_what_shows_it(
 
 def test_the_sheet_holds_every_sprite_where_it_is_said_to_be(shown: tuple[Page, Path, str]) -> None:
     page = shown[0]
-    answer = page.ask("/api/artwork.png")
+    answer = page.ask("/drawings/mario/sheet.png")
     assert answer.headers["content-type"] == "image/png"
     sheet = np.asarray(Image.open(io.BytesIO(answer.body)))
     assert sheet.shape[2] == 4
-    artwork = page.ask("/api/artwork").json()
+    artwork = page.ask("/drawings/mario/artwork.json").json()
     for name, drawn in (("tile flag", tile("flag")), ("sprite 3 left winged", sprite(3, True, True))):
         left, top, width, height = artwork["places"][name]
         part = sheet[top : top + height, left : left + width]
         assert part.shape[:2] == drawn.shape
         assert ((part[..., 3] == 0) == (drawn == 255)).all()
-    assert artwork["mines"][0].startswith("S")
+    assert page.ask("/drawings/toys/map.json").json()[0].startswith("S")
+    assert page.ask("/drawings/mario/nothing").status == page.ask("/drawings/..%2f/mario.js").status == 404
 
 
 def test_a_recording_may_be_made_in_the_folder_of_its_run(tmp_path: Path) -> None:

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from tests.experiment_runner.view.chromium import Browser, needed
+from tests.experiment_runner.view.browser.chromium import Browser, needed
 from tests.experiment_runner.view.pages import Page
-from tests.experiment_runner.view.test_curves import NAME, RETURNS, store_run
+from tests.experiment_runner.view.test_curves import METRIC, NAME, RETURNS, store_metrics, store_run
 from tests.system.runs import wait_until
 
 needed()
@@ -24,6 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     store_run(folder / "one")
     store_run(folder / "other", OTHER, -RETURNS)
+    store_metrics(folder / "metrics")
     return folder
 
 
@@ -42,9 +43,10 @@ def numbers_of(curve: dict[str, Any]) -> Iterator[tuple[float, ...]]:
     return zip(*(curve[key] for key in ("at", "mean", "low", "high")), strict=True)
 
 
-def ink(browser: Browser) -> bytes:
-    """Return the drawing as a PNG."""
-    return bytes(browser.find(".plot canvas").screenshot_as_png)
+def ink(browser: Browser) -> str:
+    """Return the drawing as it is now."""
+    browser.find(".plot svg")
+    return str(browser.run("return document.querySelector('.plot svg').outerHTML"))
 
 
 def test_two_runs_are_compared_and_their_tables_hold_the_numbers(
@@ -73,10 +75,10 @@ def test_scales_are_linear_or_logarithmic_and_stand_in_the_address(browser: Brow
     for group, name in ((1, "x"), (2, "y")):
         browser.find(f".controls fieldset:nth-of-type({group + 1}) button:last-of-type").click()
         assert f"{name}=log" in browser.driver.current_url
+        browser.wait(lambda: ink(browser) not in drawings, "another drawing")
         drawings.append(ink(browser))
-    assert len(set(drawings)) == 3
     browser.driver.refresh()
-    assert len(browser.wait(lambda: browser.driver.find_elements("css selector", "canvas"), "curves")) == 1
+    assert len(browser.wait(lambda: browser.driver.find_elements("css selector", ".plot svg"), "curves")) == 1
     pressed = browser.run(
         "return [...document.querySelectorAll('[aria-pressed=true]')].map((one) => one.textContent)"
     )
@@ -104,8 +106,8 @@ def test_dragging_zooms_and_the_part_stays_until_the_whole_is_wanted(browser: Br
     from selenium.webdriver import ActionChains
 
     browser.go(f"curves?{both}")
-    over = browser.find(".u-over")
     before = browser.has_table(f"{NAME}: running mean")
+    over = browser.find(".plot")  # not the drawing in it: the page may draw again at any time
     ActionChains(browser.driver).move_to_element_with_offset(over, -100, 0).click_and_hold().move_by_offset(
         150, 0
     ).release().perform()
@@ -140,19 +142,40 @@ def test_png_is_the_picture_with_its_legend(browser: Browser, both: str, tmp_pat
     picture = saved(browser, f"curves?{both}", "PNG", tmp_path / "curves.png")
     assert picture.startswith(b"\x89PNG\r\n\x1a\n")
     width, height = (int.from_bytes(picture[at : at + 4], "big") for at in (16, 20))
-    canvas = browser.run("const it = document.querySelector('.plot canvas'); return [it.width, it.height]")
-    assert [width, height] == [canvas[0], canvas[1] + 60]
+    size = browser.run(
+        "const it = document.querySelector('.plot svg').viewBox.baseVal; return [it.width, it.height]"
+    )
+    assert [width, height] == [2 * size[0], 2 * (size[1] + 48)]
     assert len(picture) > 5000
 
 
 def saved(browser: Browser, view: str, button: str, file: Path) -> bytes:
-    """Return what a button of a view saves."""
+    """Return the file that a button of a view saves."""
     browser.save_into(file.parent)
     browser.go(view)
-    browser.find(".plot canvas")
+    browser.find(".plot svg")
     browser.button(button).click()
     wait_until(file.exists, file.name)
     return file.read_bytes()
+
+
+def test_a_metric_of_the_agent_is_chosen_and_drawn(browser: Browser, page: Page) -> None:
+    query = f"run={page.run_id('metrics')}"
+    browser.go(f"curves?{query}")
+    browser.wait(
+        lambda: browser.run("return document.querySelectorAll('#measure option').length > 4"), "metrics"
+    )
+    browser.run(
+        "const measure = document.querySelector('#measure');"
+        "measure.value = arguments[0]; measure.dispatchEvent(new Event('change'))",
+        METRIC,
+    )
+    (curve,) = page.ask(f"/api/curves?{query}&measure={METRIC.replace(' ', '%20')}").json()["curves"]
+    browser.wait(lambda: METRIC in browser.find(".plot svg").get_attribute("outerHTML"), "its axis")
+    rows = browser.has_table(f"{curve['label']}: running mean")
+    assert {at for at, *_ in rows} <= {f"{at:,.0f}" for at in curve["at"]}
+    assert len(rows) > 10
+    assert "measure=mean" in browser.run("return location.href")
 
 
 def test_nothing_went_wrong_and_no_other_host_was_asked(browser: Browser) -> None:

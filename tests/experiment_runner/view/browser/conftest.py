@@ -1,4 +1,4 @@
-"""What tests in a browser share: `glue-view` on a module's folder of runs, and a browser that looks at it."""
+"""Fixtures of tests in a browser: `glue-view` on a module's folder of runs, and a browser that shows it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.experiment_runner.view.chromium import Browser, browsing
+from tests.experiment_runner.view.browser.chromium import Browser, browsing
 from tests.experiment_runner.view.pages import Page, glue_view
 
 

@@ -1,7 +1,7 @@
 """Take pictures of the page for the documentation, with real runs, which take some minutes.
 
 A program: `make screenshots` runs it, and it writes docs/images/view-*.png. It needs what the tests with a
-browser need (`tests.experiment_runner.view.chromium`).
+browser need (`tests.experiment_runner.view.browser.chromium`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 from subprocess import DEVNULL, Popen
 from typing import Final
 
-from tests.experiment_runner.view.chromium import Browser, browsing
+from tests.experiment_runner.view.browser.chromium import Browser, browsing
 from tests.experiment_runner.view.pages import Page, glue_view
 from tests.house.imports import ROOT
 from tests.terminal import BIN, run
@@ -27,12 +27,14 @@ PHONE: Final = (390, 780)
 _RECORDED: Final = ("glue-experiment", "--env", "mario", "--agent", "hierarchical", "--episodes", "2")
 _ASKED: Final = ("--ask", "values", "--ask", "epsilon")
 _SWEEP: Final = """\
-episodes = 200
-trials = 4
+episodes = 1500
+max_steps = 500
+trials = 5
 seed = 1
 [environments.mines]
+random_start = true
 [agents.sarsa]
-step_size = [0.05, 0.5]
+step_size = [0.1, 0.3]
 [agents.random]
 """
 _TOURNAMENT: Final = f"""\
@@ -107,9 +109,11 @@ def _pictures(browser: Browser, page: Page) -> Iterator[tuple[str, bytes]]:
     sweep, spring = page.run_id("step-sizes"), page.run_id("spring")
     browser.set_size(*WIDE)
     browser.set_dark(False)
-    browser.wait(lambda: browser.find("td[data-label='Time left']").text not in ("", "…"), "the time left")
+    # In one script: between two the page may have drawn the table again.
+    left = "return document.querySelector(`td[data-label='Time left']`)?.innerText"
+    browser.wait(lambda: browser.run(left) not in (None, "", "…"), "the time left")
     yield "runs", browser.screenshot()
-    browser.go(f"curves?run={sweep}&window=20")
+    browser.go(f"curves?run={sweep}&window=100")
     browser.has_table("Results, by setting")
     yield "curves", browser.screenshot()
     browser.go(f"standings/{spring}")

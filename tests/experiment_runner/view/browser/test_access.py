@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.experiment_runner.view.chromium import Browser, needed
+from tests.experiment_runner.view.browser.chromium import Browser, needed
 from tests.experiment_runner.view.contests import hold
 from tests.experiment_runner.view.game.test_live import playing, started
 from tests.experiment_runner.view.pages import Page
@@ -106,7 +106,7 @@ def test_the_keyboard_leads_everywhere_in_the_order_of_the_page(browser: Browser
     browser.go("runs")
     browser.shows("interrupted")
     reached = []
-    for _ in range(16):
+    for _ in range(26):
         browser.press(TAB)
         reached.append(focused(browser))
     for label in ("glue-view", "Runs", "Curves", "Switch between light and dark", "compare"):

@@ -18,7 +18,7 @@ from env_server.toys import MinesEnvironment
 from glue.roles import Environment
 from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation
-from tests.experiment_runner.view.chromium import Browser, needed
+from tests.experiment_runner.view.browser.chromium import Browser, needed
 from tests.experiment_runner.view.game.test_episodes import SPEC
 from tests.experiment_runner.view.game.test_live import playing, started
 from tests.experiment_runner.view.pages import Page
@@ -43,7 +43,7 @@ def play(
     for step in range(steps):
         # A jump needs the button to be let go.
         pressed = Action(action if (step + 1) % 4 or len(action) == 1 else [1, 0, 1])
-        reward, seen, terminal = environment.env_step(pressed)
+        reward, seen, terminal, *_ = environment.env_step(pressed)
         writer.step(pressed, reward, seen, terminal)
         if terminal:
             return
@@ -89,7 +89,7 @@ def facts(browser: Browser) -> dict[str, str]:
 
 
 def answers(browser: Browser) -> dict[str, str]:
-    """Return what stands beside the game of the agent's answers, by message."""
+    """Return the agent's answers that are shown next to the game, by message."""
     found: dict[str, str] = browser.run(
         "return Object.fromEntries([...document.querySelectorAll('[data-answer]')]"
         ".map((one) => [one.previousElementSibling.textContent, one.textContent]))"
@@ -146,6 +146,7 @@ def test_every_kind_of_level_is_drawn_so_at_many_steps(
         if step % 9 and step != len(episode.steps):
             continue
         seek(browser, step)
+        assert done.observation is not None
         np.testing.assert_array_equal(pixels(browser), colors[draw(done.observation)], f"step {step}")
         shown = facts(browser)
         assert shown["action"] == ("right, jump, run" if done.action.ints[1] else "right, run")

@@ -13,7 +13,7 @@ import pytest
 
 from experiment_runner.store.records import EpisodeResult
 from glue.types import Observation, body_size
-from tests.experiment_runner.view.chromium import Browser, browsing, needed
+from tests.experiment_runner.view.browser.chromium import Browser, browsing, needed
 from tests.experiment_runner.view.game.test_live import playing, started, until
 from tests.experiment_runner.view.pages import Page, glue_view
 from tests.experiment_runner.view.test_stream import make_run

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from tests.experiment_runner.view.chromium import Browser, browsing, needed
+from tests.experiment_runner.view.browser.chromium import Browser, browsing, needed
 from tests.experiment_runner.view.contests import MATCHES, TITLE, write_competition
 from tests.experiment_runner.view.pages import in_terminal
 from tests.terminal import run

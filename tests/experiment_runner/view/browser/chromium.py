@@ -54,7 +54,7 @@ class Browser:
         self.driver.get(f"http://127.0.0.1:{self._page.port}/#/{view}")
 
     def run(self, script: str, *arguments: object) -> Any:
-        """Return what a script returns; a promise is waited for."""
+        """Return the result of a script; a promise is waited for."""
         return self.driver.execute_script(script, *arguments)
 
     def find(self, selector: str) -> Any:
@@ -116,15 +116,15 @@ class Browser:
         self._devtools("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(folder))
 
     def screenshot(self) -> bytes:
-        """Return what is shown as a PNG."""
+        """Return a screenshot as PNG."""
         return bytes(self.driver.get_screenshot_as_png())
 
     def errors(self) -> list[str]:
-        """Return what has gone wrong since the last call, by the browser's console."""
+        """Return the errors in the browser's console since the last call."""
         return [line["message"] for line in self.driver.get_log("browser") if line["level"] == "SEVERE"]
 
     def asked(self) -> list[str]:
-        """Return what was asked for since the last call, by the browser's own log."""
+        """Return the requested URLs since the last call, by the browser's own log."""
         messages = [json.loads(line["message"])["message"] for line in self.driver.get_log("performance")]
         return [
             str(one["params"]["request"]["url"])
@@ -133,7 +133,7 @@ class Browser:
         ]
 
     def foreign(self) -> list[str]:
-        """Return what was asked of any other host since the last call."""
+        """Return the URLs of other hosts that were requested since the last call."""
         ours = (f"http://127.0.0.1:{self._page.port}/", "data:", "blob:", "about:")
         return [url for url in self.asked() if not url.startswith(ours)]
 
