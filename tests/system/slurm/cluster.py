@@ -1,0 +1,113 @@
+"""A SLURM cluster of this machine only: munged, slurmctld and slurmd, started by hand."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Final
+
+import pytest
+
+__all__ = ["slurm_cluster", "wait_for"]
+
+_PROGRAMS: Final = ("munged", "slurmctld", "slurmd", "sbatch")
+
+_CONFIG: Final = """\
+ClusterName=tests
+SlurmctldHost=localhost
+SlurmctldAddr=127.0.0.1
+SlurmctldPort={ports[0]}
+SlurmdPort={ports[1]}
+SlurmUser=root
+AuthType=auth/munge
+AuthInfo=socket={folder}/munge
+CredType=cred/munge
+StateSaveLocation={folder}/state
+SlurmdSpoolDir={folder}/spool
+SlurmctldPidFile={folder}/slurmctld.pid
+SlurmdPidFile={folder}/slurmd.pid
+SlurmctldLogFile={folder}/slurmctld.log
+SlurmdLogFile={folder}/slurmd.log
+ProctrackType=proctrack/linuxproc
+TaskPlugin=task/none
+MpiDefault=none
+SwitchType=switch/none
+SelectType=select/cons_tres
+SelectTypeParameters=CR_CPU
+PreemptType=preempt/partition_prio
+PreemptMode=REQUEUE
+SchedulerParameters=sched_interval=1,batch_sched_delay=0
+MinJobAge=300
+KillWait=5
+ReturnToService=2
+NodeName=localhost NodeAddr=127.0.0.1 CPUs=2 RealMemory=4096 State=UNKNOWN
+PartitionName=low Nodes=localhost Default=YES PriorityTier=1 PreemptMode=REQUEUE GraceTime=5
+PartitionName=high Nodes=localhost PriorityTier=2 PreemptMode=OFF
+"""
+
+
+@contextmanager
+def slurm_cluster() -> Iterator[Path]:
+    """Run a cluster with two processors, and let SLURM_CONF name it.
+
+    Yields:
+        The folder of its logs.
+    """
+    if "GLUE_SLURM" not in os.environ:
+        pytest.skip("a minute and more: `.ci/run slurm` starts a cluster")
+    missing = [name for name in _PROGRAMS if shutil.which(name) is None]
+    if missing or os.geteuid() != 0:
+        pytest.skip(f"SLURM cannot be started here: {', '.join(missing) or 'only root starts its daemons'}")
+    with ExitStack() as stack:
+        # Sockets need a shorter path than pytest's folders have.
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="slurm-", ignore_cleanup_errors=True)))
+        folder.chmod(0o755)
+        for name in ("state", "spool"):
+            (folder / name).mkdir()
+        key = folder / "munge.key"
+        key.write_bytes(os.urandom(128))
+        key.chmod(0o600)
+        (folder / "slurm.conf").write_text(_CONFIG.format(folder=folder, ports=_free_ports(2)))
+        patch = stack.enter_context(pytest.MonkeyPatch.context())
+        patch.setenv("SLURM_CONF", str(folder / "slurm.conf"))
+        munge = ["munged", "--foreground", "--force", f"--key-file={key}", f"--socket={folder}/munge"]
+        munge += [f"--{name}-file={folder}/munge.{name}" for name in ("pid", "log", "seed")]
+        _start(stack, munge)
+        wait_for((folder / "munge").exists)
+        _start(stack, ["slurmctld", "-D"])
+        _start(stack, ["slurmd", "-D", "-N", "localhost"])
+        wait_for(lambda: "idle" in _output("sinfo", "--noheader"))
+        yield folder
+
+
+def wait_for(ready: Callable[[], object], seconds: float = 60) -> None:
+    """Wait until something is true."""
+    end = time.monotonic() + seconds
+    while not ready():
+        assert time.monotonic() < end, f"not true within {seconds:.0f} s"
+        time.sleep(0.1)
+
+
+def _start(stack: ExitStack, command: list[str]) -> None:
+    program = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    stack.callback(program.wait)
+    stack.callback(program.terminate)
+
+
+def _output(*command: str) -> str:
+    return subprocess.run(command, capture_output=True, text=True, check=False).stdout
+
+
+def _free_ports(count: int) -> list[int]:
+    with ExitStack() as stack:
+        sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
+        for one in sockets:
+            one.bind(("127.0.0.1", 0))
+        return [one.getsockname()[1] for one in sockets]
