@@ -4,11 +4,11 @@ from collections import Counter
 
 import pytest
 
-from experiment_runner.paper.experiments import EXPERIMENTS, PAPER_LEVEL, Level, level_of, plan_of
-from experiment_runner.plan import RoleSpec, TrialSpec, check_options
+from experiment_runner.plan.plan import RoleSpec, TrialSpec, check_options
+from experiment_runner.study.paper.experiments import EXPERIMENTS, PAPER_LEVEL, Level, level_of, plan_of
 from glue.errors import ExperimentError
-from glue.players.loading import find
-from glue.protocol.messages import Role
+from glue.plugins.loading import find
+from glue.wire.messages import Role
 
 
 def level(spec: TrialSpec) -> Level:

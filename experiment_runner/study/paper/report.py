@@ -6,15 +6,15 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from experiment_runner.paper.experiments import ALL, SOAR
-from experiment_runner.paper.figures import figures
-from experiment_runner.paper.outcomes import Outcome, load
-from experiment_runner.paper.shared_values import agreements
-from experiment_runner.paper.tables import as_csv, as_markdown, as_soar_markdown
 from experiment_runner.report.plots import save
 from experiment_runner.report.tables import counted
 from experiment_runner.store.database import reported
 from experiment_runner.store.output import written
+from experiment_runner.study.paper.experiments import ALL, SOAR
+from experiment_runner.study.paper.figures import figures
+from experiment_runner.study.paper.outcomes import Outcome, load
+from experiment_runner.study.paper.shared_values import agreements
+from experiment_runner.study.paper.tables import as_csv, as_markdown, as_soar_markdown
 from glue.errors import ExperimentError
 
 __all__ = ["BEGIN", "END", "REPORT", "SOAR_BEGIN", "Report", "write_report"]
@@ -38,8 +38,8 @@ def write_report(out: Path, docs: Path | None = None) -> Report:
     Args:
         out: contains the run directories.
         docs: a Markdown page; the tables are written between its marks `BEGIN` and `END`, those about the
-            agents on the Soar kernel between `SOAR_BEGIN` and `END`, and the figures to images/paper beside
-            it. What `out` has no runs of stays as it is.
+            agents on the Soar kernel between `SOAR_BEGIN` and `END`, and the figures to images/paper next to
+            it. Experiments without runs in `out` stay as they are.
 
     Raises:
         ExperimentError: no episode is finished yet, a mark is missing, or a file cannot be read or written.

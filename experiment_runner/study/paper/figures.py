@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
 from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
-from experiment_runner.paper.experiments import ALL, EXPERIMENTS, PAPER_LEVEL, SOAR, Level
-from experiment_runner.paper.outcomes import WINDOW, Outcome
 from experiment_runner.report.plots import learning_curves, scatter
+from experiment_runner.study.paper.experiments import ALL, EXPERIMENTS, PAPER_LEVEL, SOAR, Level
+from experiment_runner.study.paper.outcomes import WINDOW, Outcome
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,7 +24,7 @@ def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
     """Return the figures that can be drawn of these outcomes, by name.
 
     figure-2, ...        the paper's: every episode of every trial as a dot, on the paper's level
-    soar-3, ...          the same for experiments on the Soar kernel, beside our own agent
+    soar-3, ...          the same for experiments on the Soar kernel, with our own agent
     figure-13-nearest    the same for experiment 8 on the level where our reward is closest to the paper's
     curves-0, curves-1   learning curves of the hierarchical agents, `best` and the sample agent, on the
                          paper's level seed at difficulty 0 and 1

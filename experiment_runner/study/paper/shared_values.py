@@ -1,9 +1,9 @@
-"""What agents on the Soar kernel and our own have learned of the same states, compared by rank.
+"""Rank correlation of the values that agents on the Soar kernel and our own have learned of the same states.
 
 Both hold a value for each keystroke in a state, for each operator with its object, and for each operator in
-a context. Ours are under hashed keys, so each of Soar's rules is looked up by the key of what it tests. Rank
+a context. Ours are under hashed keys, so each of Soar's rules is looked up by the key of its conditions. Rank
 correlation (Spearman's) compares two trials over the values that both have updated. Two trials of one agent
-differ as well, since they explore differently: their correlation is what to compare with.
+differ as well, since they explore differently: their correlation is the baseline.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from agents.soar.mario_link import SPRITES
 from agents.soar.rules import parse_rules
 from agents.soar.values import CONTEXT, KEYSTROKE, OPERATOR, Learned, learned_values
 from experiment_runner.analysis.stats import FloatArray
-from experiment_runner.paper.experiments import EXPERIMENTS, SOAR
 from experiment_runner.store.database import holds_run, reported
 from experiment_runner.store.results import Results
+from experiment_runner.study.paper.experiments import EXPERIMENTS, SOAR
 from glue.errors import SaveError
 from glue.saves import unpack
 
@@ -58,7 +58,7 @@ _SIGNS: Final = {"left": -1, "down": -1, "not": 0, "right": 1, "up": 1}
 
 
 class Agreement(NamedTuple):
-    """How alike values of one kind are: rank correlations, means over pairs of trials; None without any.
+    """Similarity of values of one kind: rank correlations, means over pairs of trials; None without any.
 
     shared  number of values that two trials, one on Soar and one of ours, have both updated, on average
     """
@@ -152,7 +152,7 @@ def _saves(directory: Path, agent: str) -> list[bytes]:
 
 
 def _soar_values(save: bytes, agent: str) -> dict[int, tuple[str, float]]:
-    """Return what a Soar agent has updated, by our keys, with the kinds; a value that is 0 was not."""
+    """Return the values that a Soar agent has updated (all that are not 0), and their kinds, by our keys."""
     text = unpack(save, agent, {}).array("rules", np.int8).tobytes().decode()
     learned = learned_values(parse_rules(text))
     return {key_of(what): (what.kind, value) for what, value in learned.items() if value}

@@ -7,11 +7,11 @@ import shlex
 from pathlib import Path
 from typing import Final
 
-from experiment_runner.paper.command import paper
-from experiment_runner.paper.experiments import ALL, EXPERIMENTS
-from experiment_runner.paper.report import BEGIN, END
+from experiment_runner.cli.paper import paper
+from experiment_runner.study.paper.experiments import ALL, EXPERIMENTS
+from experiment_runner.study.paper.report import BEGIN, END
 
-DOCS: Final = Path(__file__).parents[3] / "docs"
+DOCS: Final = Path(__file__).parents[4] / "docs"
 TEXT: Final = (DOCS / "paper.md").read_text(encoding="utf-8")
 TABLES: Final = TEXT.partition(BEGIN)[2].partition(END)[0]
 

@@ -20,15 +20,15 @@ from experiment_runner.analysis.stats import (
     mean_of_last,
     running_mean,
 )
-from experiment_runner.paper.experiments import EXPERIMENTS, Level, PaperExperiment, Published, level_of
-from experiment_runner.plan import RoleSpec
+from experiment_runner.plan.plan import RoleSpec
 from experiment_runner.store.database import holds_run, reported
 from experiment_runner.store.results import Results
-from glue.core.local import local
+from experiment_runner.study.paper.experiments import EXPERIMENTS, Level, PaperExperiment, Published, level_of
+from glue.engine.local import local
 from glue.errors import ExperimentError
 from glue.options import build
-from glue.players.loading import find
-from glue.protocol.messages import Role
+from glue.plugins.loading import find
+from glue.wire.messages import Role
 
 __all__ = ["FINISHED", "TOLERANCE", "WINDOW", "Outcome", "load", "reach_episode"]
 
@@ -93,7 +93,7 @@ class Outcome:
 
     @property
     def trials_reached(self) -> list[int]:
-        """The same for each trial, ascending."""
+        """The value of each trial, ascending."""
         return _ascending(map(reach_episode, self.curves))
 
     @property
@@ -106,7 +106,7 @@ class Outcome:
 
     @property
     def trials_settled(self) -> list[int]:
-        """The same for each trial that settled, ascending."""
+        """The value of each trial that settled, ascending."""
         return _ascending(convergence_episode(trial, WINDOW, TOLERANCE) for trial in self.curves)
 
     @property

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from experiment_runner.plan import Plan, RoleSpec, RoleSweep
+from experiment_runner.plan.plan import Plan, RoleSpec, RoleSweep
 from glue.errors import ExperimentError
 
 __all__ = [
@@ -64,7 +64,7 @@ class PaperExperiment:
         level_seeds: of the levels.
         figure: the number of its figure in the paper, None if it has none.
         published: the paper's numbers for the first agent, by difficulty.
-        group: the word that chooses it on the command line, beside its name.
+        group: a word that also selects it on the command line.
         episodes: of a trial, unless the command line says otherwise.
         trials: of each agent on each level, unless the command line says otherwise.
     """
@@ -94,7 +94,7 @@ def plan_of(experiment: PaperExperiment, episodes: int | None = None, trials: in
             "level_difficulty": experiment.difficulties,
         },
     )
-    return Plan(episodes=episodes, trials=trials, seed=SEED, environments=(mario,), agents=experiment.agents)
+    return Plan(episodes, 0, trials, SEED, (mario,), experiment.agents, "id")
 
 
 def level_of(environment: RoleSpec) -> Level:
@@ -141,7 +141,7 @@ _PAPER: Final = (
 
 
 def _on_soar(number: str, agent: str, trials: int = 5) -> PaperExperiment:
-    """Return an experiment of the paper for an agent on the Soar kernel, beside our own agent.
+    """Return an experiment of the paper for an agent on the Soar kernel and our own agent.
 
     A step takes Soar several hundred times as long.
     """

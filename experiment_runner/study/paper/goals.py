@@ -11,8 +11,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from experiment_runner.paper.experiments import EPISODES, EXPERIMENTS, PAPER_LEVEL, TRIALS, Level
-from experiment_runner.paper.outcomes import Outcome
+from experiment_runner.study.paper.experiments import EPISODES, EXPERIMENTS, PAPER_LEVEL, TRIALS, Level
+from experiment_runner.study.paper.outcomes import Outcome
 
 __all__ = ["Verdict", "verdicts"]
 

@@ -9,11 +9,11 @@ from typing import Final
 
 import numpy as np
 
-from experiment_runner.paper.experiments import EPISODES, PAPER_LEVEL, TRIALS
-from experiment_runner.paper.goals import verdicts
-from experiment_runner.paper.outcomes import FINISHED, TOLERANCE, WINDOW, Outcome
-from experiment_runner.paper.shared_values import Agreement
 from experiment_runner.report.tables import counted, format_table
+from experiment_runner.study.paper.experiments import EPISODES, PAPER_LEVEL, TRIALS
+from experiment_runner.study.paper.goals import verdicts
+from experiment_runner.study.paper.outcomes import FINISHED, TOLERANCE, WINDOW, Outcome
+from experiment_runner.study.paper.shared_values import Agreement
 
 __all__ = ["as_csv", "as_markdown", "as_soar_markdown", "as_text"]
 
@@ -66,7 +66,7 @@ def as_markdown(outcomes: Sequence[Outcome]) -> str:
 
 
 def as_soar_markdown(outcomes: Sequence[Outcome], agreements: Sequence[Agreement]) -> str:
-    """Return tables in Markdown about the agents on the Soar kernel beside ours: results, cycles, values."""
+    """Return tables in Markdown about the agents on the Soar kernel and ours: results, cycles, values."""
     counts = []
     for outcome in outcomes:
         if not outcome.cycles:

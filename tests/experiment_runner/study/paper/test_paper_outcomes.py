@@ -7,12 +7,12 @@ import numpy.typing as npt
 import pytest
 
 from experiment_runner.executors.resume import create_run
-from experiment_runner.paper.experiments import EXPERIMENTS, PAPER_LEVEL, Level, plan_of
-from experiment_runner.paper.figures import figures
-from experiment_runner.paper.goals import verdicts
-from experiment_runner.paper.outcomes import Outcome, load
-from experiment_runner.plan import Plan, RoleSweep
+from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store.records import EpisodeResult
+from experiment_runner.study.paper.experiments import EXPERIMENTS, PAPER_LEVEL, Level, plan_of
+from experiment_runner.study.paper.figures import figures
+from experiment_runner.study.paper.goals import verdicts
+from experiment_runner.study.paper.outcomes import Outcome, load
 from glue.errors import ExperimentError
 
 FloatArray = npt.NDArray[np.float64]

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
+from experiment_runner.cli.paper import paper
 from experiment_runner.executors.resume import create_run
-from experiment_runner.paper.command import paper
-from experiment_runner.paper.experiments import EXPERIMENTS, plan_of
-from experiment_runner.paper.report import BEGIN, END, REPORT, SOAR_BEGIN, write_report
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
+from experiment_runner.study.paper.experiments import EXPERIMENTS, plan_of
+from experiment_runner.study.paper.report import BEGIN, END, REPORT, SOAR_BEGIN, write_report
 from glue.errors import ExperimentError
 
 FIGURES = ("figure-2", "figure-8", "figure-13", "figure-13-nearest", "curves-0", "curves-1")
@@ -149,7 +149,7 @@ def test_missing_scipy_is_an_error_before_anything_is_run(
 def test_command_runs_what_is_missing_and_reports(tmp_path: Path) -> None:
     arguments = [
         "-m",
-        "experiment_runner.paper.command",
+        "experiment_runner.cli.paper",
         "7",
         "--trials",
         "1",
@@ -176,9 +176,9 @@ def test_command_runs_what_is_missing_and_reports(tmp_path: Path) -> None:
         assert results.episodes(trials[0].spec.id) == before
 
 
-def test_another_number_of_trials_wants_another_directory(study: Path) -> None:
-    with pytest.raises(ExperimentError, match="trials is 3, not 2") as caught:
-        call("4", "--trials", 3, "--episodes", 200, "--out", study)
+def test_fewer_trials_want_another_directory(study: Path) -> None:
+    with pytest.raises(ExperimentError, match="trials is 1, not 2") as caught:
+        call("4", "--trials", 1, "--episodes", 200, "--out", study)
     assert "--out" in str(caught.value)
 
 

@@ -11,10 +11,10 @@ from agents.mohan2010.hierarchical import HierarchicalAgent
 from agents.soar.values import CONTEXT, KEYSTROKE, OPERATOR, Learned, learned_values
 from env_server.mario.environment import InfiniteMario
 from experiment_runner.executors.resume import create_run
-from experiment_runner.paper.experiments import EXPERIMENTS, plan_of
-from experiment_runner.paper.shared_values import agreements, key_of, spearman
 from experiment_runner.store.records import Checkpoint, EpisodeResult
-from glue.core.local import local
+from experiment_runner.study.paper.experiments import EXPERIMENTS, plan_of
+from experiment_runner.study.paper.shared_values import agreements, key_of, spearman
+from glue.engine.local import local
 from glue.errors import SaveError
 from glue.saves import Saved, pack, unpack
 

@@ -1,0 +1,1 @@
+"""Scores of agents on unseen levels of Infinite Mario: docs/generalisation.md."""

@@ -1,0 +1,190 @@
+"""Tables of a benchmark: goal rate, interquartile mean of the returns, intervals, and the generalisation gap.
+
+As in rliable: the interquartile mean is the mean of the middle half of the scores of all trials and levels,
+and intervals are 95 % percentile bootstrap intervals that resample trials within each level. With one trial
+there is nothing to resample within a level; then the levels themselves are resampled.
+
+Source: Agarwal et al. (2021), Deep reinforcement learning at the edge of the statistical precipice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence, Set
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from experiment_runner.analysis.stats import FloatArray, Statistic, bootstrap_rng, interquartile_mean, mean
+from glue.errors import ConfigError
+
+__all__ = ["Interval", "Summary", "difference_in_goals", "markdown", "summarise", "table"]
+
+_RESAMPLES: Final = 1000
+_TAILS: Final = (2.5, 97.5)
+_SCORES: Final = ("goal", "episode_return")
+_COLUMNS: Final = ("training", "unseen", "gap")
+_HEAD: Final = ("agent", "trials", *(f"{what}, {name}" for what in ("goal", "return") for name in _COLUMNS))
+_HEAD_BY_DIFFICULTY: Final = ("agent", "set", "difficulty", "levels", "trials", "goal", "return", "steps")
+
+Document = dict[str, Any]
+"""The scores of a benchmark, see `experiment_runner.study.generalisation.benchmark.document`."""
+
+
+class Interval(NamedTuple):
+    """A number and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+class Summary(NamedTuple):
+    """Mean goal rate and interquartile mean of the returns: on training levels, on unseen ones, the gap."""
+
+    goal_rate: tuple[Interval, Interval, Interval]
+    episode_return: tuple[Interval, Interval, Interval]
+
+
+def summarise(document: Document) -> Summary:
+    """Return the summary of the scores on training levels and on unseen ones.
+
+    Raises:
+        ExperimentError: SciPy is not installed.
+    """
+    trials = document["trials"]
+    train, test = (
+        [_scores([trial[levels] for trial in trials], what) for what in _SCORES]
+        for levels in ("train", "test")
+    )
+    goals, returns = zip(train, test, strict=True)
+    return Summary(_compare(*goals, mean), _compare(*returns, interquartile_mean))
+
+
+def table(documents: Sequence[Document], solvable: Set[int] = frozenset()) -> str:
+    """Return a table in Markdown: a row for each benchmark or, with scored sets, for each difficulty.
+
+    Args:
+        documents: the benchmarks.
+        solvable: numbers of levels; the share of these that were solved is a column of a table by difficulty.
+
+    Raises:
+        ConfigError: some have scores for each difficulty, and others have not.
+        ExperimentError: SciPy is not installed.
+    """
+    kinds = {bool(document.get("sets")) for document in documents}
+    if len(kinds) > 1:
+        raise ConfigError(
+            "scores of each difficulty and scores of two sets have different tables: show them apart"
+        )
+    if True in kinds:
+        messages = list(documents[0]["questions"])
+        rows = [row for document in documents for row in _by_difficulty(document, messages, solvable)]
+        head = [*_HEAD_BY_DIFFICULTY, "ms per step", *messages, *(["goal, if solvable"] if solvable else [])]
+        return markdown(head, rows, texts=2)
+    return markdown(_HEAD, list(map(_gap_row, documents)), texts=1)
+
+
+def _gap_row(document: Document) -> list[str]:
+    summary = summarise(document)
+    cells = [document["name"], str(len(document["trials"]))]
+    cells += [_text(part, 3) for part in summary.goal_rate]
+    cells += [_text(part, 1) for part in summary.episode_return]
+    return cells
+
+
+def _by_difficulty(document: Document, messages: Sequence[str], solvable: Set[int]) -> list[list[str]]:
+    """Return a row for each set and difficulty, and for all difficulties of a set with several."""
+    rows = []
+    for name in document["sets"]:
+        trials = [trial[name] for trial in document["trials"]]
+        difficulties = sorted({score["difficulty"] for score in trials[0]})
+        for difficulty in [*difficulties, *(["all"] if len(difficulties) > 1 else [])]:
+            chosen = [
+                [score for score in trial if difficulty in (score["difficulty"], "all")] for trial in trials
+            ]
+            scores = [score for trial in chosen for score in trial]
+            steps = sum(score["steps"] for score in scores)
+            goals, returns = (_scores(chosen, what) for what in _SCORES)
+            rows.append(
+                [
+                    *(document["name"], name, str(difficulty), str(len(chosen[0])), str(len(chosen))),
+                    _text(_estimate(goals, mean), 3),
+                    _text(_estimate(returns, interquartile_mean), 1),
+                    f"{steps / len(scores):.1f}",
+                    f"{1000 * sum(score['seconds'] for score in scores) / steps:.3f}",
+                    *(_mean_answer(scores, message) for message in messages),
+                    *([_share_of(scores, solvable)] if solvable else []),
+                ]
+            )
+    return rows
+
+
+def _share_of(scores: Sequence[dict[str, Any]], solvable: Set[int]) -> str:
+    """Return the share of the solvable levels that were solved; empty without any."""
+    goals = [score["goal"] for score in scores if score["level"] in solvable]
+    return f"{np.mean(goals):.3f}" if goals else ""
+
+
+def _mean_answer(scores: Sequence[dict[str, Any]], message: str) -> str:
+    """Return the mean of the answers to a message; empty unless all are numbers."""
+    try:
+        return f"{np.mean([float(score['answers'][message]) for score in scores]):.6g}"
+    except ValueError:
+        return ""
+
+
+def markdown(head: Sequence[str], rows: Sequence[Sequence[str]], texts: int) -> str:
+    """Return a table whose first `texts` columns are aligned left, and the others right."""
+    lines = [f"| {' | '.join(cells)} |" for cells in (head, *rows)]
+    lines.insert(1, f"|{' --- |' * texts}{' ---: |' * (len(head) - texts)}")
+    return "\n".join(lines)
+
+
+def difference_in_goals(learned: FloatArray, told: FloatArray) -> str:
+    """Return the difference of two agents' goals on the same levels, shape (levels, 1), in points."""
+    return _text(_estimate(100 * (learned - told), mean), 1)
+
+
+def _scores(trials: Sequence[Sequence[dict[str, Any]]], what: str) -> FloatArray:
+    """Return one kind of score, shape (levels, trials)."""
+    return np.array([[score[what] for score in trial] for trial in trials], np.float64).T
+
+
+def _compare(
+    train: FloatArray, test: FloatArray, statistic: Statistic
+) -> tuple[Interval, Interval, Interval]:
+    rng = bootstrap_rng()
+    values = [float(statistic(scores.ravel())) for scores in (train, test)]
+    samples = [_samples(scores, statistic, rng) for scores in (train, test)]
+    return (
+        _interval(values[0], samples[0]),
+        _interval(values[1], samples[1]),
+        _interval(values[0] - values[1], samples[0] - samples[1]),
+    )
+
+
+def _estimate(scores: FloatArray, statistic: Statistic) -> Interval:
+    return _interval(float(statistic(scores.ravel())), _samples(scores, statistic, bootstrap_rng()))
+
+
+def _interval(value: float, samples: FloatArray) -> Interval:
+    return Interval(value, *np.percentile(samples, _TAILS).tolist())
+
+
+def _samples(scores: FloatArray, statistic: Statistic, rng: np.random.Generator) -> FloatArray:
+    """Return the statistic of resampled scores, shape (resamples,)."""
+    return np.array([statistic(_resampled(scores, rng).ravel()) for _ in range(_RESAMPLES)])
+
+
+def _resampled(scores: FloatArray, rng: np.random.Generator) -> FloatArray:
+    levels, trials = scores.shape
+    if trials == 1:
+        drawn: FloatArray = scores[rng.integers(levels, size=levels)]
+        return drawn
+    resampled: FloatArray = np.take_along_axis(scores, rng.integers(trials, size=scores.shape), axis=1)
+    return resampled
+
+
+def _text(interval: Interval, digits: int) -> str:
+    value, low, high = (f"{number:.{digits}f}" for number in interval)
+    return f"{value} ({low} to {high})"

@@ -1,0 +1,174 @@
+"""Results verified by replay, and certificates: for each level, actions that reach its goal.
+
+Both are documents, see `experiment_runner.study.generalisation.benchmark.document`. A score holds the
+actions of its episode, so that anybody can play them in the simulator and compare what they earn.
+Certificates are found by a planner that is told the whole level. Without a solution, a score holds no
+actions, and the model steps spent.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from typing import Any, Final
+
+import numpy as np
+
+from agents.planner.agent import PlannerAgent
+from env_server.mario import InfiniteMario
+from env_server.mario.game import Game
+from env_server.mario.level_sets import VERSION, LevelSet
+from experiment_runner.study.generalisation.benchmark import Benchmark
+from experiment_runner.study.generalisation.players import (
+    ACTIONS,
+    Noise,
+    digit_of,
+    is_won,
+    level_set,
+    play,
+    scored_levels,
+)
+from experiment_runner.study.generalisation.summary import Document
+from glue.errors import ConfigError
+from glue.saves import Saved, pack
+from glue.types import Action
+
+__all__ = ["certify", "differences", "solvable"]
+
+_TASK: Final = InfiniteMario().parameters
+_BUDGETS: Final = (300, 3_000, 30_000)
+"""Model steps for each action in the attempts at a certificate."""
+_MOST_ACTIONS: Final = 100_000
+
+
+def differences(document: Document, say: Callable[[str], None]) -> Iterator[str]:
+    """Play the actions of every score again; yield each score that is not what they earn, in words.
+
+    Args:
+        document: from anybody.
+        say: takes the number of scores that were replayed, at the end.
+
+    Raises:
+        ConfigError: the document is not of these sets, or its fields are missing or of another type.
+    """
+    replayed = 0
+    try:
+        noise, attempt = float(document.get("noise", 0.0)), int(document["relearn"])
+        columns = {name: name for name in document["sets"]}
+        columns = columns or {"train": document["train"], "test": document["test"]}
+        for trial in document["trials"]:
+            if trial.get("level_sets_version") != VERSION:
+                raise ConfigError(f"these scores are of other sets of levels than version {VERSION}")
+            for column, name in columns.items():
+                levels, numbers = level_set(str(name)), {number for _, number in scored_levels(str(name))}
+                for score in trial[column]:
+                    if int(score["level"]) not in numbers:
+                        raise ConfigError(f"level {score['level']} is not one of {name}")
+                    wrong = _difference(
+                        score, levels, Noise(noise, int(trial["seed"]), score["level"], attempt)
+                    )
+                    replayed += 1
+                    if wrong:
+                        yield f"{name}, level {score['level']}, seed {trial['seed']}: {wrong}"
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ConfigError(f"these are not scores that can be replayed: {error!r:.200}") from None
+    say(f"{replayed} episodes were replayed")
+
+
+def _difference(score: dict[str, Any], levels: LevelSet, noise: Noise) -> str:
+    """Return the difference of a score from a replay of its actions, in words; empty without one."""
+    actions = str(score["actions"])
+    if not actions:
+        return "" if not score["goal"] and score.get("sims") else "its actions are not recorded"
+    if len(actions) > _MOST_ACTIONS or not set(actions) <= ACTIONS.keys():
+        return "its actions are not those of Infinite Mario"
+    game = Game(levels.level(_TASK, int(score["level"])))
+    game.start()
+    earned, steps = 0.0, 0
+    for digit in actions:
+        reward, _, ended = game.step(*InfiniteMario.buttons_of(noise(ACTIONS[digit])))
+        earned += reward
+        steps += 1
+        if ended:
+            break
+    found = {"steps": steps, "goal": is_won(game), "episode_return": earned}
+    said = {"steps": len(actions), "goal": score["goal"], "episode_return": score["episode_return"]}
+    return "; ".join(
+        f"{name} is {said[name]}, replayed {found[name]}" for name in found if said[name] != found[name]
+    )
+
+
+def solvable(document: Document) -> set[int]:
+    """Return the numbers of the levels of which certificates hold a solution."""
+    scores = (score for trial in document["trials"] for name in document["sets"] for score in trial[name])
+    return {score["level"] for score in scores if score["goal"]}
+
+
+def certify(name: str, known: Document | None, keep: Callable[[Document], None]) -> Document:
+    """Find a certificate for each level of a set.
+
+    Args:
+        name: of the set, as `level_set` takes it.
+        known: certificates that were found before; their levels are left out of the work.
+        keep: is called with the certificates so far, every 100 levels and at the end.
+
+    Raises:
+        ConfigError: there is no such set, or `known` are certificates of other levels.
+    """
+    column = name.partition(":")[0]
+    levels = level_set(name)
+    trial: dict[str, Any] = {"seed": 0, column: [], "level_sets_version": VERSION}
+    benchmark = Benchmark("certificates", "planner", sets=(column,), seeds=(0,))
+    if known is not None:
+        if known.get("name") != benchmark.name or known.get("sets") != [column]:
+            raise ConfigError(f"these are not certificates of {column}")
+        trial[column] = list(known["trials"][0][column])
+    document = {**asdict(benchmark), "trials": [trial]}
+    done = {score["level"] for score in trial[column]}
+    task_spec = InfiniteMario().env_init()
+    planners = [PlannerAgent(sims=sims) for sims in _BUDGETS]
+    for count, number in enumerate([number for number in levels.numbers if number not in done], 1):
+        trial[column].append(_certificate(levels, number, planners, task_spec))
+        if count % 100 == 0:
+            keep(document)
+    trial[column].sort(key=lambda score: int(score["level"]))
+    keep(document)
+    return document
+
+
+def _certificate(
+    levels: LevelSet, number: int, planners: list[PlannerAgent], task_spec: str
+) -> dict[str, Any]:
+    """Return the score of the first attempt that reaches the goal, or one without actions."""
+    spent = 0
+    for planner in planners:
+        game = Game(levels.level(_TASK, number))
+        observation = game.start()
+        planner.agent_init(task_spec)
+        planner.agent_load(_knowledge(game))
+        actions: list[Action] = []
+        earned = play(planner, game, observation, actions.append)
+        spent += json.loads(planner.agent_message("predictions"))["sims"]
+        goal = is_won(game)
+        if goal:
+            break
+    return {
+        "level": number,
+        "difficulty": levels.difficulty(number),
+        "episode_return": earned,
+        "goal": goal,
+        "steps": len(actions),
+        "seconds": 0.0,
+        "sims": spent,
+        "actions": "".join(map(digit_of, actions)) if goal else "",
+        "answers": {},
+    }
+
+
+def _knowledge(game: Game) -> bytes:
+    """Return the whole level as what a planner saves of it."""
+    level = game.level_map
+    end = int(level.columns)
+    arrays = {name: np.ravel(getattr(level, name)[:end]).view(np.int8) for name in ("tiles", "spawns")}
+    return pack(Saved(PlannerAgent.name, {}, {"end": end, "exit": int(level.exit_x)}, arrays))
