@@ -6,18 +6,22 @@ import json
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from experiment_runner.analysis.stats import FloatArray
-from experiment_runner.plan import REMOTE, RoleSpec, TrialSpec
-from experiment_runner.store.joined import joined_players
-from experiment_runner.store.records import TrialRecord
-from experiment_runner.store.results import Results
+from experiment_runner.analysis.curves import StepTotals, per_step, step_returns
+from experiment_runner.analysis.stats import FloatArray, mean_of_last
+from experiment_runner.plan.ids import REMOTE
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from experiment_runner.store.records import TOTAL_REWARD, TrialRecord
+from experiment_runner.store.results import Metric, Results
 from glue.errors import ExperimentError
 
-__all__ = ["Setting", "collect"]
+__all__ = ["REWARD", "Setting", "collect"]
+
+REWARD: Final = "reward"
+"""The measure of which only totals over steps exist: the reward of each step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,15 +31,21 @@ class Setting:
     agent        the agent's label, and the options that distinguish it from others of that label
     environment  the same for the environment; empty when all settings share it
     trials       the record of each trial
-    returns      each trial's episode returns, (episodes so far,)
-    steps        how many steps each of these episodes took; may be longer than the returns
+    values       the measure of each trial's episodes, (episodes so far,), without an episode that the trial's
+                 budget of steps has cut off
+    steps        the steps of all episodes; may be longer than the values
+    per_step     whether the measure is `REWARD`: then the values are the rewards in so many steps, of
+                 an episode or between two readings of the total reward
+    metrics      a metric of the agent in each trial, if one was asked for
     """
 
     agent: str
     environment: str
     trials: tuple[TrialRecord, ...]
-    returns: tuple[FloatArray, ...]
-    steps: tuple[npt.NDArray[np.int64], ...] = ()
+    values: tuple[FloatArray, ...]
+    steps: tuple[FloatArray, ...] = ()
+    per_step: bool = False
+    metrics: tuple[Metric, ...] = ()
 
     @property
     def label(self) -> str:
@@ -43,33 +53,63 @@ class Setting:
         return f"{self.agent}, {self.environment}" if self.environment else self.agent
 
     def curves(self) -> FloatArray:
-        """Return the returns of the finished trials, shape (trials, episodes).
+        """Return the values of the finished trials, shape (trials, episodes).
 
         If no trial is finished, of all trials that have begun, up to the length of the shortest.
         """
-        used = [self.returns[i] for i in self._drawn()]
+        used = [self.values[i] for i in self._drawn()]
         length = min((len(r) for r in used), default=0)
         return np.array([r[:length] for r in used]).reshape(len(used), length)
 
-    def curve_steps(self) -> list[npt.NDArray[np.int64]]:
-        """Return the steps of the episodes of each trial in `curves`, at least as many as there are there."""
-        return [self.steps[i] for i in self._drawn()]
+    def step_totals(self) -> list[StepTotals]:
+        """Return the totals over steps of the trials in `curves`: of the return of the episode under way, of
+        the reward, or of another measure of the episode under way.
+        """
+        return [self._totals(i) for i in self._drawn() if self.values[i].size]
+
+    def totals_by_trial(self) -> dict[str, StepTotals]:
+        """Return the totals over steps of every trial that has begun, as `step_totals`, by its id."""
+        return {
+            self.trials[i].spec.id: self._totals(i) for i, values in enumerate(self.values) if values.size
+        }
+
+    def _totals(self, trial: int) -> StepTotals:
+        values, steps = self.values[trial], self.steps[trial]
+        if self.per_step:
+            return per_step(values, steps[: len(values)])
+        return step_returns(values, steps)
+
+    def final(self, window: int, over: str) -> FloatArray:
+        """Return the performance of each trial of `curves` that has begun, shape (trials,).
+
+        Args:
+            window: number of the last episodes or steps of which the mean is taken.
+            over: `episodes` or `steps`.
+        """
+        if over == "episodes":
+            return np.array([mean_of_last(values, window) for values in self.curves()])
+        return np.array([trial.last(window) for trial in self.step_totals()])
 
     def _drawn(self) -> list[int]:
         finished = [i for i, trial in enumerate(self.trials) if trial.finished]
-        return finished or [i for i, returns in enumerate(self.returns) if returns.size]
+        return finished or [i for i, values in enumerate(self.values) if values.size]
 
 
-def collect(runs: Iterable[Results]) -> list[Setting]:
+def collect(runs: Iterable[Results], measure: str = "return", metric: str = "") -> list[Setting]:
     """Return the settings of all runs together, in order of appearance.
+
+    Args:
+        runs: open for reading.
+        measure: name of one of `experiment_runner.store.records.MEASURES`, or `REWARD`.
+        metric: name of a metric of the agent; empty for none.
 
     Raises:
         ExperimentError: two runs have a trial in common, or a run cannot be read.
     """
-    groups: dict[str, list[tuple[TrialRecord, FloatArray, npt.NDArray[np.int64]]]] = defaultdict(list)
+    groups: dict[str, list[_Trial]] = defaultdict(list)
     seen: dict[tuple[str, str, int], Results] = {}
     for run in runs:
-        joined = {player: RoleSpec(name, label=name) for player, name in joined_players(run).items()}
+        joined = {player: RoleSpec(name, label=name) for player, name in run.joined_players().items()}
         for trial in run.trials():
             spec = trial.spec
             agent = spec.agent or joined.get((spec.id, "agent"))
@@ -79,9 +119,8 @@ def collect(runs: Iterable[Results]) -> list[Setting]:
             same = seen.setdefault((key, trial.spec.id, trial.spec.seed), run)
             if same is not run:
                 raise ExperimentError(f"trial {trial.spec.id} is in {same.directory} and in {run.directory}")
-            returns = run.returns(trial.spec.id)
-            groups[key].append((trial, returns, run.steps(trial.spec.id)))
-    specs = [members[0][0].spec for members in groups.values()]
+            groups[key].append(_read(run, trial, measure, metric))
+    specs = [members[0].record.spec for members in groups.values()]
     agents = _names([(_label(spec.agent), _fields(spec.agent)) for spec in specs])
     environments = _names(
         [(_label(spec.environment), _fields(spec.environment) | _limits(spec)) for spec in specs]
@@ -89,9 +128,38 @@ def collect(runs: Iterable[Results]) -> list[Setting]:
     if len(set(environments)) == 1:
         environments = [""] * len(specs)
     return [
-        Setting(agent, environment, *map(tuple, zip(*members, strict=True)))
+        Setting(
+            agent,
+            environment,
+            tuple(trial.record for trial in members),
+            tuple(trial.values for trial in members),
+            tuple(trial.steps for trial in members),
+            measure == REWARD,
+            tuple(trial.metric for trial in members if trial.metric is not None),
+        )
         for agent, environment, members in zip(agents, environments, groups.values(), strict=True)
     ]
+
+
+class _Trial(NamedTuple):
+    record: TrialRecord
+    values: FloatArray
+    steps: FloatArray
+    metric: Metric | None
+
+
+def _read(run: Results, trial: TrialRecord, measure: str, metric: str) -> _Trial:
+    name = trial.spec.id
+    found = run.metric(name, metric) if metric else None
+    if measure == REWARD:
+        total = run.metric(name, TOTAL_REWARD)
+        if total.steps.size:
+            return _Trial(trial, np.diff(total.values, prepend=0.0), np.diff(total.steps, prepend=0.0), found)
+        return _Trial(trial, run.measure(name, "return"), run.measure(name, "steps"), found)
+    values = run.measure(name, measure)
+    if trial.spec.steps and run.cut_by_budget(name):
+        values = values[: trial.done - 1]
+    return _Trial(trial, values, run.measure(name, "steps"), found)
 
 
 def _label(role: RoleSpec | None) -> str:
@@ -103,7 +171,8 @@ def _fields(role: RoleSpec | None) -> dict[str, object]:
 
 
 def _limits(spec: TrialSpec) -> dict[str, object]:
-    return {"episodes": spec.episodes, "max_steps": spec.max_steps}
+    limits: dict[str, object] = {"episodes": spec.episodes, "max_steps": spec.max_steps}
+    return limits | ({"steps": spec.steps} if spec.steps else {})
 
 
 def _names(described: Sequence[tuple[str, Mapping[str, object]]]) -> list[str]:

@@ -9,6 +9,7 @@ Statistical Precipice". Their library, rliable, is not used: its random_state ha
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -18,8 +19,10 @@ import numpy.typing as npt
 from glue.errors import ExperimentError
 
 __all__ = [
+    "FEW_TRIALS",
     "Estimate",
     "FloatArray",
+    "binomial_cdf",
     "bootstrap_rng",
     "convergence_episode",
     "estimate",
@@ -29,11 +32,15 @@ __all__ = [
     "mean_of_last",
     "require_scipy",
     "running_mean",
+    "welch_p",
 ]
 
 FloatArray = npt.NDArray[np.float64]
 Statistic = Callable[..., Any]
 """Called with an array and `axis`; returns the array without that axis."""
+
+FEW_TRIALS: Final = 5
+"""Below this number of trials a bootstrap interval is too narrow to rely on."""
 
 _ELEMENTS_AT_ONCE: Final = 4_000_000  # of one batch of resamples, 32 MB
 
@@ -115,6 +122,29 @@ def interquartile_mean(values: FloatArray, axis: int = 0) -> Any:
     return _scipy_stats().trim_mean(values, 0.25, axis=axis)
 
 
+def binomial_cdf(k: int, n: int, p: float) -> float:
+    """Return the probability that a binomial variable of `n` draws is at most `k`.
+
+    Raises:
+        ExperimentError: SciPy is not installed.
+    """
+    return float(_scipy_stats().binom.cdf(k, n, p))
+
+
+def welch_p(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return the p-value of Welch's t-test of equal means, along the last axis; 1 where nothing varies.
+
+    Raises:
+        ExperimentError: SciPy is not installed.
+    """
+    stats = _scipy_stats()
+    with np.errstate(invalid="ignore", divide="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # of samples that are all equal
+        found = stats.ttest_ind(a, b, axis=-1, equal_var=False).pvalue
+    same = np.mean(a, axis=-1) == np.mean(b, axis=-1)
+    return np.where(np.isnan(found), np.where(same, 1.0, 0.0), found)
+
+
 def estimate(
     strata: Sequence[FloatArray],
     statistic: Statistic,
@@ -161,7 +191,7 @@ def estimate(
 
 
 def has_scipy() -> bool:
-    """Return whether SciPy, which intervals and interquartile means need, is installed."""
+    """Look for SciPy, which intervals and interquartile means need."""
     try:
         require_scipy()
     except ExperimentError:

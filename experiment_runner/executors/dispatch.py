@@ -1,69 +1,62 @@
-"""Dispatch jobs to an executor, store their reports, and restart lost jobs.
+"""Dispatch of jobs to an executor: their reports are passed on, and lost jobs are started again.
 
-Only this module writes results to the store of a run. Episodes that end within a moment of each other are
-committed together, and reported after that: what was reported is on disk.
+A job belongs to one trial of a run: an experiment's trial, or a match of a competition.
 """
 
 from __future__ import annotations
 
-import math
-import time
 from collections import deque
-from collections.abc import Callable, Iterable
-from contextlib import closing
-from functools import partial
+from collections.abc import Collection, Iterable
 from types import TracebackType
-from typing import Final, Protocol, Self
+from typing import Final, Generic, Protocol, Self, TypeVar
 
-from experiment_runner.executors.job import (
-    Ended,
-    Happened,
-    Job,
-    Lost,
-    Met,
-    Recorded,
-    Report,
-    Said,
-    Voided,
-    run_job,
-)
-from experiment_runner.executors.resume import Remaining, go_back, remaining
-from experiment_runner.executors.trial import BEGINNING, Start
-from experiment_runner.interrupts import Interrupts
-from experiment_runner.plan import TrialSpec
-from experiment_runner.report.progress import Reporter
-from experiment_runner.store.joined import joined_player, trial_name
-from experiment_runner.store.meetings import Meetings, Place
-from experiment_runner.store.store import Store
-from glue.trajectory import TrajectoryWriter
+from experiment_runner.executors.interrupts import Interrupts
+from experiment_runner.executors.job import Ended, Lost
+from experiment_runner.plan.plan import TrialSpec
 
-__all__ = ["Dispatcher", "Executor"]
+__all__ = ["Collector", "Dispatcher", "Executor", "HasTrial"]
 
 _MAX_LOSSES: Final = 3
+"""Number of consecutive losses without progress after which a job has failed."""
+
 _WAIT_SECONDS: Final = 0.1
-_COMMIT_SECONDS: Final = 0.05
-"""How long after a commit episodes are kept for the next one: as much work is lost with the process."""
 
 
-class Executor(Protocol):
-    """Runs trials somewhere. Leaving its context ends them all.
+class HasTrial(Protocol):
+    """A job."""
+
+    @property
+    def spec(self) -> TrialSpec:
+        """The trial."""
+        ...
+
+
+JobT = TypeVar("JobT", bound=HasTrial)
+_JobIn = TypeVar("_JobIn", bound=HasTrial, contravariant=True)
+_JobOut = TypeVar("_JobOut", bound=HasTrial, covariant=True)
+ReportT = TypeVar("ReportT")
+_ReportIn = TypeVar("_ReportIn", contravariant=True)
+
+
+class Executor(Protocol[_JobIn, ReportT]):
+    """Interface that runs jobs. Leaving its context ends them all.
 
     Attributes:
-        size: maximum number of concurrent trials.
+        size: maximum number of concurrent jobs.
     """
 
     size: int
 
-    def start(self, job: Job) -> None:
-        """Start a trial. It is over when `receive` returns `Ended` or `Lost` for it."""
+    def start(self, job: _JobIn) -> None:
+        """Start a job. It is over when `receive` returns `Ended` or `Lost` for its trial."""
         ...
 
-    def receive(self, seconds: float) -> list[tuple[str, Report]]:
+    def receive(self, seconds: float) -> list[tuple[str, ReportT | Ended | Lost]]:
         """Return reports with the ids of their trials, in order for each trial; wait at most `seconds`."""
         ...
 
     def stop(self) -> None:
-        """Ask all trials to end soon: the run is interrupted."""
+        """Ask all jobs to end soon: the run is interrupted."""
         ...
 
     def __enter__(self) -> Self: ...
@@ -73,172 +66,107 @@ class Executor(Protocol):
     ) -> None: ...
 
 
-class Dispatcher:
-    """Stores what trials report, then passes it to the reporter.
+class Collector(Protocol[_JobOut, _ReportIn]):
+    """Interface that makes the jobs of a run and stores their reports. Its methods may raise StorageError."""
+
+    def may_start(self, trial_id: str, running: Collection[str]) -> bool:
+        """Return whether a trial may start while others are running."""
+        ...
+
+    def start(self, trial_id: str) -> _JobOut:
+        """Return the job of a trial that starts now, for the first time or again."""
+        ...
+
+    def take(self, trial_id: str, report: _ReportIn) -> None:
+        """Store a report."""
+        ...
+
+    def commit(self) -> None:
+        """Store the reports kept so far."""
+        ...
+
+    def lost(self, trial_id: str, why: str) -> int:
+        """Store that a job was lost; return the progress of its trial, which grows while it is not."""
+        ...
+
+    def starts_again(self, trial_id: str) -> bool:
+        """Prepare a lost trial to start again; return False if nothing of it is left to do."""
+        ...
+
+    def end(self, trial_id: str, failure: str | None) -> None:
+        """Store that a trial is over, and the reason if it has failed."""
+        ...
+
+
+class Dispatcher(Generic[JobT, ReportT]):
+    """Dispatcher of the jobs of trials to an executor.
 
     Args:
-        store: open for writing.
-        reporter: shows progress.
-        make_job: returns the job for a trial and its starting point.
-        interrupts: lets running episodes end before Ctrl-C takes effect.
+        executor: runs the jobs.
+        collector: makes the jobs, and stores their reports.
+        interrupts: gives jobs time to end before Ctrl-C takes effect.
     """
 
     def __init__(
-        self,
-        store: Store,
-        reporter: Reporter,
-        make_job: Callable[[TrialSpec, Start], Job],
-        interrupts: Interrupts,
+        self, executor: Executor[JobT, ReportT], collector: Collector[JobT, ReportT], interrupts: Interrupts
     ) -> None:
-        self._store = store
-        self._reporter = reporter
-        self._make_job = make_job
+        self._executor = executor
+        self._collector = collector
         self._interrupts = interrupts
-        self._meetings = Meetings(store.directory)
-        self._specs = {record.spec.id: record.spec for record in store.trials()}
-        self._unstored: list[tuple[str, Recorded]] = []
-        self._stored_at = -math.inf
+        self._waiting: deque[str] = deque()
         self._losses: dict[str, tuple[int, int]] = {}
-        """For each lost trial: its progress, and how often it was lost without further progress."""
-        self._joined: dict[tuple[str, str], str] = {}
-        """Names of players from outside, by trial and role."""
+        """The progress of each lost trial, and the number of its losses without further progress."""
 
-    def run_here(self, trials: Iterable[Remaining], recording: TrajectoryWriter | None = None) -> None:
-        """Run trials in this process, one after the other.
-
-        Args:
-            trials: the unfinished trials.
-            recording: receives every step; None for no recording.
-
-        Raises:
-            StorageError: a report cannot be stored.
-        """
-        for trial in trials:
-            send = partial(self._take_here, trial.trial_id)
-            try:
-                run_job(self._job(trial), send, interrupts=self._interrupts, recording=recording)
-            finally:
-                self._meetings.end(trial.trial_id)
-                self._store_episodes()
-
-    def _take_here(self, trial_id: str, report: Report) -> None:
-        self.take(trial_id, report)
-        # A line may come from a thread that watches players; this thread alone writes to the store.
-        if isinstance(report, Recorded) and time.monotonic() - self._stored_at >= _COMMIT_SECONDS:
-            self._store_episodes()
-
-    def run_on(self, executor: Executor, trials: Iterable[Remaining]) -> None:
-        """Run trials on an executor.
-
-        A lost trial continues from its newest checkpoint; lost three times in a row without progress, it has
-        failed.
+    def run(self, trial_ids: Iterable[str]) -> None:
+        """Run trials, as many at a time as the executor takes.
 
         Raises:
             StorageError: a report cannot be stored.
             ExperimentError: the executor cannot run anything.
+            KeyboardInterrupt: on Ctrl-C or SIGTERM.
         """
-        with closing(self._meetings), executor, self._interrupts.deferred():
-            waiting = deque(trials)
-            running: set[str] = set()
-            stopped = False
-            while running or (waiting and not stopped):
-                while waiting and len(running) < executor.size and not stopped:
-                    job = self._job(waiting.popleft())
-                    running.add(job.spec.id)
-                    executor.start(job)
+        executor, collector = self._executor, self._collector
+        self._waiting.extend(trial_ids)
+        running: set[str] = set()
+        stopped = False
+        with executor, self._interrupts.deferred():
+            while running or (self._waiting and not stopped):
+                while not stopped and (trial_id := self._next(running)) is not None:
+                    running.add(trial_id)
+                    executor.start(collector.start(trial_id))
                 for trial_id, report in executor.receive(_WAIT_SECONDS):
-                    if isinstance(report, (Ended, Lost)):
-                        running.remove(trial_id)
-                    if stopped and isinstance(report, Lost):
-                        continue  # it was asked to stop
-                    self.take(trial_id, report)
-                    if isinstance(report, Lost):
-                        waiting.extendleft(self._after_loss(trial_id, report))
-                self._store_episodes()
+                    match report:
+                        case Ended(failure):
+                            running.remove(trial_id)
+                            collector.end(trial_id, failure)
+                        case Lost(why):
+                            running.remove(trial_id)
+                            if not stopped:  # otherwise it was asked to stop
+                                self._lose(trial_id, why)
+                        case _:
+                            collector.take(trial_id, report)
+                collector.commit()
                 if self._interrupts.requested and not stopped:
                     stopped = True
                     executor.stop()
 
-    def take(self, trial_id: str, report: Report) -> None:
-        """Store a report; an episode with no checkpoint after it together with those that end soon.
+    def _next(self, running: Collection[str]) -> str | None:
+        """Remove and return the first trial that may start now; None if there is none."""
+        if len(running) < self._executor.size:
+            for trial_id in self._waiting:
+                if self._collector.may_start(trial_id, running):
+                    self._waiting.remove(trial_id)
+                    return trial_id
+        return None
 
-        Raises:
-            StorageError: it cannot be stored.
-        """
-        store, reporter, spec = self._store, self._reporter, self._specs[trial_id]
-        if isinstance(report, Recorded):
-            self._unstored.append((trial_id, report))
-            if report.checkpoint is not None:
-                self._store_episodes()
-            return
-        if isinstance(report, Met):
-            self._meetings.begin(trial_id, Place(report.hub, report.session))
-            return
-        if isinstance(report, (Ended, Lost)):
-            self._meetings.end(trial_id)
-        if isinstance(report, Said):
-            self._say(trial_id, report.line)
-            return
-        self._store_episodes()
-        match report:
-            case Voided(episode, why):
-                store.record_void(trial_id, episode, why)
-                self._say(trial_id, f"episode {episode} is void: {why}")
-            case Happened(kind, text):
-                store.record_event(kind, text, trial_id)
-                if kind == "joined":
-                    self._note_player(spec, text)
-                self._say(trial_id, text)
-            case Lost(why):
-                store.record_event("lost", why, trial_id)
-                self._say(trial_id, why)
-            case Ended(failure):
-                if failure is not None:
-                    store.record_failure(trial_id, failure)
-                    self._say(trial_id, f"Error: {failure}")
-                reporter.end(spec)
-
-    def _store_episodes(self) -> None:
-        """Commit the episodes that are kept, then report them."""
-        unstored, self._unstored = self._unstored, []
-        if unstored:
-            self._store.record_all([(trial_id, *recorded) for trial_id, recorded in unstored])
-            for trial_id, recorded in unstored:
-                self._reporter.episode(self._specs[trial_id], recorded.result)
-            self._stored_at = time.monotonic()
-
-    def _job(self, trial: Remaining) -> Job:
-        spec = self._specs[trial.trial_id]
-        self._reporter.begin(spec, trial.after)
-        found = self._store.checkpoint(spec.id) if trial.after else None
-        return self._make_job(spec, Start(*found) if found else BEGINNING)
-
-    def _after_loss(self, trial_id: str, loss: Lost) -> list[Remaining]:
-        """Return what remains of a lost trial, prepared to continue."""
-        done = self._store.done(trial_id)
+    def _lose(self, trial_id: str, why: str) -> None:
+        progress = self._collector.lost(trial_id, why)
         furthest, count = self._losses.get(trial_id, (-1, 0))
-        count = 1 if done > furthest else count + 1
+        count = 1 if progress > furthest else count + 1
+        self._losses[trial_id] = (max(progress, furthest), count)
         if count == _MAX_LOSSES:
-            why = f"{loss.why}, {count} times without getting past episode {furthest}"
-            self.take(trial_id, Ended(why))
-            return []
-        self._losses[trial_id] = (max(done, furthest), count)
-        left = [trial for trial in remaining(self._store) if trial.trial_id == trial_id]
-        for trial in left:
-            go_back(self._store, trial)
-            self._say(trial_id, f"it {trial.course}")
-        if not left:
-            self.take(trial_id, Ended(None))
-        return left
-
-    def _note_player(self, spec: TrialSpec, text: str) -> None:
-        player = joined_player(text)
-        if player is not None:
-            role, name = player
-            self._joined[spec.id, role] = name
-            self._reporter.rename(spec, trial_name(spec, self._joined))
-
-    def _say(self, trial_id: str, text: str) -> None:
-        name = trial_name(self._specs[trial_id], self._joined)
-        for line in text.splitlines():
-            self._reporter.say(line if len(self._specs) == 1 else f"{name}: {line}")
+            self._collector.end(trial_id, f"{why}, {count} times without progress")
+        elif self._collector.starts_again(trial_id):
+            self._waiting.appendleft(trial_id)
+        else:
+            self._collector.end(trial_id, None)

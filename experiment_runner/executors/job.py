@@ -6,45 +6,46 @@ Reports are sent, in order, to the only process that writes the store, see
 
 from __future__ import annotations
 
-import json
 import threading
 import traceback
-from collections.abc import Callable, Iterator
-from dataclasses import asdict
-from typing import Any, Final, NamedTuple
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final, NamedTuple, TypeVar, get_args
 
 import msgpack
+import msgspec
 
-from experiment_runner.asking import Answer
+from experiment_runner.executors.interrupts import Interrupts
+from experiment_runner.executors.recording import Recorder
 from experiment_runner.executors.trial import BEGINNING, Start, run_trial
-from experiment_runner.interrupts import Interrupts
-from experiment_runner.plan import RoleSpec, TrialSpec
-from experiment_runner.players import Meeting, open_experiment
-from experiment_runner.recording import Recorder
+from experiment_runner.meeting.players import Meeting, open_experiment
+from experiment_runner.plan.metrics import MetricsPlan
+from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.database import StorageError
-from experiment_runner.store.records import Checkpoint, EpisodeResult
+from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult, Reading
 from glue.console import show_failure
 from glue.errors import ConfigError, ExperimentError, GlueError, HubUnreachable, PeerFailed, Refused
 from glue.trajectory import TrajectoryWriter
 
 __all__ = [
+    "REPORTS",
     "Ended",
     "Happened",
     "Job",
+    "Joined",
     "Lost",
     "Recorded",
     "Report",
     "Said",
     "Voided",
+    "decode",
     "decode_job",
-    "decode_report",
-    "encode_job",
-    "encode_report",
-    "pack",
+    "encode",
     "run_job",
     "unpack",
     "unpacker",
 ]
+
+_T = TypeVar("_T")
 
 _MAX_MESSAGE: Final = 2**31 - 1
 """Maximum size of a job or report in bytes; most of it is a checkpoint."""
@@ -54,10 +55,11 @@ class Job(NamedTuple):
     """A trial to start or to continue.
 
     spec              the trial
-    meeting           how its players are connected
-    start             where it starts
-    checkpoint_every  episodes between checkpoints; 0 for none
-    questions         messages that the agent is sent after each episode, and each recorded step
+    meeting           the way in which its players are connected
+    start             the episode and checkpoint from which it starts
+    checkpoint_every  number of episodes between checkpoints; 0 for none
+    questions         messages to send to the agent after each episode, and each recorded step
+    metrics           the agent's numbers that are recorded; None for none
     """
 
     spec: TrialSpec
@@ -65,14 +67,16 @@ class Job(NamedTuple):
     start: Start = BEGINNING
     checkpoint_every: int = 0
     questions: tuple[str, ...] = ()
+    metrics: MetricsPlan | None = None
 
 
 class Recorded(NamedTuple):
-    """An episode is finished, possibly with a checkpoint and the agent's answers after it."""
+    """An episode is finished: its result, metrics and, if any, the checkpoint and answers after it."""
 
     result: EpisodeResult
     checkpoint: Checkpoint | None
     answers: tuple[Answer, ...] = ()
+    metrics: tuple[Reading, ...] = ()
 
 
 class Voided(NamedTuple):
@@ -87,6 +91,18 @@ class Happened(NamedTuple):
 
     kind: str
     text: str
+
+
+class Joined(NamedTuple):
+    """A player joined from outside; see `experiment_runner.store.records.Player`.
+
+    `seeded` is false if it is known to take no seed.
+    """
+
+    role: str
+    name: str
+    program: str | None
+    seeded: bool = True
 
 
 class Met(NamedTuple):
@@ -114,7 +130,7 @@ class Lost(NamedTuple):
     why: str
 
 
-Report = Recorded | Voided | Happened | Met | Said | Ended | Lost
+Report = Recorded | Voided | Happened | Joined | Met | Said | Ended | Lost
 
 
 def run_job(
@@ -127,18 +143,18 @@ def run_job(
     """Run a trial and send its reports, the last of which is `Ended`.
 
     Args:
-        job: what to run.
-        send: takes a report; calls never overlap.
+        job: the trial to run.
+        send: called with each report; calls never overlap.
         interrupts: lets the running episode end before Ctrl-C takes effect; None to not defer it.
         recording: receives every step; None for no recording.
 
     Raises:
         StorageError: from `send`, when a report cannot be stored.
         BrokenPipeError: from `send`, when its output is no longer read.
-        ConfigError, HubUnreachable, Refused: the running hub that the players are to meet at cannot be found,
-            does not answer or does not admit us. The trial has not failed: it can continue another time.
+        ConfigError, HubUnreachable, Refused: the running hub for the players cannot be found, does not answer
+            or does not admit this program. The trial has not failed: it can continue another time.
     """
-    lock = threading.Lock()  # the threads that watch players report, too
+    lock = threading.Lock()  # the threads that watch players also report
 
     def send_alone(report: Report) -> None:
         with lock:
@@ -152,7 +168,7 @@ def run_job(
             job.meeting,
             lambda line: send_alone(Said(line)),
             lambda: sender.done,
-            sender.event,
+            lambda *player: send_alone(Joined(*player)),
             lambda hub, session: send_alone(Met(hub, session)),
         ) as glue:
             run_trial(
@@ -165,6 +181,7 @@ def run_job(
                 any_reward=job.meeting.any_reward,
                 recorder=None if recording is None else Recorder(recording, job.spec, glue, job.questions),
                 questions=job.questions,
+                metrics=job.metrics,
             )
     except (StorageError, BrokenPipeError):
         raise
@@ -181,7 +198,7 @@ def run_job(
 
 
 class _Sender:
-    """Sends a trial's results as reports.
+    """Sink that sends a trial's results as reports.
 
     Attributes:
         done: the newest episode; initially the one after which the trial starts.
@@ -192,9 +209,13 @@ class _Sender:
         self.done = done
 
     def record(
-        self, result: EpisodeResult, checkpoint: Checkpoint | None, answers: tuple[Answer, ...]
+        self,
+        result: EpisodeResult,
+        checkpoint: Checkpoint | None,
+        answers: tuple[Answer, ...],
+        metrics: tuple[Reading, ...],
     ) -> None:
-        self._send(Recorded(result, checkpoint, answers))
+        self._send(Recorded(result, checkpoint, answers, metrics))
         self.done = result.episode
 
     def void(self, episode: int, why: str) -> None:
@@ -207,7 +228,8 @@ class _Sender:
         self._send(Said(line))
 
 
-_REPORTS: Final = {kind.__name__: kind for kind in (Recorded, Voided, Happened, Met, Said, Ended, Lost)}
+REPORTS: Final = {kind.__name__: kind for kind in get_args(Report)}
+"""The reports of a trial, by name."""
 
 
 def unpacker() -> Any:
@@ -222,66 +244,41 @@ def unpack(data: bytes) -> Iterator[Any]:
     yield from stream
 
 
-def pack(value: object) -> bytes:
-    """Return a value of msgpack's as bytes, for a stream that `unpacker` reads."""
-    return bytes(msgpack.packb(value))
+def encode(value: object) -> bytes:
+    """Return a job or report as bytes, for a stream that `unpacker` reads.
+
+    A job's players are in one process, or use a hub that the executor starts.
+    """
+    fields = msgspec.to_builtins(value, builtin_types=(bytes,), enc_hook=str)
+    return bytes(msgpack.packb([type(value).__name__, fields]))
 
 
-def encode_job(job: Job) -> bytes:
-    """Return a job as bytes. Its players are in one process, or use a hub that the executor starts."""
-    header = [
-        json.dumps(asdict(job.spec)),
-        job.meeting.in_process,
-        job.meeting.any_reward,
-        job.checkpoint_every,
-        job.questions,
-        job.start.after,
-    ]
-    return pack([*header, _saved(job.start.checkpoint)])
+def decode(value: Any, kinds: Mapping[str, type[_T]]) -> _T:
+    """Return the job or report from an unpacked value of `encode`.
+
+    Args:
+        value: the value.
+        kinds: the types that are expected, by name.
+
+    Raises:
+        ExperimentError: the value is none of these.
+    """
+    try:
+        name, fields = value
+        return msgspec.convert(fields, kinds[name], dec_hook=_construct)
+    except (TypeError, ValueError, KeyError, msgspec.ValidationError) as error:
+        raise ExperimentError(f"expected {', '.join(kinds)}, got {value!r:.80}") from error
 
 
 def decode_job(value: Any) -> Job:
-    """Return the job from an unpacked value of `encode_job`."""
-    trial, in_process, any_reward, checkpoint_every, questions, after, saved = value
-    fields = json.loads(trial)
-    for role in ("agent", "environment"):
-        if fields[role] is not None:
-            fields[role] = RoleSpec(**fields[role])
-    checkpoint = None if saved is None else Checkpoint(*saved)
-    return Job(
-        TrialSpec(**fields),
-        Meeting(in_process, any_reward=any_reward),
-        Start(after, checkpoint),
-        checkpoint_every,
-        tuple(questions),
-    )
-
-
-def encode_report(report: Report) -> bytes:
-    """Return a report as bytes."""
-    fields = [*report]
-    if isinstance(report, Recorded):
-        fields[1] = _saved(report.checkpoint)
-    return pack([type(report).__name__, *fields])
-
-
-def decode_report(value: Any) -> Report:
-    """Return the report from an unpacked value of `encode_report`.
+    """Return the job from an unpacked value of `encode`.
 
     Raises:
-        ExperimentError: the value is not a report.
+        ExperimentError: the value is no job.
     """
-    try:
-        kind, *fields = value
-        report = _REPORTS[kind](*fields)
-        if isinstance(report, Recorded):
-            result, saved, answers = fields
-            checkpoint = None if saved is None else Checkpoint(*saved)
-            return Recorded(EpisodeResult(*result), checkpoint, tuple(Answer(*one) for one in answers))
-    except (TypeError, ValueError, KeyError) as error:
-        raise ExperimentError(f"this is not a report: {value!r:.80}") from error
-    return report
+    return decode(value, {Job.__name__: Job})
 
 
-def _saved(checkpoint: Checkpoint | None) -> list[bytes] | None:
-    return None if checkpoint is None else [checkpoint.agent, checkpoint.environment]
+def _construct(kind: type, value: Any) -> Any:
+    """Return a path or a trial's id from its text."""
+    return kind(value)

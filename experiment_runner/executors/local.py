@@ -1,9 +1,9 @@
 """Run trials in parallel on this machine, each in its own process.
 
-So a trial that crashes its process affects neither other trials nor the store. A worker receives its job
-over a socket, and sends its reports over the same socket:
+A trial that crashes its process thus affects neither other trials nor the store. A worker receives its job
+and sends its reports over one socket:
 
-    python -P -m experiment_runner.children experiment_runner.executors.local DESCRIPTOR
+    python -P -m experiment_runner.meeting.children experiment_runner.executors.local DESCRIPTOR
 """
 
 from __future__ import annotations
@@ -14,39 +14,36 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import FrameType, TracebackType
-from typing import Any, Final, NoReturn, Protocol, Self
+from typing import Any, Final, NoReturn, Self
 
-from experiment_runner.children import FAREWELL_SECONDS, HURRIED_SECONDS, end, has_ended, how_it_ended, start
+from experiment_runner.executors.dispatch import HasTrial
+from experiment_runner.executors.interrupts import Interrupts, Terminated
 from experiment_runner.executors.job import (
+    REPORTS,
     Ended,
     Lost,
+    decode,
     decode_job,
-    decode_report,
-    encode_job,
-    encode_report,
+    encode,
     run_job,
     unpacker,
 )
-from experiment_runner.interrupts import Interrupts
-from experiment_runner.plan import TrialSpec
-from glue.commands import Terminated
+from experiment_runner.meeting.children import (
+    FAREWELL_SECONDS,
+    HURRIED_SECONDS,
+    end,
+    has_ended,
+    how_it_ended,
+    start,
+)
 from glue.errors import ExperimentError
 
-__all__ = ["HasTrial", "LocalExecutor", "main", "serve"]
+__all__ = ["LocalExecutor", "main", "serve"]
 
 _MODULE: Final = "experiment_runner.executors.local"
 _CHUNK: Final = 2**18
-
-
-class HasTrial(Protocol):
-    """What a worker is started for."""
-
-    @property
-    def spec(self) -> TrialSpec:
-        """The trial."""
-        ...
 
 
 class LocalExecutor:
@@ -54,22 +51,19 @@ class LocalExecutor:
 
     Args:
         size: maximum number of concurrent trials.
-        module: what a worker runs; its `main` is one of `serve`.
-        encode: returns a job as bytes.
-        decode: returns the report from an unpacked value; a worker's last is `Ended`.
+        module: the module that a worker runs; its `main` calls `serve`.
+        reports: types of its reports by name; a worker's last report is `Ended`.
     """
 
     def __init__(
         self,
         size: int,
         module: str = _MODULE,
-        encode: Callable[[Any], bytes] = encode_job,
-        decode: Callable[[Any], Any] = decode_report,
+        reports: Mapping[str, type[Any]] = REPORTS,
     ) -> None:
         self.size = size
         self._module = module
-        self._encode = encode
-        self._decode = decode
+        self._reports = reports
         self._workers: dict[int, _Worker] = {}
         self._poll = select.poll()
         self._leaving: list[subprocess.Popen[bytes]] = []
@@ -81,7 +75,7 @@ class LocalExecutor:
         Raises:
             ExperimentError: the process cannot be started.
         """
-        worker = _Worker(job.spec.id, self._module, self._encode(job), self._decode)
+        worker = _Worker(job.spec.id, self._module, encode(job), self._reports)
         self._workers[worker.descriptor] = worker
         self._poll.register(worker.descriptor, select.POLLIN)
 
@@ -127,15 +121,15 @@ class LocalExecutor:
 class _Worker:
     """A process that runs one trial, and our end of its socket."""
 
-    def __init__(self, trial_id: str, module: str, job: bytes, decode: Callable[[Any], Any]) -> None:
+    def __init__(self, trial_id: str, module: str, job: bytes, reports: Mapping[str, type[Any]]) -> None:
         self.trial_id = trial_id
-        self._decode = decode
+        self._reports = reports
         self._socket, theirs = socket.socketpair()
         with theirs:
             self.process = start(module, [str(theirs.fileno())], pass_fds=[theirs.fileno()])
         self.descriptor = self._socket.fileno()
         self._unpacker = unpacker()
-        with contextlib.suppress(OSError):  # it has ended already, as `read` will find
+        with contextlib.suppress(OSError):  # the process has ended already, which `read` will detect
             self._socket.sendall(job)
 
     def read(self) -> list[Any]:
@@ -144,7 +138,7 @@ class _Worker:
         try:
             data = self._socket.recv(_CHUNK)
             self._unpacker.feed(data)
-            reports += map(self._decode, self._unpacker)
+            reports += (decode(value, self._reports) for value in self._unpacker)
         except ConnectionError:
             data = b""
         except (ValueError, ExperimentError) as error:  # the trial's own code wrote to the socket
@@ -163,24 +157,24 @@ class _Worker:
 def main() -> None:
     """Run the job received over the socket whose descriptor is the first argument."""
 
-    def run(job: Any, send: Callable[[bytes], None], interrupts: Interrupts) -> None:
-        run_job(decode_job(job), lambda report: send(encode_report(report)), interrupts=interrupts)
+    def run(job: Any, send: Callable[[object], None], interrupts: Interrupts) -> None:
+        run_job(decode_job(job), send, interrupts=interrupts)
 
     serve(run)
 
 
-def serve(run: Callable[[Any, Callable[[bytes], None], Interrupts], None]) -> None:
-    """Be a worker: receive one job over the socket whose descriptor is the first argument, and run it.
+def serve(run: Callable[[Any, Callable[[object], None], Interrupts], None]) -> None:
+    """Run a worker: receive one job over the socket whose descriptor is the first argument, and run it.
 
     Args:
-        run: takes the unpacked job, what sends a report that is encoded, and what defers signals.
+        run: called with the unpacked job, a function that sends a report, and the `Interrupts`.
     """
     signal.signal(signal.SIGTERM, _terminate)
     with contextlib.suppress(Terminated), socket.socket(fileno=int(sys.argv[1])) as parent:
 
-        def send(report: bytes) -> None:
+        def send(report: object) -> None:
             try:
-                parent.sendall(report)
+                parent.sendall(encode(report))
             except OSError:
                 raise Terminated from None  # the experiment is over
 

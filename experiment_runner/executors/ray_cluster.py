@@ -4,8 +4,8 @@ Ray's own retries are disabled: they would repeat a trial from its start, and re
 that are already stored. Instead a lost trial continues from its checkpoint, see
 `experiment_runner.executors.dispatch`.
 
-Jobs and reports cross the cluster as bytes, in our own encoding. Ray itself uses pickle for what else it
-sends, such as its exceptions, so the members of a cluster must trust each other.
+Jobs and reports cross the cluster as bytes, in our own encoding. Ray itself uses pickle for other data, such
+as its exceptions, so the members of a cluster must trust each other.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from threading import Thread
 from typing import Any, Final, Self
 
 from experiment_runner.executors.job import (
+    REPORTS,
     Ended,
     Job,
     Lost,
     Report,
+    decode,
     decode_job,
-    decode_report,
-    encode_job,
-    encode_report,
+    encode,
     run_job,
     unpack,
 )
@@ -42,10 +42,10 @@ _ADDRESS: Final = re.compile(r"(?P<host>.+):(?P<port>\d{1,5})")
 
 
 class RayExecutor:
-    """The processors of a cluster; see `experiment_runner.executors.dispatch.Executor`.
+    """Executor on the processors of a cluster; see `experiment_runner.executors.dispatch.Executor`.
 
     Args:
-        address: of the cluster; None for the one that Ray finds, or else one on this machine.
+        address: the address of the cluster; None for the one that Ray finds, or else one on this machine.
         size: maximum number of concurrent trials; None for the cluster's number of processors at the start.
 
     Raises:
@@ -57,12 +57,12 @@ class RayExecutor:
         self._address = address
         self._asked = size
         self._running: dict[Any, str] = {}
-        self.size = 0
+        self.size: int = 0
 
     def start(self, job: Job) -> None:
         """Run a trial as a task that uses one processor."""
         task = self._ray.remote(num_cpus=1, max_retries=0)(_run)
-        self._running[task.remote(encode_job(job))] = job.spec.id
+        self._running[task.remote(encode(job))] = job.spec.id
 
     def receive(self, seconds: float) -> list[tuple[str, Report]]:
         """Return reports with the ids of their trials; wait at most `seconds`."""
@@ -86,7 +86,7 @@ class RayExecutor:
             self._cancel(stream)  # in case it is still running
             why = str(error).strip().partition("\n")[0]
             return [Lost(f"its Ray worker was lost: {type(error).__name__}: {why}")]
-        return list(map(decode_report, unpack(data)))
+        return [decode(value, REPORTS) for value in unpack(data)]
 
     def _cancel(self, stream: Any) -> None:
         with contextlib.suppress(self._ray.exceptions.RayError):
@@ -124,7 +124,7 @@ def _run(data: bytes) -> Iterator[bytes]:
         while not reports.empty():
             batch.append(reports.get())
         ended = isinstance(batch[-1], Ended)
-        yield b"".join(map(encode_report, batch))
+        yield b"".join(map(encode, batch))
 
 
 def parse_address(address: str) -> tuple[str, int]:
@@ -140,7 +140,7 @@ def parse_address(address: str) -> tuple[str, int]:
 
 
 def _check_cluster(address: str) -> None:
-    """Check that something listens there: Ray itself would try for minutes."""
+    """Check that a program listens at the address: Ray itself would try for minutes."""
     try:
         socket.create_connection(parse_address(address), _CONNECT_SECONDS).close()
     except OSError as error:
@@ -152,5 +152,5 @@ def _import_ray() -> Any:
     try:
         import ray
     except ImportError:
-        raise ConfigError("--engine ray needs Ray: pip install 'glue-rl[ray]'") from None
+        raise ConfigError("running on Ray needs it: pip install 'glue-rl[ray]'") from None
     return ray

@@ -3,50 +3,85 @@
 A trial continues after its newest checkpoint. Episodes recorded after that are deleted and run again, with
 the same results, since seeds and checkpoints determine them; so an interrupted run ends like one that was
 not interrupted. A trial without a checkpoint starts over.
+
+A run keeps a digest and a copy of each user file that its plan loads. It continues only with the same plan
+and the same files, except that the plan may have more episodes or more trials.
 """
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Final, NamedTuple
 
-from experiment_runner.plan import Plan, absolute, differences
-from experiment_runner.plan_file import dump_plan, load_plan
-from experiment_runner.provenance import about, program
+from experiment_runner.plan.file import dump_plan, load_plan
+from experiment_runner.plan.plan import BUDGETS, Plan, RoleSpec, RoleSweep, TrialSpec, absolute, differences
+from experiment_runner.plan.provenance import about, program
+from experiment_runner.plan.user_files import UserFile, changed_files, user_files
 from experiment_runner.store.database import holds_run, reported
 from experiment_runner.store.layout import (
     ABOUT_FILE,
     COMPETITION_FILE,
     PLAN_FILE,
-    how_to_go_on,
+    SOURCES,
+    is_part,
+    parts_of,
+    read_about,
     remove_run,
+    replace_flushed,
 )
+from experiment_runner.store.lock import DirectoryTaken
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ConfigError, ExperimentError, HubUnreachable, Refused
 
 __all__ = [
+    "FINISH",
+    "OtherRun",
     "Remaining",
+    "check_sources",
     "create_run",
+    "create_trials",
+    "finished_at",
     "go_back",
     "kept_if_begun",
+    "lengthen",
     "open_run",
+    "open_trials",
     "recorded_plan",
     "remaining",
     "resume_run",
+    "resume_trials",
+    "sources_of",
 ]
+
+FINISH: Final = "finish"
+"""Kind of the event that all trials of a run are finished."""
+
+
+class OtherRun(DirectoryTaken):
+    """A directory has a run of a different plan, or of files that have changed since.
+
+    Attributes:
+        differences: one line for each.
+    """
+
+    def __init__(self, directory: Path, what: str, differences: Sequence[str]) -> None:
+        super().__init__(directory, f"{what} ({'; '.join(differences)})")
+        self.differences = differences
 
 
 class Remaining(NamedTuple):
     """A trial that is not finished.
 
-    trial_id  of the trial
+    trial_id  the id of the trial
     after     the episode after which it continues, with `Store.checkpoint`; 0 for the beginning
-    dropped   how many episodes recorded after that are run again
+    dropped   number of episodes recorded after that, which are run again
     """
 
     trial_id: str
@@ -55,7 +90,7 @@ class Remaining(NamedTuple):
 
     @property
     def course(self) -> str:
-        """How it continues, as a text such as `continues after episode 200; 7 recorded episodes ...`."""
+        """The continuation as a text such as `continues after episode 200; 7 recorded episodes ...`."""
         where = f"continues after episode {self.after}" if self.after else "starts over"
         again = "1 recorded episode is" if self.dropped == 1 else f"{self.dropped} recorded episodes are"
         return f"{where}; {again} run again" if self.dropped else where
@@ -67,8 +102,40 @@ def create_run(directory: Path, plan: Plan, *, clock: Callable[[], float] = time
     Raises:
         ExperimentError: as `Store.create`.
     """
-    files = {PLAN_FILE: dump_plan(plan), ABOUT_FILE: json.dumps(about(), indent=2) + "\n"}
-    store = Store.create(directory, plan.expand(), files, clock=clock)
+    files = {PLAN_FILE: dump_plan(plan)}
+    return create_trials(directory, plan.expand(), files, sources=sources_of(_players(plan)), clock=clock)
+
+
+def create_trials(
+    directory: Path,
+    specs: Sequence[TrialSpec],
+    files: Mapping[str, str],
+    *,
+    sources: Mapping[str, UserFile] = MappingProxyType({}),
+    clock: Callable[[], float] = time.time,
+) -> Store:
+    """Return the store of a new run with these trials.
+
+    Args:
+        directory: contains the run.
+        specs: its trials.
+        files: contents of the files that define it, by name.
+        sources: the user files that it loads, by path.
+        clock: returns seconds since 1970.
+
+    Raises:
+        ExperimentError: as `Store.create`.
+    """
+    found = about()
+    copies: dict[str, bytes] = {}
+    for path, (sha256, content) in sources.items():
+        found["files"][path] = {"sha256": sha256}
+        if content is not None:
+            name = f"{SOURCES}/{sha256[:12]}-{Path(path).name}"
+            found["files"][path]["copy"] = name
+            copies[name] = content
+    contents: dict[str, str | bytes] = {**files, **copies, ABOUT_FILE: json.dumps(found, indent=2) + "\n"}
+    store = Store.create(directory, specs, contents, clock=clock)
     store.record_event("start", program())
     return store
 
@@ -84,12 +151,33 @@ def resume_run(
         clock: returns seconds since 1970.
 
     Raises:
-        ExperimentError: as `Store.open`; or the run has another plan, and the message names the
-            differences.
+        ExperimentError: as `Store.open`.
+        OtherRun: the run has another plan, or a file was changed since it began.
+    """
+    return resume_trials(directory, lambda store: _match(store, plan, lambda line: None), clock=clock)
+
+
+def resume_trials(
+    directory: Path, check: Callable[[Store], None], *, clock: Callable[[], float] = time.time
+) -> tuple[Store, list[Remaining]]:
+    """Return the store of an interrupted run, prepared to continue, and the unfinished trials.
+
+    Args:
+        directory: contains the run.
+        check: raises an error if it is not the expected run.
+        clock: returns seconds since 1970.
+
+    Raises:
+        ExperimentError: as `Store.open` and `check`.
     """
     store = Store.open(directory, clock=clock)
     try:
-        _check_plan(store, plan)
+        if parts_of(directory):
+            raise ExperimentError(
+                f"tasks of a job array have trials of {directory}: when they are over, "
+                f"glue-results gather {directory}"
+            )
+        check(store)
         store.record_event("resume", program())
         for record in store.trials():
             if record.finished and record.failure is not None:  # as its cleanup may have
@@ -121,11 +209,44 @@ def open_run(
     Raises:
         ExperimentError: as `create_run` and `resume_run`.
     """
+    files = {PLAN_FILE: dump_plan(plan)}
+    return open_trials(
+        directory,
+        plan.expand(),
+        files,
+        lambda store: _match(store, plan, say),
+        sources=sources_of(_players(plan)),
+        say=say,
+        clock=clock,
+    )
+
+
+def open_trials(
+    directory: Path,
+    specs: Sequence[TrialSpec],
+    files: Mapping[str, str],
+    check: Callable[[Store], None],
+    *,
+    sources: Mapping[str, UserFile] = MappingProxyType({}),
+    say: Callable[[str], None] = lambda line: None,
+    clock: Callable[[], float] = time.time,
+) -> Store:
+    """Return the store of a run: a new one, or the one in the directory, prepared to continue.
+
+    Args:
+        directory, specs, files, sources: as `create_trials`.
+        check: as `resume_trials`.
+        say: shows a line about each interrupted trial.
+        clock: returns seconds since 1970.
+
+    Raises:
+        ExperimentError: as `create_trials` and `resume_trials`.
+    """
     with reported(f"cannot open {directory}"):
         exists = holds_run(directory)
     if not exists:
-        return create_run(directory, plan, clock=clock)
-    store, left = resume_run(directory, plan, clock=clock)
+        return create_trials(directory, specs, files, sources=sources, clock=clock)
+    store, left = resume_trials(directory, check, clock=clock)
     for trial in left:
         if trial.after or trial.dropped:
             say(f"{trial.trial_id} {trial.course}")
@@ -133,12 +254,14 @@ def open_run(
 
 
 @contextmanager
-def kept_if_begun(directory: Path, say: Callable[[str], None]) -> Iterator[None]:
-    """Remove a run that is new in this block if its hub did not let it in before anything was recorded.
+def kept_if_begun(directory: Path, kept: Callable[[], None]) -> Iterator[None]:
+    """Remove a run that is new in this block if it was refused before anything was recorded.
+
+    It was refused by its hub, or its players cannot be started.
 
     Args:
         directory: of the run, which is closed when the block ends.
-        say: shows a line that tells how to continue a run that is kept.
+        kept: called if the run is kept, before the error is raised again.
     """
     with reported(f"cannot open {directory}"):
         was_there, had_folder = holds_run(directory), directory.exists()
@@ -147,9 +270,9 @@ def kept_if_begun(directory: Path, say: Callable[[str], None]) -> Iterator[None]
     except (ConfigError, HubUnreachable, Refused):
         if holds_run(directory):
             with Results.open(directory) as results:
-                begun = any(trial.done or trial.voids for trial in results.trials())
+                begun = any(trial.done or trial.voids for trial in results.trials()) or results.outcomes()
             if begun or was_there:
-                say(f"nothing is lost: {how_to_go_on(directory)}")
+                kept()
             else:
                 remove_run(directory)
                 if had_folder:
@@ -168,12 +291,13 @@ def recorded_plan(directory: Path) -> Plan:
             raise ExperimentError(f"{directory} holds no run")
     path = directory / PLAN_FILE
     if (directory / COMPETITION_FILE).exists():
-        raise ExperimentError(
-            f"{directory} is a competition: go on with glue-compete run FILE --out {directory}"
-        )
+        raise ExperimentError(f"{directory} is a competition, which glue-compete run continues")
     if not path.exists():
-        raise ExperimentError(f"{directory} was merged from other runs: go on with those")
-    return load_plan(path)
+        raise ExperimentError(f"{directory} was merged from other runs: continue those")
+    plan = load_plan(path, "id")  # a line says so in the plan of every later version
+    if plan.tune is not None:
+        raise ExperimentError(f"{directory} is a part of {directory.parent}, which its plan continues")
+    return plan
 
 
 def remaining(results: Results) -> list[Remaining]:
@@ -188,22 +312,104 @@ def remaining(results: Results) -> list[Remaining]:
 
 
 def go_back(store: Store, trial: Remaining) -> None:
-    """Make a trial ready to go on: remove what it recorded past that point, and its failure."""
+    """Prepare a trial to continue: delete its episodes after that point, and its failure."""
     if trial.dropped:
         store.record_event("rewind", trial.course, trial.trial_id)
     store.rewind(trial.trial_id, trial.after)
 
 
-def _check_plan(store: Store, plan: Plan | None) -> None:
-    recorded = recorded_plan(store.directory)
-    if recorded.expand() != [trial.spec for trial in store.trials()]:
-        path = store.directory / PLAN_FILE
+def finished_at(results: Results) -> float | None:
+    """Return when a run was finished, in seconds since 1970; None if that was not recorded."""
+    return max((event.time for event in results.events() if event.kind == FINISH), default=None)
+
+
+def _match(store: Store, plan: Plan | None, say: Callable[[str], None]) -> None:
+    """Check that a run has this plan, None for any, and the same files; extend it if the plan is longer."""
+    recorded = longer = recorded_plan(store.directory)
+    path = store.directory / PLAN_FILE
+    if not _extends([trial.spec for trial in store.trials()], recorded.expand()):
         raise ExperimentError(f"{path} was changed after its run began: put it back")
-    if plan is None:
-        return
-    # Runs of earlier versions have paths that are relative to where they began.
-    if found := differences(*(absolute(one, Path.cwd()) for one in (recorded, plan))):
-        raise ExperimentError(
-            f"{store.directory} is the run of another plan ({'; '.join(found)}): "
-            "choose another directory with --out"
-        )
+    if plan is not None:
+        counts = {
+            name: max(was, getattr(plan, name))
+            for name in (*BUDGETS, "trials")
+            if (was := getattr(recorded, name))
+        }
+        longer = replace(recorded, **counts)
+        # Runs of earlier versions have paths that are relative to where they began.
+        if found := differences(*(absolute(one, Path.cwd()) for one in (longer, plan))):
+            raise OtherRun(store.directory, "is the run of another plan", found)
+        if longer != recorded:
+            say(f"{store.directory} is extended: {'; '.join(differences(recorded, longer))}")
+    check_sources(store.directory, sources_of(_players(plan or recorded)))
+    if longer != recorded:
+        # Before the trials: a process that is killed in between has left a plan that extends them.
+        replace_flushed(path, dump_plan(longer))
+    if not is_part(store.directory):  # the plan has trials of other parts, too
+        lengthen(store, longer.expand(), say)
+
+
+def lengthen(store: Store, specs: Sequence[TrialSpec], say: Callable[[str], None]) -> None:
+    """Add trials to a run, or make its trials longer.
+
+    Args:
+        store: of the run.
+        specs: new trials, or trials of the run with at least their length.
+        say: shows a line about each trial that has to start over.
+    """
+    longer = {spec.id: spec.steps for spec in specs}
+    for trial in store.trials():
+        spec = trial.spec
+        if spec.steps < longer.get(spec.id, 0) and store.cut_by_budget(spec.id):
+            store.rewind(spec.id, 0)  # the longer trial does not cut off that episode
+            say(f"{spec.id} starts over: its budget of steps has cut off its last episode")
+    store.extend(specs)
+
+
+def _extends(stored: Sequence[TrialSpec], planned: Sequence[TrialSpec]) -> bool:
+    """Return whether the stored trials are planned, with at least their length."""
+    found = {spec.id: spec for spec in planned}
+    return all(
+        (longer := found.get(spec.id)) is not None
+        and replace(spec, episodes=longer.episodes, steps=longer.steps) == longer
+        and spec.episodes <= longer.episodes
+        and spec.steps <= longer.steps
+        for spec in stored
+    )
+
+
+def sources_of(players: Sequence[RoleSpec | RoleSweep]) -> Mapping[str, UserFile]:
+    """Return the user files that players load, by path. Their classes must have been found.
+
+    Raises:
+        StorageError: a file cannot be read.
+    """
+    with reported("cannot read a file of the user"):
+        return user_files(players)
+
+
+def check_sources(directory: Path, sources: Mapping[str, UserFile]) -> None:
+    """Check that a run was begun with the same user files.
+
+    Raises:
+        OtherRun: one has changed since.
+    """
+    if changed := changed_files(_recorded_files(directory), sources):
+        found = [f"{file} has changed since" for file in changed]
+        raise OtherRun(directory, f"was begun with files of which {SOURCES} has copies", found)
+
+
+def _players(plan: Plan) -> list[RoleSweep]:
+    return [*plan.agents, *plan.environments]
+
+
+def _recorded_files(directory: Path) -> dict[str, str]:
+    """Return path and SHA-256 of each user file with which a run, possibly merged, was begun."""
+    about = read_about(directory)
+    found = {}
+    for one in (about, *merged.values()) if isinstance(merged := about.get("merged"), dict) else (about,):
+        files = one.get("files") if isinstance(one, dict) else None
+        for path, file in files.items() if isinstance(files, dict) else ():
+            if isinstance(file, dict) and isinstance(file.get("sha256"), str):
+                found[path] = file["sha256"]
+    return found

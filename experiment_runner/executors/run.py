@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from dataclasses import dataclass, field
 
 from experiment_runner.executors.dispatch import Dispatcher, Executor
-from experiment_runner.executors.job import Job
+from experiment_runner.executors.interrupts import GRACE_SECONDS, Interrupts
+from experiment_runner.executors.job import Job, Report
 from experiment_runner.executors.local import LocalExecutor
-from experiment_runner.executors.ray_cluster import RayExecutor, parse_address
+from experiment_runner.executors.ray_cluster import RayExecutor
 from experiment_runner.executors.resume import remaining
 from experiment_runner.executors.settings import CHECKPOINT_EVERY, Place
 from experiment_runner.executors.trial import Start
-from experiment_runner.interrupts import GRACE_SECONDS, Interrupts
-from experiment_runner.plan import Plan, TrialSpec, class_files
-from experiment_runner.players import HubOptions, Meeting
+from experiment_runner.executors.trials import Trials
+from experiment_runner.meeting.players import Meeting
+from experiment_runner.plan.metrics import MetricsPlan
+from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.progress import Reporter
 from experiment_runner.store.store import Store
-from glue.core.config import DEFAULT_SESSION
-from glue.errors import ConfigError
 from glue.trajectory import TrajectoryWriter
 
 __all__ = ["RunConfig", "run_trials"]
@@ -27,16 +26,17 @@ __all__ = ["RunConfig", "run_trials"]
 
 @dataclass(frozen=True, slots=True)
 class RunConfig:
-    """How a run is executed. None of this affects the results.
+    """Settings of the execution of a run, which do not affect its results.
 
     Args:
-        meeting: how the players of each trial are connected.
-        checkpoint_every: episodes between checkpoints; 0 for none.
-        place: where trials run.
-        workers: maximum number of concurrent trials, each in its own process. None for one after the other
-            in this process, or for the number of processors of a cluster.
+        meeting: the way in which the players of each trial are connected.
+        checkpoint_every: number of episodes between checkpoints; 0 for none.
+        place: the kind of machine on which trials run.
+        workers: maximum number of concurrent trials, each in its own process, or of a job array's tasks. None
+            for one after the other in this process, for the number of processors of a cluster, or no limit.
         address: address of the Ray cluster; None for the one that Ray finds, or one on this machine.
-        questions: messages that the agent is sent after each episode, and each recorded step.
+        questions: messages to send to the agent after each episode, and each recorded step.
+        metrics: the agents' numbers that are recorded; None for none.
     """
 
     meeting: Meeting = field(default_factory=Meeting)
@@ -45,47 +45,33 @@ class RunConfig:
     workers: int | None = None
     address: str | None = None
     questions: tuple[str, ...] = ()
+    metrics: MetricsPlan | None = None
 
-    def check(self, plan: Plan, recording: bool = False) -> None:
-        """Check that `plan` can be executed like this, and recorded if `recording` is true.
-
-        Raises:
-            ConfigError: it cannot.
-        """
-        if self.address is not None:
-            if self.place is not Place.RAY:
-                raise ConfigError("--address is the address of a Ray cluster: add --engine ray")
-            parse_address(self.address)
-        parallel = self.place is Place.RAY or self.workers is not None
-        if (parallel or self.meeting.in_process) and self.meeting.hub != HubOptions():
-            why = "every worker starts its own hub" if parallel else "with --in-process there is no hub"
-            raise ConfigError(f"{why}: leave out --hub, --bind, --session and --legacy-port")
-        if parallel or self.meeting.in_process:
-            for role, sweeps in (("agent", plan.agents), ("env", plan.environments)):
-                if not sweeps:
-                    raise ConfigError(
-                        f"--{role} NAME is missing: a player can join from outside only where trials run "
-                        "one after the other, over a hub"
-                    )
-        if recording and parallel:
-            raise ConfigError("--record needs a trial in this process: leave out --workers and --engine ray")
-        if recording and (count := len(plan.expand())) > 1:
-            raise ConfigError(f"--record needs a single trial, and the plan has {count}: make a plan of one")
+    @property
+    def parallel(self) -> bool:
+        """Whether trials run in processes of their own, at the same time."""
+        return self.place is not Place.LOCAL or self.workers is not None
 
 
 def run_trials(
-    store: Store, config: RunConfig, reporter: Reporter, recording: TrajectoryWriter | None = None
+    store: Store,
+    config: RunConfig,
+    reporter: Reporter,
+    recording: TrajectoryWriter | None = None,
+    *,
+    again: str = "",
 ) -> int:
-    """Run the unfinished trials of a run; return how many of all trials have failed.
+    """Run the unfinished trials of a run; return the number of all its trials that have failed.
 
     A failure is recorded with its reason, and the other trials continue. After Ctrl-C, running episodes have
     half a second to end, and are stored with a checkpoint.
 
     Args:
         store: the store of the run.
-        config: how it is executed.
+        config: the settings of its execution.
         reporter: shows progress.
-        recording: receives every step, if `config` was checked for that; None for no recording.
+        recording: receives every step, if this process runs a single trial; None for no recording.
+        again: command that continues the run, shown after an interruption; empty for none.
 
     Raises:
         StorageError: the store cannot be written to.
@@ -94,56 +80,34 @@ def run_trials(
     """
 
     def make_job(spec: TrialSpec, start: Start) -> Job:
-        return Job(spec, config.meeting, start, config.checkpoint_every, config.questions)
+        return Job(spec, config.meeting, start, config.checkpoint_every, config.questions, config.metrics)
 
     reporter.start(store.trials())
     executor = _executor(config)
     try:
         # Workers defer Ctrl-C themselves, so wait a little longer for their reports.
-        with Interrupts(GRACE_SECONDS if executor is None else GRACE_SECONDS + 0.3) as interrupts:
-            dispatcher = Dispatcher(store, reporter, make_job, interrupts)
+        grace = GRACE_SECONDS if executor is None else GRACE_SECONDS + 0.3
+        trial_ids = [trial.trial_id for trial in remaining(store)]
+        with Trials(store, reporter, make_job) as trials, Interrupts(grace) as interrupts:
             if executor is None:
-                dispatcher.run_here(remaining(store), recording)
+                trials.run_here(trial_ids, interrupts, recording)
             else:
-                dispatcher.run_on(executor, remaining(store))
+                Dispatcher(executor, trials, interrupts).run(trial_ids)
     except KeyboardInterrupt:
         if sys.stderr.isatty():
             reporter.say("")  # after the terminal's ^C
-        if again := sum(trial.dropped for trial in remaining(store)):
-            have = "1 episode has" if again == 1 else f"{again} episodes have"
+        if dropped := sum(trial.dropped for trial in remaining(store)):
+            have = "1 episode has" if dropped == 1 else f"{dropped} episodes have"
             reporter.say(f"{have} no checkpoint after them, and will be run again")
-        flags = shlex.join(_flags(store, config))
-        reporter.say(
-            f"go on with: glue-experiment --resume {shlex.quote(str(store.directory))} {flags}".rstrip()
-        )
+        if again:
+            reporter.say(f"continue with: {again}")
         raise
     finally:
         reporter.close()
     return sum(trial.failure is not None for trial in store.trials())
 
 
-def _flags(store: Store, config: RunConfig) -> list[str]:
-    """Return the options that the run needs again: where players from outside join, what is accepted, and
-    what the agent is asked."""
-    hub = config.meeting.hub
-    flags = [f"--bind={url}" for url in hub.bind]
-    flags += [f"--legacy-port={port.host}:{port.port or '*'}={port.session}" for port in hub.legacy]
-    for option, value in (("hub", hub.hub), ("key", hub.key), ("hub-key", hub.hub_key), ("keys", hub.keys)):
-        if value is not None:
-            flags.append(f"--{option}={value}")
-    if hub.session != DEFAULT_SESSION:
-        flags.append(f"--session={hub.session}")
-    if hub.insecure:
-        flags.append("--insecure")
-    if config.meeting.any_reward:
-        flags.append("--any-reward")
-    flags += [f"--ask={question}" for question in config.questions]
-    if class_files([role for trial in store.trials() for role in (trial.spec.agent, trial.spec.environment)]):
-        flags.append("--trust")
-    return flags
-
-
-def _executor(config: RunConfig) -> Executor | None:
+def _executor(config: RunConfig) -> Executor[Job, Report] | None:
     if config.place is Place.RAY:
         return RayExecutor(config.address, config.workers)
     return None if config.workers is None else LocalExecutor(config.workers)

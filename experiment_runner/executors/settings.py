@@ -8,11 +8,12 @@ from typing import Final
 __all__ = ["CHECKPOINT_EVERY", "Place"]
 
 CHECKPOINT_EVERY: Final = 100
-"""Episodes between checkpoints, by default."""
+"""Default number of episodes between checkpoints."""
 
 
 class Place(StrEnum):
-    """Where trials run: on this machine, or on a Ray cluster."""
+    """Where trials run: on this machine, on a Ray cluster, or as tasks of a SLURM job array."""
 
     LOCAL = "local"
     RAY = "ray"
+    SLURM = "slurm"

@@ -1,6 +1,6 @@
 """One trial: from a spec and an experiment's verbs to a stream of episode results.
 
-It does not depend on where agent and environment run, nor on what is done with the results.
+It does not depend on where agent and environment run, nor on the use of the results.
 """
 
 from __future__ import annotations
@@ -10,25 +10,41 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, Protocol
 
-from experiment_runner.asking import Answer, ask
-from experiment_runner.interrupts import Interrupts
-from experiment_runner.plan import TrialSpec
-from experiment_runner.recording import Recorder
-from experiment_runner.store.records import Checkpoint, EpisodeResult
-from glue.core.experiment import Experiment
+from experiment_runner.executors.interrupts import Interrupts
+from experiment_runner.executors.recording import Recorder
+from experiment_runner.executors.stepping import Meter, play_steps
+from experiment_runner.plan.metrics import MetricsPlan
+from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.store.records import (
+    Answer,
+    Checkpoint,
+    EndedEpisode,
+    EpisodeResult,
+    Reading,
+    ask,
+    measured,
+)
+from glue.engine.experiment import Experiment
 from glue.errors import GlueError, PeerLost, Unsupported
 
 __all__ = ["BEGINNING", "Sink", "Start", "run_trial"]
 
 
 class Sink(Protocol):
-    """Receives the results of a trial. What is given first is stored first."""
+    """Receiver of the results of a trial, which it stores in order."""
 
     def record(
-        self, result: EpisodeResult, checkpoint: Checkpoint | None, answers: tuple[Answer, ...]
+        self,
+        result: EpisodeResult,
+        checkpoint: Checkpoint | None,
+        answers: tuple[Answer, ...],
+        metrics: tuple[Reading, ...],
     ) -> None:
-        """Store a finished episode, the checkpoint after it, if any, and what the agent answered after it;
-        perhaps with the next ones."""
+        """Store a finished episode, with the checkpoint and the agent's answers after it, if any, and its
+        metrics.
+
+        The sink may keep it, to store it together with later ones.
+        """
         ...
 
     def void(self, episode: int, why: str) -> None:
@@ -45,10 +61,14 @@ class Sink(Protocol):
 
 
 class Start(NamedTuple):
-    """Where a trial starts: after which episode, and from which checkpoint."""
+    """The start of a trial: the episode after which it starts, the checkpoint, and the sums of the steps and
+    of the returns until then.
+    """
 
     after: int = 0
     checkpoint: Checkpoint | None = None
+    steps: int = 0
+    reward: float = 0.0
 
 
 BEGINNING = Start()
@@ -67,34 +87,38 @@ def run_trial(
     interrupts: Interrupts | None = None,
     any_reward: bool = False,
     questions: Sequence[str] = (),
+    metrics: MetricsPlan | None = None,
 ) -> None:
-    """Run the episodes of `spec` after `start`.
+    """Run the episodes of `spec` after `start`, until its number of episodes or of steps is reached.
 
     When a player is lost, the episode is void and is run again. If both players have the capability `save`,
     they are first restored from the newest checkpoint, or initialised, and repeat the episodes since then; so
     the results are those of a trial without the loss.
 
-    Once all episodes are recorded, the trial is finished, even if its cleanup fails.
+    Once all episodes are stored, the trial is finished, even if its cleanup fails.
 
     Args:
         glue: the connected experiment.
         spec: the trial.
         sink: receives the results.
-        start: where to start.
+        start: the episode and checkpoint to start from.
         checkpoint_every: episodes between checkpoints; 0 for none.
         recorder: records every step, also of void episodes; None for no recording.
         interrupts: lets the running episode end, followed by a checkpoint, before Ctrl-C takes effect; None
             to not defer it.
         any_reward: whether rewards may be infinite or NaN. If not, an episode whose return is infinite or NaN
-            ends the trial; single rewards are checked by `glue`, see `experiment_runner.rewards`.
-        questions: messages that the agent is sent after each episode.
+            ends the trial; single rewards are checked by `glue`, see `experiment_runner.meeting.rewards`.
+        questions: messages to send to the agent after each episode.
+        metrics: the agent's numbers that are recorded; None for none.
 
     Raises:
-        GlueError: the trial cannot continue. What the sink received remains valid.
+        GlueError: the trial cannot continue. The results that the sink has received remain valid.
         KeyboardInterrupt: as `Interrupts.deferred`.
     """
     interrupts = interrupts or Interrupts()
-    _Trial(glue, spec, sink, start, checkpoint_every, recorder, interrupts, any_reward, questions).run()
+    _Trial(
+        glue, spec, sink, start, checkpoint_every, recorder, interrupts, any_reward, questions, metrics
+    ).run()
 
 
 class _Trial:
@@ -109,6 +133,7 @@ class _Trial:
         interrupts: Interrupts,
         any_reward: bool,
         questions: Sequence[str],
+        metrics: MetricsPlan | None,
     ) -> None:
         self._glue = glue
         self._spec = spec
@@ -119,39 +144,67 @@ class _Trial:
         self._interrupts = interrupts
         self._any_reward = any_reward
         self._questions = questions
-        self._play = glue.rl_episode if recorder is None else recorder.rl_episode
+        self._meter = None if metrics is None else Meter(glue, metrics, start.steps, start.reward)
         self._done = start.after
+        self._steps = start.steps  # in the episodes done
         self._since: list[EpisodeResult] = []  # the episodes run after `start`, oldest first
         self._can_save: bool | None = None
-        self._unsaved = ""  # why no checkpoint can be taken
+        self._unsaved = ""  # the reason for which no checkpoint can be taken
         self._warned = False
 
     def run(self) -> None:
         with self._interrupts.deferred():
-            self._run_episodes()
+            while not self._finished:
+                try:
+                    self._replay()
+                    self._run_rest()
+                except PeerLost as error:
+                    self._void(error)
             self._clean_up()
 
-    def _run_episodes(self) -> None:
-        ready = False
-        while self._done < self._spec.episodes:
+    @property
+    def _finished(self) -> bool:
+        return self._spec.finished_by(self._done, self._steps)
+
+    def _run_rest(self) -> None:
+        """Run the remaining episodes, or until a player is lost whose state has to be restored.
+
+        Raises:
+            PeerLost: such a player was lost during an episode.
+        """
+        kept = True
+        while kept and not self._finished:
             try:
-                if not ready:
-                    self._make_ready()
-                    ready = True
-                result = self._episode(self._done + 1, self._play)
+                if self._meter is not None:
+                    self._meter.begin()
+                result = self._episode(self._done + 1, self._steps, self._play)
                 answers = ask(self._glue, self._questions)
+                metrics = () if self._meter is None else self._meter.end(result)
             except PeerLost as error:
-                self._sink.void(self._done + 1, str(error))
+                if self._can_save:
+                    raise
                 # Players that cannot be restored continue as they are; the hub initialises new ones.
-                ready = ready and not self._can_save
-                if ready:
-                    self._sink.event("replaced", "what the lost player had learned is lost with it")
+                self._void(error)
+                self._sink.event("replaced", "the lost player's learning is lost, too")
                 continue
             # Read only once, so that the trial never stops without having taken a checkpoint.
             stopping = self._interrupts.requested
-            ready = self._keep(result, answers, stopping)
+            kept = self._keep(result, answers, metrics, stopping)
             if stopping:
                 self._interrupts.check()
+
+    def _play(self, max_steps: int) -> bool:
+        """Run an episode that counts: recorded, with metrics, or neither."""
+        meter = self._meter if self._meter is not None and self._meter.each_step else None
+        stepped = None if meter is None else lambda step: meter.step(step.reward)
+        if self._recorder is not None:
+            return self._recorder.rl_episode(max_steps, stepped)
+        if stepped is None:
+            return self._glue.rl_episode(max_steps)
+        return play_steps(self._glue, max_steps, lambda _: None, lambda _, step: stepped(step))
+
+    def _void(self, error: PeerLost) -> None:
+        self._sink.void(self._done + 1, str(error))
 
     def _clean_up(self) -> None:
         """Clean up; an error is recorded, but does not affect the results."""
@@ -161,7 +214,7 @@ class _Trial:
             why = str(error) if isinstance(error, GlueError) else f"SystemExit: {error}"
             self._sink.event("cleanup", f"all episodes are stored, but cleaning up failed: {why}")
 
-    def _make_ready(self) -> None:
+    def _replay(self) -> None:
         """Bring both players to the current state of this trial."""
         task_spec = self._glue.rl_init(self._spec.seed)
         checkpoint = self._start.checkpoint
@@ -183,46 +236,57 @@ class _Trial:
             )
             self._sink.say(f"restoring the players: repeating {total} episodes since {where}")
         shown = time.perf_counter()
+        steps = self._start.steps
         for number, before in enumerate(self._since, 1):
             self._interrupts.check()
-            again = self._episode(before.episode, self._glue.rl_episode)
-            if again[:4] != before[:4]:
+            again = self._episode(before.episode, steps, self._glue.rl_episode)
+            steps += before.steps
+            if not again.repeats(before):
                 self._sink.event("differs", f"episode {before.episode} had another result when repeated")
             if time.perf_counter() - shown >= _PROGRESS_SECONDS:
                 shown = time.perf_counter()
                 self._sink.say(f"repeated {number} of {total} episodes")
 
-    def _episode(self, number: int, play: Callable[[int], bool]) -> EpisodeResult:
+    def _episode(self, number: int, steps: int, play: Callable[[int], bool]) -> EpisodeResult:
+        """Play an episode, before which `steps` were made in the trial."""
         began = time.perf_counter()
-        terminal = play(self._spec.max_steps)
-        episode_return, steps = self._glue.rl_return(), self._glue.rl_num_steps()
-        if not (self._any_reward or math.isfinite(episode_return)):
+        terminal = play(self._spec.step_limit(steps))
+        result = measured(number, EndedEpisode(self._glue, terminal, time.perf_counter() - began))
+        if not (self._any_reward or math.isfinite(result.episode_return)):
             raise GlueError(
-                f"the return of episode {number} is {episode_return}: the environment gave a reward that is "
-                "not a finite number (if the task means it, say --any-reward)"
+                f"the return of episode {number} is {result.episode_return}: the environment gave a reward "
+                "that is not a finite number (a run can be told to accept any reward)"
             )
-        return EpisodeResult(number, episode_return, steps, terminal, time.perf_counter() - began)
+        return result
 
-    def _keep(self, result: EpisodeResult, answers: tuple[Answer, ...], stopping: bool) -> bool:
+    def _keep(
+        self,
+        result: EpisodeResult,
+        answers: tuple[Answer, ...],
+        metrics: tuple[Reading, ...],
+        stopping: bool,
+    ) -> bool:
         """Store a result, with a checkpoint if one is due; return whether both players are still there."""
         checkpoint, lost = None, False
+        self._steps += result.steps
+        last = self._spec.finished_by(result.episode, self._steps)
         due = self._every > 0 and result.episode % self._every == 0
         if not self._can_save:
             if due:
                 self._warn()
-        elif due or result.episode == self._spec.episodes or stopping:
+        elif due or last or stopping:
             try:
                 checkpoint = self._save()
             except PeerLost as error:
                 self._sink.event("lost", str(error))
                 lost = True
-        self._sink.record(result, checkpoint, answers)
+        self._sink.record(result, checkpoint, answers, metrics)
         self._done = result.episode
         if checkpoint is None:
             if self._can_save:
                 self._since.append(result)
         else:
-            self._start = Start(result.episode, checkpoint)
+            self._start = Start(result.episode, checkpoint, self._steps)
             self._since.clear()
         return not lost
 

@@ -1,18 +1,20 @@
-"""The state and results of a run, in one line and in full: for people, and as JSON for scripts."""
+"""The state and results of a run, in one line and complete: for people, and as JSON for scripts."""
 
 from __future__ import annotations
 
+import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import ClassVar, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 
 from experiment_runner.analysis.settings import Setting, collect
 from experiment_runner.analysis.stats import (
+    FEW_TRIALS,
     bootstrap_rng,
     convergence_episode,
     estimate,
@@ -21,17 +23,17 @@ from experiment_runner.analysis.stats import (
     mean,
     mean_of_last,
 )
-from experiment_runner.lock import lock_holder
-from experiment_runner.report.tables import format_table, one_line, wrap
-from experiment_runner.store.joined import trial_names
+from experiment_runner.report.tables import counted, format_table, one_line, wrap
+from experiment_runner.store.lock import lock_holder
 from experiment_runner.store.output import finite
-from experiment_runner.store.records import TrialRecord
+from experiment_runner.store.records import TUNED, UNSEEDED, TrialRecord
 from experiment_runner.store.results import Results
 
-__all__ = ["Overview", "as_object", "as_text", "overview", "setting_numbers"]
+__all__ = ["SORT_KEYS", "Overview", "as_object", "as_text", "date", "overview", "setting_numbers"]
 
 _WINDOW: Final = 100
 _SETTING_COLUMNS: Final = ("setting", "finished", "episodes", "mean", "95 % interval", "IQM", "converged")
+_FEW: Final = " (!)"  # behind an interval of few trials
 _LEGEND: Final = {
     "mean, IQM": f"over trials, of the mean return of the last {_WINDOW} episodes; "
     "IQM is the interquartile mean",
@@ -39,7 +41,25 @@ _LEGEND: Final = {
     "converged": f"the episode from which the mean of {_WINDOW}, over all trials, "
     "stays within 2 of its final value",
 }
+_STEPS_LEGEND: Final = {
+    "mean, IQM": "over trials, of the last tenth of the steps, each with the return of the episode under "
+    "way; IQM is the interquartile mean",
+    "converged": "not determined over steps",
+}
 _LEGEND_WIDTH: Final = 100
+
+
+def _descending(name: str) -> Callable[[Mapping[str, Any]], float]:
+    return lambda numbers: math.inf if numbers[name] is None else -float(numbers[name])
+
+
+SORT_KEYS: Final[Mapping[str, Callable[[Mapping[str, Any]], Any]]] = {
+    "setting": lambda numbers: numbers["setting"],
+    "mean": _descending("mean"),
+    "IQM": _descending("interquartile_mean"),
+    "converged": lambda numbers: math.inf if numbers["converged"] is None else numbers["converged"],
+}
+"""Orders of the settings in `as_text`, by column: names and episodes ascending, returns descending."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +70,7 @@ class Overview:
     started    seconds since 1970, UTC; None if not recorded
     trials     how many are finished, and how many there are in all
     episodes   how many are recorded, and how many are planned
+    steps      the same for trials with a budget of steps; 0 and 0 if there are none
     state      running, failed, finished or interrupted
     reason     which process runs it, or why the first failed trial failed; otherwise empty
     """
@@ -60,13 +81,15 @@ class Overview:
     started: float | None
     trials: tuple[int, int]
     episodes: tuple[int, int]
+    steps: tuple[int, int]
     state: str
     reason: str
 
     def cells(self) -> tuple[str, ...]:
         """Return the cell of each of `COLUMNS`."""
-        counts = ("{}/{}".format(*self.trials), "{}/{}".format(*self.episodes))
-        return (str(self.directory), _date(self.started), *counts, self.state, self.reason)
+        length = "{:,}/{:,} steps".format(*self.steps) if self.steps[1] else "{}/{}".format(*self.episodes)
+        counts = ("{}/{}".format(*self.trials), length)
+        return (str(self.directory), date(self.started), *counts, self.state, self.reason)
 
     def as_json(self) -> dict[str, object]:
         """Return the overview as a JSON object."""
@@ -77,6 +100,7 @@ class Overview:
             "trials": self.trials[1],
             "episodes": self.episodes[0],
             "planned_episodes": self.episodes[1],
+            **({"steps": self.steps[0], "planned_steps": self.steps[1]} if self.steps[1] else {}),
             "state": self.state,
             "reason": self.reason,
         }
@@ -89,69 +113,103 @@ def overview(results: Results) -> Overview:
         ExperimentError: the run cannot be read.
     """
     trials = results.trials()
+    # A trial of a competition ends with its steps or a forfeit, whatever its plan has in episodes.
+    ended = {trial.spec.id for trial in trials if trial.finished} | results.outcomes().keys()
     starts = [event.time for event in results.events() if event.kind == "start"]
     return Overview(
         results.directory,
         starts[0] if starts else None,
-        (sum(trial.finished for trial in trials), len(trials)),
-        (sum(trial.done for trial in trials), sum(trial.spec.episodes for trial in trials)),
-        *_state(results.directory, trials, trial_names(results)),
+        (len(ended), len(trials)),
+        (
+            sum(trial.done for trial in trials),
+            sum(trial.done if trial.spec.id in ended else trial.spec.episodes for trial in trials),
+        ),
+        (sum(trial.steps for trial in trials), sum(trial.spec.steps for trial in trials)),
+        *_state(results.directory, trials, len(ended) == len(trials), results.trial_names()),
     )
 
 
-def _legend(width: int) -> list[str]:
+def _legend(width: int, over: str) -> list[str]:
     """Return the lines that explain the columns."""
     margin = max(map(len, _LEGEND)) + 2
+    legend = _LEGEND if over == "episodes" else _LEGEND | _STEPS_LEGEND
     return [
         textwrap.fill(f"{term:<{margin}}{text}", max(width, 2 * margin), subsequent_indent=" " * margin)
-        for term, text in _LEGEND.items()
+        for term, text in legend.items()
     ]
 
 
-def as_text(results: Results, width: int | None = None) -> str:
-    """Return the results of a run: a line for each setting, then failures, voids and events.
+def as_text(
+    runs: Sequence[Results], width: int | None = None, sort: str | None = None, over: str = "episodes"
+) -> str:
+    """Return the results of some runs: a line for each setting, then failures, voids and events.
 
     Args:
-        results: of the run.
+        runs: open for reading.
         width: see `format_table`.
+        sort: key of `SORT_KEYS`; None for the order of the plans.
+        over: `episodes` or `steps`.
 
     Raises:
-        ExperimentError: the run cannot be read.
+        ExperimentError: a run cannot be read.
     """
-    run = overview(results)
-    header = [f"{run.directory}: {run.state}" + (f" ({run.reason})" if run.state == "running" else "")]
-    if run.started is not None:
-        header.append(f"started  {_date(run.started)}")
-    programs = ", then ".join(_programs(results))
-    if programs:
-        header.append(f"program  {one_line(programs)}")
-    rows = [_cells(numbers) for numbers in setting_numbers(collect([results]))]
-    table = ["", format_table(_SETTING_COLUMNS, rows, width=width), "", *_legend(width or _LEGEND_WIDTH)]
+    numbers = setting_numbers(collect(runs), over)
+    if sort is not None:
+        numbers.sort(key=SORT_KEYS[sort])
+    rows = [_cells(row) for row in numbers]
+    lines = [wrap(line, width) for run in runs for line in _header(run)]
+    legend = _legend(width or _LEGEND_WIDTH, over)
+    lines += ["", format_table(_SETTING_COLUMNS, rows, width=width), "", *legend]
+    if metrics := [row for run in runs for row in metric_rows(run)]:
+        lines += ["", format_table(("metric", "trials", "values", "last"), metrics, width=width)]
     notes = []
     if not has_scipy():
         notes.append("(intervals and IQM need SciPy: pip install 'glue-rl[plot]')")
-    names = trial_names(results)
+    elif any(cells[4].endswith(_FEW) for cells in rows):
+        notes.append(f"({_FEW.strip()} of fewer than {FEW_TRIALS} trials: they may well miss the mean)")
+    for run in runs:
+        notes += _notes(run)
+    return "\n".join([*lines, *(wrap(one_line(note), width) for note in notes)])
+
+
+def _header(results: Results) -> list[str]:
+    run = overview(results)
+    lines = [
+        f"{one_line(str(run.directory))}: {run.state}"
+        + (f" ({run.reason})" if run.state == "running" else "")
+    ]
+    if run.started is not None:
+        lines.append(f"started  {date(run.started)}")
+    programs = ", then ".join(_programs(results))
+    return [*lines, f"program  {one_line(programs)}"] if programs else lines
+
+
+def _notes(results: Results) -> list[str]:
+    names = results.trial_names()
     failed = [trial for trial in results.trials() if trial.failure is not None]
-    notes += [f"failed: {names[trial.spec.id]}: {trial.failure}" for trial in failed]
+    notes = [f"failed: {names[trial.spec.id]}: {trial.failure}" for trial in failed]
     notes += [f"void: episode {v.episode} of {names[v.trial_id]}: {v.why}" for v in results.voids()]
-    notes += [f"{e.kind}: {names[e.trial_id]}: {e.text}" for e in results.events() if e.trial_id]
-    notes = [wrap(one_line(note), width) for note in notes]
-    return "\n".join([*(wrap(line, width) for line in header), *table, *notes])
+    if cut := sum(results.cut_by_budget(trial.spec.id) for trial in results.trials() if trial.spec.steps):
+        notes.append(f"the budget of steps has cut off the last episode of {counted(cut, 'trial')}")
+    for event in results.events():
+        if event.trial_id is not None:
+            notes.append(f"{event.kind}: {names[event.trial_id]}: {event.text}")
+        elif event.kind in (UNSEEDED, TUNED):
+            notes.append(event.text)
+    return notes
 
 
-def as_object(results: Results) -> dict[str, object]:
+def as_object(results: Results, over: str = "episodes") -> dict[str, object]:
     """Return the results of a run as a JSON object; numbers that are not available are None.
 
     Raises:
         ExperimentError: the run cannot be read.
     """
-    names = trial_names(results)
+    names, numbers = results.trial_names(), setting_numbers(collect([results]), over)
     return {
         **overview(results).as_json(),
         "programs": _programs(results),
-        "settings": [
-            {k: finite(v) for k, v in setting.items()} for setting in setting_numbers(collect([results]))
-        ],
+        "settings": [{k: finite(v) for k, v in setting.items()} for setting in numbers],
         "trial_records": [
             {
                 "trial": trial.spec.id,
@@ -159,24 +217,45 @@ def as_object(results: Results) -> dict[str, object]:
                 "seed": trial.spec.seed,
                 "episodes": trial.done,
                 "planned_episodes": trial.spec.episodes,
+                "planned_steps": trial.spec.steps,
+                "cut_by_budget": results.cut_by_budget(trial.spec.id),
                 "voids": trial.voids,
                 "failure": trial.failure,
             }
             for trial in results.trials()
         ],
+        "metrics": results.metric_names(),
         "voids": [void._asdict() for void in results.voids()],
         "events": [event._asdict() for event in results.events()],
         "answers": [answered._asdict() for answered in results.newest_answers()],
     }
 
 
-def setting_numbers(settings: Sequence[Setting]) -> list[dict[str, object]]:
-    """Return the line of each setting in the table of results; what is not available yet is None."""
+def metric_rows(results: Results) -> list[tuple[str, str, str, str]]:
+    """Return the line of each metric in the results: its trials, its values, and the mean of the last."""
+    rows = []
+    for name in results.metric_names():
+        found = [results.metric(trial.spec.id, name) for trial in results.trials()]
+        last = [metric.values[-1] for metric in found if metric.values.size]
+        count = sum(metric.values.size for metric in found)
+        rows.append((name, f"{len(last)}", f"{count}", f"{np.mean(last):.6g}" if last else "-"))
+    return rows
+
+
+def setting_numbers(settings: Sequence[Setting], over: str = "episodes") -> list[dict[str, object]]:
+    """Return the line of each setting in the table of results; values that are not available yet are None.
+
+    Args:
+        settings: of returns.
+        over: `episodes` or `steps`.
+    """
     rng = bootstrap_rng()
-    return [_numbers(setting, rng) for setting in settings]
+    return [_numbers(setting, over, rng) for setting in settings]
 
 
-def _state(directory: Path, trials: list[TrialRecord], names: Mapping[str, str]) -> tuple[str, str]:
+def _state(
+    directory: Path, trials: list[TrialRecord], ended: bool, names: Mapping[str, str]
+) -> tuple[str, str]:
     holder = lock_holder(directory)
     if holder is not None:
         return "running", holder
@@ -184,10 +263,11 @@ def _state(directory: Path, trials: list[TrialRecord], names: Mapping[str, str])
     if failures:
         more = f" (and {len(failures) - 1} more)" if len(failures) > 1 else ""
         return "failed", failures[0] + more
-    return "finished" if all(trial.finished for trial in trials) else "interrupted", ""
+    return "finished" if ended else "interrupted", ""
 
 
-def _date(time: float | None) -> str:
+def date(time: float | None) -> str:
+    """Return a time in seconds since 1970 as a date in UTC; empty for None."""
     return "" if time is None else datetime.fromtimestamp(time, UTC).strftime("%Y-%m-%d %H:%M UTC")
 
 
@@ -196,8 +276,8 @@ def _programs(results: Results) -> list[str]:
     return list(dict.fromkeys(e.text for e in results.events() if e.kind in ("start", "resume")))
 
 
-def _numbers(setting: Setting, rng: np.random.Generator) -> dict[str, object]:
-    begun = [returns for returns in setting.returns if returns.size]
+def _numbers(setting: Setting, over: str, rng: np.random.Generator) -> dict[str, object]:
+    begun = [returns for returns in setting.values if returns.size]
     numbers: dict[str, object] = {
         "setting": setting.label,
         "finished_trials": sum(trial.finished for trial in setting.trials),
@@ -208,11 +288,16 @@ def _numbers(setting: Setting, rng: np.random.Generator) -> dict[str, object]:
         "high": None,
         "interquartile_mean": None,
         "converged": None,
+        "few_trials": len(begun) < FEW_TRIALS,
     }
     if begun:
-        reached = np.array([mean_of_last(returns, _WINDOW) for returns in begun])
+        if over == "steps":
+            totals = setting.step_totals()
+            reached = np.array([trial.last(max(1, int(trial.steps[-1]) // 10)) for trial in totals])
+        else:
+            reached = np.array([mean_of_last(returns, _WINDOW) for returns in begun])
+            numbers["converged"] = convergence_episode(mean(setting.curves()), _WINDOW)
         numbers["mean"] = float(mean(reached))
-        numbers["converged"] = convergence_episode(mean(setting.curves()), _WINDOW)
         if has_scipy():
             _, low, high = estimate([reached], mean, rng)
             if not np.isnan(low):
@@ -223,12 +308,13 @@ def _numbers(setting: Setting, rng: np.random.Generator) -> dict[str, object]:
 
 def _cells(numbers: dict[str, object]) -> tuple[str, ...]:
     low, high = numbers["low"], numbers["high"]
+    few = _FEW if numbers["few_trials"] else ""
     return (
         str(numbers["setting"]),
         f"{numbers['finished_trials']}/{numbers['trials']}",
         str(numbers["episodes"]),
         _number(numbers["mean"]),
-        "-" if low is None or high is None else f"{low:.2f} to {high:.2f}",
+        "-" if low is None or high is None else f"{low:.2f} to {high:.2f}{few}",
         _number(numbers["interquartile_mean"]),
         "-" if numbers["converged"] is None else str(numbers["converged"]),
     )

@@ -1,4 +1,4 @@
-"""Figures of episode returns as PNG and SVG: learning curves, scatter plots, comparisons.
+"""Figures of a measure of the episodes as PNG, SVG and PDF: learning curves, scatter plots, comparisons.
 
 Drawn with matplotlib (extra `plot`), whose global state is left as it was. Figures are legible at half a
 page. The colors are Okabe and Ito's, which color-blind people can distinguish; lines also differ in dash.
@@ -10,19 +10,20 @@ from __future__ import annotations
 import contextlib
 import math
 import textwrap
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 
-from experiment_runner.analysis.curves import over_episodes
+from experiment_runner.analysis.compare import profile, tolerance_interval
+from experiment_runner.analysis.curves import Curve, StepTotals, of_metric, over_episodes, over_steps
 from experiment_runner.analysis.stats import (
+    FEW_TRIALS,
     FloatArray,
     estimate,
     interquartile_mean,
     mean,
-    mean_of_last,
     running_mean,
 )
 from experiment_runner.report.tables import counted
@@ -33,7 +34,17 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["comparison", "fitting_window", "learning_curves", "save", "scatter"]
+__all__ = [
+    "comparison",
+    "fitting_window",
+    "learning_curves",
+    "metric_curves",
+    "profiles",
+    "save",
+    "scatter",
+    "step_curves",
+    "step_window",
+]
 
 _COLORS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _DASHES: Final = ("-", "--", ":", "-.")
@@ -53,18 +64,29 @@ _STYLE: Final[dict[Any, Any]] = {
     "lines.linewidth": 1.8,
     "svg.hashsalt": "glue-plot",
 }
-_METADATA: Final[dict[str, dict[str, Any]]] = {".png": {}, ".svg": {"Date": None}}
+_METADATA: Final[dict[str, dict[str, Any]]] = {
+    ".png": {},
+    ".svg": {"Date": None},
+    ".pdf": {"CreationDate": None},
+}
 _WIDTH: Final = 6.4  # inches, as all lengths below
 _HEIGHT: Final = 4.0
 _PANEL_HEIGHT: Final = 2.6
 _ROW_HEIGHT: Final = 0.45
+_NAME_LETTERS: Final = 28  # of an agent, in a line
 _TITLE_LETTERS: Final = 72  # across a figure
-_LEGEND_LETTERS: Final = 80  # in a line of the legend; an entry takes 6 beside its name
+_LEGEND_LETTERS: Final = 80  # in a line of the legend; an entry takes 6 and its name
+_TOLERANCE: Final = "bands for 90 % of the trials (tolerance intervals, 95 %)"
 _RETURN: Final = "episode return (reward)"
 
 
 def learning_curves(
-    curves: Mapping[str, FloatArray], rng: np.random.Generator, *, window: int = 100
+    curves: Mapping[str, FloatArray],
+    rng: np.random.Generator,
+    *,
+    window: int = 100,
+    label: str = _RETURN,
+    tolerance: bool = False,
 ) -> Figure:
     """Return a figure of running means over trials, each with its 95 % bootstrap band.
 
@@ -73,48 +95,125 @@ def learning_curves(
             is left out.
         rng: for resampling.
         window: episodes in the running mean; at most a tenth of the longest curve is used.
+        label: of the axis of values.
+        tolerance: whether the bands are tolerance intervals of single trials.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
     """
-    window = fitting_window(window, curves)
+    window = fitting_window(window, (values.shape[1] for values in curves.values()))
+    found = {name: over_episodes(values, window, rng) for name, values in curves.items()}
+    return _curves(found, window, "episode", label, curves.values(), tolerance)
+
+
+def step_curves(
+    totals: Mapping[str, Sequence[StepTotals]],
+    rng: np.random.Generator,
+    *,
+    window: int = 0,
+    label: str = _RETURN,
+    tolerance: bool = False,
+) -> Figure:
+    """Return a figure as that of `learning_curves`, over steps.
+
+    Args:
+        totals: of each trial, by name. A curve with a trial shorter than the window is left out.
+        rng: for resampling.
+        window: steps in the running mean; at most a tenth of the longest trial is used. 0 for a fiftieth.
+        label: of the axis of values.
+        tolerance: as there.
+
+    Raises:
+        ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
+    """
+    window = step_window(window, totals.values())
+    found = {name: over_steps(trials, window, rng) for name, trials in totals.items()}
+    return _curves(found, window, "step", label, totals.values(), tolerance)
+
+
+def metric_curves(
+    readings: Mapping[str, Sequence[tuple[FloatArray, FloatArray]]],
+    rng: np.random.Generator,
+    label: str,
+    tolerance: bool = False,
+) -> Figure:
+    """Return a figure of a metric over steps: the mean over trials, with bands as in `learning_curves`.
+
+    Args:
+        readings: steps and values of each trial, by name of the curve.
+        rng: for resampling.
+        label: name of the metric.
+        tolerance: as there.
+
+    Raises:
+        ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
+    """
+    found = {name: of_metric(trials, rng) for name, trials in readings.items()}
+    if not any(found.values()):
+        raise ExperimentError(_NOTHING)
+    return _curves(found, 0, "step", label, readings.values(), tolerance)
+
+
+def step_window(window: int, totals: Iterable[Sequence[StepTotals]]) -> int:
+    """Return the window, in steps, that is used for curves over steps; see `step_curves`.
+
+    Raises:
+        ExperimentError: there is nothing to plot yet.
+    """
+    lengths = [int(trial.steps[-1]) for trials in totals for trial in trials]
+    return fitting_window(window or max(lengths, default=0) // 50, lengths)
+
+
+def _curves(
+    curves: Mapping[str, Curve | None],
+    window: int,
+    unit: str,
+    label: str,
+    trials: Iterable[Sized],
+    tolerance: bool,
+) -> Figure:
     with _style():
         figure, (axes,) = _panels(1, 1, _HEIGHT)
-        for number, (name, returns) in enumerate(curves.items()):
-            curve = over_episodes(returns, window, rng)
+        for number, (name, curve) in enumerate(curves.items()):
             if curve is None:
                 continue  # too short yet
             value, low, high = curve.band
+            if tolerance:
+                low, high = np.array([tolerance_interval(values) for values in curve.means.T]).T
             color, dash = _look(number)
             axes.plot(curve.at, value, label=name, color=color, linestyle=dash)
             axes.fill_between(curve.at, low, high, color=color, alpha=0.2, linewidth=0)
-        axes.set_title(
-            f"running mean of {counted(window, 'episode')} over {_trials(curves.values())}, "
-            "with 95 % bootstrap bands"
-        )
-        axes.set_xlabel("episode")
-        axes.set_ylabel(_RETURN)
+        means = f"running mean of {counted(window, unit)}" if window else "mean"
+        bands = _TOLERANCE if tolerance else "95 % bootstrap bands"
+        _title(figure, f"{means} over {_trials(trials)}, with {bands}", trials)
+        axes.set_xlabel(unit)
+        axes.set_ylabel(label)
         axes.set_xlim(left=0)
         _legend_below(figure, axes)
     return figure
 
 
 def scatter(
-    curves: Mapping[str, FloatArray], *, window: int = 100, reference: tuple[str, FloatArray] | None = None
+    curves: Mapping[str, FloatArray],
+    *,
+    window: int = 100,
+    reference: tuple[str, FloatArray] | None = None,
+    label: str = _RETURN,
 ) -> Figure:
     """Return a figure with a panel for each curve: a dot for each episode of each trial, and their mean.
 
     Args:
         curves: (trials, episodes) by name.
         window: episodes in the running mean; at most a tenth of the longest curve is used.
-        reference: name and returns, (trials, episodes), of a curve whose running mean is in every panel.
+        reference: name and values, (trials, episodes), of a curve whose running mean is in every panel.
+        label: of the axis of values.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
 
     Source of the design: Mohan (2010), figures 2 to 13.
     """
-    window = fitting_window(window, curves)
+    window = fitting_window(window, (values.shape[1] for values in curves.values()))
     columns = 1 if len(curves) == 1 else 2
     rows = math.ceil(len(curves) / columns)
     with _style():
@@ -142,7 +241,7 @@ def scatter(
             if number + columns >= len(curves):  # no panel below
                 axes.set_xlabel("episode")
                 axes.tick_params(labelbottom=True)
-        figure.supylabel(_RETURN, fontsize="medium")
+        figure.supylabel(label, fontsize="medium")
         # The dots in the panels are too faint for a legend.
         panels[0].plot([], [], ".", color=_COLORS[0], label="an episode")
         _legend_below(figure, panels[0])
@@ -150,59 +249,96 @@ def scatter(
 
 
 def comparison(
-    agents: Mapping[str, Sequence[FloatArray]], rng: np.random.Generator, *, window: int = 100
+    environments: Mapping[str, Mapping[str, FloatArray]],
+    rng: np.random.Generator,
+    *,
+    final: str,
+    label: str = _RETURN,
 ) -> Figure:
-    """Return a figure of the final performance of each agent, with 95 % stratified bootstrap intervals.
+    """Return a figure of the final performance of each agent, with 95 % bootstrap intervals.
 
     Args:
-        agents: the returns of each agent in each environment, (trials, episodes), by name. Environments
-            have equal weight: if one has more trials than another, its last trials are left out.
+        environments: the performance of each agent's trials, (trials,), by environment and agent. Each
+            environment has a panel: values of different tasks have no common mean.
         rng: for resampling.
-        window: the performance is the mean return of this many last episodes of a trial.
+        final: the part of a trial over which its performance was measured, as in `last 100 episodes`.
+        label: of the axis of values.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
     """
-    reached = {
-        name: [np.array([mean_of_last(trial, window) for trial in returns]) for returns in strata]
-        for name, strata in agents.items()
-    }
-    for name, strata in reached.items():
-        fewest = min(map(len, strata))
-        reached[name] = [trials[:fewest] for trials in strata if fewest]
-    if not reached or not all(reached.values()):
+    if not any(values.size for agents in environments.values() for values in agents.values()):
         raise ExperimentError(_NOTHING)
+    rows = max(map(len, environments.values()))
     with _style():
-        figure, (axes,) = _panels(1, 1, 1.6 + _ROW_HEIGHT * len(agents))
-        for row, strata in enumerate(reached.values()):
-            trials = np.concatenate(strata)
-            axes.plot(
-                trials, np.full(len(trials), row), "|", color="0.5", markersize=9, label=_once(row, "trial")
-            )
-            for statistic, name, marker, shift, color in (
-                (mean, "mean", "o", -0.2, _COLORS[0]),
-                (interquartile_mean, "interquartile mean", "D", 0.2, _COLORS[1]),
-            ):
-                value, low, high = estimate(strata, statistic, rng)
-                axes.plot([low, high], [row + shift] * 2, color=color)
-                axes.plot(value, row + shift, marker, color=color, markersize=4, label=_once(row, name))
-        axes.set_yticks(range(len(agents)), list(agents))
-        axes.set_ylim(len(agents) - 0.5, -0.5)
-        axes.grid(visible=False, axis="y")
-        axes.set_title(f"last {counted(window, 'episode')} of each trial, with 95 % bootstrap intervals")
-        axes.set_xlabel(_RETURN)
+        figure, panels = _panels(
+            len(environments),
+            1,
+            1.2 + len(environments) * (0.4 + _ROW_HEIGHT * rows),
+            len(environments),
+            "none",
+        )
+        for axes, (environment, agents) in zip(panels, environments.items(), strict=True):
+            for row, values in enumerate(agents.values()):
+                _plot_performance(axes, row, values, rng)
+            axes.set_yticks(range(len(agents)), [textwrap.fill(name, _NAME_LETTERS) for name in agents])
+            axes.set_ylim(len(agents) - 0.5, -0.5)
+            axes.grid(visible=False, axis="y")
+            if environment:
+                axes.set_title(textwrap.fill(environment, _TITLE_LETTERS))
+        panels[-1].set_xlabel(label)
+        curves = [values for agents in environments.values() for values in agents.values()]
+        _title(figure, f"{final} of each trial, with 95 % bootstrap intervals", curves)
+        _legend_below(figure, panels[0])
+    return figure
+
+
+def profiles(reached: Mapping[str, FloatArray], *, label: str = _RETURN) -> Figure:
+    """Return a figure of performance profiles: the share of trials above each value.
+
+    Args:
+        reached: performance of each trial, (trials,), by name.
+        label: of the axis of values.
+
+    Raises:
+        ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
+    """
+    if not any(values.size for values in reached.values()):
+        raise ExperimentError(_NOTHING)
+    known = np.concatenate(list(reached.values()))
+    at = np.linspace(known.min(), known.max(), 400)
+    with _style():
+        figure, (axes,) = _panels(1, 1, _HEIGHT)
+        for number, (name, values) in enumerate(reached.items()):
+            color, dash = _look(number)
+            axes.step(at, profile(values, at), label=name, color=color, linestyle=dash)
+        _title(figure, f"performance profiles of {_trials(reached.values())}", reached.values())
+        axes.set_xlabel(label)
+        axes.set_ylabel("share of trials above")
         _legend_below(figure, axes)
     return figure
 
 
+def _plot_performance(axes: Axes, row: int, reached: FloatArray, rng: np.random.Generator) -> None:
+    """Plot the performance of an agent's trials, (trials,), with their means."""
+    axes.plot(reached, np.full(len(reached), row), "|", color="0.5", markersize=9, label=_once(row, "trial"))
+    for statistic, name, marker, shift, color in (
+        (mean, "mean", "o", -0.2, _COLORS[0]),
+        (interquartile_mean, "interquartile mean", "D", 0.2, _COLORS[1]),
+    ):
+        value, low, high = estimate([reached], statistic, rng)
+        axes.plot([low, high], [row + shift] * 2, color=color)
+        axes.plot(value, row + shift, marker, color=color, markersize=4, label=_once(row, name))
+
+
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG or SVG, depending on the suffix of the file name.
+    """Write a figure as PNG, SVG or PDF, depending on the suffix of the file name.
 
     Raises:
-        ExperimentError: the suffix is neither .png nor .svg, or the file cannot be written.
+        ExperimentError: the suffix is none of .png, .svg and .pdf, or the file cannot be written.
     """
     if path.suffix not in _METADATA:
-        raise ExperimentError(f"a figure is saved as .png or .svg, not as {path.name}")
+        raise ExperimentError(f"a figure is saved as .png, .svg or .pdf, not as {path.name}")
     with _style(), written(path) as partial:
         figure.savefig(partial, format=path.suffix[1:], metadata=_METADATA[path.suffix])
 
@@ -222,15 +358,24 @@ def _style() -> Iterator[None]:
         yield
 
 
-def _panels(rows: int, columns: int, height: float, used: int = 1) -> tuple[Figure, list[Axes]]:
+def _panels(
+    rows: int, columns: int, height: float, used: int = 1, share: Literal["all", "none"] = "all"
+) -> tuple[Figure, list[Axes]]:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(_WIDTH, height))
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    grid = figure.subplots(rows, columns, sharex=share, sharey=share, squeeze=False)
     panels = list(grid.flat)
     for axes in panels[used:]:
         axes.remove()
     return figure, panels[:used]
+
+
+def _title(figure: Figure, text: str, curves: Iterable[Sized]) -> None:
+    """Write a title of as many lines as it takes, which warns of intervals of few trials."""
+    if any(len(values) < FEW_TRIALS for values in curves):
+        text += f"; fewer than {FEW_TRIALS} trials: unreliable"
+    figure.suptitle(textwrap.fill(text, _TITLE_LETTERS), fontsize="small", x=0.02, ha="left")
 
 
 def _plot_mean(axes: Axes, returns: FloatArray, window: int, name: str, dash: str, color: str) -> None:
@@ -244,23 +389,23 @@ def _legend_below(figure: Figure, axes: Axes) -> None:
     figure.legend(handles, names, loc="outside lower center", ncols=columns, fontsize="small")
 
 
-def fitting_window(window: int, curves: Mapping[str, FloatArray]) -> int:
-    """Return the window that is used for curves: a tenth of the longest if that is less.
+def fitting_window(window: int, lengths: Iterable[int]) -> int:
+    """Return the window that is used for curves of these lengths: a tenth of the longest if that is less.
 
     Raises:
         ExperimentError: there is nothing to plot yet.
     """
-    longest = max((returns.shape[1] for returns in curves.values()), default=0)
+    longest = max(lengths, default=0)
     if not longest:
         raise ExperimentError(_NOTHING)
-    return min(window, max(1, longest // 10))
+    return max(1, min(window, longest // 10))
 
 
 def _look(number: int) -> tuple[str, str]:
     return _COLORS[number % len(_COLORS)], _DASHES[number % len(_DASHES)]
 
 
-def _trials(curves: Iterable[FloatArray]) -> str:
+def _trials(curves: Iterable[Sized]) -> str:
     counts = sorted({len(returns) for returns in curves})
     return counted(counts[0], "trial") if len(counts) == 1 else f"{counts[0]} to {counts[-1]} trials"
 

@@ -6,7 +6,6 @@ Output for people goes to standard error, since standard output is for `--json`.
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import sys
 import time
@@ -14,7 +13,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol, TextIO
 
-from experiment_runner.plan import TrialSpec
+from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.tables import format_table
 from experiment_runner.store.output import finite
 from experiment_runner.store.records import EpisodeResult, TrialRecord
@@ -45,8 +44,8 @@ class Reporter(Protocol):
         """The run starts; `trials` are all of its trials."""
         ...
 
-    def begin(self, spec: TrialSpec, done: int) -> None:
-        """A trial starts, or continues after `done` episodes."""
+    def begin(self, spec: TrialSpec, done: int, steps: int) -> None:
+        """A trial starts, or continues after `done` episodes, of `steps` steps in all."""
         ...
 
     def rename(self, spec: TrialSpec, name: str) -> None:
@@ -73,18 +72,25 @@ class Reporter(Protocol):
 class Progress:
     """Shows a table of running trials, redrawn in place on a terminal; elsewhere a line every few seconds.
 
-    On a terminal there is also a progress bar, in color unless the variable NO_COLOR is set.
+    On a terminal there is also a progress bar, in color if `color` is true.
 
     Args:
         stream: the output stream; None for standard error.
         clock: returns the time in seconds.
+        color: draw the bar in color.
     """
 
-    def __init__(self, stream: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        stream: TextIO | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        color: bool = False,
+    ) -> None:
         self._stream = stream or sys.stderr
         self._clock = clock
         self._live = self._stream.isatty()
-        self._color = self._live and not os.environ.get("NO_COLOR")
+        self._color = self._live and color
         self._every = _TTY_SECONDS if self._live else _LOG_SECONDS
         self._shown_at = clock() - (self._every if self._live else 0)
         self._drawn = 0  # number of lines on the terminal that the next drawing replaces
@@ -94,9 +100,9 @@ class Progress:
     def start(self, trials: Sequence[TrialRecord]) -> None:
         self._total = _Total(trials, self._clock())
 
-    def begin(self, spec: TrialSpec, done: int) -> None:
-        self._rows[spec.id] = _Row(spec, done)
-        self._total.done[spec.id] = done
+    def begin(self, spec: TrialSpec, done: int, steps: int) -> None:
+        self._rows[spec.id] = _Row(spec, done, steps)
+        self._total.done[spec.id] = steps if spec.steps else done
 
     def rename(self, spec: TrialSpec, name: str) -> None:
         self._rows[spec.id].name = name
@@ -164,10 +170,11 @@ class _Row:
         recent: the returns of the newest episodes.
     """
 
-    def __init__(self, spec: TrialSpec, done: int) -> None:
-        self.name = spec.id
+    def __init__(self, spec: TrialSpec, done: int, steps: int) -> None:
+        self.name: str = spec.id
         self._spec = spec
         self._before = self._done = done
+        self._steps_before = steps
         self._steps = 0
         self._began = 0.0
         self.recent: deque[float] = deque(maxlen=_WINDOW)
@@ -182,10 +189,14 @@ class _Row:
     def cells(self, now: float) -> tuple[str, ...]:
         """Return the trial's row of the table, `_COLUMNS`."""
         elapsed = _at_least_an_instant(now - self._began)
-        left = elapsed / (self._done - self._before) * (self._spec.episodes - self._done)
+        spec, steps = self._spec, self._steps_before + self._steps
+        if spec.steps:
+            left = elapsed / max(self._steps, 1) * (spec.steps - steps)
+        else:
+            left = elapsed / (self._done - self._before) * (spec.episodes - self._done)
         return (
             self.name,
-            f"{self._done}/{self._spec.episodes}",
+            TrialRecord(spec, self._done, 0, None, steps).progress,
             f"{self._steps / elapsed:,.0f}",
             f"{self.recent[-1]:.2f}",
             f"{sum(self.recent) / len(self.recent):.2f}",
@@ -206,53 +217,58 @@ class _Total:
 
     Attributes:
         trials: number of trials.
-        done: episodes done in each trial, by its id.
+        done: episodes done in each trial, or its steps if it has a budget of steps, by its id.
     """
 
     def __init__(self, trials: Sequence[TrialRecord], now: float) -> None:
         self.trials = len(trials)
-        self.done = {trial.spec.id: trial.done for trial in trials}
-        self._episodes = {trial.spec.id: trial.spec.episodes for trial in trials}
+        self.done = {trial.spec.id: trial.steps if trial.spec.steps else trial.done for trial in trials}
+        self._planned = {trial.spec.id: trial.spec.steps or trial.spec.episodes for trial in trials}
+        self._unit = "step" if any(trial.spec.steps for trial in trials) else "episode"
         self._began = now
         self._steps = 0
-        self._run = 0  # episodes run in this process
+        self._run = 0  # episodes, or steps, run in this process
 
     def add(self, spec: TrialSpec, result: EpisodeResult) -> None:
-        self.done[spec.id] = result.episode
+        more = result.steps if spec.steps else result.episode - self.done[spec.id]
+        self.done[spec.id] += more
         self._steps += result.steps
-        self._run += 1
+        self._run += more
 
     @property
     def share(self) -> float:
-        """The share of the planned episodes that is done, 0 to 1."""
-        return sum(self.done.values()) / max(sum(self._episodes.values()), 1)
+        """The share of the planned episodes or steps that is done, 0 to 1."""
+        return sum(self.done.values()) / max(sum(self._planned.values()), 1)
 
     def line(self, now: float) -> str:
         elapsed = _at_least_an_instant(now - self._began)
-        done, episodes = sum(self.done.values()), sum(self._episodes.values())
-        finished = sum(self.done[trial] == self._episodes[trial] for trial in self.done)
-        left = elapsed / max(self._run, 1) * (episodes - done)
+        done, planned = sum(self.done.values()), sum(self._planned.values())
+        finished = sum(self.done[trial] == self._planned[trial] for trial in self.done)
+        left = elapsed / max(self._run, 1) * (planned - done)
         return (
-            f"{finished} of {self.trials} trials finished  episode {done}/{episodes}  "
+            f"{finished} of {self.trials} trials finished  {self._unit} {done}/{planned}  "
             f"{self._steps / elapsed:,.0f} steps/s  {_duration(left)} left"
         )
 
 
-class JsonLines:
-    """Writes a JSON object for each episode, one on each line; `inner` shows the progress to people."""
+class JsonLines(Progress):
+    """Writes a JSON object for each episode, too, one on each line.
 
-    def __init__(self, inner: Reporter, stream: TextIO | None = None) -> None:
-        self._inner = inner
-        self._stream = stream or sys.stdout
+    Args:
+        lines: stream for the objects; None for standard output.
+        stream, clock, color: as of `Progress`.
+    """
 
-    def start(self, trials: Sequence[TrialRecord]) -> None:
-        self._inner.start(trials)
-
-    def begin(self, spec: TrialSpec, done: int) -> None:
-        self._inner.begin(spec, done)
-
-    def rename(self, spec: TrialSpec, name: str) -> None:
-        self._inner.rename(spec, name)
+    def __init__(
+        self,
+        lines: TextIO | None = None,
+        stream: TextIO | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        color: bool = False,
+    ) -> None:
+        super().__init__(stream, clock, color=color)
+        self._lines = lines or sys.stdout
 
     def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
         self.write(
@@ -264,21 +280,12 @@ class JsonLines:
                 "terminal": result.terminal,
             }
         )
-        self._inner.episode(spec, result)
-
-    def end(self, spec: TrialSpec) -> None:
-        self._inner.end(spec)
-
-    def say(self, line: str) -> None:
-        self._inner.say(line)
-
-    def close(self) -> None:
-        self._inner.close()
+        super().episode(spec, result)
 
     def write(self, value: dict[str, Any]) -> None:
         """Write one object on a line; numbers that are infinite or NaN are null."""
         numbers = {name: finite(number) for name, number in value.items()}
-        print(json.dumps(numbers), file=self._stream, flush=True)
+        print(json.dumps(numbers), file=self._lines, flush=True)
 
 
 def _table(rows: Sequence[tuple[str, ...]], width: int) -> list[str]:

@@ -18,25 +18,26 @@ _HEIGHT: Final = 8  # lines of a curve
 _MIN_COLUMNS: Final = 10
 
 
-def sketches(curves: Mapping[str, FloatArray], window: int, width: int) -> str:
-    """Return the running means over trials, one curve below the other, all on the scale beside them.
+def sketches(curves: Mapping[str, FloatArray], window: int, measure: str, width: int) -> str:
+    """Return the running means over trials, one curve below the other, all on one scale.
 
     Args:
         curves: (trials, episodes) by name; a curve that is shorter than the window is left out.
         window: episodes in the running mean; a tenth of the longest curve if that is less.
+        measure: name of the values.
         width: columns of the terminal.
 
     Raises:
         ExperimentError: there is nothing to show yet.
     """
-    window = fitting_window(window, curves)
+    window = fitting_window(window, (values.shape[1] for values in curves.values()))
     means = {name: running_mean(returns, window).mean(axis=0) for name, returns in curves.items()}
     means = {name: curve for name, curve in means.items() if curve.size}
     low = min(float(curve.min()) for curve in means.values())
     high = max(float(curve.max()) for curve in means.values())
     shown = []
     for name, curve in means.items():
-        title = f"{name}: return, running mean of {counted(window, 'episode')}"
+        title = f"{name}: {measure}, running mean of {counted(window, 'episode')}"
         shown.append(_sketch(title, curve, (low, high), curves[name].shape[1], width))
     return "\n\n".join(shown)
 

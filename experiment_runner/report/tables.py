@@ -9,7 +9,6 @@ import textwrap
 from collections.abc import Sequence
 from typing import Final
 
-from experiment_runner.store.joined import trial_names
 from experiment_runner.store.records import Totals
 from experiment_runner.store.results import Results
 
@@ -32,8 +31,11 @@ def counted(number: int, thing: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """Return a text from a run as one line, safe for a terminal: without control characters."""
-    return re.sub(r"[\x00-\x1f\x7f-\x9f]+", " ", text).strip()
+    """Return a text from a run as one line, safe for a terminal: without control characters, and encodable.
+
+    The name of a file may contain any bytes.
+    """
+    return re.sub(r"[\x00-\x1f\x7f-\x9f]+", " ", text).strip().encode("utf-8", "replace").decode()
 
 
 def format_table(
@@ -85,7 +87,7 @@ def _paragraph(header: Sequence[str], row: Sequence[str], width: int) -> str:
 
 
 def wrap(text: str, width: int | None) -> str:
-    """Return a text in lines of at most `width` characters, None for any, broken between words alone."""
+    """Return a text in lines of at most `width` characters, None for any, broken only between words."""
     if width is None:
         return text
     return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False)
@@ -97,14 +99,14 @@ def tabulate(results: Results, seconds: float, width: int | None = None) -> str:
     If there is only one trial, its reason is left out: it has just been shown.
     """
     rows, failures = [], []
-    trials, names = results.trials(), trial_names(results)
+    trials, names = results.trials(), results.trial_names()
     for record in trials:
         totals = results.totals(record.spec.id)
         means = [_mean([part]) for part in (totals, results.totals(record.spec.id, _LAST))]
         rows.append(
             (
                 names[record.spec.id],
-                f"{record.done}/{record.spec.episodes}",
+                record.progress,
                 f"{totals.steps:,}",
                 *("-" if mean is None else f"{mean:.2f}" for mean in means),
                 f"{totals.cut_off}",
@@ -114,7 +116,7 @@ def tabulate(results: Results, seconds: float, width: int | None = None) -> str:
         if record.failure is not None and len(trials) > 1:
             failures.append(f"failed: {names[record.spec.id]}: {record.failure}")
     lines = [format_table(_COLUMNS, rows, width=width), "", *failures]
-    lines.append(f"{seconds:.1f} s; results in {results.directory}")
+    lines.append(f"{seconds:.1f} s; results in {one_line(str(results.directory))}")
     return "\n".join([lines[0], *(wrap(line, width) for line in lines[1:])])
 
 

@@ -2,7 +2,7 @@
 
 WAL mode with `synchronous` NORMAL: readers never wait and never delay the writer, and a commit
 survives the process, however it ends. If the machine loses power, the commits since the last flush may
-be lost; what was committed before them is intact.
+be lost; all earlier commits are intact.
 
 A database is not trusted, since a run may come from anyone. Its tables are checked before they are used
 (see `schema`), and the work of a query is limited in proportion to the size of the files.
@@ -24,6 +24,7 @@ from glue.errors import ExperimentError
 
 __all__ = [
     "DATABASE_FILES",
+    "KEPT",
     "Database",
     "StorageError",
     "holds_run",
@@ -48,7 +49,7 @@ _INSTRUCTIONS_A_TICK: Final = 100_000
 
 
 class StorageError(ExperimentError):
-    """The disk or the database failed: nothing more can be stored. What was committed is safe."""
+    """The disk or the database failed: nothing more can be stored. All commits before are safe."""
 
 
 class Database:
@@ -93,7 +94,7 @@ class Database:
 
 
 def holds_run(directory: Path) -> bool:
-    """Return whether a directory holds a run.
+    """Look for a run's database in a directory.
 
     Raises:
         ExperimentError: the database is not that of a run, or a newer release wrote it.
@@ -160,15 +161,19 @@ def transaction(connection: sqlite3.Connection) -> Iterator[None]:
         raise
 
 
+KEPT: Final = "; solve that, and start the same command again: what was recorded is kept"
+"""Hint for an error in writing to a run."""
+
+
 @contextlib.contextmanager
-def reported(failed: str, hint: str = "") -> Iterator[None]:
+def reported(failed: str, hint: str = "", *, settings: tuple[str, ...] = ()) -> Iterator[None]:
     """Turn an error of the disk or the database into a `StorageError`: `failed`, the reason, `hint`."""
     try:
         yield
     except BrokenPipeError:  # the program that reads our output has closed it: not an error
         raise
     except (OSError, sqlite3.Error, UnicodeDecodeError) as error:
-        raise StorageError(f"{failed}: {_reason(error)}{hint}") from error
+        raise StorageError(f"{failed}: {_reason(error)}{hint}", settings=settings) from error
 
 
 def _reason(error: OSError | sqlite3.Error | UnicodeDecodeError) -> str:

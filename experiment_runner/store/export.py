@@ -1,115 +1,165 @@
-"""A run's episodes as one table: CSV, JSON, Parquet.
+"""A run as one table: CSV, JSON, Parquet.
 
-Each row is an episode. The columns: trial, episode (from 1), return, steps, terminal (false when the step
-limit truncated the episode), wall_time (seconds), seed (of the trial), agent and environment (labels), and
-one for each option, such as `agent.step_size`, which is empty where the trial does not set it.
+Each row is an episode or, over steps, a window of steps. The columns of an episode: trial, episode (from 1),
+the measures of an episode (return, steps, terminal: false when the step limit truncated it, wall_time in
+seconds), seed (of the trial), agent and environment (labels), and one for each option, such as
+`agent.step_size`, which is empty where the trial does not set it.
 """
 
 from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Final, TextIO
+from typing import Final, NamedTuple, TextIO
 
-from experiment_runner.plan import REMOTE, TrialSpec
-from experiment_runner.store.joined import joined_players
+from experiment_runner.plan.ids import REMOTE
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.output import finite, written
+from experiment_runner.store.records import MEASURES
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 from glue.options import Value
 
-__all__ = ["column_types", "rows_by_trial", "write_csv", "write_json", "write_parquet"]
+__all__ = [
+    "Cell",
+    "Table",
+    "episode_table",
+    "metric_table",
+    "settings_of",
+    "table_of",
+    "write_csv",
+    "write_json",
+    "write_parquet",
+]
 
-_FIXED: Final[dict[str, type[Value]]] = {
+_EPISODE: Final[dict[str, type[Value]]] = {
     "trial": str,
     "episode": int,
-    "return": float,
-    "steps": int,
-    "terminal": bool,
-    "wall_time": float,
-    "seed": int,
-    "agent": str,
-    "environment": str,
+    **{name: measure.kind for name, measure in MEASURES.items()},
 }
-_EPISODE_COLUMNS: Final = 6  # the first of these; the others are the same in all episodes of a trial
+_TRIAL: Final[dict[str, type[Value]]] = {"seed": int, "agent": str, "environment": str}
 
 Cell = Value | None
 
 
-def column_types(results: Results) -> dict[str, type[Value]]:
-    """Return the name of each column of a run, and the type of its values.
+class Table(NamedTuple):
+    """A table of a run.
 
-    An option whose values are ints and floats is a column of floats; of any other mixture, one of text.
+    types  name of each column, and the type of its values; an option whose values are ints and floats is a
+           column of floats, of any other mixture one of text
+    rows   the rows of each trial that has any, one cell for each column; None where there is no value
+    """
+
+    types: dict[str, type[Value]]
+    rows: Iterator[list[list[Cell]]]
+
+
+def episode_table(results: Results) -> Table:
+    """Return the table of a run's episodes."""
+    return table_of(results, _EPISODE, lambda spec: map(list, results.episodes(spec.id)))
+
+
+def metric_table(results: Results) -> Table:
+    """Return the table of all values of the agents' metrics."""
+    names = results.metric_names()
+
+    def rows(spec: TrialSpec) -> Iterator[list[Cell]]:
+        for name in names:
+            for episode, step, value in zip(*results.metric(spec.id, name), strict=True):
+                yield [name, int(episode), int(step), float(value)]
+
+    first = {"trial": str, "metric": str, "episode": int, "step": int, "value": float}
+    return table_of(results, first, rows)
+
+
+def table_of(
+    results: Results, first: Mapping[str, type[Value]], rows: Callable[[TrialSpec], Iterable[list[Cell]]]
+) -> Table:
+    """Return a table of a run.
+
+    Args:
+        results: of the run.
+        first: the first columns, of which the first of all is the trial's id.
+        rows: returns the cells of the others, in rows, of a trial. The seed, the players and their options
+            follow them.
     """
     found: dict[str, set[type[Value]]] = {}
     for record in results.trials():
         for name, value in _options(record.spec).items():
             found.setdefault(name, set()).add(type(value))
-    return _FIXED | {name: _widest(types) for name, types in found.items()}
+    types = {**first, **_TRIAL, **{name: _widest(kinds) for name, kinds in found.items()}}
+    return Table(types, _rows(results, [*types][len(first) :], rows))
 
 
-def rows_by_trial(results: Results, names: Sequence[str]) -> Iterator[list[list[Cell]]]:
-    """Yield the rows of each trial, with the given columns; None where there is no value.
-
-    Trials without an episode are skipped.
-    """
-    joined = joined_players(results)
+def _rows(
+    results: Results, names: Sequence[str], rows: Callable[[TrialSpec], Iterable[list[Cell]]]
+) -> Iterator[list[list[Cell]]]:
+    joined = results.joined_players()
     for record in results.trials():
         spec = record.spec
-        shared: dict[str, Cell] = {
-            "seed": spec.seed,
-            "agent": spec.agent.label if spec.agent else joined.get((spec.id, "agent"), REMOTE),
-            "environment": (
-                spec.environment.label if spec.environment else joined.get((spec.id, "environment"), REMOTE)
-            ),
-            **_options(spec),
-        }
-        cells = [shared.get(name) for name in names[_EPISODE_COLUMNS:]]
-        rows: list[list[Cell]] = [[spec.id, *episode, *cells] for episode in results.episodes(spec.id)]
-        if rows:
-            yield rows
+        settings = settings_of(spec, joined)
+        cells = [settings.get(name) for name in names]
+        if found := [[spec.id, *row, *cells] for row in rows(spec)]:
+            yield found
 
 
-def write_csv(results: Results, file: TextIO) -> None:
-    """Write a header and a line for each episode; booleans are `true` and `false`."""
-    names = list(column_types(results))
+def settings_of(spec: TrialSpec, joined: Mapping[tuple[str, str], str]) -> dict[str, Cell]:
+    """Return the seed, players and options of a trial, under the names of their columns.
+
+    Args:
+        spec: the trial.
+        joined: names of players from outside, by trial and role.
+    """
+
+    def label(name: str, role: RoleSpec | None) -> str:
+        return role.label if role else joined.get((spec.id, name), REMOTE)
+
+    return {
+        "seed": spec.seed,
+        "agent": label("agent", spec.agent),
+        "environment": label("environment", spec.environment),
+        **_options(spec),
+    }
+
+
+def write_csv(table: Table, file: TextIO) -> None:
+    """Write a header and a line for each row; booleans are `true` and `false`."""
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(names)
-    for rows in rows_by_trial(results, names):
+    writer.writerow(table.types)
+    for rows in table.rows:
         writer.writerows([str(c).lower() if isinstance(c, bool) else c for c in row] for row in rows)
 
 
-def write_json(results: Results, file: TextIO) -> None:
-    """Write an array of objects, one on each line; a return that is infinite or NaN is null."""
-    names = list(column_types(results))
+def write_json(table: Table, file: TextIO) -> None:
+    """Write an array of objects, one on each line; a number that is infinite or NaN is null."""
     file.write("[")
     separator = "\n"
-    for rows in rows_by_trial(results, names):
+    for rows in table.rows:
         for row in rows:
-            cells = {n: c for n, c in zip(names, row, strict=True) if c is not None}
+            cells = {n: c for n, c in zip(table.types, row, strict=True) if c is not None}
             file.write(separator + json.dumps({n: finite(c) for n, c in cells.items()}, ensure_ascii=False))
             separator = ",\n"
     file.write("\n]\n")
 
 
-def write_parquet(results: Results, path: Path) -> None:
+def write_parquet(table: Table, path: Path) -> None:
     """Write a Parquet file with a row group for each trial.
 
     Raises:
         ExperimentError: pyarrow is not installed, or the file cannot be written.
     """
     try:
-        import pyarrow as arrow  # type: ignore[import-untyped]  # it has no types
+        import pyarrow as arrow
         from pyarrow import parquet
     except ImportError:
         raise ExperimentError("Parquet needs pyarrow: pip install 'glue-rl[parquet]'") from None
-    types = column_types(results)
+    types = table.types
     arrow_types = {bool: arrow.bool_(), int: arrow.int64(), float: arrow.float64(), str: arrow.string()}
     schema = arrow.schema([(name, arrow_types[types[name]]) for name in types])
     with written(path) as partial, parquet.ParquetWriter(partial, schema) as writer:
-        for rows in rows_by_trial(results, list(types)):
+        for rows in table.rows:
             cells = zip(types, zip(*rows, strict=True), strict=True)
             arrays = [[None if c is None else types[name](c) for c in column] for name, column in cells]
             writer.write_table(arrow.table(arrays, schema))

@@ -8,14 +8,16 @@ that were there before are never replaced or removed.
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import shutil
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
-from experiment_runner.lock import LOCK_FILE, RunLock, is_lock
-from experiment_runner.store.database import DATABASE_FILES, holds_run
+from experiment_runner.store.database import DATABASE_FILES, holds_run, reported
+from experiment_runner.store.lock import LOCK_FILE, DirectoryTaken, RunLock, is_lock
 from experiment_runner.store.meetings import MEETINGS_FILE
 from glue.errors import ExperimentError
 
@@ -23,13 +25,22 @@ __all__ = [
     "ABOUT_FILE",
     "COMPETITION_FILE",
     "LOGS",
+    "NOTES_FILE",
+    "PARTS",
     "PLAN_FILE",
     "RECORDS",
+    "SEAL_FILE",
+    "SOURCES",
+    "STREAMS",
     "UNFINISHED",
     "NewRun",
-    "how_to_go_on",
+    "clear",
+    "is_part",
     "new_run",
+    "parts_of",
+    "read_about",
     "remove_run",
+    "replace_flushed",
     "runs_under",
     "write_flushed",
 ]
@@ -37,8 +48,22 @@ __all__ = [
 PLAN_FILE: Final = "plan.toml"
 ABOUT_FILE: Final = "run.json"
 COMPETITION_FILE: Final = "competition.toml"
-RECORDS: Final = "records"  # a folder of a competition's run: what was played
-LOGS: Final = "logs"  # another: what the entrants printed
+SOURCES: Final = "sources"  # a folder: copies of the user's files that the plan loads
+SEAL_FILE: Final = "seal.json"  # of a competition's run: digests of what its board shows
+NOTES_FILE: Final = "notes.json"  # a note and tags, which the page of runs takes
+RECORDS: Final = "records"  # a folder of a competition's run: recordings of its trials
+LOGS: Final = "logs"  # another: output of the entrants
+PARTS: Final = "parts"  # a folder: shares of the trials, for the tasks of a job array
+STREAMS: Final = "streams"  # a folder: how far loggers have the results, and TensorBoard's files
+
+_FILES: Final = (
+    *DATABASE_FILES,
+    *(PLAN_FILE, COMPETITION_FILE, SEAL_FILE, ABOUT_FILE, NOTES_FILE),
+    *(MEETINGS_FILE, LOCK_FILE),
+)
+"""Files of a run, in the order of their removal: without the first, the rest does not count as a run."""
+
+_MAX_ABOUT: Final = 2**26  # bytes
 
 UNFINISHED: Final = ".unfinished"  # the subfolder in which a new run is written
 
@@ -60,7 +85,7 @@ def new_run(directory: Path) -> Iterator[NewRun]:
         directory: created with its parents; if it exists, it must be empty.
 
     Raises:
-        ExperimentError: the directory is not empty, or another process is creating a run in it.
+        DirectoryTaken: the directory is not empty, or another process is creating a run in it.
         OSError: the directory cannot be written to.
     """
     made = not directory.exists()
@@ -91,6 +116,27 @@ def new_run(directory: Path) -> Iterator[NewRun]:
         raise
 
 
+def clear(directory: Path) -> None:
+    """Remove the run in a directory, if there is one, to make way for another.
+
+    Raises:
+        DirectoryTaken: it holds other files, too, or another process writes to it. Then nothing is removed.
+    """
+    if not holds_run(directory):
+        return
+    own = {*_FILES, *_folders(directory)}
+    for path in sorted(directory.iterdir()):
+        if path.name not in own:
+            raise _taken(directory, path.name)
+    with reported(f"cannot remove {directory}"):
+        remove_run(directory)
+
+
+def _folders(directory: Path) -> tuple[str, ...]:
+    competes = (directory / COMPETITION_FILE).is_file()
+    return (UNFINISHED, SOURCES, PARTS, STREAMS, *((RECORDS, LOGS) if competes else ()))
+
+
 def remove_run(directory: Path) -> list[str]:
     """Remove a run, and its directory unless it holds anything else.
 
@@ -105,11 +151,10 @@ def remove_run(directory: Path) -> list[str]:
         raise ExperimentError(f"{directory} holds no run")
     lock = RunLock(directory)
     try:
-        # The database first: without it, what is left if this process is killed does not count as a run.
-        competes = (directory / COMPETITION_FILE).is_file()
-        for name in (*DATABASE_FILES, PLAN_FILE, COMPETITION_FILE, ABOUT_FILE, MEETINGS_FILE, LOCK_FILE):
+        folders = _folders(directory)
+        for name in _FILES:
             (directory / name).unlink(missing_ok=True)
-        for name in (UNFINISHED, *((RECORDS, LOGS) if competes else ())):
+        for name in folders:
             shutil.rmtree(directory / name, ignore_errors=True)
     finally:
         lock.release()
@@ -120,7 +165,7 @@ def remove_run(directory: Path) -> list[str]:
 
 
 def runs_under(folder: Path) -> Iterator[Path]:
-    """Yield what looks like a run in a folder, or the folder itself, in the order of the names."""
+    """Yield the directories under a folder, or the folder itself, that look like runs, sorted by name."""
     for path, folders, files in os.walk(folder):
         folders[:] = sorted(name for name in folders if name != UNFINISHED)
         if DATABASE_FILES[0] in files:
@@ -128,36 +173,82 @@ def runs_under(folder: Path) -> Iterator[Path]:
             yield Path(path)
 
 
-def how_to_go_on(directory: Path) -> str:
-    """Return what somebody is to do whose run has ended early, once the reason is gone."""
-    if (directory / COMPETITION_FILE).exists():
-        return "start the same command again"
-    return f"continue with --resume {directory}"
+def parts_of(directory: Path) -> list[Path]:
+    """Return the shares of a run's trials that tasks of a job array continue, each a run, by number."""
+    numbered = [path for path in (directory / PARTS).glob("*") if path.name.isdecimal() and holds_run(path)]
+    return sorted(numbered, key=lambda path: int(path.name))
 
 
-def write_flushed(path: Path, text: str) -> None:
-    """Write a text file and flush it to the disk."""
-    with path.open("w", encoding="utf-8") as file:
-        file.write(text)
+def is_part(directory: Path) -> bool:
+    """Return whether a run is a share of another's trials."""
+    folder = directory.absolute().parent
+    return folder.name == PARTS and holds_run(folder.parent)
+
+
+def read_about(directory: Path) -> dict[str, Any]:
+    """Return the contents of a run's `run.json`, its provenance; empty if there is none.
+
+    Raises:
+        ExperimentError: it is not a JSON object, is nested too deeply or is too large.
+    """
+    path = directory / ABOUT_FILE
+    if not path.exists():
+        return {}
+    try:
+        with path.open("rb") as file:
+            text = file.read(_MAX_ABOUT + 1)
+        if len(text) > _MAX_ABOUT:
+            raise ValueError(f"it has more than {_MAX_ABOUT} bytes")
+        about = json.loads(text, parse_constant=_refuse)
+        if not isinstance(about, dict):
+            raise ValueError("it is not a JSON object")
+    except RecursionError:
+        raise ExperimentError(f"cannot read {path}: it is nested too deeply") from None
+    except (OSError, ValueError) as error:
+        raise ExperimentError(f"cannot read {path}: {error}") from None
+    return about
+
+
+def _refuse(constant: str) -> None:
+    raise ValueError(f"{constant} is not a number of JSON")
+
+
+def write_flushed(path: Path, content: str | bytes) -> None:
+    """Write a file and flush it to the disk."""
+    path.parent.mkdir(exist_ok=True)
+    with path.open("wb") as file:
+        file.write(content.encode() if isinstance(content, str) else content)
         file.flush()
         os.fsync(file.fileno())
 
 
+def replace_flushed(path: Path, content: str | bytes, hint: str = "") -> None:
+    """Write a file of a run in place of an existing one, as a whole; a link there is replaced, not followed.
+
+    Args:
+        path: path of the file.
+        content: its new contents.
+        hint: remedy for an error; see `reported`.
+
+    Raises:
+        StorageError: it cannot be written.
+    """
+    with reported(f"cannot write {path}", hint), tempfile.TemporaryDirectory(dir=path.parent) as made:
+        new = Path(made) / path.name
+        write_flushed(new, content)
+        new.replace(path)
+
+
 def _check_free(directory: Path) -> None:
     if holds_run(directory):
-        # One that was merged from others cannot be continued, and a competition in its own way.
-        hint = f"continue it with --resume {directory}, or " if (directory / PLAN_FILE).exists() else ""
-        raise ExperimentError(f"{directory} holds a run: {hint}choose another directory with --out")
+        raise DirectoryTaken(directory, "holds a run")
     for path in directory.iterdir():
         if path.name not in (LOCK_FILE, UNFINISHED):
             raise _taken(directory, path.name)
 
 
-def _taken(directory: Path, name: str) -> ExperimentError:
-    return ExperimentError(
-        f"{directory} is not empty: it holds {name}. A run needs a directory of its own: "
-        "choose another with --out"
-    )
+def _taken(directory: Path, name: str) -> DirectoryTaken:
+    return DirectoryTaken(directory, f"is not empty: it holds {name}, and a run needs a directory of its own")
 
 
 def _publish(folder: Path, directory: Path) -> None:
@@ -173,7 +264,10 @@ def _publish(folder: Path, directory: Path) -> None:
         _flush_names(directory)
     except BaseException:
         for path in moved:
-            path.unlink(missing_ok=True)
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
         raise
 
 

@@ -14,8 +14,9 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 from urllib.parse import urlsplit
 
-from glue.core.config import check_session, check_url
+from experiment_runner.store.output import read_regular
 from glue.errors import ConfigError
+from glue.hub.config import check_session, check_url
 
 __all__ = ["MEETINGS_FILE", "Meetings", "Place", "meetings_in"]
 
@@ -25,15 +26,15 @@ _LOOPBACK: Final = ("127.0.0.1", "::1", "localhost")
 
 
 class Place(NamedTuple):
-    """Where a trial is played: the URL of its hub, and the session's name."""
+    """The hub of a trial: its URL, and the session's name."""
 
     hub: str
     session: str
 
 
 class Meetings:
-    """The file of a run, kept up to date by its only writer. It only helps observers, so a disk that is full
-    harms nothing.
+    """The file of a run, kept up to date by its only writer. Best effort: only observers need it, so write
+    errors are ignored.
 
     Args:
         directory: the run's.
@@ -42,7 +43,7 @@ class Meetings:
     def __init__(self, directory: Path) -> None:
         self._path = directory / MEETINGS_FILE
         self._places: dict[str, Place] = {}
-        self._write()  # what a process that was killed has left behind
+        self._write()  # removes the file of a killed process
 
     def begin(self, trial_id: str, place: Place) -> None:
         """Note where a trial is played."""
@@ -73,30 +74,17 @@ class Meetings:
 
 
 def meetings_in(directory: Path) -> dict[str, Place]:
-    """Return where the trials in progress are played, by id, where that is a hub of ours."""
+    """Return the hubs of the trials in progress, by id, that belong to this user or this machine."""
     try:
-        fields: Any = json.loads(_text(directory / MEETINGS_FILE))
+        fields: Any = json.loads(read_regular(directory / MEETINGS_FILE, _MOST_BYTES, own=True))
         places = {str(trial_id): Place(hub, session) for trial_id, (hub, session) in fields.items()}
     except (ValueError, TypeError, AttributeError, RecursionError):
         return {}
     return {trial_id: place for trial_id, place in places.items() if _is_ours(place)}
 
 
-def _text(path: Path) -> bytes:
-    """Return the contents of a file of this user's, and of nobody else."""
-    try:
-        file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    except OSError:
-        return b""
-    with os.fdopen(file, "rb") as opened:
-        status = os.fstat(file)
-        if not stat.S_ISREG(status.st_mode) or status.st_uid != os.getuid():
-            return b""
-        return opened.read(_MOST_BYTES)
-
-
 def _is_ours(place: Place) -> bool:
-    """Return whether a hub is a socket of this user's, or listens on this machine."""
+    """Check that a hub is a socket of this user's, or listens on this machine."""
     if not (isinstance(place.hub, str) and isinstance(place.session, str)):
         return False
     try:

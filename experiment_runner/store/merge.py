@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+from experiment_runner.plan.ids import TrialId
 from experiment_runner.store.database import reported
 from experiment_runner.store.layout import ABOUT_FILE, COMPETITION_FILE, PLAN_FILE
 from experiment_runner.store.records import TrialRecord
@@ -40,7 +41,7 @@ def merge(runs: Sequence[Results], directory: Path) -> None:
         if (run.directory / COMPETITION_FILE).is_file():
             raise ExperimentError(
                 f"{run.directory} cannot be merged: it is a competition, whose scores are verified by its "
-                f"own records; for its episodes alone there is glue-results export {run.directory}"
+                f"own records; to read its episodes, use glue-results export {run.directory}"
             )
     sources = _choose(runs)
     plans = {_text(run.directory / PLAN_FILE) for run in runs}
@@ -48,7 +49,7 @@ def merge(runs: Sequence[Results], directory: Path) -> None:
     files = {ABOUT_FILE: json.dumps({"merged": abouts}, indent=2) + "\n"}
     if len(plans) == 1 and all(plans):
         files[PLAN_FILE] = plans.pop()
-    specs = [replace(source.record.spec, id=name) for name, source in sources.items()]
+    specs = [replace(source.record.spec, id=TrialId(name)) for name, source in sources.items()]
 
     def fill(store: Store) -> None:
         for name, source in sources.items():
@@ -98,7 +99,7 @@ def _longest(sources: Sequence[_Source]) -> _Source:
     episodes = longest.run.episodes(trial_id)
     for other in sources:
         for ours, theirs in zip(episodes, other.run.episodes(trial_id), strict=False):
-            if ours._replace(wall_time=0) != theirs._replace(wall_time=0):
+            if not ours.repeats(theirs):
                 raise ExperimentError(
                     f"episode {ours.episode} of {trial_id} differs between {longest.run.directory} "
                     f"and {other.run.directory}, although the plan is the same"

@@ -1,16 +1,18 @@
-"""Writing files for users: complete or not at all, and only with numbers that JSON can represent."""
+"""Files and numbers: files are replaced as a whole, untrusted ones are read within limits, and JSON has only
+numbers that it can represent."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import os
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 
 from experiment_runner.store.database import reported
 
-__all__ = ["finite", "written"]
+__all__ = ["finite", "read_regular", "written"]
 
 
 def finite(value: object) -> object:
@@ -38,3 +40,24 @@ def written(path: Path) -> Iterator[Path]:
             partial.replace(target)
         finally:
             partial.unlink(missing_ok=True)
+
+
+def read_regular(path: Path, most: int, *, own: bool = False) -> bytes:
+    """Return the beginning of a file that may come from anyone; empty unless it is a regular file.
+
+    Symbolic links are not followed, and nothing waits for a pipe.
+
+    Args:
+        path: path of the file.
+        most: maximum number of bytes to read.
+        own: whether the file must belong to this user.
+    """
+    try:
+        file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError:
+        return b""
+    with os.fdopen(file, "rb") as opened:
+        status = os.fstat(file)
+        if not stat.S_ISREG(status.st_mode) or (own and status.st_uid != os.getuid()):
+            return b""
+        return opened.read(most)

@@ -1,34 +1,48 @@
-"""What a run directory records: episodes, answers, checkpoints, trials, voids and events."""
+"""The records of a run directory: episodes and their measures, checkpoints, trials, players, events."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
-from experiment_runner.plan import TrialSpec
+from experiment_runner.plan.plan import TrialSpec
+from glue.engine.experiment import Experiment
+from glue.options import Value
 
 __all__ = [
+    "MAX_ANSWER",
+    "MEASURES",
+    "TOTAL_REWARD",
+    "TUNED",
+    "UNSEEDED",
+    "Answer",
     "Answered",
     "Checkpoint",
+    "EndedEpisode",
     "EpisodeResult",
     "Event",
+    "Measure",
     "Outcome",
+    "Player",
+    "Reading",
     "Totals",
     "TrialRecord",
     "Verdict",
     "Void",
+    "ask",
+    "measured",
 ]
+
+UNSEEDED: Final = "unseeded"
+"""Kind of the event that a player takes no seed."""
+
+MAX_ANSWER: Final = 10_000
+"""Maximum length of a stored answer, in characters."""
 
 
 class EpisodeResult(NamedTuple):
-    """One finished episode.
-
-    episode         counts from 1 in each trial
-    episode_return  undiscounted sum of the rewards
-    steps           as RL_num_steps
-    terminal        False when the step limit truncated it
-    wall_time       seconds
-    """
+    """One finished episode: its number in the trial, from 1, and each of `MEASURES`."""
 
     episode: int
     episode_return: float
@@ -36,9 +50,102 @@ class EpisodeResult(NamedTuple):
     terminal: bool
     wall_time: float
 
+    def repeats(self, other: EpisodeResult) -> bool:
+        """Compare the repeatable measures with those of another execution of the episode."""
+        return self.episode == other.episode and all(
+            getattr(self, field) == getattr(other, field)
+            for field, measure in zip(self._fields[1:], MEASURES.values(), strict=True)
+            if measure.repeatable
+        )
+
+
+class EndedEpisode(NamedTuple):
+    """An episode that has just ended, from which its measures are read.
+
+    glue      the experiment, before its next verb
+    terminal  False if the step limit truncated the episode
+    seconds   duration of the episode
+    """
+
+    glue: Experiment
+    terminal: bool
+    seconds: float
+
+
+class Measure(NamedTuple):
+    """A property of each episode that is recorded, exported and plotted.
+
+    kind        type of its values
+    sql         definition of its column in the database
+    label       title of a figure's axis
+    read        returns its value for an episode that has just ended
+    repeatable  whether a repetition with the same seeds has the same value
+    """
+
+    kind: type[Value]
+    sql: str
+    label: str
+    read: Callable[[EndedEpisode], Value]
+    repeatable: bool = True
+
+
+MEASURES: Final[dict[str, Measure]] = {
+    "return": Measure(
+        float, "episode_return REAL", "episode return (reward)", lambda played: played.glue.rl_return()
+    ),
+    "steps": Measure(
+        int, "steps INTEGER NOT NULL", "steps of an episode", lambda played: played.glue.rl_num_steps()
+    ),
+    "terminal": Measure(
+        bool,
+        "terminal INTEGER NOT NULL CHECK (terminal IN (0, 1))",
+        "terminal (share of the episodes)",
+        lambda played: played.terminal,
+    ),
+    "wall_time": Measure(
+        float, "wall_time REAL NOT NULL", "duration of an episode (s)", lambda played: played.seconds, False
+    ),
+}
+"""The measures of an episode by name, in the order of `EpisodeResult` and of the columns of the database.
+
+A new one is the last of these, the last field of `EpisodeResult`, with a default, and the last migration of
+`experiment_runner.store.schema`. In episodes that were recorded before, it is NaN.
+"""
+
+
+def measured(episode: int, played: EndedEpisode) -> EpisodeResult:
+    """Return the result of an episode that has just ended."""
+    return EpisodeResult._make((episode, *(measure.read(played) for measure in MEASURES.values())))
+
+
+TUNED: Final = "tuned"
+"""Kind of the event that an agent's options were chosen by a search."""
+
+TOTAL_REWARD: Final = "total reward"
+"""The metric that a trial has itself: the sum of all rewards since its beginning, before discounting."""
+
+
+class Reading(NamedTuple):
+    """A value of an agent's metric, or of `TOTAL_REWARD`.
+
+    name      of the metric
+    number    of the reading in its trial, from 1: that of the episode, or the step in units of the interval
+    step      number of steps of the trial until then
+    value     may be infinite or NaN
+    every     one of so many values is kept
+    averaged  whether that is their mean; if not, it is the last
+    """
+
+    name: str
+    number: int
+    step: int
+    value: float
+    every: int = 1
+    averaged: bool = False
+
 
 class Answered(NamedTuple):
-    """What the agent of a trial answered to a message after an episode."""
+    """The answer of a trial's agent to a message after an episode."""
 
     trial_id: str
     episode: int
@@ -61,16 +168,24 @@ class TrialRecord(NamedTuple):
     done     episodes recorded
     voids    attempts at an episode that do not count
     failure  why it failed; None if it did not
+    steps    steps recorded, in all episodes, if the trial has a budget of steps; otherwise 0
     """
 
     spec: TrialSpec
     done: int
     voids: int
     failure: str | None
+    steps: int = 0
 
     @property
     def finished(self) -> bool:
-        return self.done == self.spec.episodes
+        return self.spec.finished_by(self.done, self.steps)
+
+    @property
+    def progress(self) -> str:
+        """The recorded part of the trial's length, as in `20/100` or `5,000/20,000 steps`."""
+        spec = self.spec
+        return f"{self.steps:,}/{spec.steps:,} steps" if spec.steps else f"{self.done}/{spec.episodes}"
 
 
 class Totals(NamedTuple):
@@ -106,8 +221,28 @@ class Event(NamedTuple):
     text: str
 
 
+class Player(NamedTuple):
+    """A player that joined a trial from outside.
+
+    time      of joining, in seconds since 1970, UTC
+    trial_id  of the trial
+    role      agent or environment
+    name      as it called itself
+    program   its language or library; None if unknown
+    """
+
+    time: float
+    trial_id: str
+    role: str
+    name: str
+    program: str | None
+
+    def __str__(self) -> str:
+        return f"{self.role} {self.name}" + (f" ({self.program})" if self.program else "")
+
+
 class Outcome(NamedTuple):
-    """How a trial of a competition ended.
+    """The end of a competition's trial.
 
     reason  why its entrant forfeited it; None if it played to the end
     digest  SHA-256 of the trial's record
@@ -122,10 +257,31 @@ class Verdict(NamedTuple):
 
     digest   SHA-256 of the record that was replayed
     problem  what did not match; None if everything did
-    score    the sum of all rewards, or what a passive agent earns if the trial was forfeited; NaN if there
+    score    the sum of all rewards, or that of a passive agent if the trial was forfeited; NaN if there
              is a problem
     """
 
     digest: bytes
     problem: str | None
     score: float
+
+
+class Answer(NamedTuple):
+    """An agent's answer to a message."""
+
+    message: str
+    answer: str
+
+
+def ask(glue: Experiment, messages: Sequence[str]) -> tuple[Answer, ...]:
+    """Send each message to the agent; return its answers, as text that can be stored.
+
+    Raises:
+        GlueError: the agent was lost, or has failed.
+    """
+    return tuple(Answer(message, _storable(glue.rl_agent_message(message))) for message in messages)
+
+
+def _storable(answer: str) -> str:
+    """Return the beginning of an answer, with `?` for what is not Unicode."""
+    return answer[:MAX_ANSWER].encode("utf-8", "replace").decode()

@@ -6,19 +6,22 @@ import json
 import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
-from experiment_runner.plan import COUNTS, RoleSpec, TrialSpec
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.plan import COUNTS, RoleSpec, TrialSpec
 from experiment_runner.store.database import Database, open_to_read, reported
 from experiment_runner.store.records import (
+    MEASURES,
     Answered,
     Checkpoint,
     EpisodeResult,
     Event,
     Outcome,
+    Player,
     Totals,
     TrialRecord,
     Verdict,
@@ -27,7 +30,7 @@ from experiment_runner.store.records import (
 from glue.closing import Closing
 from glue.errors import ExperimentError
 
-__all__ = ["Results"]
+__all__ = ["Metric", "Results", "thinned"]
 
 _Types = tuple[type, ...]
 _TEXT: Final[_Types] = (str,)
@@ -36,7 +39,55 @@ _WHOLE: Final[_Types] = (int,)
 _NUMBER: Final[_Types] = (int, float)
 _NUMBER_OR_NULL: Final[_Types] = (int, float, type(None))
 _BYTES: Final[_Types] = (bytes,)
+_NULL: Final[_Types] = (type(None),)
+_STORED: Final = {  # types of the values of each measure; NULL for NaN, and if recorded without the measure
+    name: {float: _NUMBER, str: _TEXT}.get(measure.kind, _WHOLE)
+    + (() if "NOT NULL" in measure.sql else _NULL)
+    for name, measure in MEASURES.items()
+}
+_COLUMNS: Final = {name: measure.sql.partition(" ")[0] for name, measure in MEASURES.items()}
 _LAST_SECOND: Final = 253_402_300_799  # of the year 9999, the last that a date can have
+
+
+class Metric(NamedTuple):
+    """The values of a metric of a trial: three arrays of shape (values,).
+
+    episodes  the episode in which each was read
+    steps     steps of the trial until then
+    values    may be infinite or NaN
+    """
+
+    episodes: npt.NDArray[np.float64]
+    steps: npt.NDArray[np.float64]
+    values: npt.NDArray[np.float64]
+
+    @classmethod
+    def of(cls, rows: Sequence[Sequence[Any]]) -> Self:
+        """Return the metric of rows of number, step, episode, value."""
+        _, steps, episodes, values, *_ = zip(*rows, strict=True) if rows else ((),) * 4
+        return cls(*(np.array(column, np.float64) for column in (episodes, steps, values)))
+
+
+def thinned(rows: Sequence[Sequence[Any]]) -> list[tuple[Any, ...]]:
+    """Return rows of a metric with the mean of each complete group of values that is averaged.
+
+    Args:
+        rows: number, step, episode, value, every and averaged, by number; NULL for NaN.
+    """
+    found: list[tuple[Any, ...]] = []
+    group = -1
+    members: list[float] = []
+    for number, step, episode, value, every, averaged in rows:
+        known = math.nan if value is None else value
+        if averaged:
+            if group != (group := (number - 1) // every):
+                members = []
+            members.append(known)
+            if number % every:
+                continue
+            known = sum(members) / len(members)
+        found.append((number, step, episode, known, every, averaged))
+    return found
 
 
 class Results(Closing):
@@ -67,47 +118,80 @@ class Results(Closing):
     def trials(self) -> list[TrialRecord]:
         """Return the record of every trial, in the order of the plan."""
         rows = self._query(
-            """SELECT id, agent, environment, trials.episodes, max_steps, seed,
-                (SELECT count(*) FROM episodes WHERE trial = key), ifnull(voided, 0), failure
+            """SELECT id, agent, environment, trials.episodes, max_steps, seed, trials.steps,
+                (SELECT count(*) FROM episodes WHERE trial = key), ifnull(voided, 0),
+                iif(trials.steps, (SELECT ifnull(sum(steps), 0) FROM episodes WHERE trial = key), 0), failure
                 FROM trials LEFT JOIN
                 (SELECT trial, count(*) AS voided FROM voids GROUP BY trial) AS v ON v.trial = key
                 ORDER BY key"""
         )
-        self._check(rows, (_TEXT, _TEXT_OR_NULL, _TEXT_OR_NULL, *[_WHOLE] * 5, _TEXT_OR_NULL))
+        self._check(rows, (_TEXT, _TEXT_OR_NULL, _TEXT_OR_NULL, *[_WHOLE] * 7, _TEXT_OR_NULL))
         return [self._trial(*row) for row in rows]
+
+    def joined_players(self) -> dict[tuple[str, str], str]:
+        """Return the name of the last player that joined from outside, by trial and role."""
+        return {(player.trial_id, player.role): player.name for player in self.players()}
+
+    def trial_names(self) -> dict[str, str]:
+        """Return the name of each trial by its id: the id with the names of players from outside."""
+        joined = self.joined_players()
+        return {record.spec.id: record.spec.named(joined) for record in self.trials()}
 
     def episodes(self, trial_id: str) -> list[EpisodeResult]:
         """Return the episodes of a trial so far, in order; a return may be NaN."""
         rows = self._query(
-            """SELECT episode, episode_return, steps, terminal, wall_time FROM episodes
+            f"""SELECT episode, {", ".join(_COLUMNS.values())} FROM episodes
                 WHERE trial = (SELECT key FROM trials WHERE id = ?) ORDER BY episode""",
             trial_id,
         )
-        self._check(rows, (_WHOLE, _NUMBER_OR_NULL, _WHOLE, _WHOLE, _NUMBER), numbered=True)
+        self._check(rows, (_WHOLE, *_STORED.values()), numbered=True)
+        kinds = [measure.kind for measure in MEASURES.values()]
         return [
-            EpisodeResult(episode, math.nan if total is None else total, steps, bool(terminal), wall_time)
-            for episode, total, steps, terminal, wall_time in rows
+            EpisodeResult._make(
+                (episode, *(math.nan if v is None else k(v) for k, v in zip(kinds, values, strict=True)))
+            )
+            for episode, *values in rows
         ]
 
     def returns(self, trial_id: str) -> npt.NDArray[np.float64]:
         """Return the episode returns of a trial so far, shape (episodes,)."""
-        rows = self._query(
-            """SELECT episode, episode_return FROM episodes
-                WHERE trial = (SELECT key FROM trials WHERE id = ?) ORDER BY episode""",
-            trial_id,
-        )
-        self._check(rows, (_WHOLE, _NUMBER_OR_NULL), numbered=True)
-        return np.array([total for _, total in rows], np.float64)  # None becomes NaN
+        return self.measure(trial_id, "return")
 
-    def steps(self, trial_id: str) -> npt.NDArray[np.int64]:
-        """Return the numbers of steps of a trial's episodes so far, shape (episodes,)."""
+    def measure(self, trial_id: str, name: str) -> npt.NDArray[np.float64]:
+        """Return one of `MEASURES` for the episodes of a trial so far, shape (episodes,).
+
+        Args:
+            trial_id: of the trial.
+            name: of a measure that is a number or a bool.
+        """
         rows = self._query(
-            """SELECT episode, steps FROM episodes
+            f"""SELECT episode, {_COLUMNS[name]} FROM episodes
                 WHERE trial = (SELECT key FROM trials WHERE id = ?) ORDER BY episode""",
             trial_id,
         )
-        self._check(rows, (_WHOLE, _WHOLE), numbered=True)
-        return np.array([steps for _, steps in rows], np.int64)
+        self._check(rows, (_WHOLE, _STORED[name]), numbered=True)
+        return np.array([value for _, value in rows], np.float64)  # None becomes NaN
+
+    def sums_until(self, trial_id: str, episode: int) -> tuple[int, float]:
+        """Return the sums of the steps and of the returns of a trial's episodes up to `episode`, inclusive.
+
+        The returns are added in their order, as a trial does that adds them one by one.
+        """
+        steps, total = self.measure(trial_id, "steps"), 0.0
+        for value in self.measure(trial_id, "return")[:episode].tolist():
+            total += value
+        return int(steps[:episode].sum()), total
+
+    def cut_by_budget(self, trial_id: str) -> bool:
+        """Return whether the trial's budget of steps has cut off its last episode."""
+        rows = self._query(
+            """SELECT trials.steps AND NOT terminal AND trials.steps =
+                (SELECT sum(steps) FROM episodes WHERE trial = key) FROM trials JOIN episodes ON trial = key
+                WHERE id = ? ORDER BY episode DESC LIMIT 1""",
+            trial_id,
+        )
+        self._check(rows, (_WHOLE,))
+        return bool(rows and rows[0][0])
 
     def totals(self, trial_id: str, last: int | None = None) -> Totals:
         """Return sums over the episodes of a trial so far, or over the last `last`; in constant memory."""
@@ -165,18 +249,54 @@ class Results(Closing):
         self._check(rows, (_NUMBER, _TEXT_OR_NULL, _TEXT, _TEXT), timed=True)
         return [Event(*row) for row in rows]
 
+    def players(self) -> list[Player]:
+        """Return the players that joined from outside, oldest first."""
+        rows = self._query(
+            """SELECT time, id, role, name, program FROM players JOIN trials ON key = trial
+                ORDER BY players.rowid"""
+        )
+        self._check(rows, (_NUMBER, _TEXT, _TEXT, _TEXT, _TEXT_OR_NULL), timed=True)
+        return [Player(*row) for row in rows]
+
+    def metric_names(self) -> list[str]:
+        """Return the names of all metrics of the run, sorted."""
+        rows = self._query("SELECT DISTINCT name FROM metrics ORDER BY name")
+        self._check(rows, (_TEXT,))
+        return [name for (name,) in rows]
+
+    def metric(self, trial_id: str, name: str) -> Metric:
+        """Return a metric of a trial so far."""
+        rows = self._query(
+            """SELECT number, step, episode, value, every, averaged FROM metrics
+                WHERE trial = (SELECT key FROM trials WHERE id = ?) AND name = ? ORDER BY number""",
+            trial_id,
+            name,
+        )
+        self._check(rows, (_WHOLE, _WHOLE, _WHOLE, _NUMBER_OR_NULL, _WHOLE, _WHOLE))
+        return Metric.of(thinned(rows))
+
+    def metric_rows(self, trial_id: str) -> list[tuple[Any, ...]]:
+        """Return the rows of the table of metrics of a trial, as `Store.adopt` copies them."""
+        rows = self._query(
+            """SELECT episode, name, number, step, value, every, averaged FROM metrics
+                WHERE trial = (SELECT key FROM trials WHERE id = ?) ORDER BY name, number""",
+            trial_id,
+        )
+        self._check(rows, (_WHOLE, _TEXT, _WHOLE, _WHOLE, _NUMBER_OR_NULL, _WHOLE, _WHOLE))
+        return rows
+
     def answers(self, trial_id: str) -> list[Answered]:
-        """Return what the agent of a trial answered after its episodes, in their order."""
+        """Return the answers of a trial's agent after its episodes, in their order."""
         return self._answers("id = ? ORDER BY episode, message", trial_id)
 
     def newest_answers(self) -> list[Answered]:
-        """Return what the agent of each trial answered last."""
+        """Return the latest answers of each trial's agent."""
         return self._answers(
             "episode = (SELECT max(episode) FROM answers WHERE trial = key) ORDER BY key, message"
         )
 
     def outcomes(self) -> dict[str, Outcome]:
-        """Return how the trials of a competition ended, by id, for those that have."""
+        """Return the outcome of each finished trial of a competition, by id."""
         rows = self._query("SELECT id, reason, digest FROM outcomes JOIN trials ON key = trial")
         self._check(rows, (_TEXT, _TEXT_OR_NULL, _BYTES))
         return {trial_id: Outcome(reason, digest) for trial_id, reason, digest in rows}
@@ -230,15 +350,23 @@ class Results(Closing):
         episodes: int,
         max_steps: int,
         seed: int,
+        budget: int,
         done: int,
         voids: int,
+        steps: int,
         failure: str | None,
     ) -> TrialRecord:
-        for name, value in (("episodes", episodes), ("max_steps", max_steps), ("seed", seed)):
+        for name, value in (
+            ("episodes", episodes),
+            ("steps", budget),
+            ("max_steps", max_steps),
+            ("seed", seed),
+        ):
             if value not in COUNTS[name]:
                 raise self._damaged(f"{value} for the {name} of {trial_id}")
         roles = (self._role(trial_id, agent), self._role(trial_id, environment))
-        return TrialRecord(TrialSpec(trial_id, *roles, episodes, max_steps, seed), done, voids, failure)
+        spec = TrialSpec(TrialId(trial_id), *roles, episodes, max_steps, seed, budget)
+        return TrialRecord(spec, done, voids, failure, steps)
 
     def _role(self, trial_id: str, text: str | None) -> RoleSpec | None:
         if text is None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from experiment_runner.store.export import column_types, rows_by_trial
+from experiment_runner.store.export import episode_table
 from experiment_runner.store.records import TrialRecord
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
@@ -20,6 +20,7 @@ from glue.runs import RunData
 
 if TYPE_CHECKING:
     import pandas as pd
+    import polars as pl
 
 __all__ = ["StoredRun", "load_run"]
 
@@ -58,12 +59,19 @@ class StoredRun(RunData):
             raise ExperimentError("to_pandas needs pandas: pip install 'glue-rl[pandas]'") from None
         return pd.DataFrame(dict(self._columns))
 
+    def to_polars(self) -> pl.DataFrame:
+        try:
+            import polars as pl
+        except ImportError:
+            raise ExperimentError("to_polars needs polars: pip install 'glue-rl[polars]'") from None
+        return pl.DataFrame(dict(self._columns))
+
 
 def load_run(directory: str | os.PathLike[str]) -> StoredRun:
     """Return the episodes of a run directory; see `glue.load_run`."""
     with Results.open(Path(directory)) as results:
-        types = column_types(results)
-        rows = [row for rows in rows_by_trial(results, list(types)) for row in rows]
+        types, by_trial = episode_table(results)
+        rows = [row for rows in by_trial for row in rows]
         trials = tuple(results.trials())
     cells = zip(*rows, strict=True) if rows else ((),) * len(types)
     columns = {name: _array(column, kind) for (name, kind), column in zip(types.items(), cells, strict=True)}
@@ -73,4 +81,5 @@ def load_run(directory: str | os.PathLike[str]) -> StoredRun:
 def _array(cells: tuple[Value | None, ...], kind: type[Value]) -> npt.NDArray[Any]:
     if kind is str:
         return np.array(["" if cell is None else str(cell) for cell in cells], np.str_)
-    return np.array(cells, float if None in cells else kind)  # None becomes NaN
+    # None becomes NaN, which episodes have for a measure that was not recorded then.
+    return np.array(cells, kind if {*map(type, cells)} <= {kind} else float)

@@ -8,6 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
+from experiment_runner.store.records import MEASURES
 from glue.errors import ExperimentError
 
 __all__ = ["MIGRATIONS", "check", "migrate"]
@@ -15,6 +16,11 @@ __all__ = ["MIGRATIONS", "check", "migrate"]
 _APPLICATION_ID: Final = int.from_bytes(b"GLUE", "big")
 
 Migration = tuple[str, ...]
+
+
+def _columns(*measures: str) -> str:
+    return ",\n            ".join(MEASURES[name].sql for name in measures)
+
 
 # Entry n migrates version n to version n + 1. Never change one that was released: add another.
 MIGRATIONS: tuple[Migration, ...] = (
@@ -30,15 +36,11 @@ MIGRATIONS: tuple[Migration, ...] = (
             max_steps INTEGER NOT NULL,
             seed INTEGER NOT NULL,
             failure TEXT)""",
-        # episode counts from 1; SQLite has no NaN, so such a return is NULL;
-        # terminal is 0 when the step limit truncated the episode; wall_time is in seconds.
-        """CREATE TABLE episodes (
+        # episode counts from 1; SQLite has no NaN, so such a return is NULL.
+        f"""CREATE TABLE episodes (
             trial INTEGER NOT NULL REFERENCES trials,
             episode INTEGER NOT NULL CHECK (episode >= 1),
-            episode_return REAL,
-            steps INTEGER NOT NULL,
-            terminal INTEGER NOT NULL CHECK (terminal IN (0, 1)),
-            wall_time REAL NOT NULL,
+            {_columns("return", "steps", "terminal", "wall_time")},
             PRIMARY KEY (trial, episode)) WITHOUT ROWID""",
         # The newest checkpoint of each trial: the state of agent and environment after `episode`.
         """CREATE TABLE checkpoints (
@@ -74,13 +76,51 @@ MIGRATIONS: tuple[Migration, ...] = (
             score REAL)""",
     ),
     (
-        # What the agent answered to messages after `episode`.
+        # Answers of the agent to messages after `episode`.
         """CREATE TABLE answers (
             trial INTEGER NOT NULL REFERENCES trials,
             episode INTEGER NOT NULL,
             message TEXT NOT NULL,
             answer TEXT NOT NULL,
             PRIMARY KEY (trial, episode, message)) WITHOUT ROWID""",
+    ),
+    (
+        # Players that joined from outside. program: language or library, NULL if unknown.
+        """CREATE TABLE players (
+            time REAL NOT NULL,
+            trial INTEGER NOT NULL REFERENCES trials,
+            role TEXT NOT NULL,
+            name TEXT NOT NULL,
+            program TEXT)""",
+        # Until then an event was the only record: `agent Jumper (Python 3.11) joined`. Twice, all characters
+        # but the one that is looked for are trimmed from the right.
+        """INSERT INTO players
+            SELECT time, trial, role, iif(opens > 1, substr(label, 1, opens - 2), label),
+                iif(opens > 1, substr(label, opens + 1, length(label) - opens - 1), NULL)
+            FROM (SELECT *, iif(label LIKE '% (%)', length(rtrim(label, replace(label, '(', ''))), 0) AS opens
+                FROM (SELECT rowid AS number, time, trial, substr(text, 1, instr(text, ' ') - 1) AS role,
+                    substr(text, instr(text, ' ') + 1, length(text) - instr(text, ' ') - 7) AS label
+                    FROM events WHERE kind = 'joined' AND trial IS NOT NULL
+                    AND (text LIKE 'agent % joined' OR text LIKE 'environment % joined')))
+            ORDER BY number""",
+    ),
+    (
+        # The budget of a trial in steps; 0 if it has a number of episodes, which is 0 otherwise.
+        "ALTER TABLE trials ADD COLUMN steps INTEGER NOT NULL DEFAULT 0",
+    ),
+    (
+        # The agent's metrics: the fields of a `Reading`, after the episode in which it was taken.
+        # SQLite has no NaN, so such a value is NULL.
+        """CREATE TABLE metrics (
+            trial INTEGER NOT NULL REFERENCES trials,
+            episode INTEGER NOT NULL,
+            name TEXT NOT NULL,
+            number INTEGER NOT NULL,
+            step INTEGER NOT NULL,
+            value REAL,
+            every INTEGER NOT NULL CHECK (every >= 1),
+            averaged INTEGER NOT NULL CHECK (averaged IN (0, 1)),
+            PRIMARY KEY (trial, name, number)) WITHOUT ROWID""",
     ),
 )
 

@@ -14,34 +14,50 @@ spinning one.)
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Final, Self
 
-from experiment_runner.asking import Answer
-from experiment_runner.lock import RunLock
-from experiment_runner.plan import RoleSpec, TrialSpec
-from experiment_runner.store.database import Database, holds_run, open_to_write, reported, transaction
-from experiment_runner.store.layout import how_to_go_on, new_run, write_flushed
-from experiment_runner.store.records import Checkpoint, EpisodeResult, Outcome, Verdict
-from experiment_runner.store.results import Results
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from experiment_runner.store.database import KEPT, Database, holds_run, open_to_write, reported, transaction
+from experiment_runner.store.layout import new_run, write_flushed
+from experiment_runner.store.lock import RunLock
+from experiment_runner.store.records import (
+    Answer,
+    Checkpoint,
+    EpisodeResult,
+    Outcome,
+    Player,
+    Reading,
+    Verdict,
+)
+from experiment_runner.store.results import Results, thinned
 from glue.errors import ExperimentError
 
 __all__ = ["Store"]
 
-_PUT_TRIAL: Final = """INSERT INTO trials (id, agent, environment, episodes, max_steps, seed)
-    VALUES (?, ?, ?, ?, ?, ?)"""
-_PUT_EPISODE: Final = "INSERT INTO episodes VALUES (?, ?, ?, ?, ?, ?)"
+_PUT_TRIAL: Final = """INSERT INTO trials (id, agent, environment, episodes, max_steps, seed, steps)
+    VALUES (?, ?, ?, ?, ?, ?, ?)"""
+_PUT_EPISODE: Final = f"INSERT INTO episodes VALUES (?{', ?' * len(EpisodeResult._fields)})"
 _PUT_ANSWER: Final = "INSERT INTO answers VALUES (?, ?, ?, ?)"
+_PUT_METRIC: Final = "INSERT INTO metrics VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
 _PUT_CHECKPOINT: Final = "REPLACE INTO checkpoints VALUES (?, ?, ?, ?)"
 _PUT_VOID: Final = "INSERT INTO voids VALUES (?, ?, ?, ?)"
 _PUT_OUTCOME: Final = "REPLACE INTO outcomes VALUES (?, ?, ?)"
 _PUT_VERDICT: Final = "REPLACE INTO verdicts VALUES (?, ?, ?, ?)"
+_PUT_PLAYER: Final = "INSERT INTO players VALUES (?, ?, ?, ?, ?)"
 _PUT_EVENT: Final = "INSERT INTO events VALUES (?, ?, ?, ?)"
 
-_Record = tuple[str, EpisodeResult, Checkpoint | None, tuple[Answer, ...]]
+_TABLES: Final = (
+    *("answers", "checkpoints", "episodes", "events", "metrics", "outcomes", "players", "verdicts", "voids"),
+)
+"""Tables whose rows belong to a trial."""
+
+_Record = tuple[str, EpisodeResult, Checkpoint | None, tuple[Answer, ...], tuple[Reading, ...]]
 
 
 class Store(Results):
@@ -56,14 +72,14 @@ class Store(Results):
         self._clock = clock
         self._flushing: bool | None = None  # not known yet
         self._keys: dict[str, int] = dict(self._query("SELECT id, key FROM trials"))
-        self._done = {record.spec.id: record.done for record in self.trials()}
+        self._done: dict[str, int] = {record.spec.id: record.done for record in self.trials()}
 
     @classmethod
     def create(
         cls,
         directory: Path,
         trials: Sequence[TrialSpec],
-        files: Mapping[str, str],
+        files: Mapping[str, str | bytes],
         *,
         fill: Callable[[Self], None] | None = None,
         clock: Callable[[], float] = time.time,
@@ -73,7 +89,8 @@ class Store(Results):
         Args:
             directory: created with its parents; if it exists, it must be empty.
             trials: every trial of the run.
-            files: the contents of the other files, by name (`PLAN_FILE`, `ABOUT_FILE`).
+            files: the contents of the other files, by name (`PLAN_FILE`, `ABOUT_FILE`), in the directory or a
+                subfolder of it.
             fill: writes the initial records; the run exists only after it has returned.
             clock: returns seconds since 1970.
 
@@ -83,8 +100,8 @@ class Store(Results):
         """
         with reported(f"cannot make {directory}"):
             with new_run(directory) as made:
-                for name, text in files.items():
-                    write_flushed(made.folder / name, text)
+                for name, content in files.items():
+                    write_flushed(made.folder / name, content)
                 with contextlib.closing(open_to_write(made.folder)) as database:
                     with transaction(database.connection):
                         database.connection.executemany(_PUT_TRIAL, map(_trial_row, trials))
@@ -128,11 +145,11 @@ class Store(Results):
             ExperimentError: it is not the trial's next episode, or cannot be written. The episodes before
                 it remain recorded.
         """
-        self.record_all([(trial_id, result, checkpoint, ())])
+        self.record_all([(trial_id, result, checkpoint, (), ())])
 
     def record_all(self, records: Sequence[_Record]) -> None:
         """Commit finished episodes, of one trial or of several, all of them or none; as `record`, each with
-        what the agent answered after it.
+        what the agent answered after it, and its metrics.
         """
         done: dict[str, int] = {}
         for trial_id, result, *_ in records:
@@ -145,23 +162,61 @@ class Store(Results):
                 )
             done[trial_id] = expected
         # Flush with each checkpoint: then a power loss costs at most the episodes since.
-        self._flush_commits(any(checkpoint is not None for _, _, checkpoint, _ in records))
+        self._flush_commits(any(checkpoint is not None for _, _, checkpoint, *_ in records))
         with (
             reported(
                 _unrecorded(records),
-                f"; the episodes before it are. Solve that, and {how_to_go_on(self.directory)}",
+                f"; the episodes before it are. Solve that, and resume the run in {self.directory}",
+                settings=("resume",),
             ),
             transaction(self._connection),
         ):
-            for trial_id, result, checkpoint, answers in records:
+            for trial_id, result, checkpoint, answers, readings in records:
                 key = self._keys[trial_id]
                 self._connection.execute(_PUT_EPISODE, (key, *result))
                 for answer in answers:
                     self._connection.execute(_PUT_ANSWER, (key, result.episode, *answer))
+                for name, *numbers in readings:
+                    self._connection.execute(_PUT_METRIC, (key, result.episode, name, *numbers))
                 if checkpoint is not None:
+                    self._thin(key)
                     row = (key, result.episode, checkpoint.agent, checkpoint.environment)
                     self._connection.execute(_PUT_CHECKPOINT, row)
         self._done.update(done)
+
+    def _thin(self, key: int) -> None:
+        """Replace values of metrics by their means, where a trial has passed them for good."""
+        rows = self._connection.execute(
+            """SELECT name, number, step, episode, value, every, averaged FROM metrics
+                WHERE trial = ? AND averaged ORDER BY name, number""",
+            (key,),
+        ).fetchall()
+        for name, group in itertools.groupby(rows, key=lambda row: row[0]):
+            before = [row[1:] for row in group]
+            means = thinned(before)
+            last = means[-1][0] if means else 0
+            if sum(row[0] <= last for row in before) == len(means):
+                continue
+            self._connection.execute(
+                "DELETE FROM metrics WHERE trial = ? AND name = ? AND number <= ?", (key, name, last)
+            )
+            for number, step, episode, value, every, averaged in means:
+                row = (key, episode, name, number, step, value, every, averaged)
+                self._connection.execute(_PUT_METRIC, row)
+
+    def extend(self, trials: Sequence[TrialSpec]) -> None:
+        """Commit the trials of a longer plan: new ones are added, the others get its length."""
+        with self._writing(), transaction(self._connection):
+            for spec in trials:
+                if spec.id in self._keys:
+                    self._connection.execute(
+                        "UPDATE trials SET episodes = ?, steps = ? WHERE key = ?",
+                        (spec.episodes, spec.steps, self._keys[spec.id]),
+                    )
+                else:
+                    self._connection.execute(_PUT_TRIAL, _trial_row(spec))
+        self._keys.update(self._query("SELECT id, key FROM trials"))
+        self._done = {trial_id: self._done.get(trial_id, 0) for trial_id in self._keys}
 
     def record_void(self, trial_id: str, episode: int, why: str) -> None:
         """Commit that an attempt at an episode does not count."""
@@ -171,6 +226,13 @@ class Store(Results):
         """Commit an event; `kind` is one word, `text` a sentence for people."""
         key = None if trial_id is None else self._key(trial_id)
         self._execute(_PUT_EVENT, self._clock(), key, kind, text)
+
+    def record_player(self, trial_id: str, role: str, name: str, program: str | None) -> Player:
+        """Commit, also as an event, that a player joined a trial from outside; return its record."""
+        player = Player(self._clock(), trial_id, role, name, program)
+        self._execute(_PUT_PLAYER, player.time, self._key(trial_id), role, name, program)
+        self.record_event("joined", f"{player} joined", trial_id)
+        return player
 
     def record_failure(self, trial_id: str, why: str) -> None:
         """Commit that a trial has failed; its episodes are kept."""
@@ -192,8 +254,8 @@ class Store(Results):
             ExperimentError: the database cannot be written to.
         """
         key = self._key(trial_id)
-        with reported(f"cannot write to {self.directory}"), transaction(self._connection):
-            for table in ("episodes", "answers", "checkpoints"):
+        with self._writing(), transaction(self._connection):
+            for table in ("episodes", "answers", "metrics", "checkpoints"):
                 self._connection.execute(
                     f"DELETE FROM {table} WHERE trial = ? AND episode > ?", (key, episode)
                 )
@@ -203,7 +265,7 @@ class Store(Results):
         self._done[trial_id] = min(self._done[trial_id], episode)
 
     def adopt(self, results: Results, trial_id: str, as_id: str) -> None:
-        """Copy all records of a trial of another run to a trial of this run that has none.
+        """Copy all records of a trial of another run to a trial of this run, in place of its own.
 
         Raises:
             ExperimentError: they cannot be read or written; then nothing is copied.
@@ -214,25 +276,31 @@ class Store(Results):
         checkpoint = results.checkpoint(trial_id)
         episodes = results.episodes(trial_id)
         answers = [answered for answered in results.answers(trial_id) if answered.episode <= len(episodes)]
+        metrics = [row for row in results.metric_rows(trial_id) if row[0] <= len(episodes)]
         voids = [void for void in results.voids() if void.trial_id == trial_id]
         events = [event for event in results.events() if event.trial_id == trial_id]
+        players = [player for player in results.players() if player.trial_id == trial_id]
         outcome, verdict = results.outcomes().get(trial_id), results.verdicts().get(trial_id)
         write = self._connection.executemany
-        with reported(f"cannot write to {self.directory}"), transaction(self._connection):
+        with self._writing(), transaction(self._connection):
+            for table in _TABLES:
+                self._connection.execute(f"DELETE FROM {table} WHERE trial = ?", (key,))
             write("UPDATE trials SET failure = ? WHERE key = ?", ((why, key) for why in failures))
             write(_PUT_EPISODE, ((key, *e) for e in episodes))
             write(_PUT_ANSWER, ((key, a.episode, a.message, a.answer) for a in answers))
+            write(_PUT_METRIC, ((key, *row) for row in metrics))
             if checkpoint is not None:
                 episode, saved = checkpoint
                 write(_PUT_CHECKPOINT, [(key, episode, saved.agent, saved.environment)])
             write(_PUT_VOID, ((v.time, key, v.episode, v.why) for v in voids))
             write(_PUT_EVENT, ((e.time, key, e.kind, e.text) for e in events))
+            write(_PUT_PLAYER, ((p.time, key, p.role, p.name, p.program) for p in players))
             write(_PUT_OUTCOME, [(key, *outcome)] if outcome else [])
             write(_PUT_VERDICT, [(key, *verdict)] if verdict else [])
         self._done[as_id] = len(episodes)
 
     def done(self, trial_id: str) -> int:
-        """Return how many episodes of a trial are recorded."""
+        """Return the number of recorded episodes of a trial."""
         self._key(trial_id)
         return self._done[trial_id]
 
@@ -247,8 +315,11 @@ class Store(Results):
             self._execute(f"PRAGMA synchronous = {'FULL' if wanted else 'NORMAL'}")
             self._flushing = wanted
 
+    def _writing(self) -> AbstractContextManager[None]:
+        return reported(f"cannot write to {self.directory}", KEPT)
+
     def _execute(self, statement: str, *values: object) -> None:
-        with reported(f"cannot write to {self.directory}"):
+        with self._writing():
             self._connection.execute(statement, values)
 
 
@@ -260,7 +331,7 @@ def _unrecorded(records: Sequence[_Record]) -> str:
 
 def _trial_row(spec: TrialSpec) -> tuple[object, ...]:
     roles = (_role_text(spec.agent), _role_text(spec.environment))
-    return (spec.id, *roles, spec.episodes, spec.max_steps, spec.seed)
+    return (spec.id, *roles, spec.episodes, spec.max_steps, spec.seed, spec.steps)
 
 
 def _role_text(role: RoleSpec | None) -> str | None:

@@ -6,8 +6,8 @@ import pytest
 
 from experiment_runner.analysis.settings import Setting, collect
 from experiment_runner.executors.resume import create_run
-from experiment_runner.plan import Plan, RoleSweep
-from experiment_runner.plan_file import parse_plan
+from experiment_runner.plan.file import parse_plan
+from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
@@ -34,8 +34,8 @@ def test_trials_that_differ_in_their_seed_are_one_setting(tmp_path: Path) -> Non
         random, sample = collect([run])
     assert (random.agent, random.environment, random.label) == ("random", "", "random")
     assert [record.done for record in random.trials] == [3, 1]
-    assert [returns.tolist() for returns in random.returns] == [[1, 2, 3], [101]]
-    assert [returns.tolist() for returns in sample.returns] == [[], [301, 302]]
+    assert [returns.tolist() for returns in random.values] == [[1, 2, 3], [101]]
+    assert [returns.tolist() for returns in sample.values] == [[], [301, 302]]
 
 
 def test_labels_contain_only_what_varies(tmp_path: Path) -> None:
@@ -117,7 +117,7 @@ def test_players_from_outside_are_called_by_the_names_that_they_gave(tmp_path: P
     runs = []
     for name in ("Jumper", "Walker"):
         with create_run(tmp_path / name, plan) as store:
-            store.record_event("joined", f"agent {name} (Python 3.11.7) joined", "remote/mines/0")
+            store.record_player("remote/mines/0", "agent", name, "Python 3.11.7")
         runs.append(Results.open(tmp_path / name))
     assert [setting.label for setting in collect(runs)] == ["Jumper", "Walker"]
     for run in runs:

@@ -2,16 +2,19 @@ from __future__ import annotations
 
 from experiment_runner.executors.job import Job, Lost, Recorded, Report
 from experiment_runner.executors.local import LocalExecutor
-from experiment_runner.plan import RoleSpec, TrialSpec
-from experiment_runner.players import Meeting
+from experiment_runner.meeting.players import BOTH, Meeting
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
 
 
 def test_worker_that_is_stopped_ends_an_episode_and_reports_a_checkpoint_after_it() -> None:
-    spec = TrialSpec("sarsa/mines/0", RoleSpec("sarsa"), RoleSpec("mines"), 10**6, max_steps=20, seed=1)
+    spec = TrialSpec(
+        TrialId("sarsa/mines/0"), RoleSpec("sarsa"), RoleSpec("mines"), 10**6, max_steps=20, seed=1
+    )
     reports: list[Report] = []
     stopped = False
     with LocalExecutor(1) as executor:
-        executor.start(Job(spec, Meeting(in_process=True)))
+        executor.start(Job(spec, Meeting(inside=BOTH)))
         while not (reports and isinstance(reports[-1], Lost)):
             reports += [report for _, report in executor.receive(60)]
             if reports and not stopped:

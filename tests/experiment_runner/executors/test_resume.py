@@ -1,16 +1,18 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
-from experiment_runner.executors.resume import Remaining, create_run, remaining, resume_run
-from experiment_runner.plan import Plan, RoleSweep
-from experiment_runner.plan_file import load_plan
-from experiment_runner.provenance import program
-from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
+from experiment_runner.executors.resume import OtherRun, Remaining, create_run, remaining, resume_run
+from experiment_runner.plan.file import dump_plan, load_plan
+from experiment_runner.plan.plan import Plan, RoleSweep
+from experiment_runner.plan.provenance import program
+from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE, remove_run
 from experiment_runner.store.records import Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
@@ -82,9 +84,9 @@ def test_resumed_run_ends_as_one_that_was_never_interrupted(interrupted: Path, t
 
 
 def test_directory_of_another_plan_is_refused_untouched(interrupted: Path) -> None:
-    other = replace(PLAN, episodes=6, agents=(RoleSweep("sarsa", {"step_size": 0.25}),))
-    message = r"another plan \(episodes is 6, not 5; step_size of sarsa is 0.25, not 0.5\): choose"
-    with pytest.raises(ExperimentError, match=message):
+    other = replace(PLAN, episodes=4, agents=(RoleSweep("sarsa", {"step_size": 0.25}),))
+    message = r"another plan \(episodes is 4, not 5; step_size of sarsa is 0.25, not 0.5\)"
+    with pytest.raises(OtherRun, match=message):
         resume_run(interrupted, other)
     with Results.open(interrupted) as results:
         assert [record.done for record in results.trials()] == [5, 4, 2, 0]
@@ -94,14 +96,65 @@ def test_directory_of_another_plan_is_refused_untouched(interrupted: Path) -> No
 
 def test_plan_edited_behind_the_runs_back_is_refused(interrupted: Path) -> None:
     path = interrupted / PLAN_FILE
-    path.write_text(path.read_text().replace("episodes = 5", "episodes = 50"))
+    path.write_text(path.read_text().replace("episodes = 5", "episodes = 4"))
     with pytest.raises(ExperimentError, match=r"plan.toml was changed after its run began"):
         resume_run(interrupted)
 
 
+@pytest.mark.parametrize("killed", [False, True])
+def test_longer_plan_extends_a_run(interrupted: Path, killed: bool) -> None:
+    longer = replace(PLAN, episodes=7, trials=5)
+    if killed:  # between the writing of the plan and that of the trials
+        (interrupted / PLAN_FILE).write_text(dump_plan(longer))
+    store, left = resume_run(interrupted, None if killed else longer)
+    with store:
+        assert load_plan(interrupted / PLAN_FILE) == longer
+        assert {trial.spec.id: trial.spec for trial in store.trials()} == {s.id: s for s in longer.expand()}
+        new = longer.expand()[-1].id
+        assert left[:2] == [Remaining(DONE, 5, 0), Remaining(CHECKPOINTED, 3, 1)]
+        assert left[-1] == Remaining(new, 0, 0)
+        run(store, DONE, 6, 7)
+        run(store, new, 1, 7)
+    with pytest.raises(OtherRun, match="episodes is 5, not 7; trials is 4, not 5"):
+        resume_run(interrupted, PLAN)
+
+
+def test_changed_file_is_named_and_the_run_left_as_it_is(tmp_path: Path) -> None:
+    agent, weights = tmp_path / "mine.py", tmp_path / "weights"
+    agent.write_text("one")
+    weights.write_bytes(b"two")
+    plan = Plan(episodes=1, agents=(RoleSweep(f"{agent}:Mine", {"policy": str(weights)}),))
+    directory = tmp_path / "run"
+    create_run(directory, plan).close()
+    about = json.loads((directory / ABOUT_FILE).read_text())
+    assert [(directory / about["files"][str(path)]["copy"]).read_text() for path in (agent, weights)] == [
+        "one",
+        "two",
+    ]
+    resume_run(directory, plan)[0].close()
+    weights.write_bytes(b"three")
+    for again in (plan, None):
+        with pytest.raises(OtherRun) as refused:
+            resume_run(directory, again)
+        assert refused.value.differences == [f"{weights} has changed since"]
+    remove_run(directory)
+    assert not directory.exists()
+
+
+def test_module_without_a_file_is_no_file_of_the_user(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    in_memory = ModuleType("in_memory")
+    in_memory.__file__ = "_ops.py"  # as torch.ops has it
+    monkeypatch.setitem(sys.modules, "in_memory", in_memory)
+    create_run(tmp_path / "run", PLAN).close()
+    about = json.loads((tmp_path / "run" / ABOUT_FILE).read_text())
+    assert not [path for path in about.get("files", {}) if path.endswith("_ops.py")]
+
+
 def test_run_without_a_plan_cannot_go_on(interrupted: Path) -> None:
     (interrupted / PLAN_FILE).unlink()
-    with pytest.raises(ExperimentError, match="was merged from other runs: go on with those"):
+    with pytest.raises(ExperimentError, match="was merged from other runs"):
         resume_run(interrupted)
 
 
@@ -111,7 +164,7 @@ def test_nothing_to_resume_is_said(tmp_path: Path) -> None:
 
 
 def test_second_start_in_one_directory_is_refused(interrupted: Path) -> None:
-    with pytest.raises(ExperimentError, match="holds a run: continue it with --resume"):
+    with pytest.raises(ExperimentError, match="holds a run"):
         create_run(interrupted, PLAN)
     store, _ = resume_run(interrupted)
     with store, pytest.raises(ExperimentError, match="in use by process"):

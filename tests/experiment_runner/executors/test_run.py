@@ -6,21 +6,28 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Self
 
+import numpy as np
 import pytest
 
+from experiment_runner.analysis.settings import collect
+from experiment_runner.cli.carrying_out import check_players, resume_command
 from experiment_runner.executors.dispatch import Dispatcher
-from experiment_runner.executors.job import Happened, Job, Lost, Recorded, Report, Said, run_job
-from experiment_runner.executors.resume import create_run, open_run, remaining
+from experiment_runner.executors.interrupts import Interrupts
+from experiment_runner.executors.job import Job, Joined, Lost, Recorded, Report, Said, run_job
+from experiment_runner.executors.resume import OtherRun, create_run, open_run, remaining
 from experiment_runner.executors.run import RunConfig, run_trials
 from experiment_runner.executors.settings import Place
 from experiment_runner.executors.trial import Start
-from experiment_runner.interrupts import Interrupts
-from experiment_runner.plan import Plan, RoleSweep, TrialSpec
-from experiment_runner.players import HubOptions, Meeting
-from experiment_runner.store.records import Checkpoint, EpisodeResult, TrialRecord
+from experiment_runner.executors.trials import Trials
+from experiment_runner.meeting.players import BOTH, HubOptions, Meeting
+from experiment_runner.plan.metrics import Keep, MetricsPlan
+from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec
+from experiment_runner.store.export import metric_table
+from experiment_runner.store.records import TOTAL_REWARD, Checkpoint, EpisodeResult, TrialRecord
+from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
-from glue.core.config import LegacyPort
 from glue.errors import ConfigError
+from glue.hub.config import LegacyPort
 from tests.system.runs import contents
 
 PLAN = Plan(
@@ -31,7 +38,7 @@ PLAN = Plan(
     agents=(RoleSweep("sarsa"),),
 )
 FIRST, SECOND, THIRD = (spec.id for spec in PLAN.expand())
-HERE = Meeting(in_process=True)
+HERE = Meeting(inside=BOTH)
 
 
 class Silent:
@@ -44,7 +51,7 @@ class Silent:
 
     def start(self, trials: Sequence[TrialRecord]) -> None: ...
 
-    def begin(self, spec: TrialSpec, done: int) -> None: ...
+    def begin(self, spec: TrialSpec, done: int, steps: int) -> None: ...
 
     def rename(self, spec: TrialSpec, name: str) -> None:
         self.names[spec.id] = name
@@ -97,11 +104,11 @@ class Unreliable:
     def __exit__(self, *_: object) -> None: ...
 
 
-def dispatcher(store: Store, reporter: Silent | None = None) -> Dispatcher:
+def trials_of(store: Store, reporter: Silent | None = None) -> Trials:
     def make_job(spec: TrialSpec, start: Start) -> Job:
         return Job(spec, HERE, start, checkpoint_every=5)
 
-    return Dispatcher(store, reporter or Silent(), make_job, Interrupts())
+    return Trials(store, reporter or Silent(), make_job)
 
 
 @pytest.fixture(scope="module")
@@ -113,7 +120,9 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def hand_out(store: Store, pool: Unreliable) -> None:
-    dispatcher(store).run_on(pool, remaining(store))
+    Dispatcher[Job, Report](pool, trials_of(store), Interrupts()).run(
+        trial.trial_id for trial in remaining(store)
+    )
 
 
 @pytest.mark.parametrize("size", [1, 2, 5])
@@ -132,8 +141,8 @@ def test_players_from_outside_are_shown_by_their_names(tmp_path: Path) -> None:
     first, second, *_ = (spec.id for spec in plan.expand())
     shown = Silent()
     with create_run(tmp_path / "run", plan) as store:
-        run = dispatcher(store, shown)
-        run.take(first, Happened("joined", "agent Jumper (Python 3.11.7) joined"))
+        run = trials_of(store, shown)
+        run.take(first, Joined("agent", "Jumper", "Python 3.11.7"))
         run.take(first, Said("hello"))
         run.take(second, Said("hello"))
     assert shown.names == {first: first.replace("remote", "Jumper")}
@@ -145,7 +154,7 @@ def test_trial_that_gets_no_further_is_given_up(undisturbed: Path, tmp_path: Pat
         hand_out(store, Unreliable(2, {SECOND: [3, 2, 1, 12]}))
         assert [trial.failure for trial in store.trials()] == [
             None,
-            "its worker was lost, 3 times without getting past episode 3",
+            "its worker was lost, 3 times without progress",
             None,
         ]
     with open_run(tmp_path / "run", PLAN) as store:  # and the same command tries again
@@ -185,7 +194,7 @@ def test_interrupted_learning_in_mario_goes_on_as_if_nothing_had_happened(tmp_pa
     assert checkpoint is not None
 
 
-def test_an_interrupted_run_says_how_to_go_on_as_it_was_begun(tmp_path: Path) -> None:
+def test_an_interrupted_run_says_how_to_continue_as_it_was_begun(tmp_path: Path) -> None:
     (tmp_path / "interrupted_one.py").write_text("from agents.tabular import SarsaAgent as One")
     plan = replace(PLAN, agents=(RoleSweep(f"{tmp_path}/interrupted_one.py:One"),))
     hub = HubOptions(
@@ -195,32 +204,35 @@ def test_an_interrupted_run_says_how_to_go_on_as_it_was_begun(tmp_path: Path) ->
         legacy=(LegacyPort(4096, "a"),),
         keys=tmp_path / "keys",
     )
-    meeting = Meeting(in_process=True, hub=hub, any_reward=True)
+    meeting = Meeting(inside=BOTH, hub=hub, any_reward=True)
+    config = RunConfig(meeting, questions=("values",))
     reporter = Silent(interrupt_after=3)
-    with create_run(tmp_path / "run", plan) as store, pytest.raises(KeyboardInterrupt):
-        run_trials(store, RunConfig(meeting, questions=("values",)), reporter)
+    with create_run(tmp_path / "run", plan) as store:
+        command = resume_command(store, config)
+        with pytest.raises(KeyboardInterrupt):
+            run_trials(store, config, reporter, again=command)
 
     expected = (
         f"glue-experiment --resume {tmp_path}/run '--bind=tcp://*:5000' --legacy-port=127.0.0.1:4096=a "
         f"--keys={tmp_path}/keys --session=a --insecure --any-reward --ask=values --trust"
     )
-    assert expected in reporter.said[-1]
+    assert command == expected
+    assert command in reporter.said[-1]
 
 
 @pytest.mark.parametrize(
     ("config", "plan", "message"),
     [
-        (RunConfig(address="head:6379"), PLAN, "--engine ray"),
         (RunConfig(workers=2, meeting=Meeting(hub=HubOptions(session="a"))), PLAN, "its own hub"),
         (RunConfig(place=Place.RAY, meeting=Meeting(hub=HubOptions(hub="tcp://h:1"))), PLAN, "its own hub"),
-        (RunConfig(Meeting(True, HubOptions(bind=("ipc://x",)))), PLAN, "with --in-process there is no hub"),
+        (RunConfig(Meeting(BOTH, HubOptions(bind=("ipc://x",)))), PLAN, "with --in-process there is no hub"),
         (RunConfig(workers=2), Plan(episodes=1, agents=PLAN.agents), "--env NAME is missing"),
         (RunConfig(HERE), Plan(episodes=1, environments=PLAN.environments), "--agent NAME is missing"),
     ],
 )
 def test_what_cannot_be_carried_out_is_said_beforehand(config: RunConfig, plan: Plan, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        config.check(plan)
+        check_players(config, plan)
 
 
 def test_episodes_are_stored_together_before_anybody_hears_of_them(tmp_path: Path) -> None:
@@ -231,7 +243,7 @@ def test_episodes_are_stored_together_before_anybody_hears_of_them(tmp_path: Pat
             heard.append(len(store.episodes(spec.id)))
 
     with create_run(tmp_path / "run", PLAN) as store:
-        listened_to = dispatcher(store, Listening())
+        listened_to = trials_of(store, Listening())
         for episode in (1, 2):
             listened_to.take(FIRST, Recorded(EpisodeResult(episode, 1.0, 2, True, 0.5), None))
         assert heard == []
@@ -239,8 +251,113 @@ def test_episodes_are_stored_together_before_anybody_hears_of_them(tmp_path: Pat
         watcher.start()
         watcher.join()  # it must not touch the store, which belongs to this thread
         assert heard == []
-        listened_to.take(FIRST, Happened("joined", "agent: somebody"))
+        listened_to.take(FIRST, Joined("agent", "somebody", None))
         assert heard == [2, 2]
         saved = Checkpoint(b"agent", b"environment")
         listened_to.take(FIRST, Recorded(EpisodeResult(3, 1.0, 2, True, 0.5), saved))
         assert heard == [2, 2, 3]
+
+
+STEPS = replace(PLAN, episodes=0, steps=333)
+
+
+def steps_of(directory: Path) -> list[int]:
+    with Results.open(directory) as results:
+        return [sum(e.steps for e in results.episodes(trial.spec.id)) for trial in results.trials()]
+
+
+@pytest.fixture(scope="module")
+def budgeted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("budgeted") / "run"
+    with create_run(directory, STEPS) as store:
+        assert run_trials(store, RunConfig(HERE, checkpoint_every=5), Silent()) == 0
+    return directory
+
+
+def test_a_budget_of_steps_cuts_off_the_last_episode(budgeted: Path, tmp_path: Path) -> None:
+    with create_run(tmp_path / "run", replace(PLAN, episodes=40)) as store:
+        run_trials(store, RunConfig(HERE), Silent())
+        whole = {trial.spec.id: store.episodes(trial.spec.id) for trial in store.trials()}
+    assert steps_of(budgeted) == [333] * 3
+    with Results.open(budgeted) as results:
+        for trial in results.trials():
+            *complete, last = results.episodes(trial.spec.id)
+            assert trial.finished
+            assert all(map(EpisodeResult.repeats, complete, whole[trial.spec.id]))
+            assert results.cut_by_budget(trial.spec.id) is not last.terminal
+        (setting,) = collect([results])
+    assert any(
+        len(values) == trial.done - 1 for values, trial in zip(setting.values, setting.trials, strict=True)
+    )
+
+
+@pytest.mark.parametrize("size", [1, 2])
+def test_lost_trials_with_a_budget_end_as_undisturbed_ones(budgeted: Path, tmp_path: Path, size: int) -> None:
+    with create_run(tmp_path / "run", STEPS) as store:
+        hand_out(store, Unreliable(size, {FIRST: [0, 3, 7, 0], SECOND: [11], THIRD: [12]}))
+    assert contents(tmp_path / "run") == contents(budgeted)
+
+
+def test_a_larger_budget_extends_a_run_to_the_same_results(budgeted: Path, tmp_path: Path) -> None:
+    with create_run(tmp_path / "run", replace(STEPS, steps=150)) as store:
+        run_trials(store, RunConfig(HERE, checkpoint_every=5), Silent())
+    with open_run(tmp_path / "run", STEPS) as store:
+        assert run_trials(store, RunConfig(HERE, checkpoint_every=5), Silent()) == 0
+    assert contents(tmp_path / "run") == contents(budgeted)
+
+
+def test_a_budget_does_not_turn_into_a_number_of_episodes(budgeted: Path) -> None:
+    with pytest.raises(OtherRun):
+        open_run(budgeted, PLAN)
+
+
+KEPT = {"mean TD error": Keep(3, averaged=True), "epsilon": Keep(2)}
+
+
+@pytest.mark.parametrize("every", [0, 7])
+@pytest.mark.parametrize("checkpoint_every", [0, 5])
+def test_metrics_of_lost_trials_are_those_of_undisturbed_ones(
+    tmp_path: Path, every: int, checkpoint_every: int
+) -> None:
+    plan = replace(PLAN, metrics=MetricsPlan(every, KEPT))
+    found = []
+    disturbed: dict[str, list[int]] = {FIRST: [0, 3, 7, 0], SECOND: [11], THIRD: [12]}
+    for name, losses in (("undisturbed", {}), ("lost", disturbed)):
+        with create_run(tmp_path / name, plan) as store:
+
+            def make_job(spec: TrialSpec, start: Start) -> Job:
+                return Job(spec, HERE, start, checkpoint_every, metrics=plan.metrics)
+
+            trials = Trials(store, Silent(), make_job)
+            Dispatcher[Job, Report](Unreliable(2, losses), trials, Interrupts()).run(
+                trial.trial_id for trial in remaining(store)
+            )
+            found.append([[[*map(str, row)] for row in rows] for rows in metric_table(store).rows])
+            readings = (
+                sum(trial.done for trial in store.trials())
+                if every == 0
+                else sum(steps_of(store.directory)) // 7
+            )
+            size = len(store.metric(FIRST, "step size").values)
+            assert len(store.metric(FIRST, "mean TD error").values) == size // 3
+            assert len(store.metric(FIRST, "epsilon").values) == size // 2
+            assert readings >= size > 0
+    assert found[0] == found[1]
+
+
+def test_the_total_reward_is_the_sum_of_the_returns(tmp_path: Path) -> None:
+    plan = replace(STEPS, metrics=MetricsPlan(1))
+    with create_run(tmp_path / "run", plan) as store:
+        run_trials(store, RunConfig(HERE, metrics=plan.metrics), Silent())
+        _, steps, totals = store.metric(FIRST, TOTAL_REWARD)
+        returns = store.returns(FIRST)
+        ends = np.cumsum(store.measure(FIRST, "steps"))
+        assert steps.tolist() == list(range(1, 334))
+        np.testing.assert_allclose(totals[ends.astype(int) - 1], np.cumsum(returns))
+
+
+def test_metrics_change_no_result(budgeted: Path, tmp_path: Path) -> None:
+    plan = replace(STEPS, metrics=MetricsPlan(10))
+    with create_run(tmp_path / "run", plan) as store:
+        run_trials(store, RunConfig(HERE, checkpoint_every=5, metrics=plan.metrics), Silent())
+    assert contents(tmp_path / "run") == contents(budgeted)

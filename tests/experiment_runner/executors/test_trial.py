@@ -12,19 +12,19 @@ import pytest
 from agents.baselines import RandomAgent
 from agents.tabular import SarsaAgent
 from env_server.toys import MinesEnvironment
-from experiment_runner.asking import Answer
+from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.trial import Start, run_trial
-from experiment_runner.interrupts import Interrupts
-from experiment_runner.plan import TrialSpec
-from experiment_runner.store.records import Checkpoint, EpisodeResult
-from glue.core.experiment import Experiment
-from glue.core.local import LocalExperiment, local
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.plan import TrialSpec
+from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
+from glue.engine.experiment import Experiment
+from glue.engine.local import LocalExperiment, local
 from glue.errors import GlueError, PeerFailed, PeerLost
-from glue.protocol.messages import Kind
 from glue.roles import Agent, Environment
-from glue.types import Action, Observation
+from glue.types import Action, Step
+from glue.wire.messages import Kind
 
-SPEC = TrialSpec("sarsa/mines/0", None, None, episodes=25, max_steps=40, seed=5)
+SPEC = TrialSpec(TrialId("sarsa/mines/0"), None, None, episodes=25, max_steps=40, seed=5)
 
 
 class Kept:
@@ -38,7 +38,11 @@ class Kept:
         self.said: list[str] = []
 
     def record(
-        self, result: EpisodeResult, checkpoint: Checkpoint | None, answers: tuple[Answer, ...]
+        self,
+        result: EpisodeResult,
+        checkpoint: Checkpoint | None,
+        answers: tuple[Answer, ...],
+        metrics: object,
     ) -> None:
         assert result.episode == len(self.results) + 1
         self.results.append(result)
@@ -265,12 +269,12 @@ def test_return_that_is_not_finite_ends_the_trial(reward: float) -> None:
     """Even where nobody has checked the single rewards."""
 
     class Odd(MinesEnvironment):
-        def env_step(self, action: Action) -> tuple[float, Observation, bool]:
-            _, observation, terminal = super().env_step(action)
-            return reward, observation, terminal
+        def env_step(self, action: Action) -> Step:
+            _, observation, terminal, *_ = super().env_step(action)
+            return Step(reward, observation, terminal)
 
     kept = Kept()
-    with pytest.raises(GlueError, match=f"episode 1 is {reward}.*--any-reward"):
+    with pytest.raises(GlueError, match=f"episode 1 is {reward}"):
         run_trial(local(RandomAgent(), Odd()), SPEC, kept)
     assert kept.numbers == []
     run_trial(local(RandomAgent(), Odd()), replace(SPEC, episodes=1), kept, any_reward=True)

@@ -11,7 +11,16 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from experiment_runner.report.plots import comparison, learning_curves, save, scatter
+from experiment_runner.analysis.compare import tolerance_interval
+from experiment_runner.analysis.curves import StepTotals
+from experiment_runner.report.plots import (
+    comparison,
+    learning_curves,
+    metric_curves,
+    save,
+    scatter,
+    step_curves,
+)
 from glue.errors import ExperimentError
 
 FloatArray = npt.NDArray[np.float64]
@@ -24,6 +33,9 @@ def learner(final: float, trials: int = 4, episodes: int = 300) -> FloatArray:
 
 
 CURVES = {"slow": learner(50), "quick": learner(80)}
+
+
+FINAL = "last 100 episodes"
 
 
 def rng() -> np.random.Generator:
@@ -45,7 +57,7 @@ def test_learning_curve_is_the_running_mean_over_trials() -> None:
     assert slow.get_color() != quick.get_color()
     assert slow.get_linestyle() != quick.get_linestyle()
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("episode", "episode return (reward)")
-    assert "running mean of 20 episodes over 4 trials" in axes.get_title(loc="left")
+    assert "running mean of 20 episodes over 4 trials" in " ".join(figure.get_suptitle().split())
 
 
 def test_band_holds_the_mean_and_spans_the_trials() -> None:
@@ -57,9 +69,31 @@ def test_band_holds_the_mean_and_spans_the_trials() -> None:
     assert trials.min() <= at_end.min() < trials.mean() < at_end.max() <= trials.max()
 
 
+@pytest.mark.parametrize("over", ["episodes", "steps", "a metric"])
+def test_tolerance_band_is_the_interval_of_single_trials(over: str) -> None:
+    values = learner(50, trials=60)
+    if over == "episodes":
+        figure = learning_curves({"a": values}, rng(), window=20, tolerance=True)
+        last = values[:, -20:].mean(axis=1)
+    elif over == "steps":
+        steps = np.arange(301.0)
+        trials = [StepTotals(steps, np.concatenate([[0.0], one.cumsum()])) for one in values]
+        figure = step_curves({"a": trials}, rng(), window=30, tolerance=True)
+        last = values[:, -30:].mean(axis=1)
+    else:
+        steps = np.arange(1.0, 301.0)
+        figure = metric_curves({"a": [(steps, one) for one in values]}, rng(), "error", tolerance=True)
+        last = values[:, -1]
+    (band,) = figure.axes[0].collections
+    corners = np.asarray(band.get_paths()[0].vertices)
+    at_end = corners[corners[:, 0] == 300][:, 1]
+    assert (at_end.min(), at_end.max()) == pytest.approx(tolerance_interval(last))
+    assert "tolerance intervals" in " ".join(figure.get_suptitle().split())
+
+
 def test_window_shrinks_for_a_short_run() -> None:
     figure = learning_curves({"short": learner(10, episodes=30)}, rng())
-    assert "running mean of 3 episodes" in figure.axes[0].get_title(loc="left")
+    assert "running mean of 3 episodes" in figure.get_suptitle()
 
 
 def test_curve_shorter_than_the_window_is_left_out() -> None:
@@ -69,7 +103,7 @@ def test_curve_shorter_than_the_window_is_left_out() -> None:
 
 def test_single_trial_is_drawn_without_a_band() -> None:
     figure = learning_curves({"one": learner(10, trials=1)}, rng())
-    assert "over 1 trial," in figure.axes[0].get_title(loc="left")
+    assert "over 1 trial," in figure.get_suptitle()
 
 
 def test_scatter_shows_every_episode_of_every_trial() -> None:
@@ -93,8 +127,8 @@ def test_scatter_has_the_reference_in_every_panel() -> None:
 
 
 def test_comparison_marks_mean_and_interquartile_mean() -> None:
-    reached = np.array([[0.0, 1.0], [0.0, 2.0], [0.0, 3.0], [0.0, 10.0]])
-    (axes,) = comparison({"a": [reached], "b": [reached + 5]}, rng(), window=1).axes
+    reached = np.array([1.0, 2.0, 3.0, 10.0])
+    (axes,) = comparison({"": {"a": reached, "b": reached + 5}}, rng(), final=FINAL).axes
     assert [label.get_text() for label in axes.get_yticklabels()] == ["a", "b"]
     marks = {
         (line.get_label(), float(np.asarray(line.get_xdata())[0]))
@@ -104,11 +138,23 @@ def test_comparison_marks_mean_and_interquartile_mean() -> None:
     assert marks == {("mean", 4.0), ("interquartile mean", 2.5)}
 
 
-def test_comparison_counts_each_environment_alike() -> None:
-    easy, hard = np.full((5, 3), 100.0), np.zeros((2, 3))
-    (axes,) = comparison({"a": [easy, hard]}, rng()).axes
-    (mean,) = [line for line in axes.lines if line.get_label() == "mean"]
-    assert np.asarray(mean.get_xdata()).tolist() == [50]
+def test_comparison_has_a_panel_with_its_own_scale_for_each_environment() -> None:
+    easy, hard, long = np.full(5, 100.0), np.zeros(2), "an environment " * 9
+    figure = comparison({"easy": {"a": easy, "b": easy}, long: {"a": hard}}, rng(), final=FINAL)
+    figure.draw_without_rendering()
+    panels = figure.axes
+    lines = [line for axes in panels for line in axes.lines if line.get_label() == "mean"]
+    means = [np.asarray(line.get_xdata()).item() for line in lines]
+    assert means == [100, 0]
+    assert [axes.get_title(loc="left").replace("\n", " ") for axes in panels] == ["easy", long.strip()]
+    assert all(axes.title.get_window_extent().x1 <= figure.bbox.x1 for axes in panels)
+
+
+def test_interval_of_few_trials_is_marked() -> None:
+    few, enough = ({"": {"a": np.arange(float(n))}} for n in (4, 5))
+    assert "unreliable" in comparison(few, rng(), final=FINAL).get_suptitle()
+    assert "unreliable" not in comparison(enough, rng(), final=FINAL).get_suptitle()
+    assert "unreliable" in learning_curves({"a": np.ones((4, 3))}, rng()).get_suptitle()
 
 
 @pytest.mark.parametrize("empty", [{}, {"a": np.empty((0, 0))}])
@@ -118,19 +164,21 @@ def test_nothing_to_draw_is_an_error(empty: dict[str, FloatArray]) -> None:
     with pytest.raises(ExperimentError, match="nothing to draw yet"):
         scatter(empty)
     with pytest.raises(ExperimentError, match="nothing to draw yet"):
-        comparison({name: [returns] for name, returns in empty.items()}, rng())
+        comparison({"": empty}, rng(), final=FINAL)
 
 
 def figures() -> dict[str, Figure]:
     return {
         "curves": learning_curves(CURVES, rng()),
         "scatter": scatter(CURVES),
-        "comparison": comparison({name: [returns] for name, returns in CURVES.items()}, rng()),
+        "comparison": comparison(
+            {"": {name: values[:, -1] for name, values in CURVES.items()}}, rng(), final=FINAL
+        ),
     }
 
 
 def test_figures_are_the_same_byte_for_byte(tmp_path: Path) -> None:
-    for kind in ("png", "svg"):
+    for kind in ("png", "svg", "pdf"):
         for attempt in ("one", "two"):
             for name, figure in figures().items():
                 save(figure, tmp_path / f"{name}-{attempt}.{kind}")
@@ -154,8 +202,8 @@ def test_users_style_neither_changes_a_figure_nor_is_changed(tmp_path: Path) -> 
 
 
 def test_unknown_ending_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ExperimentError, match=r"saved as .png or .svg, not as curves.pdf"):
-        save(scatter(CURVES), tmp_path / "curves.pdf")
+    with pytest.raises(ExperimentError, match=r"curves\.gif"):
+        save(scatter(CURVES), tmp_path / "curves.gif")
 
 
 def test_figure_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import re
 
 import pytest
 
-from experiment_runner.plan import Plan, RoleSweep, TrialSpec
+from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec
 from experiment_runner.report.progress import JsonLines, Progress
 from experiment_runner.store.records import EpisodeResult, TrialRecord
 
@@ -71,7 +71,6 @@ def clock() -> Clock:
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     size = os.terminal_size((100, 8))
-    monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.setattr("shutil.get_terminal_size", lambda: size)
     return Terminal()
 
@@ -79,7 +78,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
 def test_table_of_one_trial_shows_rate_mean_and_time_left(terminal: Terminal, clock: Clock) -> None:
     progress = Progress(terminal, clock)
     progress.start(records(FIRST, done=10))
-    progress.begin(FIRST, 10)
+    progress.begin(FIRST, 10, 0)
     for episode, value in ((11, 1.0), (12, 4.0)):
         clock.now += 0.5
         progress.episode(FIRST, result(episode, value))
@@ -96,7 +95,7 @@ def test_trial_has_the_name_of_its_player_from_outside_once_that_has_joined(
 ) -> None:
     progress = Progress(terminal, clock)
     progress.start(records(FIRST))
-    progress.begin(FIRST, 0)
+    progress.begin(FIRST, 0, 0)
     progress.rename(FIRST, "Jumper/mines/0")
     clock.now += 0.5
     progress.episode(FIRST, result(1))
@@ -107,7 +106,7 @@ def test_table_of_many_trials_is_redrawn_in_place(terminal: Terminal, clock: Clo
     progress = Progress(terminal, clock)
     progress.start(records(FIRST, SECOND, THIRD))
     for spec in (FIRST, SECOND):
-        progress.begin(spec, 0)
+        progress.begin(spec, 0, 0)
     for episode in (1, 2):
         for spec in (FIRST, SECOND):
             clock.now += 0.5
@@ -133,7 +132,7 @@ def test_table_fits_the_terminal(terminal: Terminal, clock: Clock) -> None:
     progress = Progress(terminal, clock)
     progress.start(records(*many))
     for spec in many:
-        progress.begin(spec, 0)
+        progress.begin(spec, 0, 0)
         clock.now += 1
         progress.episode(spec, result(1))
     screen = terminal.screen()
@@ -149,32 +148,29 @@ def test_narrow_terminal_shows_what_matters_most(terminal: Terminal, monkeypatch
     monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size((40, 8)))
     progress = Progress(terminal, Clock())
     progress.start(records(FIRST))
-    progress.begin(FIRST, 0)
+    progress.begin(FIRST, 0, 0)
     progress.episode(FIRST, result(25))
     assert terminal.screen()[:2] == ["trial          episode  left", "sarsa/mines/0    25/50   0 s"]
     assert terminal.screen()[2].endswith(" 50%")
     assert all(len(line) < 40 for line in terminal.screen())
 
 
-@pytest.mark.parametrize("no_color", ["", "1"])
-def test_bar_has_a_color_unless_that_is_not_wanted(
-    terminal: Terminal, monkeypatch: pytest.MonkeyPatch, no_color: str
-) -> None:
-    monkeypatch.setenv("NO_COLOR", no_color)
-    progress = Progress(terminal, Clock())
+@pytest.mark.parametrize("color", [False, True])
+def test_bar_has_a_color_unless_that_is_not_wanted(terminal: Terminal, color: bool) -> None:
+    progress = Progress(terminal, Clock(), color=color)
     progress.start(records(FIRST))
-    progress.begin(FIRST, 0)
+    progress.begin(FIRST, 0, 0)
     progress.episode(FIRST, result(25))
-    assert ("\x1b[32m" in terminal.getvalue()) is not bool(no_color)
+    assert ("\x1b[32m" in terminal.getvalue()) is color
 
 
 def test_trial_that_goes_back_counts_its_episodes_once(terminal: Terminal, clock: Clock) -> None:
     progress = Progress(terminal, clock)
     progress.start(records(FIRST, SECOND))
-    progress.begin(FIRST, 0)
+    progress.begin(FIRST, 0, 0)
     for episode in (1, 2, 3):
         progress.episode(FIRST, result(episode))
-    progress.begin(FIRST, 1)
+    progress.begin(FIRST, 1, 0)
     for episode in (2, 3):
         clock.now += 1
         progress.episode(FIRST, result(episode))
@@ -185,7 +181,7 @@ def test_without_a_terminal_a_line_is_written_every_few_seconds(clock: Clock) ->
     stream = io.StringIO()
     progress = Progress(stream, clock)
     progress.start(records(FIRST))
-    progress.begin(FIRST, 0)
+    progress.begin(FIRST, 0, 0)
     for episode in range(1, 26):
         clock.now += 0.5
         progress.episode(FIRST, result(episode))
@@ -199,10 +195,10 @@ def test_without_a_terminal_a_line_is_written_every_few_seconds(clock: Clock) ->
 
 def test_json_lines_name_their_trial() -> None:
     stream, people = io.StringIO(), io.StringIO()
-    lines = JsonLines(Progress(people), stream)
+    lines = JsonLines(stream, people)
     lines.start(records(FIRST, SECOND))
     for spec in (FIRST, SECOND):
-        lines.begin(spec, 0)
+        lines.begin(spec, 0, 0)
     lines.episode(SECOND, result(1, math.nan))
     lines.episode(FIRST, result(1, -1.5))
     lines.say("a word")
@@ -215,8 +211,8 @@ def test_json_lines_name_their_trial() -> None:
 
 def test_json_lines_have_no_number_that_json_lacks() -> None:
     stream = io.StringIO()
-    lines = JsonLines(Progress(io.StringIO()), stream)
-    lines.begin(FIRST, 0)
+    lines = JsonLines(stream, io.StringIO())
+    lines.begin(FIRST, 0, 0)
     for episode, episode_return in enumerate((math.nan, math.inf, -math.inf), 1):
         lines.episode(FIRST, result(episode, episode_return))
     lines.write({"summary": True, "mean_return": math.nan, "seconds": 1.5})

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from experiment_runner.executors.resume import create_run
-from experiment_runner.plan import Plan, RoleSweep
+from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.overview import as_text
 from experiment_runner.report.tables import format_table, summarize, tabulate
 from experiment_runner.store.records import EpisodeResult
@@ -139,7 +139,7 @@ def test_no_word_of_a_run_is_broken_on_a_narrow_terminal(tmp_path: Path) -> None
     why = "no hub has answered at tcp://127.0.0.1:4097 for 10 s: start one, or check the address"
     with create_run(tmp_path / "run", PLAN) as store:
         store.record_failure(FIRST, why)
-        texts = [(as_text(store), as_text(store, 30)), (tabulate(store, 1), tabulate(store, 1, 30))]
+        texts = [(as_text([store]), as_text([store], 30)), (tabulate(store, 1), tabulate(store, 1, 30))]
     for wide, narrow in texts:
         assert why in wide
         assert why.split() in [

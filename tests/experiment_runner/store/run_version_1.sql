@@ -23,6 +23,10 @@ CREATE TABLE events (
             kind TEXT NOT NULL,
             text TEXT NOT NULL);
 INSERT INTO "events" VALUES(1000000000.25,NULL,'start','glue-rl 0.1.0');
+INSERT INTO "events" VALUES(1000000001.0,2,'joined','agent Jumper (Python 3.11) joined');
+INSERT INTO "events" VALUES(1000000002.0,2,'joined','agent My (old) agent joined (RL-Glue C codec) joined');
+INSERT INTO "events" VALUES(1000000003.0,2,'joined','environment mario joined');
+INSERT INTO "events" VALUES(1000000004.0,2,'joined','somebody');
 CREATE TABLE trials (
             key INTEGER PRIMARY KEY,
             id TEXT NOT NULL UNIQUE,

@@ -9,7 +9,7 @@ import pytest
 
 import glue
 from experiment_runner.executors.resume import create_run
-from experiment_runner.plan import Plan, RoleSweep
+from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.run_data import StoredRun, load_run
 from glue.errors import ExperimentError
@@ -60,10 +60,22 @@ def test_data_frame_has_a_row_for_each_episode(run: StoredRun) -> None:
     assert frame.groupby("agent")["steps"].mean().to_dict() == {"random": 7.5, "sarsa": 9.0}
 
 
-def test_without_pandas_it_says_what_to_install(run: StoredRun, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ExperimentError, match=r"pip install 'glue-rl\[pandas\]'"):
-        run.to_pandas()
+def test_polars_has_the_same_columns(run: StoredRun) -> None:
+    pytest.importorskip("polars")
+    frame = run.to_polars()
+    assert frame.columns == list(run)
+    assert frame.filter(agent="sarsa")["steps"].to_list() == [9]
+    for name, values in run.items():
+        np.testing.assert_array_equal(frame[name].to_numpy(), values)
+
+
+@pytest.mark.parametrize("library", ["pandas", "polars"])
+def test_without_the_library_it_says_what_to_install(
+    library: str, run: StoredRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, library, None)
+    with pytest.raises(ExperimentError, match=rf"pip install 'glue-rl\[{library}\]'"):
+        getattr(run, f"to_{library}")()
 
 
 def test_run_without_episodes_has_empty_columns(tmp_path: Path) -> None:

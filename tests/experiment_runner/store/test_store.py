@@ -17,11 +17,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from experiment_runner.lock import lock_holder
-from experiment_runner.plan import Plan, RoleSweep
+from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store import schema
 from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE, UNFINISHED
-from experiment_runner.store.records import Checkpoint, EpisodeResult, Event, Void
+from experiment_runner.store.lock import lock_holder
+from experiment_runner.store.records import Checkpoint, EpisodeResult, Event, Player, Void
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
@@ -254,7 +254,7 @@ def test_store_is_what_was_done_to_it(operations: list[tuple[str, str, int]]) ->
 def test_directory_with_a_run_is_not_overwritten(store: Store) -> None:
     store.record(FIRST, result(1))
     store.close()
-    with pytest.raises(ExperimentError, match="holds a run: continue it with --resume"):
+    with pytest.raises(ExperimentError, match="holds a run"):
         Store.create(store.directory, PLAN.expand(), FILES)
     with Results.open(store.directory) as results:
         assert results.episodes(FIRST) == [result(1)]
@@ -278,7 +278,7 @@ def test_file_of_the_user_is_never_replaced_nor_removed(tmp_path: Path, name: st
 CREATE_AND_DIE = """
 import os, signal, sys
 from pathlib import Path
-from experiment_runner.plan import Plan
+from experiment_runner.plan.plan import Plan
 from experiment_runner.store.store import Store
 def die(store):
     os.kill(os.getpid(), signal.SIGKILL)
@@ -343,7 +343,13 @@ def test_run_of_version_1_opens_today(tmp_path: Path) -> None:
         assert results.returns("random/level_seed=121/mario/0").tolist() == [1.5, -10.25]
         assert results.checkpoint("random/level_seed=121/mario/0") == (2, Checkpoint(b"\x01\x02", b""))
         assert [void.why for void in results.voids()] == ["the agent was lost"]
-        assert [event.kind for event in results.events()] == ["start"]
+        assert [event.kind for event in results.events()] == ["start", *["joined"] * 4]
+        assert results.players() == [
+            Player(1000000001.0, "remote/mario/1", "agent", "Jumper", "Python 3.11"),
+            Player(1000000002.0, "remote/mario/1", "agent", "My (old) agent joined", "RL-Glue C codec"),
+            Player(1000000003.0, "remote/mario/1", "environment", "mario", None),
+        ]
+        assert results.trial_names()["remote/mario/1"] == "My (old) agent joined/mario/1"
     with Store.open(tmp_path) as store:
         store.record("remote/mario/1", result(1))
 
@@ -487,6 +493,7 @@ def test_killed_writer_loses_no_episode_that_it_reported(store: Store) -> None:
 
 COPY = """
 import os, sys
+import urllib.parse  # which Python 3.13 imports later, when it may not read its own modules any more
 from pathlib import Path
 from experiment_runner.store.results import Results
 if os.geteuid() == 0:
@@ -527,7 +534,7 @@ def check_stopped_writer(process: subprocess.Popen[str], directory: Path, reason
     reported, message = process.communicate()
     assert process.returncode == 3, message
     last = int(reported.split()[-1])
-    assert message.strip().endswith(f"continue with --resume {directory}")
+    assert message.strip().endswith(f"resume the run in {directory}")
     assert f"episode {last + 1} of {FIRST} is not recorded: {reason}; the episodes before it are" in message
     with Results.open(directory) as results:
         assert results.episodes(FIRST) == [result(episode) for episode in range(1, last + 1)]
@@ -553,7 +560,7 @@ def test_full_disk_stops_the_run_cleanly(tmp_path: Path) -> None:
     create = f"""
 import sys
 from pathlib import Path
-from experiment_runner.plan import Plan
+from experiment_runner.plan.plan import Plan
 from experiment_runner.store.store import Store
 Store.create(Path(sys.argv[1]), [*{PLAN!r}.expand()], {{}}).close()
 """.replace("import Plan\n", "import Plan, RoleSweep\n")
@@ -582,7 +589,7 @@ def test_nothing_is_left_of_a_run_that_could_not_be_created(tmp_path: Path) -> N
     program = f"""{LIMITED.replace("150_000", "6_000")}
 import sys
 from pathlib import Path
-from experiment_runner.plan import Plan
+from experiment_runner.plan.plan import Plan
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 try:
@@ -624,10 +631,12 @@ def test_run_in_a_read_only_directory_is_read_but_not_written(open_folder: Path,
 def test_episodes_recorded_together_are_all_recorded_or_none(store: Store) -> None:
     right, wrong = (EpisodeResult(number, 1.0, 2, True, 0.5) for number in (1, 3))
     with pytest.raises(ExperimentError, match=r"episode 3 .* where episode 2 was expected"):
-        store.record_all([(FIRST, right, None, ()), (FIRST, wrong, None, ())])
+        store.record_all([(FIRST, right, None, (), ()), (FIRST, wrong, None, (), ())])
     assert store.episodes(FIRST) == []
     assert store.done(FIRST) == 0
     second = right._replace(episode=2)
-    store.record_all([(FIRST, right, None, ()), (FIRST, second, Checkpoint(b"agent", b"environment"), ())])
+    store.record_all(
+        [(FIRST, right, None, (), ()), (FIRST, second, Checkpoint(b"agent", b"environment"), (), ())]
+    )
     assert store.episodes(FIRST) == [right, second]
     assert store.checkpoint(FIRST) == (2, Checkpoint(b"agent", b"environment"))

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from experiment_runner.executors.resume import create_run, resume_run
-from experiment_runner.plan import Plan, RoleSweep
+from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.overview import Overview, as_object, as_text, overview
 from experiment_runner.report.tables import format_table
 from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
@@ -49,7 +49,7 @@ def read_all(run: Path) -> None:
     """Read everything that `glue-results` and `load_run` read."""
     with Results.open(run) as results:
         overview(results)
-        as_text(results)
+        as_text([results])
         as_object(results)
         for trial in results.trials():
             results.checkpoint(trial.spec.id)
@@ -170,7 +170,7 @@ def test_texts_cannot_steer_the_terminal(run: Path) -> None:
     change(run, "UPDATE trials SET failure = 'red' || char(27) || '[31m' || char(10) || 'x'")
     with Results.open(run) as results:
         table = format_table(Overview.COLUMNS, [overview(results).cells()])
-        assert "\x1b" not in as_text(results) + table
+        assert "\x1b" not in as_text([results]) + table
         assert len(table.splitlines()) == 2
 
 

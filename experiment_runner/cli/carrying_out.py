@@ -1,0 +1,207 @@
+"""Carry out a plan for a person or a script: with progress, a recording, a page, and a table at the end."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from experiment_runner.cli.out import naming_out
+from experiment_runner.cli.planning import without_seed
+from experiment_runner.executors.recording import recorded
+from experiment_runner.executors.resume import (
+    FINISH,
+    finished_at,
+    kept_if_begun,
+    open_run,
+    remaining,
+)
+from experiment_runner.executors.run import RunConfig, run_trials
+from experiment_runner.executors.search import tune
+from experiment_runner.meeting.players import HubOptions, listening
+from experiment_runner.plan.plan import PLAYERS, Plan, class_files
+from experiment_runner.report.overview import date
+from experiment_runner.report.progress import JsonLines, Progress
+from experiment_runner.report.tables import summarize, tabulate, terminal_width
+from experiment_runner.store.layout import clear
+from experiment_runner.store.records import TUNED, UNSEEDED
+from experiment_runner.store.results import Results
+from experiment_runner.store.store import Store
+from experiment_runner.view.starting import viewed
+from glue.cli.screen import has_color
+from glue.console import say
+from glue.errors import ConfigError
+from glue.hub.config import DEFAULT_SESSION
+
+__all__ = [
+    "carry_out",
+    "carry_out_search",
+    "check_players",
+    "check_recording",
+    "note_players_without_seed",
+    "resume_command",
+    "resume_options",
+]
+
+
+def carry_out(
+    directory: Path,
+    plan: Plan,
+    config: RunConfig,
+    record: Path | None,
+    as_json: bool,
+    view: bool,
+    again: bool = False,
+) -> int:
+    """Run the unfinished trials of a plan; return the exit code: 1 if a trial has failed.
+
+    Args:
+        directory: of the run, new or to be continued.
+        plan: of the run.
+        config: how it is executed, checked for this plan.
+        record: file of the recording; None for none.
+        as_json: print JSON lines instead of a table.
+        view: show the run on a page, which stays until Ctrl-C.
+        again: replace a run in the directory.
+    """
+    progress = (JsonLines if as_json else Progress)(color=has_color(sys.stderr))
+    began = time.monotonic()
+
+    def kept() -> None:
+        say(f"nothing is lost: continue with --resume {directory}")
+
+    with kept_if_begun(directory, kept), ExitStack() as stack:
+        # Before anything is written, because an address may be in use.
+        addresses = stack.enter_context(ExitStack())
+        meeting = addresses.enter_context(listening(plan, config.meeting))
+        # A recording may be one of the run's own files: then the run's folder has to be there first.
+        inside = record is not None and record.absolute().parent == directory.absolute()
+        recording = None if inside else stack.enter_context(recorded(record))
+        with naming_out(", or replace the results with --again"):
+            if again:
+                clear(directory)
+            store = stack.enter_context(open_run(directory, plan, say=progress.say))
+        if inside:
+            recording = stack.enter_context(recorded(record))
+        wait = stack.enter_context(viewed(directory, progress.say)) if view else None
+        config = replace(config, meeting=meeting)
+        left = remaining(store)
+        if left:
+            note_players_without_seed(store, plan, progress.say)
+        else:
+            progress.say(f"{directory} is already finished{_since(store)}: nothing was run")
+        failed = run_trials(store, config, progress, recording, again=resume_command(store, config))
+        if left and not remaining(store):
+            store.record_event(FINISH, "all trials are finished")
+        addresses.close()  # a player that joins from now on would not be served
+        seconds = time.monotonic() - began
+        if isinstance(progress, JsonLines):
+            progress.write(summarize(store, seconds))
+        else:
+            click.echo(tabulate(store, seconds, terminal_width()))
+        if wait is not None:
+            store.close()
+            wait()
+    if record is not None and not record.exists():
+        say(f"no episode was started, so {record} was not written")
+    return 1 if failed else 0
+
+
+def carry_out_search(directory: Path, plan: Plan, config: RunConfig) -> int:
+    """Search for the options of a plan's agents, and run the chosen ones; return the exit code."""
+    progress = Progress(color=has_color(sys.stderr))
+    again = "the same command, with --out " + shlex.quote(str(directory))
+    began = time.monotonic()
+    with naming_out():
+        result, failed = tune(directory, plan, config, progress, again)
+    with Results.open(result) as results:
+        click.echo(tabulate(results, time.monotonic() - began, terminal_width()))
+        for event in results.events():
+            if event.kind == TUNED:
+                click.echo(event.text)
+    return 1 if failed else 0
+
+
+def note_players_without_seed(store: Store, plan: Plan, say: Callable[[str], None]) -> None:
+    """Show, and record once in the run, which players of a plan take no seed."""
+    known = {event.text for event in store.events() if event.kind == UNSEEDED}
+    for line in without_seed(plan):
+        say(line)
+        if line not in known:
+            store.record_event(UNSEEDED, line)
+
+
+def _since(store: Store) -> str:
+    """Return the date at which a run was finished, as in ` on 2026-11-22 10:30 UTC`, if it was recorded."""
+    time = finished_at(store)
+    return "" if time is None else f" on {date(time)}"
+
+
+def resume_command(store: Store, config: RunConfig) -> str:
+    """Return the command that continues a run, with the options that the run directory does not hold."""
+    return shlex.join(["glue-experiment", "--resume", str(store.directory), *resume_options(store, config)])
+
+
+def resume_options(store: Store, config: RunConfig) -> list[str]:
+    """Return the options with which a run continues and which its directory does not hold."""
+    hub = config.meeting.hub
+    command = [f"--bind={url}" for url in hub.bind]
+    command += [f"--legacy-port={port.host}:{port.port or '*'}={port.session}" for port in hub.legacy]
+    for option, value in (("hub", hub.hub), ("key", hub.key), ("hub-key", hub.hub_key), ("keys", hub.keys)):
+        if value is not None:
+            command.append(f"--{option}={value}")
+    if hub.session != DEFAULT_SESSION:
+        command.append(f"--session={hub.session}")
+    if hub.insecure:
+        command.append("--insecure")
+    if not config.meeting.in_process:
+        command += [f"--inside={flag}" for flag, role in PLAYERS.items() if role in config.meeting.inside]
+    if config.meeting.any_reward:
+        command.append("--any-reward")
+    command += [f"--ask={question}" for question in config.questions]
+    if class_files([role for trial in store.trials() for role in (trial.spec.agent, trial.spec.environment)]):
+        command.append("--trust")
+    return command
+
+
+def check_players(config: RunConfig, plan: Plan) -> None:
+    """Check that the players of a plan can be connected.
+
+    Raises:
+        ConfigError: they cannot.
+    """
+    inside = config.meeting.inside
+    if inside and not (config.parallel or config.meeting.in_process) and config.meeting.hub.hub is not None:
+        raise ConfigError("players run inside the process of a hub of our own: leave out --hub, or --inside")
+    for flag, sweeps in (("agent", plan.agents), ("env", plan.environments)):
+        if PLAYERS[flag] in inside and not sweeps and not config.meeting.in_process:
+            raise ConfigError(f"--{flag} NAME is missing: only a named player runs inside")
+    if not (config.parallel or config.meeting.in_process):
+        return
+    if config.meeting.hub != HubOptions():
+        why = "every worker starts its own hub" if config.parallel else "with --in-process there is no hub"
+        raise ConfigError(f"{why}: leave out --hub, --bind, --session and --legacy-port")
+    for role, sweeps in (("agent", plan.agents), ("env", plan.environments)):
+        if not sweeps:
+            raise ConfigError(
+                f"--{role} NAME is missing: a player can join from outside only where trials run "
+                "one after the other, over a hub"
+            )
+
+
+def check_recording(config: RunConfig, plan: Plan) -> None:
+    """Check that a plan can be recorded.
+
+    Raises:
+        ConfigError: it has several trials, or they run in other processes.
+    """
+    if config.parallel:
+        raise ConfigError("--record needs a trial in this process: leave out --workers and --engine")
+    if (count := len(plan.expand())) > 1:
+        raise ConfigError(f"--record needs a single trial, and the plan has {count}: make a plan of one")

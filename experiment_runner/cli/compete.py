@@ -1,0 +1,229 @@
+"""`glue-compete`: hold a competition."""
+
+from __future__ import annotations
+
+import os
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from experiment_runner.cli.out import naming_out
+from experiment_runner.view.starting import check_view, viewed
+from glue import __version__
+from glue.cli.shared import run
+from glue.console import say
+from glue.errors import ConfigError, ExperimentError
+from glue.hub.config import DEFAULT_HUB
+from glue.keys.certificates import encode, read_pair, read_public
+
+if TYPE_CHECKING:
+    from experiment_runner.competition.settings import Competition
+
+__all__ = ["compete", "main"]
+
+_FILE = click.argument("file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE")
+_DIRECTORY = click.argument("directory", type=click.Path(path_type=Path, file_okay=False), metavar="DIR")
+
+
+@click.group("glue-compete", no_args_is_help=True)
+@click.version_option(__version__, prog_name="glue-compete")
+def compete() -> None:
+    """Hold a competition of the entrants and tasks in FILE, in TOML; see docs/competition.md.
+
+    \b
+    Examples:
+      glue-compete check docker/example/competition.toml
+      glue-compete run docker/example/competition.toml --out runs/spring
+      glue-compete verify runs/spring --sign organiser.key_secret
+      glue-compete board runs/spring --format html > spring.html
+    """
+
+
+@compete.command()
+@_FILE
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("check"),
+    show_default=True,
+    metavar="DIR",
+    help="Directory of the reports, a folder for each entrant.",
+)
+def check(file: Path, out: Path) -> int:
+    """Let every entrant start and play 3 episodes with a public level, and report to its owner."""
+    from experiment_runner.competition.secret import read_secret
+    from experiment_runner.competition.smoke import check_entrants
+
+    competition = _load(file)
+    try:
+        read_secret(competition, os.environ, say)  # not needed, but no program is to inherit it
+    except ConfigError as error:
+        say(f"to be done before glue-compete run: {error}")
+    with naming_out():
+        failed = check_entrants(competition, out, say)
+    return 1 if failed else 0
+
+
+@compete.command("run")
+@_FILE
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    required=True,
+    metavar="DIR",
+    help="Directory of the run; if it contains a run of this competition, that run continues.",
+)
+@click.option(
+    "--workers",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Maximum number of concurrent trials. [default: one for every two processors]",
+)
+@click.option(
+    "--keys",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Directory with the hub's pair of keys, for entrants who join with theirs at --bind; see glue-keys.",
+)
+@click.option(
+    "--bind", default=DEFAULT_HUB, show_default=True, metavar="URL", help="Address for entrants with keys."
+)
+@click.option("--view", is_flag=True, help="Show the standings on a page in the browser, until Ctrl-C.")
+def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, bind: str, view: bool) -> int:
+    """Let every entrant play every task. After an interruption, the same command plays the rest."""
+    from experiment_runner.competition.organiser import hold, open_competition
+    from experiment_runner.competition.secret import read_secret, trials
+    from experiment_runner.competition.settings import Gate
+    from experiment_runner.executors.resume import kept_if_begun
+
+    if view:
+        check_view()
+    competition = _load(file)
+    specs = trials(competition, read_secret(competition, os.environ, say))
+    text = file.read_text(encoding="utf-8")
+
+    def kept() -> None:
+        say("nothing is lost: start the same command again")
+
+    with kept_if_begun(out, kept), ExitStack() as stack:
+        with naming_out():
+            store = stack.enter_context(open_competition(out, text, competition, specs))
+        wait = stack.enter_context(viewed(out, say)) if view else None
+        gate = None if keys is None else Gate(bind, keys)
+        failed = hold(store, competition, workers or max(1, (os.cpu_count() or 1) // 2), say, gate)
+        store.close()  # so that it can be verified while the page is open
+        if failed:
+            whole = f"{failed} of {len(specs)} trials have failed"
+            say(f"{whole}: start the same command again when that is solved")
+        else:
+            say(f"all {len(specs)} trials are over; now: glue-compete verify {out}")
+        if wait is not None:
+            wait()
+    return 1 if failed else 0
+
+
+@compete.command()
+@_DIRECTORY
+@click.option(
+    "--sign",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Secret key with which to sign the results, if all are verified; see glue-keys.",
+)
+def verify(directory: Path, sign: Path | None) -> int:
+    """Play every recorded action again, and compare every reward and score, bit for bit."""
+    from experiment_runner.competition.organiser import competition_of
+    from experiment_runner.competition.records import seal
+    from experiment_runner.competition.records.verify import verify as verify_run
+    from experiment_runner.store.store import Store
+
+    pair = None if sign is None else read_pair(sign, "sign")
+    steps = {task.name: task.steps for task in competition_of(directory).tasks}
+    with Store.open(directory) as store:
+        if not seal.seal(store):
+            say("there was no seal, which version 0.1.0 did not make: the run is sealed as it is now")
+        changed = seal.broken(store)
+        if changed:
+            say(f"{changed} were changed since they were written")
+        outcomes = len(store.outcomes())
+        problems = verify_run(store, steps, say)
+        total = len(store.trials())
+        still_broken = seal.broken(store)
+    say(f"{outcomes - problems} of {total} trials are verified")
+    if outcomes < total:
+        say(f"{total - outcomes} trials are not over: continue with glue-compete run FILE --out {directory}")
+    failed = problems or changed or still_broken or outcomes < total
+    if pair is not None and failed:
+        say("nothing was signed")
+    elif pair is not None:
+        from glue.keys import signing
+
+        seal.sign(directory, encode(pair.public), lambda message: signing.sign(pair.secret, message))
+        say(f"signed with {encode(pair.public)}")
+    return 1 if failed else 0
+
+
+@compete.command()
+@_DIRECTORY
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice(["text", "csv", "html", "json"]),
+    default="text",
+    show_default=True,
+    help="For the terminal, as CSV, as one self-contained HTML page, or as JSON.",
+)
+@click.option(
+    "--reveal",
+    is_flag=True,
+    help="After the competition: show what the secret seed has determined.",
+)
+@click.option(
+    "--signed-by",
+    metavar="KEY",
+    help="Public key of the organiser, or its file: refuse a directory that is not signed with it.",
+)
+def board(directory: Path, form: str, reveal: bool, signed_by: str | None) -> None:
+    """Print the standings, which count only verified trials."""
+    from experiment_runner.competition.board.forms import as_csv, as_json, as_text
+    from experiment_runner.competition.board.standings import standings
+    from experiment_runner.competition.organiser import competition_of
+    from experiment_runner.report.tables import terminal_width
+    from experiment_runner.store.results import Results
+    from experiment_runner.view.export import as_page
+
+    if signed_by is not None:
+        _check_signature(directory, read_public(signed_by, "signed_by"))
+    with Results.open(directory) as results:
+        found = standings(results, competition_of(directory), reveal)
+    if form == "text":
+        click.echo(as_text(found, terminal_width()))
+    else:
+        sys.stdout.write({"csv": as_csv, "html": as_page, "json": as_json}[form](found))
+
+
+def _check_signature(directory: Path, public: bytes) -> None:
+    from experiment_runner.competition.records.seal import signed_message
+    from glue.keys.signing import is_signed
+
+    message, signature = signed_message(directory)
+    if not is_signed(public, message, signature):
+        raise ExperimentError(f"{directory} was not signed with {encode(public)}, or was changed since")
+
+
+def _load(file: Path) -> Competition:
+    from experiment_runner.competition.file import load_competition
+
+    return load_competition(file)
+
+
+def main() -> None:
+    """Run the command."""
+    run(compete)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,303 @@
+"""`glue-generalise`: how well an agent plays levels that it has not seen."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from experiment_runner.cli.out import naming_out
+from experiment_runner.cli.place import check_place, place_options
+from experiment_runner.cli.planning import new_directory
+from experiment_runner.executors.settings import Place
+from experiment_runner.plan.plan import RoleSpec
+from glue import __version__
+from glue.cli.shared import run
+from glue.console import say
+from glue.errors import ConfigError
+from glue.plugins.naming import complete_names
+from glue.wire.messages import Role
+
+__all__ = ["generalise", "main"]
+
+_T = TypeVar("_T")
+
+
+@click.group("glue-generalise", invoke_without_command=True)
+@click.option(
+    "--agent",
+    "agent_name",
+    help="Agent: an installed name, module:Class or path/to/file.py:Class.",
+    shell_complete=complete_names(Role.AGENT),
+)
+@click.option(
+    "--agent-option",
+    "agent_options",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Option of the agent; {seed} in it is the seed of the trial. Repeat it for several.",
+)
+@click.option("--train", default="train-200", show_default=True, help="Set of levels to learn on.")
+@click.option("--test", default="test-1000", show_default=True, help="Set of unseen levels.")
+@click.option(
+    "--set",
+    "sets",
+    multiple=True,
+    metavar="NAME",
+    help="Score this set of levels, or with NAME:N its first N, for each difficulty, in place of --train and "
+    "--test. Repeat it for several.",
+)
+@click.option(
+    "--learn",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Episodes on training levels before the agent is scored.",
+)
+@click.option(
+    "--relearn",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    help="Episodes on each level before the one that is scored there.",
+)
+@click.option(
+    "--seed",
+    "seeds",
+    type=click.IntRange(0),
+    multiple=True,
+    default=(1, 2, 3),
+    show_default=True,
+    help="Seed of a trial. Repeat it for several.",
+)
+@click.option(
+    "--ask",
+    "questions",
+    multiple=True,
+    metavar="MESSAGE",
+    help="Send the agent this message after each episode; with --set the table has the mean of its answers, "
+    "if they are numbers. Repeat it for several.",
+)
+@click.option(
+    "--noise",
+    type=click.FloatRange(0, 1),
+    default=0.0,
+    show_default=True,
+    help="Probability of each action to be replaced by a random one.",
+)
+@click.option("--name", help="Name of the agent in the table. [default: --agent]")
+@place_options(Place.LOCAL, Place.RAY)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Directory of the run; if it contains this benchmark's run, that run continues. A name that ends in "
+    ".json is the file for the score of every level, and the run is in the directory of that name without "
+    "the ending. [default: a new directory in runs/]",
+)
+@click.option(
+    "--table",
+    "results",
+    type=click.Path(path_type=Path, exists=True),
+    multiple=True,
+    help="Play nothing; print the table of this file or directory, which --out wrote. Repeat it for several.",
+)
+@click.option(
+    "--certificates",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="With --set, also show the share of these levels with a certificate that were solved.",
+)
+@click.version_option(__version__, prog_name="glue-generalise")
+@click.pass_context
+def generalise(
+    context: click.Context,
+    agent_name: str | None,
+    agent_options: tuple[str, ...],
+    train: str,
+    test: str,
+    sets: tuple[str, ...],
+    learn: int,
+    relearn: int,
+    seeds: tuple[int, ...],
+    questions: tuple[str, ...],
+    noise: float,
+    name: str | None,
+    workers: int | None,
+    engine: str,
+    address: str | None,
+    out: Path | None,
+    results: tuple[Path, ...],
+    certificates: Path | None,
+) -> int:
+    """Score an agent on training levels and on unseen levels of Infinite Mario.
+
+    The table shows return and goal rate on both sets of levels, and the gap between them; with --set, those
+    of each difficulty of a set. An interrupted run is continued by the same command with --out.
+
+    \b
+    Examples:
+      glue-generalise --agent random
+      glue-generalise --agent hierarchical-internal --learn 2000 --out runs/internal --workers 3
+      glue-generalise --agent best --set ladder-v1 --seed 1 --workers 2 --out runs/ladder
+      glue-generalise --table runs/internal --table random.json
+      glue-generalise verify random.json
+    """
+    if context.invoked_subcommand:
+        return 0
+    from experiment_runner.analysis.stats import require_scipy
+    from experiment_runner.executors.run import RunConfig, run_trials
+    from experiment_runner.meeting.players import BOTH, Meeting
+    from experiment_runner.report.progress import Progress
+    from experiment_runner.store.database import reported
+    from experiment_runner.study.generalisation.benchmark import Benchmark, document, open_benchmark
+    from experiment_runner.study.generalisation.players import LAST_ACTIONS, LAST_REWARD
+    from experiment_runner.study.generalisation.summary import table
+    from experiment_runner.study.generalisation.verification import solvable
+    from glue.cli.screen import has_color
+
+    certified = solvable(_read(certificates)) if certificates else frozenset()
+    if results:
+        print(table([_read(path) for path in results], certified))
+        return 0
+    if agent_name is None:
+        raise click.UsageError("name the agent with --agent, or results with --table")
+    benchmark = Benchmark(
+        name=name or agent_name,
+        agent=agent_name,
+        agent_options=agent_options,
+        train=train,
+        test=test,
+        sets=_distinct(sets),
+        learn=learn,
+        relearn=relearn,
+        seeds=_distinct(seeds),
+        questions=_distinct(questions),
+        noise=noise,
+    )
+    config = RunConfig(
+        Meeting(BOTH),
+        place=Place(engine),
+        workers=workers,
+        address=address,
+        questions=(LAST_REWARD, LAST_ACTIONS, *benchmark.questions),
+    )
+    check_place(config)
+    require_scipy()  # now, not after hours of playing
+    is_file = out is not None and out.suffix == ".json"
+    directory = out or new_directory(f"generalise-{RoleSpec(agent_name).label}")
+    if is_file:
+        directory = directory.with_suffix("")
+    again = (
+        f"the same command with --out {shlex.quote(str(directory))}" if out is None else "the same command"
+    )
+    with naming_out():
+        store = open_benchmark(directory, benchmark, say)
+    with store:
+        failed = run_trials(store, config, Progress(color=has_color(sys.stderr)), again=again)
+        if failed:
+            say(f"{failed} of {len(store.trials())} trials have failed: {again} plays them again")
+            return 1
+        scores = document(store, benchmark)
+    if out is not None and is_file:
+        with reported(f"cannot write {out}"):
+            out.write_text(json.dumps(scores) + "\n", encoding="utf-8")
+        say(f"wrote {out}")
+    print(table([scores], certified))
+    say(f"results in {directory}")
+    return 0
+
+
+@generalise.command("verify")
+@click.argument("path", type=click.Path(path_type=Path, exists=True))
+def verify(path: Path) -> int:
+    """Play the actions of every score again, and compare.
+
+    PATH is a run, or a file that --out wrote. The exit code is 1 if a score is not what its actions earn.
+    """
+    from experiment_runner.study.generalisation.verification import differences
+
+    wrong = 0
+    for difference in differences(_read(path), say):
+        print(difference)
+        wrong += 1
+    print(f"{wrong} scores are wrong" if wrong else "every score is what its actions earn")
+    return 1 if wrong else 0
+
+
+@generalise.command("certify")
+@click.argument("levels", metavar="SET")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    required=True,
+    help="File of the certificates; those in it are kept, and the others added.",
+)
+def certify_set(levels: str, out: Path) -> int:
+    """Find a certificate for each level of a set: actions that reach the goal, planned with the level known.
+
+    SET is the name of a set, or NAME:N for its first N levels. It may be interrupted and called again.
+    """
+    from experiment_runner.store.database import reported
+    from experiment_runner.study.generalisation.summary import Document, table
+    from experiment_runner.study.generalisation.verification import certify
+
+    def keep(document: Document) -> None:
+        with reported(f"cannot write {out}"):
+            written = out.with_name(out.name + ".part")
+            written.write_text(json.dumps(document, separators=(",", ":")) + "\n", encoding="utf-8")
+            written.replace(out)
+
+    print(table([certify(levels, _read(out) if out.exists() else None, keep)]))
+    return 0
+
+
+@generalise.command("physics")
+@click.argument("groups", nargs=-1, required=True)
+@click.option(
+    "--levels", type=click.IntRange(1, 1000), default=200, show_default=True, help="Levels of test-1000."
+)
+def physics(groups: tuple[str, ...], levels: int) -> int:
+    """Show how well planner-learns identifies physical constants, beside the planner that is told them.
+
+    GROUPS are the constants to play with: instance-N, proving-N, testing-N or random; or mdps, the 20 MDPs.
+    """
+    from experiment_runner.study.generalisation.physics import outcomes, physics_table
+
+    played = [list(outcomes(group, levels)) for group in groups]
+    print(physics_table(groups, played))
+    return 0
+
+
+def _distinct(values: tuple[_T, ...]) -> tuple[_T, ...]:
+    return tuple(dict.fromkeys(values))
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """Return the scores in a file or in a run."""
+    from experiment_runner.store.results import Results
+    from experiment_runner.study.generalisation.benchmark import benchmark_of, document
+
+    if path.is_dir():
+        benchmark = benchmark_of(path)
+        with Results.open(path) as results:
+            return document(results, benchmark)
+    try:
+        scores: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        names = ("name", "trials")
+        if not all(name in scores for name in names):
+            raise ValueError(f"it has no {' or '.join(names)}")
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path} is not a result of glue-generalise: {error}") from None
+    return scores
+
+
+def main() -> None:
+    """Run `glue-generalise`."""
+    run(generalise)
+
+
+if __name__ == "__main__":
+    main()

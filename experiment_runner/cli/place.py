@@ -1,0 +1,70 @@
+"""The options that say where trials run, and the check of their combinations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from experiment_runner.executors.settings import Place
+from glue.errors import ConfigError
+
+if TYPE_CHECKING:
+    from experiment_runner.executors.run import RunConfig
+
+__all__ = ["check_place", "place_options"]
+
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+
+_WHERE = {
+    Place.LOCAL: "on this machine",
+    Place.RAY: "on a Ray cluster",
+    Place.SLURM: "as a job array of SLURM",
+}
+
+_WORKERS = click.option(
+    "--workers",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Trials at a time, each in its own process.",
+)
+_ADDRESS = click.option(
+    "--address",
+    metavar="HOST:PORT",
+    help="Ray cluster. [default: the one that Ray finds, or else one on this machine]",
+)
+
+
+def place_options(*places: Place) -> Callable[[_Command], _Command]:
+    """Return a decorator that adds the options `--workers`, `--engine` and `--address` to a command.
+
+    Args:
+        places: the values of `--engine`.
+    """
+    engine = click.option(
+        "--engine",
+        type=click.Choice([place.value for place in places]),
+        default=Place.LOCAL.value,
+        show_default=True,
+        help=f"Where trials run: {', '.join(_WHERE[place] for place in places)}.",
+    )
+
+    def add(command: _Command) -> _Command:
+        return _WORKERS(engine(_ADDRESS(command)))
+
+    return add
+
+
+def check_place(config: RunConfig) -> None:
+    """Check the address of a cluster.
+
+    Raises:
+        ConfigError: it is malformed, or trials do not run on a cluster.
+    """
+    from experiment_runner.executors.ray_cluster import parse_address
+
+    if config.address is not None:
+        if config.place is not Place.RAY:
+            raise ConfigError("--address is the address of a Ray cluster: add --engine ray")
+        parse_address(config.address)

@@ -1,0 +1,129 @@
+"""From the options of `glue-experiment` to a plan and a directory for its results."""
+
+from __future__ import annotations
+
+import itertools
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from experiment_runner.plan.file import load_plan, naming_lines
+from experiment_runner.plan.ids import REMOTE
+from experiment_runner.plan.plan import BUDGETS, Plan, RoleSweep, absolute, budget, check_options, class_files
+from glue.errors import ConfigError, ExperimentError
+from glue.options import parse_assignments
+from glue.plugins import loading
+from glue.plugins.loading import find, names
+from glue.wire.messages import Role
+
+__all__ = [
+    "ask_for_trust",
+    "find_players",
+    "make_plan",
+    "names_of",
+    "new_directory",
+    "role_sweeps",
+    "without_seed",
+]
+
+
+def role_sweeps(role: Role, name: str | None, assignments: tuple[str, ...]) -> tuple[RoleSweep, ...]:
+    """Return the agent or environment of the command line as a plan has it; none if it joins from outside.
+
+    Raises:
+        ConfigError: options are given without a name, the name is unknown, or an option is malformed.
+    """
+    flag = "env" if role is Role.ENVIRONMENT else "agent"
+    if name is None:
+        if assignments:
+            raise ConfigError(
+                f"--{flag}-option needs --{flag} NAME (there are {', '.join(names(role))}); an {role} that "
+                f"joins from outside takes its options on its own command line"
+            )
+        return ()
+    return (RoleSweep(name, parse_assignments(find(role, name), assignments)),)
+
+
+def make_plan(plan_file: Path | None, counts: Mapping[str, Any], roles: Mapping[str, Any]) -> Plan:
+    """Return the checked plan of a file, with `counts` in place of its own, or of `counts` and `roles`.
+
+    Raises:
+        ConfigError: the plan is wrong, or no number of episodes or steps is given.
+    """
+    try:
+        if plan_file is None:
+            if not any(name in counts for name in BUDGETS):
+                raise ConfigError(
+                    "give the number of --episodes or --steps, or a --plan, or a run to --resume"
+                )
+            plan = check_options(absolute(Plan(**counts, **roles), Path.cwd()), _find)
+        else:
+            plan = absolute(replace(load_plan(plan_file), **budget(counts)), plan_file.parent)
+            with naming_lines(plan_file):
+                plan = check_options(plan, _find)
+        plan.expand()  # raises an error, before anything is created, if a trial occurs twice
+    except ExperimentError as error:  # a mistake in a plan is one in the command
+        raise ConfigError(str(error)) from error
+    return plan
+
+
+def _find(role: str, name: str) -> type:
+    return find(Role(role), name)
+
+
+def find_players(plan: Plan) -> None:
+    """Import the classes of a plan, so that their files are known.
+
+    Raises:
+        ConfigError: one does not exist, or cannot be imported.
+    """
+    for role, sweeps in ((Role.ENVIRONMENT, plan.environments), (Role.AGENT, plan.agents)):
+        for sweep in sweeps:
+            find(role, sweep.name)
+
+
+def without_seed(plan: Plan) -> list[str]:
+    """Return a line for each agent and environment of the user's that takes no seed.
+
+    Raises:
+        ConfigError: a class does not exist, or cannot be imported.
+    """
+    roles = ((Role.ENVIRONMENT, plan.environments), (Role.AGENT, plan.agents))
+    lines = [
+        loading.without_seed(role, sweep.label, find(role, sweep.name))
+        for role, sweeps in roles
+        for sweep in sweeps
+    ]
+    return [line for line in lines if line is not None]
+
+
+def ask_for_trust(directory: Path, plan: Plan) -> None:
+    """Ask before executing the files that a run directory names: it may come from anyone.
+
+    Raises:
+        ConfigError: the answer is no, or standard input is not a terminal.
+    """
+    files = ", ".join(class_files([*plan.agents, *plan.environments]))
+    if not files:
+        return
+    if not sys.stdin.isatty():
+        raise ConfigError(f"{directory} would execute {files}: if you trust it, add --trust")
+    if not click.confirm(f"{directory} will execute {files}. Do you trust it?", err=True):
+        raise ConfigError(f"{directory} is not trusted, and was left as it is")
+
+
+def names_of(plan: Plan) -> str:
+    """Return the names of the players of a plan, for the name of a directory."""
+    return "-".join(sweeps[0].label for sweeps in (plan.agents, plan.environments) if sweeps) or REMOTE
+
+
+def new_directory(name: str) -> Path:
+    """Return a directory in runs/ that does not exist, named by the time and `name`."""
+    first = Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{name}"
+    candidates = itertools.chain([first], (Path(f"{first}-{number}") for number in itertools.count(2)))
+    return next(path for path in candidates if not path.exists())

@@ -1,0 +1,154 @@
+"""`glue-plot`: plot the results of experiments."""
+
+from __future__ import annotations
+
+import shutil
+from collections import defaultdict
+from contextlib import ExitStack
+from pathlib import Path
+
+import click
+
+from experiment_runner.cli.out import over_option
+from glue import __version__
+from glue.cli.shared import run
+from glue.console import say
+from glue.suggestions import did_you_mean
+
+__all__ = ["main", "plot"]
+
+
+@click.command("glue-plot")
+@click.argument("directories", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--out",
+    "-o",
+    type=click.Path(path_type=Path),
+    help="File to write, .png, .svg or .pdf; without it, the curves are sketched in the terminal.",
+)
+@click.option(
+    "--kind",
+    type=click.Choice(["curves", "scatter", "comparison", "profile"]),
+    default="curves",
+    show_default=True,
+    help="Learning curves with confidence bands; every episode as a dot, in a panel for each setting; or a "
+    "comparison of the agents' final performance, in a panel for each environment; or performance profiles, "
+    "the share of trials above each final performance.",
+)
+@click.option(
+    "--measure",
+    default="return",
+    show_default=True,
+    help="Column of the episodes that is plotted or, with --over steps, reward: the reward per step.",
+)
+@click.option("--metric", default="", metavar="NAME", help="Plot a metric of the agents, over steps.")
+@over_option
+@click.option(
+    "--window",
+    type=click.IntRange(1),
+    help="Episodes or steps in the running mean, or last ones that count as final performance. [default: 100 "
+    "episodes, or a fiftieth of the steps]",
+)
+@click.option(
+    "--band",
+    type=click.Choice(["bootstrap", "tolerance"]),
+    default="bootstrap",
+    show_default=True,
+    help="Bands of curves: 95 % bootstrap intervals of the mean, or tolerance intervals of "
+    "single trials, which need at least 46.",
+)
+@click.version_option(__version__, prog_name="glue-plot")
+def plot(
+    directories: tuple[Path, ...],
+    out: Path | None,
+    kind: str,
+    measure: str,
+    metric: str,
+    over: str,
+    window: int | None,
+    band: str,
+) -> None:
+    """Plot the results of each RUN, a directory that glue-experiment created, also while it runs.
+
+    \b
+    Examples:
+      glue-plot runs/mine
+      glue-plot runs/mine -o curves.png
+      glue-plot runs/mine --over steps -o curves.png
+      glue-plot runs/mine --metric "mean TD error" -o errors.png
+      glue-plot runs/mine runs/other --kind comparison -o comparison.svg
+    """
+    from experiment_runner.analysis.settings import REWARD, collect
+    from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
+    from experiment_runner.report.plots import (
+        comparison,
+        learning_curves,
+        metric_curves,
+        profiles,
+        save,
+        scatter,
+        step_curves,
+        step_window,
+    )
+    from experiment_runner.report.sketch import sketches
+    from experiment_runner.report.tables import counted
+    from experiment_runner.store.records import MEASURES
+    from experiment_runner.store.results import Results
+
+    known = [*MEASURES, *([REWARD] if over == "steps" else [])]
+    if measure not in known:
+        raise click.UsageError(f"there is no measure {measure}{did_you_mean(measure, known)}")
+    if out is None and (kind != "curves" or over == "steps"):
+        raise click.UsageError(f"--kind {kind} --over {over} needs a file: --out {kind}.png")
+    tolerance = band == "tolerance"
+    if tolerance and kind != "curves":
+        raise click.UsageError(f"--band tolerance is for curves: leave out --kind {kind}")
+    if kind == "scatter" and over == "steps":
+        raise click.UsageError("a scatter plot has a dot for each episode: leave out --over steps")
+    if metric and (out is None or kind != "curves"):
+        raise click.UsageError("--metric draws curves and needs a file: --out metric.png")
+    with ExitStack() as stack:
+        runs = [stack.enter_context(Results.open(directory)) for directory in directories]
+        names = dict.fromkeys(name for run in runs for name in run.metric_names())
+        if metric and metric not in names:
+            raise click.UsageError(f"there is no metric {metric}{did_you_mean(metric, names)}")
+        found = collect(runs, measure, metric)
+    settings = [setting for setting in found if setting.curves().size]
+    rng, label = bootstrap_rng(), "reward per step" if measure == REWARD else MEASURES[measure].label
+    last = window or 100
+    totals = {setting.label: setting.step_totals() for setting in settings} if over == "steps" else {}
+    if totals:
+        last = step_window(window or 0, totals.values())
+    if metric:
+        readings = {s.label: [(m.steps, m.values) for m in s.metrics if m.steps.size] for s in found}
+        figure = metric_curves(readings, rng, metric, tolerance)
+    elif kind == "comparison":
+        environments: dict[str, dict[str, FloatArray]] = defaultdict(dict)
+        for setting in settings:
+            environments[setting.environment][setting.agent] = setting.final(last, over)
+        figure = comparison(environments, rng, final=f"last {counted(last, over[:-1])}", label=label)
+    elif kind == "profile":
+        figure = profiles({s.label: s.final(last, over) for s in settings}, label=label)
+    elif totals:
+        figure = step_curves(totals, rng, window=last, label=label, tolerance=tolerance)
+    else:
+        curves = {setting.label: setting.curves() for setting in settings}
+        if out is None:
+            click.echo(sketches(curves, last, measure, shutil.get_terminal_size().columns))
+            return
+        if kind == "curves":
+            figure = learning_curves(curves, rng, window=last, label=label, tolerance=tolerance)
+        else:
+            figure = scatter(curves, window=last, label=label)
+    assert out is not None
+    save(figure, out)
+    say(f"wrote {out}")
+
+
+def main() -> None:
+    """Run `glue-plot`."""
+    run(plot)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,126 @@
+"""`glue-view`: a page of runs, in the browser."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import webbrowser
+from pathlib import Path
+from typing import Final
+from urllib.parse import urlsplit
+
+import click
+
+from glue import __version__
+from glue.cli.shared import run
+from glue.errors import ConfigError
+
+__all__ = ["main", "view"]
+
+_LOOPBACK: Final = "127.0.0.1"
+_DEFAULT_FOLDER: Final = Path("runs")
+_NICENESS: Final = 10
+
+
+@click.command("glue-view")
+@click.argument("directories", metavar="[DIR]...", nargs=-1, type=click.Path(path_type=Path, file_okay=False))
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    metavar="N",
+    help="Port to listen at, 0 for any. [default: 8097, or any if that is taken]",
+)
+@click.option("--stderr", is_flag=True, hidden=True)  # standard output is the experiment's
+@click.option("--no-browser", is_flag=True, help="Do not open a browser; only print the address.")
+@click.option(
+    "--host",
+    default=_LOOPBACK,
+    show_default=True,
+    metavar="ADDRESS",
+    help="Address of this machine to listen at.",
+)
+@click.option(
+    "--insecure",
+    is_flag=True,
+    help="Allow a --host that other machines can reach: nothing is encrypted, not even the token.",
+)
+@click.option(
+    "--proxy",
+    default="",
+    metavar="URL",
+    help="Address at which browsers find the page behind a proxy on this machine: https://lab.example/runs",
+)
+@click.version_option(__version__, prog_name="glue-view")
+def view(
+    directories: tuple[Path, ...],
+    port: int | None,
+    no_browser: bool,
+    host: str,
+    insecure: bool,
+    proxy: str,
+    stderr: bool,
+) -> None:
+    """Show the runs in each DIR (by default runs) on a page in the browser, until Ctrl-C.
+
+    A DIR is a run, or a folder of runs, which may be under way: they are only read. The page is for this
+    machine alone, and opens with the token in the address that is printed: docs/view.md.
+
+    \b
+    Examples:
+      glue-view
+      glue-view runs/mine /data/mario --no-browser
+      glue-view --port 9000 --proxy https://lab.example/runs
+    """
+    for directory in directories:
+        if not directory.is_dir():
+            raise ConfigError(f"there is no folder {directory}")
+    show(directories or (_DEFAULT_FOLDER,), port, host, insecure, proxy, browser=not no_browser, err=stderr)
+
+
+def show(
+    directories: tuple[Path, ...],
+    port: int | None,
+    host: str,
+    insecure: bool,
+    proxy: str,
+    browser: bool,
+    err: bool,
+) -> None:
+    """Serve the page, and say where."""
+    try:
+        from experiment_runner.view.server import is_loopback, serve
+    except ModuleNotFoundError as error:
+        if error.name not in ("starlette", "uvicorn"):
+            raise
+        raise ConfigError("the page needs Starlette and uvicorn: pip install 'glue-rl[web]'") from None
+    if not insecure and not is_loopback(host):
+        raise ConfigError(
+            f"{host} can be reached by other machines, and the page is not encrypted: put a proxy in front "
+            "of it (docs/view.md), or add --insecure"
+        )
+    if proxy and (urlsplit(proxy).scheme not in ("http", "https") or not urlsplit(proxy).netloc):
+        raise ConfigError(f"--proxy is an address such as https://lab.example/runs, not {proxy}")
+    os.nice(_NICENESS)  # the runs come first
+
+    def ready(url: str) -> None:
+        click.echo(f"the page is at {url}", err=err)
+        if browser and _has_display():
+            # It may wait for the browser.
+            threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+
+    serve(directories, port, host, proxy, ready)
+
+
+def _has_display() -> bool:
+    """Tell whether a browser can open a window; otherwise Python would run a text browser."""
+    return sys.platform == "darwin" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
+
+
+def main() -> None:
+    """Run `glue-view`."""
+    run(view)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,201 @@
+"""Search for the options of a plan's agents, then run the chosen ones with seeds that were not used before.
+
+The folder of a tuned run has two runs: `search`, whose trials are added as configurations are proposed, and
+`result`. Everything is determined by the plan and by the stored episodes: an interrupted search is carried
+out again, and finds the episodes that it has already run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from experiment_runner.analysis.stats import interquartile_mean, require_scipy
+from experiment_runner.executors.resume import check_sources, lengthen, open_trials, remaining, sources_of
+from experiment_runner.executors.run import RunConfig, run_trials
+from experiment_runner.executors.samplers import Configuration, Score, sampler_of
+from experiment_runner.plan.file import dump_plan
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.plan import Plan, RoleSweep, TrialSpec, plain, trial_seed
+from experiment_runner.plan.tuning import TunePlan
+from experiment_runner.report.progress import Reporter
+from experiment_runner.report.tables import counted
+from experiment_runner.store.layout import PLAN_FILE
+from experiment_runner.store.records import TUNED
+from experiment_runner.store.store import Store
+from glue.errors import ExperimentError
+
+__all__ = ["RESULT", "SEARCH", "tune"]
+
+SEARCH: Final = "search"
+RESULT: Final = "result"
+_RUNG: Final = 4
+"""A configuration may be given up after one of so many parts of its trials; its score is of the last part."""
+
+
+class _Chosen(NamedTuple):
+    sweep: RoleSweep
+    report: str
+
+
+def tune(
+    directory: Path, plan: Plan, config: RunConfig, reporter: Reporter, again: str = ""
+) -> tuple[Path, int]:
+    """Search, and run the chosen configurations; return the run of the result and its failed trials.
+
+    Args:
+        directory: contains both runs, or will contain them.
+        plan: with a search.
+        config: how trials are executed.
+        reporter: shows progress.
+        again: command that continues after an interruption; empty for none.
+
+    Raises:
+        ExperimentError: it is the folder of another plan, every configuration of an agent has failed, or
+            SciPy is not installed.
+        KeyboardInterrupt: on Ctrl-C or SIGTERM.
+    """
+    assert plan.tune is not None
+    require_scipy()
+    with _open(directory / SEARCH, plan, [], reporter.say) as store:
+
+        def run() -> None:
+            run_trials(store, config, reporter, again=again)
+
+        chosen = [_search(store, plan, plan.tune, sweep, run, reporter.say) for sweep in plan.agents]
+    specs = [
+        spec
+        for one in chosen
+        for spec in _specs(plan, one.sweep, {}, range(plan.tune.trials, plan.tune.trials + plan.tune.final))
+    ]
+    with _open(directory / RESULT, plan, specs, reporter.say) as store:
+        known = {event.text for event in store.events()}
+        for one in chosen:
+            if one.report and one.report not in known:
+                store.record_event(TUNED, one.report)
+        return directory / RESULT, run_trials(store, config, reporter, again=again)
+
+
+def _open(directory: Path, plan: Plan, specs: Sequence[TrialSpec], say: Callable[[str], None]) -> Store:
+    text, sources = dump_plan(plan), sources_of([*plan.agents, *plan.environments])
+
+    def check(store: Store) -> None:
+        if (directory / PLAN_FILE).read_text(encoding="utf-8") != text:
+            raise ExperimentError(f"{directory} is of another plan: choose another folder, or its own plan")
+        check_sources(directory, sources)
+
+    return open_trials(directory, specs, {PLAN_FILE: text}, check, sources=sources, say=say)
+
+
+def _search(
+    store: Store,
+    plan: Plan,
+    tune: TunePlan,
+    sweep: RoleSweep,
+    run: Callable[[], None],
+    say: Callable[[str], None],
+) -> _Chosen:
+    """Return an agent with the options of its best configuration."""
+    space = tune.space.get(sweep.label)
+    if space is None:
+        return _Chosen(sweep, "")
+    sampler = sampler_of(tune, space, trial_seed(plan.seed, sweep.label))
+    scores: list[tuple[Configuration, Score]] = []
+    known: list[float] = []  # the scores of all configurations after the first part
+    while batch := sampler.ask(tune.configurations - len(scores)):
+        trials = [_specs(plan, sweep, one, range(tune.trials)) for one in batch]
+        kept = [True] * len(batch)
+        if tune.prune:
+            rungs = [[_shortened(spec) for spec in specs] for specs in trials]
+            _run(store, [spec for specs in rungs for spec in specs], run, say)
+            early = [_score(store, specs) for specs in rungs]
+            first, known = len(known), known + early
+            kept = [_among_the_better(known, first + i) for i in range(len(batch))]
+        _run(store, [spec for specs, on in zip(trials, kept, strict=True) if on for spec in specs], run, say)
+        found = [
+            Score(_score(store, trials[i]), False) if on else Score(early[i], True)
+            for i, on in enumerate(kept)
+        ]
+        sampler.tell(found)
+        scores += zip(batch, found, strict=True)
+    finished = [(one, score.value) for one, score in scores if not score.pruned and score.value > -math.inf]
+    if not finished:
+        raise ExperimentError(f"every configuration of {sweep.label} has failed: see {store.directory}")
+    best, score = max(finished, key=lambda pair: pair[1])
+    shown = " ".join(f"{name}={plain(value)}" for name, value in best.items())
+    done = [trial for trial in store.trials() if trial.spec.id.startswith(f"{sweep.label}/")]
+    episodes = sum(trial.done for trial in done)
+    report = (
+        f"{sweep.label} has {shown}, the best of {counted(len(scores), 'configuration')} of a {tune.sampler} "
+        f"search, with an interquartile mean of {score:.6g} there; the search took "
+        f"{counted(len(done), 'trial')} with other seeds, of {counted(episodes, 'episode')} in all"
+    )
+    return _Chosen(replace(sweep, options={**sweep.options, **best}), report)
+
+
+def _among_the_better(scores: Sequence[float], number: int) -> bool:
+    """Return whether a score is in the better half, of equal ones the first."""
+    mine = scores[number]
+    better = sum(score > mine or (score == mine and i < number) for i, score in enumerate(scores))
+    return better < (len(scores) + 1) // 2
+
+
+def _specs(plan: Plan, sweep: RoleSweep, given: Mapping[str, object], numbers: range) -> list[TrialSpec]:
+    """Return the trials of an agent with these options, in each environment of the plan."""
+    named = RoleSweep(sweep.name, {**sweep.options, **given}, sweep.label)  # type: ignore[dict-item]
+    part = "/".join([sweep.label, *(f"{name}={plain(value)}" for name, value in given.items())])  # type: ignore[arg-type]
+    limits = (plan.episodes, plan.max_steps)
+    specs = []
+    for _, agent in named.expand():
+        for environment in plan.environments:
+            for environment_part, role in environment.expand():
+                for number in numbers:
+                    seed = trial_seed(plan.seed, str(number))
+                    name = TrialId.of(part, environment_part, number)
+                    specs.append(TrialSpec(name, agent, role, *limits, seed, plan.steps))
+    return specs
+
+
+def _shortened(spec: TrialSpec) -> TrialSpec:
+    return replace(spec, episodes=-(-spec.episodes // _RUNG), steps=-(-spec.steps // _RUNG))
+
+
+def _run(
+    store: Store, specs: Sequence[TrialSpec], run: Callable[[], None], say: Callable[[str], None]
+) -> None:
+    """Run trials that are not yet as long."""
+    known = {trial.spec.id: trial.spec for trial in store.trials()}
+    new = [
+        spec
+        for spec in specs
+        if (old := known.get(spec.id)) is None or (old.episodes, old.steps) < (spec.episodes, spec.steps)
+    ]
+    lengthen(store, new, say)
+    wanted = {spec.id for spec in specs}
+    if any(trial.trial_id in wanted for trial in remaining(store)):
+        run()
+
+
+def _score(store: Store, specs: Sequence[TrialSpec]) -> float:
+    """Return the interquartile mean over trials of their mean return near the end; -inf if one has failed.
+
+    Only episodes within the length of `specs` count, so that the score of a part is the same after the rest.
+    """
+    reached = []
+    failed = {trial.spec.id for trial in store.trials() if trial.failure is not None}
+    for spec in specs:
+        returns = store.returns(spec.id)
+        if spec.steps:
+            returns = returns[np.cumsum(store.measure(spec.id, "steps")) < spec.steps]
+        else:
+            returns = returns[: spec.episodes]
+        if spec.id in failed or not returns.size:
+            return -math.inf
+        reached.append(float(returns[-max(1, returns.size // _RUNG) :].mean()))
+    score = float(interquartile_mean(np.array(reached)))
+    return score if math.isfinite(score) else -math.inf

@@ -1,0 +1,88 @@
+"""The part of a plan that says which of the agent's own numbers are kept, and how many of them:
+
+metrics_every = 1000       # steps; 0: after each episode
+
+[metrics]                  # any other metric is kept as it is
+epsilon = 10               # every tenth value
+"mean TD error" = "mean 10"  # the mean of each ten values
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+from experiment_runner.plan.lines import PlanError
+
+__all__ = ["ALL", "Keep", "MetricsPlan", "parse_metrics"]
+
+_MOST: Final = 2**31
+
+
+class Keep(NamedTuple):
+    """The values of a metric that are kept: one of every so many, the last of them or their mean."""
+
+    every: int = 1
+    averaged: bool = False
+
+    def __str__(self) -> str:
+        return f"mean {self.every}" if self.averaged else str(self.every)
+
+
+ALL: Final = Keep()
+
+
+@dataclass(frozen=True, slots=True)
+class MetricsPlan:
+    """The recording of an agent's metrics.
+
+    Args:
+        every: steps from one reading to the next, over all episodes of a trial; 0 for one after each episode.
+        keep: the values that are kept of a metric, by its name; all of any other.
+    """
+
+    every: int = 0
+    keep: Mapping[str, Keep] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        when = f"every {self.every} steps" if self.every else "after each episode"
+        return ", ".join(["recorded " + when, *(f"{name} = {keep}" for name, keep in self.keep.items())])
+
+
+def parse_metrics(every: object, table: object) -> MetricsPlan | None:
+    """Return the recording of metrics that a plan asks for; None if it asks for none.
+
+    Args:
+        every: `metrics_every` of the plan; None without it.
+        table: `metrics` of the plan; None without it.
+
+    Raises:
+        PlanError: a value does not belong there.
+    """
+    if every is None and table is None:
+        return None
+    if every is None:
+        every = 0
+    if type(every) is not int or not 0 <= every < _MOST:
+        raise PlanError(
+            f"metrics_every is a number of steps, or 0 for each episode, not {every!r:.80}", "metrics_every"
+        )
+    if not isinstance(table, dict | None):
+        raise PlanError(
+            'metrics are written as a table, as in: [metrics], then "mean TD error" = "mean 10"', "metrics"
+        )
+    return MetricsPlan(every, {name: _keep(name, value) for name, value in (table or {}).items()})
+
+
+def _keep(name: str, value: object) -> Keep:
+    if type(value) is int and 0 < value < _MOST:
+        return Keep(value)
+    if isinstance(value, str) and (found := re.fullmatch(r"mean ([1-9][0-9]{0,8})", value)):
+        return Keep(int(found[1]), True)
+    raise PlanError(
+        f'metric {name!r:.80} takes a number N, which keeps every N-th value, or "mean N", not {value!r:.80}',
+        "metrics",
+        name,
+    )

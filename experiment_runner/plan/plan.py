@@ -1,0 +1,424 @@
+"""An experiment as data: agents, environments, a budget in episodes or in steps, trials, a seed.
+
+Every agent meets every environment, in every combination of the swept values, `trials` times. See
+`experiment_runner.plan.file` for its file format.
+
+A trial's id names its combination, as in `hierarchical/step_size=0.1/mario/level_difficulty=0/3`,
+and its seed is derived from the experiment's seed and the trial's number only. So all combinations meet the
+same seeds and can be compared in pairs, results do not depend on names, and a plan that is extended by an
+agent, a value or a trial keeps its existing trials.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final, Literal, get_args
+
+from experiment_runner.plan.ids import REMOTE, TrialId, label_of
+from experiment_runner.plan.lines import PlanError
+from experiment_runner.plan.metrics import MetricsPlan
+from experiment_runner.plan.tuning import Range, TunePlan
+from glue.errors import ConfigError, ExperimentError
+from glue.options import Value, parameters
+from glue.plugins.loading import file_in, located
+from glue.suggestions import did_you_mean
+from glue.wire.messages import Role
+
+__all__ = [
+    "BUDGETS",
+    "COUNTS",
+    "PLAYERS",
+    "ROLES",
+    "Plan",
+    "RoleSpec",
+    "RoleSweep",
+    "Seeds",
+    "TrialSpec",
+    "absolute",
+    "budget",
+    "check_options",
+    "class_files",
+    "describe",
+    "differences",
+    "length_of",
+    "plain",
+    "trial_seed",
+]
+
+COUNTS: Final = {  # a plan's numbers, with the range of each
+    "episodes": range(2**63),
+    "steps": range(2**63),
+    "max_steps": range(2**32),
+    "trials": range(1, 1_000_001),
+    "seed": range(2**63),
+}
+BUDGETS: Final = ("episodes", "steps")
+"""The lengths of a trial, of which a plan has one; the other is 0."""
+ROLES: Final = ("environments", "agents")
+PLAYERS: Final = {"agent": Role.AGENT, "env": Role.ENVIRONMENT}
+"""The players, as options and plans call them."""
+
+
+Seeds = Literal["number", "id"]
+"""The part of a trial from which its seed is derived, with the experiment's seed; `id` before 0.3.0."""
+
+
+@dataclass(frozen=True, slots=True)
+class RoleSpec:
+    """An agent or environment and its options, from which it can be constructed.
+
+    Args:
+        name: an entry point's name, `module:Class` or `path/file.py:Class`.
+        options: constructor options by name.
+        label: its name in tables and figures.
+    """
+
+    name: str
+    options: Mapping[str, Value] = field(default_factory=dict)
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "label", self.label or _default_label(self.name))
+
+
+@dataclass(frozen=True, slots=True)
+class RoleSweep:
+    """An agent or environment of a plan: a `RoleSpec`, except that a tuple of values is swept over.
+
+    Args:
+        name: as in `RoleSpec`.
+        options: values by name; a tuple of values is swept over.
+        label: of any characters; those that cannot be part of a trial's id are replaced.
+
+    Raises:
+        PlanError: a value cannot be part of a plan.
+    """
+
+    name: str
+    options: Mapping[str, Value | tuple[Value, ...]] = field(default_factory=dict)
+    label: str = ""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "label", label_of(self.label) if self.label else _default_label(self.name))
+        for option, value in self.options.items():
+            values = value if isinstance(value, tuple) else (value,)
+            if not values:
+                raise PlanError(f"option {option} of {self.label} has an empty list of values", option)
+            for one in values:
+                if not isinstance(one, (bool, int, float, str)):
+                    raise PlanError(
+                        f"option {option} of {self.label} takes a number, a string, true or false, "
+                        f"or a list of these, not {one!r}",
+                        option,
+                    )
+
+    def expand(self) -> list[tuple[str, RoleSpec]]:
+        """Return every combination of the swept values, each with its part of a trial's id."""
+        expanded = []
+        for values in itertools.product(*map(_as_tuple, self.options.values())):
+            options = dict(zip(self.options, values, strict=True))
+            swept = [f"{o}={plain(v)}" for o, v in options.items() if isinstance(self.options[o], tuple)]
+            expanded.append(("/".join([self.label, *swept]), RoleSpec(self.name, options, self.label)))
+        return expanded
+
+
+@dataclass(frozen=True, slots=True)
+class TrialSpec:
+    """One trial: everything that determines its results.
+
+    Args:
+        id: unique in its plan.
+        agent: None if it connects from outside.
+        environment: None if it connects from outside.
+        episodes: number of episodes, at least 1.
+        max_steps: the step limit of `Experiment.rl_episode`; 0 for none.
+        seed: random seed, 0 <= seed < 2**63.
+    """
+
+    id: TrialId
+    agent: RoleSpec | None
+    environment: RoleSpec | None
+    episodes: int
+    max_steps: int
+    seed: int
+    steps: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "id", TrialId(self.id))  # also from a database or another process
+
+    def finished_by(self, episodes: int, steps: int) -> bool:
+        """Whether a trial of so many episodes, with so many steps in all, is finished."""
+        return steps == self.steps if self.steps else episodes == self.episodes
+
+    def named(self, joined: Mapping[tuple[str, str], str]) -> str:
+        """Return the id with the names of players from outside, as in `Jumper/mines/0`.
+
+        Args:
+            joined: their names by trial and role.
+        """
+        agent = joined.get((self.id, "agent")) if self.agent is None else None
+        environment = joined.get((self.id, "environment")) if self.environment is None else None
+        return self.id.naming(agent, environment)
+
+    def step_limit(self, steps: int) -> int:
+        """Return the step limit of the next episode, 0 for none.
+
+        Args:
+            steps: number of steps in all episodes so far.
+        """
+        left = self.steps - steps if self.steps else 0
+        return min(self.max_steps, left) if self.max_steps and left else self.max_steps or left
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """An experiment; see the top of this module.
+
+    Args:
+        episodes: number in each trial; 0 if the trial has a budget of steps.
+        steps: budget of each trial, over all episodes; the last one is cut off. 0 if it has a number of
+            episodes.
+        max_steps: step limit of an episode, as in `TrialSpec`.
+        trials: of each combination, at least 1.
+        seed: of the experiment.
+        environments: swept; empty if the environment joins from outside.
+        agents: the same for the agent.
+        seeds: from which part of a trial its seed is derived.
+        inside: players that are objects in the process of a trial, of `PLAYERS`; it changes no result.
+        metrics: the agents' own numbers that are recorded; None for none.
+        tune: the search for the agents' options; None for none.
+
+    Raises:
+        PlanError: a number is out of range, or two agents or environments share a label.
+    """
+
+    episodes: int = 0
+    max_steps: int = 0
+    trials: int = 1
+    seed: int = 0
+    environments: tuple[RoleSweep, ...] = ()
+    agents: tuple[RoleSweep, ...] = ()
+    seeds: Seeds = "number"
+    inside: tuple[str, ...] = ()
+    steps: int = 0
+    metrics: MetricsPlan | None = None
+    tune: TunePlan | None = None
+
+    def __post_init__(self) -> None:
+        for name, allowed in COUNTS.items():
+            value = getattr(self, name)
+            if type(value) is not int or value not in allowed:
+                raise PlanError(
+                    f"{name} must be a whole number from {allowed[0]} to {allowed[-1]}, not {value!r}", name
+                )
+        if bool(self.episodes) == bool(self.steps):
+            raise PlanError(
+                "a trial ends after a number of episodes or of steps: a plan needs one of them, as in: "
+                "episodes = 1000"
+            )
+        if self.seeds not in get_args(Seeds):
+            raise PlanError(f"seeds must be 'number' or 'id', not {self.seeds!r}", "seeds")
+        for player in self.inside:
+            if player not in PLAYERS:
+                raise PlanError(f"inside lists any of {', '.join(PLAYERS)}, not {player!r}", "inside")
+        for role in ROLES:
+            labels = [sweep.label for sweep in getattr(self, role)]
+            for label in labels:
+                if labels.count(label) > 1:
+                    raise PlanError(f"two {role} are called {label}; label them apart", role, label)
+
+        if self.tune is not None:
+            labels = [sweep.label for sweep in self.agents]
+            for label in self.tune.space:
+                if label not in labels:
+                    near = did_you_mean(label, labels)
+                    raise PlanError(
+                        f"tune.agents.{label} is no agent of the plan{near}", "tune", "agents", label
+                    )
+
+    def expand(self) -> list[TrialSpec]:
+        """Return every trial; those of one combination follow each other.
+
+        Raises:
+            ExperimentError: two trials would have the same id, as when a value is listed twice.
+        """
+        specs = []
+        for (agent_part, agent), (environment_part, environment) in itertools.product(
+            _expand_role(self.agents), _expand_role(self.environments)
+        ):
+            for number in range(self.trials):
+                name = TrialId.of(agent_part, environment_part, number)
+                seed = trial_seed(self.seed, str(number) if self.seeds == "number" else name)
+                limits = (self.episodes, self.max_steps, seed, self.steps)
+                specs.append(TrialSpec(name, agent, environment, *limits))
+        seen = set()
+        for spec in specs:
+            if spec.id in seen:
+                raise ExperimentError(f"the plan has trial {spec.id} twice: is a value listed twice?")
+            seen.add(spec.id)
+        return specs
+
+
+def length_of(plan: Plan | TrialSpec) -> str:
+    """Return the length of a trial, as in `100 episodes` or `20,000 steps`."""
+    return f"{plan.steps:,} steps" if plan.steps else f"{plan.episodes:,} episodes"
+
+
+def budget(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the numbers of a plan that are given, with 0 for the budget that one of them replaces."""
+    ours = [name for name in BUDGETS if given.get(name)]
+    return {**given, **{name: 0 for name in BUDGETS if len(ours) == 1 and name not in ours}}
+
+
+def trial_seed(seed: int, trial: str) -> int:
+    """Return the seed of a trial, 0 <= seed < 2**63.
+
+    Args:
+        seed: of the experiment.
+        trial: the trial's number in decimal or, with seeds derived from it, its id.
+    """
+    digest = hashlib.sha256(trial.encode()).digest()
+    words = tuple(int.from_bytes(digest[i : i + 4], "little") for i in range(0, len(digest), 4))
+    import numpy as np  # here, so that the commands answer --help without it
+
+    state = np.random.SeedSequence(seed, spawn_key=words).generate_state(1, np.uint64)
+    return int(state[0]) >> 1
+
+
+def absolute(plan: Plan, folder: Path) -> Plan:
+    """Return the plan with every relative `path/file.py:Class` resolved against `folder`."""
+
+    def resolved(sweep: RoleSweep) -> RoleSweep:
+        return replace(sweep, name=located(sweep.name, folder))
+
+    return replace(
+        plan,
+        environments=tuple(map(resolved, plan.environments)),
+        agents=tuple(map(resolved, plan.agents)),
+    )
+
+
+def class_files(roles: Iterable[RoleSweep | RoleSpec | None]) -> list[str]:
+    """Return the files of the classes that are named as `path/file.py:Class`, without duplicates."""
+    files = [file_in(role.name) for role in roles if role is not None]
+    return list(dict.fromkeys(file for file in files if file))
+
+
+def check_options(plan: Plan, find: Callable[[str, str], type]) -> Plan:
+    """Return the plan with every option checked against its class; ints become floats where needed.
+
+    Args:
+        find: returns the class for a role ("agent" or "environment") and a name.
+
+    Raises:
+        ConfigError: raised by `find`.
+        PlanError: an option is unknown to its class or has an invalid value.
+    """
+    for sweep in plan.agents if plan.tune else ():
+        space = plan.tune.space.get(sweep.label, {}) if plan.tune else {}
+        ends = {name: (v.at(0), v.at(1)) if isinstance(v, Range) else v for name, v in space.items()}
+        where = ("tune", "agents", sweep.label)
+        _check_sweep(RoleSweep(sweep.name, ends, sweep.label), find("agent", sweep.name), where)
+    return replace(
+        plan,
+        environments=tuple(
+            _check_sweep(s, find("environment", s.name), ("environments", s.label)) for s in plan.environments
+        ),
+        agents=tuple(_check_sweep(s, find("agent", s.name), ("agents", s.label)) for s in plan.agents),
+    )
+
+
+def differences(ours: Plan, theirs: Plan) -> list[str]:
+    """Return the differences of `theirs` from `ours`, one line for each."""
+    found = [
+        f"{name} is {getattr(theirs, name)}, not {getattr(ours, name)}"
+        for name in COUNTS
+        if getattr(ours, name) != getattr(theirs, name)
+    ]
+    if ours.tune != theirs.tune:
+        found.append("tune differs")
+    if ours.metrics != theirs.metrics:
+        found.append(f"metrics are {theirs.metrics or 'not recorded'}, not {ours.metrics or 'not recorded'}")
+    for role in ROLES:
+        our_sweeps, their_sweeps = ({s.label: s for s in getattr(plan, role)} for plan in (ours, theirs))
+        found += [f"{role} lack {label}" for label in our_sweeps if label not in their_sweeps]
+        found += [f"{role} include {label}" for label in their_sweeps if label not in our_sweeps]
+        for label, our in our_sweeps.items():
+            their = their_sweeps.get(label, our)
+            if our.name != their.name:
+                found.append(f"{label} is {their.name}, not {our.name}")
+            for option in sorted(our.options.keys() | their.options.keys()):
+                if our.options.get(option) != their.options.get(option):
+                    was, became = (_shown(sweep.options, option) for sweep in (our, their))
+                    found.append(f"{option} of {label} is {became}, not {was}")
+    return found
+
+
+def describe(plan: Plan) -> str:
+    """Return a summary of a plan for people, with a line for each trial."""
+    specs = plan.expand()
+    cutoff = f"cut off after {plan.max_steps} steps" if plan.max_steps else "without a step limit"
+    length = f"{length_of(plan)}{', episodes' if plan.steps else ''} {cutoff}"
+    lines = [
+        f"{len(specs)} trials of {length}; seed {plan.seed}"
+        + (", and each trial's id" if plan.seeds == "id" else ""),
+        f"agents        {_describe_roles(plan.agents)}",
+        f"environments  {_describe_roles(plan.environments)}",
+        "",
+    ]
+    width = max(len(spec.id) for spec in specs)
+    lines += [f"{spec.id:<{width}}  seed {spec.seed}" for spec in specs]
+    return "\n".join(lines)
+
+
+def _describe_roles(sweeps: Sequence[RoleSweep]) -> str:
+    described = []
+    for sweep in sweeps:
+        name = sweep.label if sweep.label == sweep.name else f"{sweep.label} ({sweep.name})"
+        described.append(" ".join([name, *(f"{o}={_shown(sweep.options, o)}" for o in sweep.options)]))
+    return "; ".join(described) or "connects from outside"
+
+
+def _expand_role(sweeps: Sequence[RoleSweep]) -> list[tuple[str, RoleSpec | None]]:
+    if not sweeps:
+        return [(REMOTE, None)]
+    return [(part, spec) for sweep in sweeps for part, spec in sweep.expand()]
+
+
+def _check_sweep(sweep: RoleSweep, factory: type, where: Sequence[str]) -> RoleSweep:
+    """Return `sweep` with its options checked; `where` are the keys of its table in a plan."""
+    known = parameters(factory)
+    options: dict[str, Value | tuple[Value, ...]] = {}
+    for name, value in sweep.options.items():
+        if name not in known:
+            near = did_you_mean(name, known)
+            raise PlanError(f"{sweep.label} has no option {name}{near}", *where, name)
+        check = known[name].check
+        try:
+            options[name] = tuple(map(check, value)) if isinstance(value, tuple) else check(value)
+        except ConfigError as error:
+            raise PlanError(f"{sweep.label}: {error}", *where, name) from None
+    return replace(sweep, options=options)
+
+
+def _default_label(name: str) -> str:
+    return label_of(name.rpartition(":")[2])
+
+
+def _as_tuple(value: Value | tuple[Value, ...]) -> tuple[Value, ...]:
+    return value if isinstance(value, tuple) else (value,)
+
+
+def _shown(options: Mapping[str, Value | tuple[Value, ...]], name: str) -> str:
+    if name not in options:
+        return "the default"
+    return ",".join(plain(value) for value in _as_tuple(options[name]))
+
+
+def plain(value: Value) -> str:
+    """Return an option's value as it is written in ids and in TOML."""
+    return str(value).lower() if isinstance(value, bool) else str(value)

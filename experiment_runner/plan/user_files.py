@@ -1,0 +1,88 @@
+"""The user's files that a run loads: its classes, the modules that they import, files that options name.
+
+Installed packages are known by their version, and this program by its commit, see `provenance`. A module that
+is imported only while an episode runs is not found.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import sysconfig
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import glue
+from experiment_runner.plan.plan import RoleSpec, RoleSweep, class_files
+from glue.plugins.loading import PACKAGES
+
+__all__ = ["UserFile", "changed_files", "user_files"]
+
+_LOADED_BEFORE: Final = frozenset(sys.modules)
+_MAX_COPY: Final = 2**24
+"""Maximum size in bytes of a file of which a run keeps a copy."""
+
+
+class UserFile(NamedTuple):
+    """A file of the user's.
+
+    sha256   digest of its contents, in hexadecimal
+    content  its contents; None if it is too large for a copy
+    """
+
+    sha256: str
+    content: bytes | None
+
+
+def user_files(players: Sequence[RoleSpec | RoleSweep]) -> dict[str, UserFile]:
+    """Return the user's files that players load, by absolute path. Their classes must have been found.
+
+    Raises:
+        OSError: a file cannot be read.
+    """
+    paths = {Path(file).resolve() for file in class_files(players)}
+    return {str(path): _read(path) for path in sorted({*paths, *_modules(), *_named_by_options(players)})}
+
+
+def changed_files(recorded: Mapping[str, str], present: Mapping[str, UserFile]) -> list[str]:
+    """Return the paths of the files that differ from those recorded, given by path and SHA-256."""
+    return [path for path, sha256 in recorded.items() if path in present and present[path].sha256 != sha256]
+
+
+def _modules() -> Iterator[Path]:
+    libraries = {Path(folder).resolve() for folder in sysconfig.get_paths().values()}
+    ours = {Path(glue.__file__).resolve().parents[1] / name for name in PACKAGES}
+    for name, module in list(sys.modules.items()):
+        file = getattr(module, "__file__", None)
+        if name in _LOADED_BEFORE or name == "__main__" or not isinstance(file, str):
+            continue
+        path = Path(file).resolve()
+        installed = {"site-packages", "dist-packages"}.intersection(path.parts)
+        own = path.suffix == ".py" and not installed and not (libraries | ours).intersection(path.parents)
+        if own and path.is_file():  # torch's modules that exist in memory only name files that do not exist
+            yield path
+
+
+def _named_by_options(players: Sequence[RoleSpec | RoleSweep]) -> Iterator[Path]:
+    for player in players:
+        for value in player.options.values():
+            for one in value if isinstance(value, tuple) else (value,):
+                if isinstance(one, str) and _is_file(one):
+                    yield Path(one).resolve()
+
+
+def _is_file(name: str) -> bool:
+    try:
+        return Path(name).is_file()
+    except (OSError, ValueError):  # too long for a name, or with a null character
+        return False
+
+
+def _read(path: Path) -> UserFile:
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        if file.tell() > _MAX_COPY:
+            return UserFile(digest, None)
+        file.seek(0)
+        return UserFile(digest, file.read())

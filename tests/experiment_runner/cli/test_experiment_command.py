@@ -1,0 +1,457 @@
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner, Result
+
+from experiment_runner.cli.experiment import experiment
+from experiment_runner.plan.file import load_plan
+from experiment_runner.report.overview import as_text
+from experiment_runner.store.results import Results
+from experiment_runner.store.store import Store
+from glue.errors import ConfigError, ExperimentError, HubUnreachable
+from tests.system.runs import contents
+from tests.terminal import run_anew
+
+PLAN = """episodes = 3
+max_steps = 20
+trials = 2
+
+[environments.mines]
+
+[agents.sarsa]
+step_size = [0.1, 0.5]
+"""
+UNSEEDED = """import random
+
+import numpy as np
+from agents.baselines import RandomAgent as Mine
+from glue.types import Observation
+
+class Maze:
+    def env_init(self):
+        return ("VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (0 9) "
+                "ACTIONS INTS (0 3) REWARDS (-1 0) EXTRA")
+    def env_start(self):
+        return Observation(ints=[random.randrange(10)])
+    def env_step(self, action):
+        return -1.0, Observation(ints=[random.randrange(10)]), bool(np.random.random() < 0.1)
+    def env_cleanup(self):
+        pass
+    def env_message(self, message):
+        return ""
+"""
+STOPPING = """from agents.baselines import RandomAgent
+
+class Mine(RandomAgent):
+    def agent_step(self, reward, observation):
+        breakpoint()
+"""
+OBSERVED = """from pathlib import Path
+
+from agents.baselines import RandomAgent
+from glue.client.observer import observe
+
+class Mine(RandomAgent):
+    def agent_end(self, reward):
+        pass
+
+    def agent_init(self, task_spec):
+        with observe(f"ipc://{Path('hub').absolute()}", wait=5):
+            Path("seen").touch()
+        super().agent_init(task_spec)
+"""
+MINES = ("--env", "mines", "--agent", "random", "--max-steps", "9", "--in-process")
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("plan.toml").write_text(PLAN)
+
+
+def invoke(*arguments: str) -> Result:
+    return CliRunner().invoke(experiment, arguments, standalone_mode=False)
+
+
+def invoke_anew(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the command in a process that has imported no other class of the name."""
+    return run_anew("glue-experiment", *arguments, "--in-process", cwd=Path.cwd())
+
+
+def refused(*arguments: str) -> str:
+    """Return the message of a command that fails and creates nothing."""
+    result = invoke(*arguments)
+    assert isinstance(result.exception, ConfigError | ExperimentError | click.ClickException), result
+    assert not Path("runs").exists()
+    return str(result.exception)
+
+
+def test_plan_runs_and_is_kept_with_the_results() -> None:
+    result = invoke("--plan", "plan.toml", "--in-process", "--out", "run")
+    assert (result.exception, result.return_value) == (None, 0)
+    assert load_plan(Path("run/plan.toml")) == load_plan(Path("plan.toml"))
+    lines = result.stdout.splitlines()
+    assert [line.split()[:2] for line in lines[1:5]] == [
+        [f"sarsa/step_size={size}/mines/{number}", "3/3"] for size in (0.1, 0.5) for number in (0, 1)
+    ]
+    assert lines[-1].endswith(" s; results in run")
+
+
+def test_finished_run_says_so_and_is_extended_or_replaced() -> None:
+    run = ("--episodes", "2", *MINES, "--out", "run")
+    assert "already finished" not in invoke(*run).stderr
+    again = invoke(*run)
+    assert again.return_value == 0
+    assert "run is already finished on 2" in again.stderr
+    assert "nothing was run" in again.stderr
+    before = contents(Path("run"))
+    assert "episodes is 3, not 2" in invoke("--resume", "run", "--episodes", "3", "--in-process").stderr
+    extended = contents(Path("run"))
+    assert extended["random/mines/0"][0][:2] == before["random/mines/0"][0]
+    assert len(extended["random/mines/0"][0]) == 3
+    assert invoke(*run, "--again").return_value == 0
+    assert contents(Path("run")) == before
+    Path("run/mine.txt").write_text("not the run's")
+    assert isinstance(invoke(*run, "--again").exception, ExperimentError)
+    assert contents(Path("run")) == before
+
+
+def test_run_begun_with_an_older_version_of_a_file_is_not_continued() -> None:
+    Path("constants.py").write_text("SPEED = 1")
+    Path("mine.py").write_text("import constants\nfrom agents.baselines import RandomAgent as Mine")
+    run = ("--env", "mines", "--agent", "mine.py:Mine", "--episodes", "1", "--max-steps", "9", "--out", "run")
+    started = [invoke_anew(*run)]
+    Path("constants.py").write_text("SPEED = 2")
+    started += [invoke_anew(*run), invoke_anew("--resume", "run", "--trust"), invoke_anew(*run, "--again")]
+    assert [one.returncode for one in started] == [0, 1, 1, 0]
+    for one in started[1:3]:
+        assert f"{Path('constants.py').absolute()} has changed since" in one.stderr
+        assert "--again" in one.stderr
+
+
+def test_help_fits_on_a_screen_and_all_options_are_in_its_longer_form() -> None:
+    runner = CliRunner(env={"COLUMNS": "80"})
+    common = runner.invoke(experiment, ["--help"]).output
+    everything = runner.invoke(experiment, ["--help-all"]).output
+    assert len(common.splitlines()) <= 40
+    flags = {option.opts[-1] for option in experiment.params}
+    assert flags == {line.split()[0] for line in everything.splitlines() if line.startswith("  --")} - {
+        "--help"
+    }
+    assert {"--env", "--episodes", "--plan"} <= {word for word in common.split() if word in flags}
+
+
+def test_breakpoint_in_a_process_of_its_own_says_where_it_works() -> None:
+    Path("mine.py").write_text(STOPPING)
+    run = ("--env", "mines", "--agent", "mine.py:Mine", "--episodes", "1", "--max-steps", "9")
+    result = invoke(*run)
+    assert result.return_value == 1
+    assert "--in-process" in result.output
+
+
+def test_bind_serves_observers_if_no_player_is_expected() -> None:
+    Path("mine.py").write_text(OBSERVED)
+    run = ("--env", "mines", "--agent", "mine.py:Mine", "--episodes", "1", "--max-steps", "9")
+    address = f"ipc://{Path('hub').absolute()}"
+    result = invoke(*run, "--bind", address)
+    assert result.return_value == 0, result.output
+    assert Path("seen").exists()
+
+
+def test_player_that_takes_no_seed_is_repeatable_from_the_global_generators_and_named_once() -> None:
+    Path("mine.py").write_text(UNSEEDED)
+    run = ("--env", "mine.py:Maze", "--agent", "mine.py:Mine", "--episodes", "3", "--max-steps", "50")
+    ways = {"inside": ("--in-process",), "again": ("--in-process",), "processes": ()}
+    ways["beside the hub"] = ("--inside", "env")
+    done = {name: invoke(*run, *way, "--out", name) for name, way in ways.items()}
+    episodes = {}
+    for name, result in done.items():
+        assert result.return_value == 0, result.output
+        assert result.stderr.count("the environment Maze has no env_seed") == 1
+        assert "the agent Mine has no" not in result.stderr
+        with Results.open(Path(name)) as results:
+            episodes[name] = results.measure("Mine/Maze/0", "steps").tolist()
+            assert as_text([results]).count("the environment Maze has no env_seed") == 1
+    assert all(steps == episodes["inside"] for steps in episodes.values())
+    assert len(set(episodes["inside"])) > 1
+
+
+UNSEEDED_OUTSIDE = """import sys
+
+from agents.baselines import SkeletonAgent
+from glue import serve_agent
+
+class Chance(SkeletonAgent):
+    agent_seed = None
+
+serve_agent(Chance(), sys.argv[1])
+"""
+
+
+def test_player_from_outside_that_takes_no_seed_is_named_once() -> None:
+    Path("chance.py").write_text(UNSEEDED_OUTSIDE)
+    hub = f"ipc://{Path('hub').absolute()}"
+    outside = subprocess.Popen([sys.executable, "chance.py", hub])
+    try:
+        run = ("--env", "skeleton", "--episodes", "2", "--max-steps", "9", "--bind", hub, "--out", "run")
+        result = invoke(*run)
+    finally:
+        outside.kill()
+        outside.wait()
+    assert result.return_value == 0, result.output
+    named = re.findall("the agent Chance.* takes no seed", result.stderr)
+    assert len(named) == 1
+    with Results.open(Path("run")) as results:
+        assert as_text([results]).count(named[0]) == 1
+
+
+@pytest.mark.parametrize("agent", ["agents.tabular:SarsaAgent", "mine.py:Mine"])
+def test_names_and_places_of_players_change_nothing(agent: str) -> None:
+    Path("mine.py").write_text("from agents.tabular import SarsaAgent\nclass Mine(SarsaAgent): pass")
+    run = ("--env", "mines", "--episodes", "3", "--max-steps", "30", "--trials", "2", "--seed", "7")
+    invoke(*run, "--agent", "sarsa", "--in-process", "--out", "named")
+    places = (("env",), ("agent",), ("agent", "env"))
+    ways = {"-".join(place): [f"--inside={player}" for player in place] for place in places}
+    for name, way in {"inside": ["--in-process"], "processes": [], **ways}.items():
+        assert invoke(*run, "--agent", agent, *way, "--out", name).return_value == 0
+        for ours, theirs in zip(contents(Path("named")).values(), contents(Path(name)).values(), strict=True):
+            assert ours[0] == theirs[0]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [b'{"files": NaN}', b"[]", b"[" * 200_000, b"\xff", b'{"files": %s}' % (b"9" * 5000), b'{"merged": 3}'],
+)
+def test_run_whose_provenance_is_hostile_is_resumed_or_refused_in_one_line(text: bytes) -> None:
+    folder = os.fsdecode(b"not-utf-8-\xff")
+    invoke("--episodes", "1", *MINES, "--out", folder)
+    Path(folder, "run.json").write_bytes(text)
+    result = invoke("--resume", folder, "--in-process")
+    assert isinstance(result.exception, ExperimentError | None), result.exception
+    assert "\n" not in str(result.exception)
+
+
+def test_counts_on_the_command_line_go_before_the_plans() -> None:
+    counts = ("--episodes", "1", "--trials", "1", "--seed", "9", "--max-steps", "5")
+    assert invoke("--plan", "plan.toml", *counts, "--in-process", "--out", "run").return_value == 0
+    plan = load_plan(Path("run/plan.toml"))
+    assert (plan.episodes, plan.trials, plan.seed, plan.max_steps) == (1, 1, 9, 5)
+    assert plan.agents == load_plan(Path("plan.toml")).agents
+
+
+def test_dry_run_shows_the_trials_and_makes_nothing() -> None:
+    result = invoke("--plan", "plan.toml", "--trials", "1", "--dry-run")
+    assert result.return_value == 0
+    assert result.stdout.startswith("2 trials of 3 episodes cut off after 20 steps; seed 0\n")
+    assert "sarsa/step_size=0.5/mines/0  seed " in result.stdout
+    assert [path.name for path in Path.cwd().iterdir()] == ["plan.toml"]
+
+
+def test_same_command_goes_on_and_a_finished_run_stays_as_it_is() -> None:
+    command = (*MINES, "--episodes", "4", "--json", "--out", "run")
+    first = invoke(*command).stdout.splitlines()
+    again = invoke(*command).stdout.splitlines()
+    assert len(first) == 5
+    assert len(again) == 1
+    summaries = [json.loads(lines[-1]) for lines in (first, again)]
+    for summary in summaries:
+        del summary["seconds"]
+    assert summaries[0] == summaries[1]
+    assert (summaries[0]["episodes"], summaries[0]["failed_trials"], summaries[0]["out"]) == (4, 0, "run")
+
+
+def test_resume_goes_on_with_whatever_the_plan_was() -> None:
+    invoke("--plan", "plan.toml", "--in-process", "--out", "run")
+    assert invoke("--resume", "run", "--in-process").return_value == 0
+    with Results.open(Path("run")) as results:
+        assert [event.kind for event in results.events()] == ["start", "finish", "resume"]
+
+
+def test_directory_without_a_name_is_made_in_runs() -> None:
+    for _ in range(3):
+        assert invoke(*MINES, "--episodes", "1").return_value == 0
+    assert invoke("--plan", "plan.toml", "--in-process").return_value == 0
+    names = sorted(path.name.split("-", 2)[2] for path in Path("runs").iterdir())
+    assert names[0] == "plan"
+    assert len(names) == 4
+    assert all(name.startswith("random-mines") for name in names[1:])
+
+
+def test_failed_trial_makes_the_exit_code_and_is_explained() -> None:
+    Path("bad.py").write_text(
+        "from agents.baselines import RandomAgent\n"
+        "class Bad(RandomAgent):\n"
+        "    def agent_start(self, observation):\n"
+        "        raise ValueError('a mistake')\n"
+    )
+    result = invoke(
+        "--env", "mines", "--agent", "bad.py:Bad", "--episodes", "2", "--in-process", "--out", "r"
+    )
+    assert result.return_value == 1
+    assert "Bad/mines/0" in result.stdout
+    # The only trial: its error is shown when it fails, and not again below the table.
+    assert result.stderr.count("agent Bad raised in agent_start: ValueError: a mistake") == 1
+    assert "a mistake" not in result.stdout
+    assert "raise ValueError('a mistake')" in result.stderr  # their own line, in its traceback
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "--episodes or --steps, or a --plan, or a run to --resume"),
+        (("--plan", "plan.toml", "--env", "mines"), "leave out --agent and --env"),
+        (("--plan", "plan.toml", "--agent-option", "step_size=0.2"), "below [agents.NAME]"),
+        ((*MINES, "--episodes", "3", "--engine", "ray", "--address", f"h:{'9' * 5000}"), "HOST:PORT"),
+        (("--episodes", "3", "--env", "mines", "--bind", f"tcp://h:{'9' * 5000}"), "address of a hub"),
+        (("--episodes", "3", "--env", "mines", "--legacy-port", "9" * 5000), "PORT"),
+        (("--plan", "nowhere.toml"), "cannot read the plan nowhere.toml"),
+        (("--resume", "nowhere"), "nowhere holds no run"),
+        (("--resume", "run", "--out", "other"), "leave out --plan, --out"),
+        (("--resume", "run", "--seed", "3"), "leave out --plan, --out"),
+        (("--episodes", "3", "--agent-option", "a=1"), "--agent-option needs --agent NAME"),
+        (("--episodes", "3", "--in-process", "--env", "mines"), "--agent NAME is missing"),
+        (("--episodes", "3", "--workers", "2", "--agent", "random"), "--env NAME is missing"),
+        (
+            (*MINES, "--episodes", "3", "--workers", "2", "--hub", "tcp://h:1"),
+            "own hub",
+        ),
+        ((*MINES, "--episodes", "3", "--address", "h:1"), "--engine ray"),
+        (
+            ("--episodes", "3", "--hub", "tcp://h:1", "--bind", "ipc://x"),
+            "--bind is for a hub that the experiment starts",
+        ),
+        ((*MINES, "--episodes", "3", "--legacy-port", "4096"), "with --in-process there is no hub"),
+        ((*MINES[:-1], "--episodes", "3", "--inside", "env", "--hub", "tcp://h:1"), "leave out --hub"),
+        (("--agent", "random", "--episodes", "3", "--inside", "env"), "--env NAME is missing"),
+        (("--episodes", "0"), "0 is not in the range"),
+    ],
+)
+def test_invalid_command_is_refused(arguments: tuple[str, ...], message: str) -> None:
+    assert message in refused(*arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--hub", "ipc:///nowhere/hub", "--wait", "0.1"), "no hub has answered"),
+        (("--hub", "tcp://nowhere.invalid:4097"), "cannot find the host 'nowhere.invalid'"),
+        (("--hub", "tcp://127.0.0.1:4097", "--key", "nobody", "--hub-key", "nobody"), "no file nobody"),
+    ],
+    ids=["silent", "unknown", "key"],
+)
+def test_run_whose_hub_cannot_be_joined_leaves_nothing_behind(
+    arguments: tuple[str, ...], message: str
+) -> None:
+    result = invoke("--episodes", "3", *arguments, "--out", "run", "--record", "run/it.traj")
+    assert message in str(result.exception)
+    assert not Path("run").exists()
+    Path("mine").mkdir()
+    invoke("--episodes", "3", *arguments, "--out", "mine")
+    invoke("--episodes", "3", *arguments)
+    assert sorted(map(str, Path().rglob("*"))) == ["mine", "plan.toml", "runs"]
+
+
+def test_run_whose_hub_is_gone_stays_as_it_is() -> None:
+    assert invoke(*MINES, "--episodes", "1", "--out", "run").return_value == 0
+    with Store.open(Path("run")) as store:
+        store.rewind(store.trials()[0].spec.id, 0)
+    with Results.open(Path("run")) as results:
+        before = results.trials()
+    result = invoke("--resume", "run", "--hub", "ipc:///nowhere/hub", "--wait", "0.1")
+    assert isinstance(result.exception, HubUnreachable)
+    assert "nothing is lost: continue with --resume run" in result.stderr
+    with Results.open(Path("run")) as results:
+        assert results.trials() == before
+
+
+@pytest.mark.parametrize(
+    ("plan", "message"),
+    [
+        (
+            "episodes = 3\ntrials =\nseed = 1",
+            "plan.toml: this is not TOML: Invalid value (at line 2, column 9)",
+        ),
+        ("episodes = 0", "plan.toml: a trial ends after a number of episodes or of steps"),
+        ("episodes = 1\n[agents.sarsa]\nstep_size = [0.1, 7]", "sarsa: option step_size must be from 0 to 1"),
+        ("episodes = 1\n[agents.sarsa]\nstep_size = [0.5, 0.5]", "sarsa/step_size=0.5/remote/0 twice"),
+    ],
+)
+def test_mistake_in_a_plan_is_one_of_the_command(plan: str, message: str) -> None:
+    Path("plan.toml").write_text(plan)
+    result = invoke("--plan", "plan.toml")
+    assert isinstance(result.exception, ConfigError)  # which makes the exit code 2
+    assert message in str(result.exception)
+    assert not Path("runs").exists()
+
+
+LAZY = """from agents.baselines import RandomAgent
+class Lazy(RandomAgent):
+    pass
+"""
+
+
+def test_class_in_a_file_is_found_from_another_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Path("exp").mkdir()
+    Path("exp/lazy.py").write_text(LAZY)
+    Path("exp/plan.toml").write_text(
+        'episodes = 2\n[environments.mines]\n[agents.mine]\nclass = "lazy.py:Lazy"\n'
+    )
+    assert (
+        invoke("--plan", "exp/plan.toml", "--in-process", "--max-steps", "9", "--out", "run").return_value
+        == 0
+    )
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    result = invoke("--resume", "../run", "--in-process", "--trust")
+    assert (result.exception, result.return_value) == (None, 0)
+
+
+def test_resume_runs_code_that_the_run_names_only_if_it_is_trusted() -> None:
+    Path("lazy.py").write_text(LAZY)
+    command = ("--env", "mines", "--agent", "lazy.py:Lazy", "--max-steps", "9", "--episodes", "2")
+    assert invoke(*command, "--in-process", "--out", "run").return_value == 0
+    Path("lazy.py").write_text("raise SystemExit('this was run')")
+    result = invoke("--resume", "run", "--in-process")
+    assert isinstance(result.exception, ConfigError)
+    assert str(Path("lazy.py").absolute()) in str(result.exception)
+    assert "--trust" in str(result.exception)
+
+
+def test_finished_trial_that_an_earlier_version_left_as_failed_is_mended_by_resume() -> None:
+    assert invoke(*MINES, "--episodes", "2", "--out", "run").return_value == 0
+    with Store.open(Path("run")) as store:
+        store.record_failure("random/mines/0", "agent RandomAgent raised in agent_cleanup")
+    assert invoke("--resume", "run", "--in-process").return_value == 0
+
+
+def test_resume_reports_what_is_repeated() -> None:
+    assert invoke(*MINES, "--episodes", "6", "--checkpoint-every", "2", "--out", "run").return_value == 0
+    with Store.open(Path("run")) as store:
+        found = store.checkpoint("random/mines/0")
+        assert found is not None
+        episodes = store.episodes("random/mines/0")
+        store.rewind("random/mines/0", 3)
+        store.record("random/mines/0", episodes[3], found[1])
+        store.record("random/mines/0", episodes[4])
+    result = invoke("--resume", "run", "--in-process")
+    assert "random/mines/0 continues after episode 4; 1 recorded episode is run again" in result.stderr
+
+
+def test_empty_file_of_a_recording_that_failed_is_replaced_and_nothing_else_is() -> None:
+    Path("empty.traj").touch()
+    Path("mine.traj").write_text("mine")
+    command = (*MINES, "--episodes", "1", "--record")
+    assert invoke(*command, "empty.traj").return_value == 0
+    assert Path("empty.traj").stat().st_size > 0
+    assert "exists already" in str(invoke(*command, "mine.traj").exception)
+    assert Path("mine.traj").read_text() == "mine"

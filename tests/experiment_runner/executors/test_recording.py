@@ -1,0 +1,398 @@
+"""Recordings of experiments: what is in them, and that glue-replay finds it so."""
+
+from __future__ import annotations
+
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+from click.testing import CliRunner, Result
+
+from agents.baselines import RandomAgent
+from agents.tabular import SarsaAgent
+from env_server.replay.episodes import build_environment, open_recording, replayed_moments
+from env_server.toys import MinesEnvironment
+from experiment_runner.cli.experiment import experiment
+from experiment_runner.executors.job import Ended, Job, Report, run_job
+from experiment_runner.executors.recording import Recorder, recorded
+from experiment_runner.executors.trial import BEGINNING, Start, run_trial
+from experiment_runner.meeting.players import BOTH, Meeting
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
+from experiment_runner.store.results import Results
+from glue.engine.experiment import Experiment
+from glue.engine.local import LocalExperiment, local
+from glue.errors import ConfigError, PeerLost
+from glue.roles import Agent, Environment
+from glue.trajectory import Ending, Episode, TrajectoryError, TrajectoryReader, TrajectoryWriter
+from glue.types import Observation
+from glue.wire.messages import Kind
+from tests import forked
+from tests.system.runs import contents, start, wait_until
+
+MINES: Final = RoleSpec("mines", {"random_start": True})
+SPEC: Final = TrialSpec(TrialId("sarsa/mines/0"), RoleSpec("sarsa"), MINES, episodes=25, max_steps=40, seed=5)
+PLAYERS: Final = {  # environment, agent, step limit that cuts off some episodes
+    "mines": ("sarsa", 30),
+    "skeleton": ("skeleton", 80),
+    "mario": ("sample", 120),
+}
+COMMAND: Final = ("--env", "mines", "--agent", "random", "--max-steps", "9", "--in-process")
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def invoke(*arguments: object) -> Result:
+    return CliRunner().invoke(experiment, list(map(str, arguments)), standalone_mode=False)
+
+
+def replay(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """Run glue-replay in a process of its own."""
+    return forked.run("glue-replay", *map(str, arguments), cwd=Path())
+
+
+def episodes(path: Path) -> list[Episode]:
+    return list(TrajectoryReader(path))
+
+
+def counting(path: Path) -> list[Episode]:
+    """Return the episodes of a recording that count, having compared all of them with the environment."""
+    found = episodes(path)
+    moments = list(replayed_moments(open_recording(path), build_environment))
+    assert len(moments) == sum(1 + len(episode.steps) for episode in found)
+    return [episode for episode in found if episode.ending is not Ending.VOID]
+
+
+def numbers(found: list[Episode]) -> list[tuple[float, int, bool]]:
+    """Return the return, steps and end of each episode, as the results of an experiment have them."""
+    return [
+        (
+            episode.episode_return,
+            1 + sum(not step.terminal for step in episode.steps),
+            episode.ending is Ending.TERMINAL,
+        )
+        for episode in found
+    ]
+
+
+def in_results(directory: Path) -> list[tuple[float, int, bool]]:
+    with Results.open(directory) as results:
+        [trial] = results.trials()
+        return [(e.episode_return, e.steps, e.terminal) for e in results.episodes(trial.spec.id)]
+
+
+@pytest.mark.parametrize("how", [("--in-process",), ()], ids=["one process", "three processes"])
+@pytest.mark.parametrize("name", PLAYERS)
+def test_recorded_run_has_the_usual_results_and_replays(name: str, how: tuple[str, ...]) -> None:
+    agent, max_steps = PLAYERS[name]
+    command = ("--env", name, "--agent", agent, "--episodes", "6", "--max-steps", max_steps, "--seed", "3")
+    assert invoke(*command, "--in-process", "--out", "usual").return_value == 0
+    assert invoke(*command, *how, "--out", "run", "--record", "run.traj").return_value == 0
+    assert contents(Path("run")) == contents(Path("usual"))
+    found = counting(Path("run.traj"))
+    assert numbers(found) == in_results(Path("run"))
+    assert {episode.ending for episode in found} == {Ending.CUTOFF, Ending.TERMINAL}
+    [run] = {id(episode.run): episode.run for episode in found}.values()
+    assert (run.environment, dict(run.options), run.state) == (name, {}, b"")
+
+
+@pytest.mark.parametrize("max_steps", [0, 1, 2])
+def test_step_limits_are_those_of_an_episode(max_steps: int) -> None:
+    command = ("--env", "skeleton", "--agent", "skeleton", "--in-process", "--max-steps", max_steps)
+    assert invoke(*command, "--episodes", "2", "--out", "usual").return_value == 0
+    assert invoke(*command, "--episodes", "2", "--out", "run", "--record", "run.traj").return_value == 0
+    assert contents(Path("run")) == contents(Path("usual"))
+    assert numbers(counting(Path("run.traj"))) == in_results(Path("run"))
+
+
+def test_replay_compares_all_of_it_and_finds_one_changed_byte() -> None:
+    command = ("--env", "mario", "--env-option", "level_seed=7", "--agent", "random", "--in-process")
+    invoke(*command, "--episodes", "3", "--max-steps", "30", "--record", "run.traj")
+    steps = sum(len(episode.steps) for episode in episodes(Path("run.traj")))
+    done = replay("--check", "run.traj")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout == f"run.traj: 1 run, 3 episodes, {steps} steps: no difference\n"
+    with TrajectoryWriter("changed.traj") as changed:
+        for number, episode in enumerate(episodes(Path("run.traj"))):
+            if number == 0:
+                assert episode.run.options == {"level_seed": 7}
+                changed.run(episode.run)
+            assert episode.start is not None
+            changed.start(episode.start)
+            for at, step in enumerate(episode.steps, 1):
+                assert step.observation is not None
+                body = bytearray(step.observation.body)
+                body[-1] ^= (number, at) == (1, 17)
+                changed.step(
+                    step.action, step.reward, Observation.from_body(bytes(body)), terminal=step.terminal
+                )
+    done = replay("--check", "changed.traj")
+    assert done.returncode == 1
+    assert done.stderr.startswith("Error: changed.traj: episode 2, step 17: char 351 (row 15, column 21)")
+
+
+def test_environment_that_joins_from_outside_is_recorded_without_a_name() -> None:
+    words = [
+        sys.executable,
+        "-m",
+        "env_server.cli.environment",
+        "mines",
+        "--random-start",
+        "--hub",
+        "ipc://meeting",
+    ]
+    with subprocess.Popen([*words, "--quiet"]) as environment:
+        command = ("--agent", "sarsa", "--episodes", "5", "--bind", "ipc://meeting", "--record", "run.traj")
+        try:
+            assert invoke(*command, "--out", "run").return_value == 0
+            assert environment.wait(60) == 0
+        finally:
+            environment.kill()
+    assert numbers(episodes(Path("run.traj"))) == in_results(Path("run"))
+    done = replay("--check", "run.traj")
+    assert done.returncode == 2
+    assert "name it with --env" in done.stderr
+    assert replay("--check", "--env", "mines", "--env-option", "random_start=on", "run.traj").returncode == 0
+
+
+# What was lost, and what goes on
+
+
+class Kept:
+    """Keeps what a trial hands over."""
+
+    def __init__(self) -> None:
+        self.results: list[EpisodeResult] = []
+        self.checkpoints: dict[int, Checkpoint] = {}
+        self.voids: list[int] = []
+
+    def record(
+        self,
+        result: EpisodeResult,
+        checkpoint: Checkpoint | None,
+        answers: tuple[Answer, ...],
+        metrics: object,
+    ) -> None:
+        self.results.append(result)
+        if checkpoint is not None:
+            self.checkpoints[result.episode] = checkpoint
+
+    def void(self, episode: int, why: str) -> None:
+        self.voids.append(episode)
+
+    def event(self, kind: str, text: str) -> None: ...
+
+    def say(self, line: str) -> None: ...
+
+    @property
+    def numbers(self) -> list[tuple[float, int, bool]]:
+        return [(result.episode_return, result.steps, result.terminal) for result in self.results]
+
+
+class LosesAgents(Experiment):
+    """Loses its agent at chosen calls, counted from 1, when the environment has done its part of them."""
+
+    def __init__(
+        self, losses: Mapping[Kind, set[int]], agent: Callable[[], Agent], environment: Environment
+    ) -> None:
+        self._losses = losses
+        self._agent = agent
+        self._environment = environment
+        self._counts: dict[Kind, int] = {}
+        self._task_spec = ""
+        self._players: LocalExperiment = local(agent(), environment)
+
+    def _call(self, kind: Kind, scalars: tuple[Any, ...] = (), body: Any = None) -> tuple[Any, Any]:
+        self._counts[kind] = self._counts.get(kind, 0) + 1
+        reply = self._players._call(kind, scalars, body)
+        if kind is Kind.RL_INIT:
+            self._task_spec = reply[1]
+        if self._counts[kind] in self._losses.get(kind, ()):
+            newcomer = self._agent()
+            newcomer.agent_init(self._task_spec)
+            self._players = local(newcomer, self._environment)
+            raise PeerLost("the agent was lost")
+        return reply
+
+
+def run_recorded(
+    path: str, glue: Experiment, start: Start = BEGINNING, every: int = 10, spec: TrialSpec = SPEC
+) -> Kept:
+    kept = Kept()
+    with recorded(Path(path)) as writer:
+        assert writer is not None
+        recorder = Recorder(writer, spec, glue)
+        run_trial(glue, spec, kept, start=start, checkpoint_every=every, recorder=recorder)
+    return kept
+
+
+def mines() -> MinesEnvironment:
+    return MinesEnvironment(random_start=True)
+
+
+def contents_of(found: list[Episode]) -> list[tuple[Any, ...]]:
+    return [(episode.start, episode.steps, episode.ending) for episode in found]
+
+
+@pytest.mark.parametrize(
+    ("losses", "runs", "states"),
+    [
+        ({Kind.RL_STEP: {2}}, 2, [False]),  # the very first episode
+        ({Kind.RL_STEP: {40}}, 2, [True]),  # before the first checkpoint
+        ({Kind.RL_STEP: {150}}, 2, [True]),
+        ({Kind.RL_STEP: {100, 200, 230}}, 4, [True] * 3),
+        ({Kind.RL_START: {12}}, 2, [True]),  # right after a checkpoint
+    ],
+)
+def test_episodes_that_count_are_recorded_once_each_whatever_is_lost(
+    losses: dict[Kind, set[int]], runs: int, states: list[bool]
+) -> None:
+    whole = run_recorded("whole.traj", local(SarsaAgent(), mines()))
+    kept = run_recorded("run.traj", LosesAgents(losses, SarsaAgent, mines()))
+    assert kept.numbers == whole.numbers
+    found = counting(Path("run.traj"))
+    assert contents_of(found) == contents_of(counting(Path("whole.traj")))
+    assert numbers(found) == kept.numbers
+    begun = list({id(e.run): e.run for e in episodes(Path("run.traj"))}.values())
+    assert len(begun) == runs
+    assert [bool(run.state) for run in begun[1:]] == states
+    voids = [e for e in episodes(Path("run.traj")) if e.ending is Ending.VOID]
+    assert (
+        len(voids)
+        == len(losses.get(Kind.RL_STEP, ()))
+        == len(kept.voids) - len(losses.get(Kind.RL_START, ()))
+    )
+
+
+class Forgetful(RandomAgent):
+    """Cannot be saved."""
+
+    agent_save = agent_load = None  # type: ignore[assignment]
+
+
+def test_environment_goes_on_in_the_recording_when_an_agent_is_replaced() -> None:
+    kept = run_recorded(
+        "run.traj", LosesAgents({Kind.RL_STEP: {100}, Kind.RL_START: {20}}, Forgetful, mines())
+    )
+    assert numbers(counting(Path("run.traj"))) == kept.numbers
+    assert len(kept.voids) == 2
+
+
+class Unsaved(MinesEnvironment):
+    """Cannot be saved."""
+
+    env_save = env_load = None  # type: ignore[assignment]
+
+
+def test_recording_of_an_environment_that_cannot_be_saved_has_no_state_after_a_loss() -> None:
+    kept = run_recorded("run.traj", LosesAgents({Kind.RL_STEP: {100}}, SarsaAgent, Unsaved()))
+    found = episodes(Path("run.traj"))
+    assert [episode.ending for episode in found].count(Ending.VOID) == 1
+    assert numbers([e for e in found if e.ending is not Ending.VOID]) == kept.numbers
+    assert {episode.run.state for episode in found} == {b""}
+
+
+def test_trial_that_goes_on_is_recorded_from_its_checkpoint() -> None:
+    whole = run_recorded("whole.traj", local(SarsaAgent(), mines()))
+    start = Start(10, whole.checkpoints[10])
+    kept = run_recorded("rest.traj", local(SarsaAgent(), mines()), start)
+    rest = counting(Path("rest.traj"))
+    assert contents_of(rest) == contents_of(episodes(Path("whole.traj"))[10:])
+    assert numbers(rest) == kept.numbers
+    assert rest[0].run.state == whole.checkpoints[10].environment
+
+
+@pytest.mark.slow
+def test_killed_recording_holds_every_episode_of_the_results_and_the_rest_goes_to_another(
+    tmp_path: Path,
+) -> None:
+    arguments = ("--env", "mines", "--agent", "sarsa", "--episodes", "1500", "--in-process", "--out", "run")
+    begun = start(*arguments, "--checkpoint-every", "20", "--record", "a.traj", cwd=tmp_path)
+    wait_until(lambda: Path("run/plan.toml").exists() and len(done()) > 50, "fifty episodes")
+    begun.send_signal(signal.SIGKILL)
+    begun.communicate()
+    before = done()
+    assert len(before) < 1500
+    first = numbers(counting(Path("a.traj")))
+    assert first[: len(before)] == before
+    again = invoke(*arguments, "--record", "a.traj")
+    assert isinstance(again.exception, TrajectoryError)
+    assert "a.traj exists already" in str(again.exception)
+    assert invoke("--resume", "run", "--in-process", "--record", "b.traj").return_value == 0
+    second = numbers(counting(Path("b.traj")))
+    assert second == in_results(Path("run"))[-len(second) :]
+    assert 1500 - len(before) <= len(second) < 1500 - len(before) + 20
+
+
+def done() -> list[tuple[float, int, bool]]:
+    """Return the episodes in the results so far."""
+    try:
+        return in_results(Path("run"))
+    except Exception:
+        return []
+
+
+# What cannot be recorded
+
+
+@pytest.mark.parametrize(
+    ("arguments", "kind", "message"),
+    [
+        (("--trials", "2"), ConfigError, "a single trial, and the plan has 2"),
+        (("--workers", "2"), ConfigError, "leave out --workers"),
+        (("--engine", "ray"), ConfigError, "leave out --workers and --engine"),
+        (("--record", "nowhere/a.traj"), TrajectoryError, "cannot write nowhere/a.traj: No such file"),
+        (("--record", "old.traj"), TrajectoryError, "old.traj exists already"),
+    ],
+)
+def test_what_cannot_be_recorded_is_said_before_anything_is_made(
+    arguments: tuple[str, ...], kind: type[Exception], message: str
+) -> None:
+    Path("old.traj").write_text("an older one")
+    result = invoke(*COMMAND, "--episodes", "3", "--record", "new.traj", *arguments)
+    assert isinstance(result.exception, kind)
+    assert message in str(result.exception)
+    assert [path.name for path in Path.cwd().iterdir()] == ["old.traj"]
+    assert Path("old.traj").read_text() == "an older one"
+
+
+def test_run_that_cannot_begin_leaves_no_recording() -> None:
+    assert invoke(*COMMAND, "--episodes", "3", "--out", "run").return_value == 0
+    result = invoke(*COMMAND, "--episodes", "2", "--out", "run", "--record", "new.traj")
+    assert "is the run of another plan" in str(result.exception)
+    assert not Path("new.traj").exists()
+
+
+def test_finished_run_leaves_no_recording_and_says_so() -> None:
+    assert invoke(*COMMAND, "--episodes", "3", "--out", "run").return_value == 0
+    result = invoke("--resume", "run", "--in-process", "--record", "new.traj")
+    assert result.return_value == 0
+    assert "new.traj was not written" in result.stderr
+    assert not Path("new.traj").exists()
+
+
+def test_full_disk_fails_the_trial_in_one_line_and_leaves_what_was_stored(
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    spec = TrialSpec(TrialId("random/mines/0"), RoleSpec("random"), RoleSpec("mines"), 500, 0, seed=1)
+    reports: list[Report] = []
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4_000, hard))
+    try:
+        with recorded(Path("run.traj")) as recording:
+            run_job(Job(spec, Meeting(inside=BOTH)), reports.append, recording=recording)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert reports[-1] == Ended("cannot write run.traj: File too large")
+    assert "Traceback" not in capfd.readouterr().err
+    found = counting(Path("run.traj"))
+    assert 0 < len(found) <= len(reports)

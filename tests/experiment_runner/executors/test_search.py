@@ -1,0 +1,155 @@
+"""The search for an agent's options: the same choice after interruptions, and results with other seeds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiment_runner.analysis.stats import interquartile_mean
+from experiment_runner.executors.run import RunConfig
+from experiment_runner.executors.samplers import Configuration, Score, sampler_of
+from experiment_runner.executors.search import RESULT, SEARCH, tune
+from experiment_runner.meeting.players import BOTH, Meeting
+from experiment_runner.plan.file import dump_plan, parse_plan
+from experiment_runner.plan.plan import Plan
+from experiment_runner.plan.tuning import Range, Space, TunePlan
+from experiment_runner.store.records import TUNED
+from experiment_runner.store.results import Results
+from glue.errors import ExperimentError
+from tests.experiment_runner.executors.test_run import Silent
+from tests.system.runs import contents
+
+PLAN = parse_plan("""
+episodes = 8
+max_steps = 150
+
+[tune]
+configurations = 6
+trials = 2
+final = 3
+
+[tune.agents.sarsa]
+step_size = {low = 0.01, high = 1.0, log = true}
+epsilon = [0.05, 0.5]
+
+[environments.mines]
+random_start = true
+
+[agents.sarsa]
+learning = true
+
+[agents.random]
+""")
+CONFIG = RunConfig(Meeting(inside=BOTH), checkpoint_every=3)
+
+
+def searching(**changes: object) -> Plan:
+    assert PLAN.tune is not None
+    return replace(PLAN, tune=replace(PLAN.tune, **changes))  # type: ignore[arg-type]
+
+
+def chosen(directory: Path) -> dict[str, list[dict[str, object]]]:
+    """Return the options of each trial of the result, by agent."""
+    found: dict[str, list[dict[str, object]]] = {}
+    with Results.open(directory / RESULT) as results:
+        for trial in results.trials():
+            assert trial.finished
+            assert trial.spec.agent is not None
+            found.setdefault(trial.spec.agent.label, []).append(dict(trial.spec.agent.options))
+    return found
+
+
+def test_a_plan_with_a_search_is_read_as_it_is_written() -> None:
+    assert parse_plan(dump_plan(PLAN)) == PLAN
+    assert parse_plan(dump_plan(searching(sampler="grid", prune=True))) == searching(
+        sampler="grid", prune=True
+    )
+
+
+@pytest.mark.parametrize(
+    ("line", "near"),
+    [
+        ('sampler = "randon"', "random"),
+        ("trails = 3", "trials"),
+        ("trials = 0", "trials"),
+        ("[tune.agents.sarsas]\nstep_size = [0.1]", "sarsa"),
+        ("[tune.agents.sarsa]\nstep_size = {low = 1.0, high = 0.1}", "greater"),
+        ("[tune.agents.sarsa]\nstep_size = {low = 0.0, high = 0.1, log = true}", "above 0"),
+        ("[tune.agents.sarsa]\nstep_size = {lo = 0.1, high = 0.2}", "low"),
+        ("[tune.agents.sarsa]\nstep_size = 3", "range"),
+    ],
+)
+def test_a_wrong_search_is_refused_with_the_near_miss(line: str, near: str) -> None:
+    with pytest.raises(ExperimentError, match=near):
+        parse_plan(f"episodes = 3\n[agents.sarsa]\n[tune]\n{line}\n")
+
+
+@pytest.mark.parametrize("prune", [False, True])
+def test_the_best_configuration_runs_again_with_other_seeds(tmp_path: Path, prune: bool) -> None:
+    result, failed = tune(tmp_path, searching(prune=prune), CONFIG, Silent())
+    assert (result, failed) == (tmp_path / RESULT, 0)
+    options = chosen(tmp_path)
+    assert {label: len(trials) for label, trials in options.items()} == {"sarsa": 3, "random": 3}
+    with Results.open(tmp_path / SEARCH) as search, Results.open(result) as results:
+        scores: dict[str, list[float]] = {}
+        for trial in search.trials():
+            assert trial.spec.agent is not None
+            if trial.done == 8:
+                key = str(dict(trial.spec.agent.options))
+                scores.setdefault(key, []).append(search.returns(trial.spec.id)[-2:].mean())
+        assert len(scores) < 6 if prune else len(scores) == 6
+        best = max(scores, key=lambda key: float(interquartile_mean(np.array(scores[key]))))
+        assert {str(one) for one in options["sarsa"]} == {best}
+        seeds = [{trial.spec.seed for trial in run.trials()} for run in (search, results)]
+        assert not seeds[0] & seeds[1]
+        (event,) = [event for event in results.events() if event.kind == TUNED]
+        assert "6 configurations" in event.text
+
+
+@pytest.mark.parametrize("budget", [{}, {"episodes": 0, "steps": 301}])
+@pytest.mark.parametrize("sampler", ["random", "grid", "optuna"])
+def test_an_interrupted_search_comes_to_the_same_choice(
+    tmp_path: Path, sampler: str, budget: dict[str, int]
+) -> None:
+    plan = replace(searching(sampler=sampler, prune=True, configurations=5), **budget)  # type: ignore[arg-type]
+    tune(tmp_path / "whole", plan, CONFIG, Silent())
+    interrupted = 0
+    for after in (3, 11, 5, 29, 0):
+        try:
+            tune(tmp_path / "again", plan, CONFIG, Silent(after))
+        except KeyboardInterrupt:
+            interrupted += 1
+    assert interrupted >= 3
+    assert chosen(tmp_path / "again") == chosen(tmp_path / "whole")
+    for part in (SEARCH, RESULT):
+        assert contents(tmp_path / "again" / part) == contents(tmp_path / "whole" / part)
+
+
+def test_another_plan_does_not_continue_a_search(tmp_path: Path) -> None:
+    tune(tmp_path, searching(configurations=1), CONFIG, Silent())
+    with pytest.raises(ExperimentError):
+        tune(tmp_path, searching(configurations=2), CONFIG, Silent())
+
+
+@pytest.mark.parametrize("sampler", ["random", "grid", "optuna"])
+def test_values_are_within_their_ranges(sampler: str) -> None:
+    space: Space = {
+        "rate": Range(1e-4, 1.0, log=True),
+        "size": Range(1, 64, log=True, integer=True),
+        "kind": ("a", "b"),
+    }
+    search = TunePlan({"agent": space}, sampler, configurations=60)
+    asking = sampler_of(search, space, seed=3)
+    found: list[Configuration] = []
+    while len(found) < 40 and (batch := asking.ask(60 - len(found))):
+        asking.tell([Score(float(one["rate"]), False) for one in batch])
+        found += batch
+    rates = np.array([one["rate"] for one in found], float)
+    assert rates.min() >= 1e-4
+    assert rates.max() <= 1.0
+    assert np.median(rates) < 0.2 or sampler == "optuna"
+    assert {type(one["size"]) for one in found} == {int}
+    assert {one["kind"] for one in found} == {"a", "b"}

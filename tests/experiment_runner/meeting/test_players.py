@@ -1,0 +1,161 @@
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+import threading
+from pathlib import Path
+
+import pytest
+
+from agents.baselines import SkeletonAgent
+from env_server.toys import MinesEnvironment, SkeletonEnvironment
+from experiment_runner.meeting.players import BOTH, HubOptions, Meeting, open_experiment
+from experiment_runner.meeting.rewards import FiniteRewards
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from glue.client.players import serve_agent, serve_environment
+from glue.errors import GlueError, PeerFailed, PeerLost, Refused
+from glue.hub.config import LegacyPort
+from glue.types import Action, Observation, Step
+
+
+class Heard(Exception):
+    """The hint was given."""
+
+
+@pytest.mark.parametrize(
+    ("bind", "shown"),
+    [
+        ("tcp://0.0.0.0:*", "tcp://HOST:"),
+        ("tcp://*:*", "tcp://HOST:"),
+        ("tcp://127.0.0.1:*", "tcp://127.0.0.1:"),
+    ],
+)
+def test_hint_has_an_address_at_which_others_can_join(bind: str, shown: str) -> None:
+    def say(line: str) -> None:
+        if line.startswith("waiting for an agent"):
+            raise Heard(line)
+
+    spec = TrialSpec(TrialId("remote/mines/0"), None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
+    meeting = Meeting(hub=HubOptions(bind=(bind,), insecure=True))
+    hint = rf"(?m)glue-agent hierarchical --hub {shown}\d+$"
+    with pytest.raises(Heard, match=hint), open_experiment(spec, meeting, say, lambda: 0):
+        raise AssertionError("nobody was missing")
+
+
+def test_hint_names_the_port_at_which_an_original_program_of_the_session_can_join() -> None:
+    def say(line: str) -> None:
+        if line.startswith("waiting for an agent"):
+            raise Heard(line)
+
+    spec = TrialSpec(TrialId("remote/mines/0"), None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
+    ports = (LegacyPort(0), LegacyPort(0, "b"))
+    meeting = Meeting(hub=HubOptions(bind=("tcp://127.0.0.1:*",), session="b", legacy=ports))
+    hint = r"(?m)--session b; or an original one on 127\.0\.0\.1:\d+$"
+    with pytest.raises(Heard, match=hint), open_experiment(spec, meeting, say, lambda: 0):
+        raise AssertionError("nobody was missing")
+
+
+def test_stranger_cannot_take_the_seat_of_a_player_that_is_named() -> None:
+    """Nor is the experiment kept from starting it."""
+    hub: list[str] = []
+
+    def say(line: str) -> None:
+        if found := re.search(r"glue-agent hierarchical --hub (\S+)", line):
+            hub.append(found[1])
+            with pytest.raises(Refused):
+                serve_environment(MinesEnvironment(), found[1], log=lambda line: None)
+            raise Heard
+
+    spec = TrialSpec(TrialId("remote/mines/0"), None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
+    meeting = Meeting(hub=HubOptions(bind=("tcp://127.0.0.1:*",)))
+    with pytest.raises(Heard), open_experiment(spec, meeting, say, lambda: 0):
+        raise AssertionError("nobody was missing")
+    assert hub
+
+
+REWARDS = '''
+from env_server.toys import SkeletonEnvironment
+
+
+class Odd(SkeletonEnvironment):
+    """Its third reward is not finite."""
+
+    def __init__(self, *, reward: str = "") -> None:
+        super().__init__()
+        self.steps, self.reward = 0, reward
+
+    def env_step(self, action):
+        self.steps += 1
+        reward, observation, terminal, *_ = super().env_step(action)
+        return (float(self.reward) if self.steps == 3 else reward), observation, terminal
+'''
+
+
+def test_reward_that_is_not_finite_is_noticed_in_a_list_too() -> None:
+    class Lists(SkeletonEnvironment):
+        def env_step(self, action: Action) -> Step:
+            return [math.nan, Observation(ints=[1]), False]  # type: ignore[return-value]
+
+    with pytest.raises(GlueError, match="step 1 is nan"):
+        FiniteRewards(Lists()).env_step(Action(ints=[1]))
+
+
+@pytest.mark.parametrize("in_process", [True, False])
+@pytest.mark.parametrize("reward", [math.nan, math.inf, -math.inf])
+def test_reward_that_is_not_finite_ends_the_trial_with_environment_and_step(
+    tmp_path: Path, in_process: bool, reward: float
+) -> None:
+    (tmp_path / "odd.py").write_text(REWARDS)
+    environment = RoleSpec(f"{tmp_path}/odd.py:Odd", {"reward": str(reward)})
+    spec = TrialSpec(
+        TrialId("skeleton/Odd/0"), RoleSpec("skeleton"), environment, episodes=1, max_steps=0, seed=1
+    )
+    for any_reward in (False, True):
+        meeting = Meeting(BOTH if in_process else frozenset(), any_reward=any_reward)
+        with open_experiment(spec, meeting, lambda line: None, lambda: 0) as glue:
+            glue.rl_init(1)
+            if any_reward:
+                glue.rl_episode(10)
+                assert not math.isfinite(glue.rl_return())
+            else:
+                with pytest.raises(PeerFailed, match=f"Odd.* step 3 is {reward}"):
+                    glue.rl_episode(10)
+
+
+class Stopped(Exception):
+    """The trial need not go on."""
+
+
+def test_hint_is_given_again_when_a_player_from_outside_is_lost() -> None:
+    """The line comes again, since a terminal has scrolled by then."""
+    hints: list[str] = []
+    leaves = threading.Event()
+
+    def say(line: str) -> None:
+        if found := re.search(r"waiting for an agent; .* --hub (\S+)$", line):
+            hints.append(line)
+            if len(hints) == 1:
+                threading.Thread(target=leave_after_a_step, args=(found[1],), daemon=True).start()
+
+    class Leaving(SkeletonAgent):
+        def agent_start(self, observation: Observation) -> Action:
+            leaves.set()
+            raise KeyboardInterrupt
+
+    def leave_after_a_step(url: str) -> None:
+        with contextlib.suppress(KeyboardInterrupt):
+            serve_agent(Leaving(), url, log=lambda line: None)
+
+    spec = TrialSpec(
+        TrialId("remote/skeleton/0"), None, RoleSpec("skeleton"), episodes=1, max_steps=9, seed=1
+    )
+    meeting = Meeting(hub=HubOptions(bind=("tcp://127.0.0.1:*",)))
+    with open_experiment(spec, meeting, say, lambda: 0) as glue:
+        glue.rl_init(1)
+        with pytest.raises(PeerLost):
+            glue.rl_episode(9)
+        assert leaves.is_set()
+    assert len(hints) == 2
+    assert hints[0] == hints[1]

@@ -1,0 +1,302 @@
+from __future__ import annotations
+
+import textwrap
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import experiment_runner.plan.file as plan_file
+from experiment_runner.cli.planning import make_plan
+from experiment_runner.plan.file import dump_plan, load_plan, parse_plan
+from experiment_runner.plan.lines import PlanError
+from experiment_runner.plan.plan import (
+    PLAYERS,
+    Plan,
+    RoleSpec,
+    RoleSweep,
+    check_options,
+    describe,
+    differences,
+)
+from glue.errors import ConfigError, ExperimentError
+from glue.options import Option
+
+SMALL = """
+episodes = 20
+trials = 2
+seed = 7
+
+[environments.mario]
+level_seed = [121, 122]
+
+[agents.random]
+
+[agents.textbook]
+class = "tiles"
+terminal_update = true
+"""
+
+
+class Learner:
+    def __init__(
+        self,
+        *,
+        step_size: Annotated[float, Option("how far to move", low=0, high=1)] = 0.3,
+        terminal_update: bool = False,
+    ) -> None: ...
+
+
+def find(role: str, name: str) -> type:
+    if (role, name) == ("agent", "learner"):
+        return Learner
+    raise ConfigError(f"no {role} is called {name}")
+
+
+def test_plan_of_the_manual_expands_to_every_combination() -> None:
+    manual = textwrap.dedent((plan_file.__doc__ or "").split("files:\n")[1].split("\nThe heading")[0])
+    specs = parse_plan(manual).expand()
+    assert len(specs) == (1 + 2 + 1) * 2 * 10
+    assert "hierarchical/step_size=0.1/mario/level_difficulty=0/3" in [spec.id for spec in specs]
+    textbook = next(spec for spec in specs if spec.id.startswith("textbook/"))
+    assert textbook.agent == RoleSpec("tiles", {"terminal_update": True}, "textbook")
+    assert textbook.environment == RoleSpec("mario", {"level_seed": 121, "level_difficulty": 0}, "mario")
+    assert (textbook.episodes, textbook.max_steps) == (5000, 0)
+
+
+def test_trials_of_one_combination_stand_together() -> None:
+    assert [spec.id for spec in parse_plan(SMALL).expand()] == [
+        "random/mario/level_seed=121/0",
+        "random/mario/level_seed=121/1",
+        "random/mario/level_seed=122/0",
+        "random/mario/level_seed=122/1",
+        "textbook/mario/level_seed=121/0",
+        "textbook/mario/level_seed=121/1",
+        "textbook/mario/level_seed=122/0",
+        "textbook/mario/level_seed=122/1",
+    ]
+
+
+def test_role_left_out_connects_from_outside() -> None:
+    (spec,) = Plan(episodes=1).expand()
+    assert (spec.id, spec.agent, spec.environment) == ("remote/remote/0", None, None)
+
+
+def test_seeds_never_change() -> None:
+    # Results published with a seed must come out again: these numbers are for ever.
+    old = Plan(1, 0, 2, 1, (RoleSweep("mario"),), (RoleSweep("random"),))
+    assert [spec.seed for spec in replace(old, seeds="id").expand()] == [
+        5791283649594944414,
+        1853160605154404608,
+    ]
+    assert [spec.seed for spec in old.expand()] == [23895184530532179, 7247361678685053421]
+
+
+def test_seed_depends_on_the_number_of_the_trial_only() -> None:
+    specs = replace(parse_plan(SMALL), trials=3).expand()
+    seeds = {spec.id.number: spec.seed for spec in specs}
+    assert [spec.seed for spec in specs] == [seeds[spec.id.number] for spec in specs]
+    assert len(set(seeds.values())) == 3
+    remote = replace(parse_plan(SMALL), agents=(), environments=())
+    assert [spec.seed for spec in remote.expand()] == [seeds[0], seeds[1]]
+
+
+def test_plan_of_an_older_run_keeps_the_derivation_of_its_seeds() -> None:
+    old = parse_plan(SMALL, "id")
+    assert old.seeds == "id"
+    assert parse_plan(dump_plan(old)) == old
+    assert len({spec.seed for spec in old.expand()}) == 8
+
+
+@pytest.mark.parametrize(
+    ("name", "label"),
+    [
+        ("mine/my_agent.py:MyAgent", "MyAgent"),
+        ("gymnasium:env_server.gym:glue/InfiniteMario-v0", "glue-InfiniteMario-v0"),
+        ("ALE/Pong-v5", "ALE-Pong-v5"),
+        ("a b (c)", "a-b-c"),
+        ("größe", "größe"),
+        ("/", "-"),
+    ],
+)
+def test_any_name_makes_a_label(name: str, label: str) -> None:
+    (spec,) = Plan(episodes=1, agents=(RoleSweep(name),)).expand()
+    assert spec.agent == RoleSpec(name, {}, label)
+    assert spec.id == f"{label}/remote/0"
+
+
+names = st.text("abcdefgh_+-.0123456789", min_size=1, max_size=8)
+values = st.one_of(
+    st.booleans(),
+    st.integers(-(2**63), 2**63 - 1),
+    st.floats(allow_nan=False),
+    st.text(st.characters(exclude_categories=["Cs"]), max_size=8),
+)
+sweeps = st.builds(
+    RoleSweep,
+    name=names.map(lambda name: f"package.module:{name}"),
+    options=st.dictionaries(
+        st.text("abcdefgh_ \"'\n\x7fé", max_size=5),
+        st.one_of(values, st.lists(values, min_size=1, max_size=3).map(tuple)),
+        max_size=3,
+    ),
+    label=names,
+)
+roles = st.lists(sweeps, max_size=3, unique_by=lambda sweep: sweep.label).map(tuple)
+
+
+inside = st.lists(st.sampled_from([*PLAYERS]), unique=True).map(tuple)
+
+
+@given(st.builds(Plan, episodes=st.integers(1, 2**63 - 1), environments=roles, agents=roles, inside=inside))
+def test_dumped_plan_reads_back_equal(plan: Plan) -> None:
+    back = parse_plan(dump_plan(plan))
+    assert back == plan
+    assert dump_plan(back) == dump_plan(plan)  # true, 1 and 1.0 are equal, but not the same option
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("episodes = 1\ntrials: 2", "not TOML: .*line 2"),
+        ("episodes = 1\nx = " + "[" * 100_000, "nested too deeply"),
+        (f"episodes = 1\n[agents{'.a' * 50_000}]", "nested too deeply"),
+        (f"episodes = {'9' * 5_000}", "not TOML"),
+        ("trials = 3", "number of episodes"),
+        ("episodes = 5\nepisode = 5", "no 'episode'; did you mean episodes"),
+        ("episodes = 5\nlevel = 5", "no 'level'; choose from episodes, steps, max_steps, trials, seed"),
+        ("episodes = 0", "a plan needs one of them"),
+        ('episodes = "many"', "episodes must be a whole number .*'many'"),
+        ("episodes = true", "episodes must be a whole number .*True"),
+        ("episodes = 5\nmax_steps = 4294967296", "max_steps must be .* from 0 to 4294967295"),
+        ("episodes = 5\nseed = -1", "seed must be .* from 0"),
+        ('episodes = 5\nagents = "random"', r"agents are written as tables, as in: \[agents.NAME\]"),
+        ('episodes = 5\n[agents]\nname = "random"', r"agents.name is written as a table"),
+        ("episodes = 5\n[agents.a]\nclass = 3", "class of agents.a names one class, not 3"),
+        ("episodes = 5\n[agents.a]\nspeed = []", "option speed of a has an empty list"),
+        ("episodes = 5\n[agents.a]\nspeed = [[1]]", "option speed of a takes a number"),
+        ("episodes = 5\n[agents.a]\nspeed = 2020-01-01", "option speed of a takes a number"),
+        ('episodes = 5\nseeds = "name"', "seeds must be 'number' or 'id', not 'name'"),
+        ('episodes = 5\ninside = "env"', 'as in: inside = \\["env"\\]'),
+        ('episodes = 5\ninside = ["mines"]', "inside lists any of agent, env, not 'mines'"),
+        ('episodes = 5\n[agents."x:A"]\n[agents."y:A"]', "two agents are called A"),
+    ],
+)
+def test_faulty_plan_is_refused_with_the_fault(text: str, message: str) -> None:
+    with pytest.raises(ExperimentError, match=message):
+        parse_plan(text)
+
+
+def test_value_listed_twice_is_refused() -> None:
+    with pytest.raises(ExperimentError, match="random/x=1/remote/0 twice"):
+        parse_plan("episodes = 1\n[agents.random]\nx = [1, 1]").expand()
+
+
+def test_load_names_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    with pytest.raises(ExperimentError, match=r"plan.toml: No such file"):
+        load_plan(path)
+    path.write_bytes(b"\xff")
+    with pytest.raises(ExperimentError, match=r"plan.toml: it is not UTF-8"):
+        load_plan(path)
+    path.write_text("episode = 3")
+    with pytest.raises(ExperimentError, match=r"plan.toml, line 1: a plan has no 'episode'"):
+        load_plan(path)
+    path.write_text(SMALL)
+    assert load_plan(path) == parse_plan(SMALL)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "line"),
+    [
+        ("episode = 3", 2),
+        ("episodes = -3", 2),
+        ('seeds = "none"', 2),
+        ('inside = ["hub"]', 2),
+        ("metrics_every = -1", 2),
+        ("[metrics]\n'mean TD error' = 'last'", 3),
+        ("[agents.sarsa]\nepsilon = 0.1\nstep_size = []", 4),
+        ("[agents.sarsa]\nclass = 3", 3),
+        ("[tune]\ntrials = 0\n[tune.agents.sarsa]\nstep_size = [0.1]", 3),
+        ("[tune.agents.sarsa]\nstep_size = {low = 2, high = 1}", 3),
+        ("[tune.agents.sarsa]\nstep_size = {low = 1, hihg = 2}", 3),
+        ("[agents.sarsa]\n[tune.agents.srasa]\nstep_size = [0.1]", 3),
+    ],
+)
+def test_error_names_the_line(tmp_path: Path, wrong: str, line: int) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text(f"{'trials' if wrong.startswith('episode') else 'episodes'} = 3\n{wrong}\n")
+
+    with pytest.raises(ExperimentError, match=f"^{path}, line {line}: "):
+        load_plan(path)
+
+
+def test_wrong_option_of_a_plan_names_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text("episodes = 3\n\n[agents.mine]\nclass = 'sarsa'\nstepsize = 0.1\n")
+
+    with pytest.raises(
+        ConfigError, match=rf"^{path}, line 5: mine has no option stepsize; did you mean step_size"
+    ):
+        make_plan(path, {}, {})
+
+
+def test_options_are_checked_and_widened() -> None:
+    plan = Plan(episodes=1, agents=(RoleSweep("learner", {"step_size": (0, 0.5)}),))
+    checked = check_options(plan, find)
+    assert [spec.id for spec in checked.expand()] == [
+        "learner/step_size=0.0/remote/0",
+        "learner/step_size=0.5/remote/0",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("sweep", "message"),
+    [
+        (RoleSweep("lerner"), "no agent is called lerner"),
+        (RoleSweep("learner", {"stepsize": 0.1}), "learner has no option stepsize; did you mean step_size"),
+        (RoleSweep("learner", {"step_size": (0.1, 2)}), "step_size must be from 0 to 1, not 2"),
+        (RoleSweep("learner", {"terminal_update": 1}), "terminal_update takes true or false, not 1"),
+    ],
+)
+def test_wrong_option_is_refused(sweep: RoleSweep, message: str) -> None:
+    with pytest.raises((ConfigError, PlanError), match=message):
+        check_options(Plan(episodes=1, agents=(sweep,)), find)
+
+
+def test_differences_say_what_differs() -> None:
+    ours = parse_plan(SMALL)
+    theirs = Plan(
+        episodes=30,
+        trials=2,
+        seed=7,
+        environments=(RoleSweep("mario", {"level_seed": (121, 123)}),),
+        agents=(RoleSweep("flat", {"terminal_update": True, "x": 1}, "textbook"), RoleSweep("sample")),
+    )
+    assert differences(ours, ours) == []
+    assert differences(ours, theirs) == [
+        "episodes is 30, not 20",
+        "level_seed of mario is 121,123, not 121,122",
+        "agents lack random",
+        "agents include sample",
+        "textbook is flat, not tiles",
+        "x of textbook is 1, not the default",
+    ]
+
+
+def test_description_lists_every_trial_with_its_seed() -> None:
+    plan = parse_plan(SMALL)
+    lines = describe(plan).splitlines()
+    assert lines[:3] == [
+        "8 trials of 20 episodes without a step limit; seed 7",
+        "agents        random; textbook (tiles) terminal_update=true",
+        "environments  mario level_seed=121,122",
+    ]
+    assert [line.split()[0] for line in lines[4:]] == [spec.id for spec in plan.expand()]
+    assert lines[4].endswith(f"seed {plan.expand()[0].seed}")
+    remote = describe(Plan(episodes=1, max_steps=9))
+    assert "cut off after 9 steps" in remote
+    assert "agents        connects from outside" in remote

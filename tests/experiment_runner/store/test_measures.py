@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import contextlib
+import sqlite3
+import subprocess
+import sys
+from pathlib import Path
+from typing import Final
+
+from experiment_runner.store.records import MEASURES, EpisodeResult
+
+# As somebody would who adds a column: a measure and its field in `records`, its migration in `schema`.
+ADDED: Final = """
+import sys
+from pathlib import Path
+from typing import NamedTuple
+
+import experiment_runner.store.records as records
+
+class EpisodeResult(NamedTuple):
+    episode: int
+    episode_return: float
+    steps: int
+    terminal: bool
+    wall_time: float
+    reached: float = 0.0
+    repeats = records.EpisodeResult.repeats
+
+records.EpisodeResult = EpisodeResult
+records.MEASURES["reached"] = records.Measure(float, "reached REAL", "part of the way", lambda ended: 0.5)
+
+import experiment_runner.store.schema as schema
+
+schema.MIGRATIONS += ((f"ALTER TABLE episodes ADD COLUMN {records.MEASURES['reached'].sql}",),)
+
+from experiment_runner.store.export import episode_table, write_csv
+from experiment_runner.store.store import Store
+
+with Store.open(Path(sys.argv[1])) as store:
+    ended = records.EndedEpisode(glue=type("", (), {"rl_return": lambda: 3.0, "rl_num_steps": lambda: 7}),
+                                 terminal=True, seconds=0.25)
+    store.record("remote/mario/1", records.measured(1, ended))
+    write_csv(episode_table(store), sys.stdout)
+    print(*store.measure("remote/mario/1", "reached"), *store.measure(sys.argv[2], "reached"))
+"""
+
+
+def test_every_measure_is_a_field_of_an_episode_in_the_order_of_the_table() -> None:
+    columns = [measure.sql.partition(" ")[0] for measure in MEASURES.values()]
+    assert list(EpisodeResult._fields) == ["episode", *columns]
+
+
+def test_measure_added_in_two_places_is_stored_exported_and_read(tmp_path: Path) -> None:
+    older = "random/level_seed=121/mario/0"
+    with contextlib.closing(sqlite3.connect(tmp_path / "results.sqlite")) as connection:
+        connection.executescript((Path(__file__).parent / "run_version_1.sql").read_text())
+    done = subprocess.run(
+        [sys.executable, "-c", ADDED, str(tmp_path), older], capture_output=True, text=True, check=True
+    )
+    header, first, _, new, numbers = done.stdout.splitlines()
+    assert header.startswith("trial,episode,return,steps,terminal,wall_time,reached,seed,")
+    assert first.startswith(f"{older},1,1.5,100,true,0.25,nan,")
+    assert new.startswith("remote/mario/1,1,3.0,7,true,0.25,0.5,")
+    assert numbers == "0.5 nan nan"
