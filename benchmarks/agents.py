@@ -11,8 +11,8 @@ from agents.mohan2010.flat import ObjectsFlatAgent, TilesAgent, TilesCoarseAgent
 from agents.mohan2010.hierarchical import HierarchicalAgent, HierarchicalInternalAgent, ObjectsCoarseAgent
 from benchmarks.measure import Table, count, medians, ratio
 from env_server.mario.environment import InfiniteMario
-from glue.core.experiment import Experiment
-from glue.core.local import local
+from glue.engine.experiment import Experiment
+from glue.engine.local import local
 from glue.roles import Agent
 from glue.types import Observation
 
@@ -103,7 +103,7 @@ def _record(agent: Agent, seen: list[tuple[float, Observation]]) -> None:
     action = agent.agent_start(environment.env_start())
     terminal = False
     while not terminal:
-        reward, observation, terminal = environment.env_step(action)
+        reward, observation, terminal, *_ = environment.env_step(action)
         seen.append((reward, observation))
         action = agent.agent_step(reward, observation)
 

@@ -16,10 +16,10 @@ from typing import Final
 from benchmarks.measure import Table, count, medians, ratio
 from benchmarks.players import SIZES, serving
 from glue.client.experiment import connect
-from glue.core.sessions import INSTANCE_SIZE
-from glue.protocol import zmtp
-from glue.protocol.messages import PROTOCOL_VERSION, Kind, Message
-from glue.protocol.wire import TO_HUB, encode
+from glue.hub.sessions import INSTANCE_SIZE
+from glue.wire import zmtp
+from glue.wire.codec import TO_HUB, encode
+from glue.wire.messages import PROTOCOL_VERSION, Kind, Message
 
 __all__ = ["run"]
 
@@ -89,7 +89,7 @@ def _hub() -> Iterator[str]:
     command = [
         sys.executable,
         "-c",
-        "from glue.hub.command import main; main()",
+        "from glue.cli.hub import main; main()",
         "--bind",
         "tcp://127.0.0.1:*",
     ]

@@ -13,9 +13,9 @@ from pathlib import Path
 
 from benchmarks.measure import REPEATS, Rate, Table, count, rate, rates, ratio
 from glue import connect
-from glue.core.config import HubConfig
-from glue.core.experiment import Experiment
-from glue.hub.server import Hub
+from glue.engine.experiment import Experiment
+from glue.hub.config import HubConfig
+from glue.hub.io.server import Hub
 
 _ROOT = Path(__file__).parent.parent
 _CLIENTS = _ROOT / "clients"

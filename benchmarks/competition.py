@@ -10,10 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure import Table, count, medians
-from experiment_runner.competition.records.record import End, PartWriter, header
 from experiment_runner.competition.records.replay import replay_of
 from experiment_runner.competition.records.verify import replay_trial
-from experiment_runner.plan import RoleSpec, TrialSpec
+from experiment_runner.executors.recording import run_of
+from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from glue.trajectory import ActionWriter, Ending
 from glue.types import Action
 
 __all__ = ["run"]
@@ -26,7 +28,9 @@ _RUN = [_LEGAL.index(Action(ints=[1, int(i % 7 < 4), 1])) for i in range(7)]
 
 def run() -> list[Table]:
     """Measure how fast records of Infinite Mario are verified."""
-    spec = TrialSpec("a/mario/0", RoleSpec("a"), RoleSpec("mario", {"level_seed": _LEVEL_SEED}), 1, 0, 0)
+    spec = TrialSpec(
+        TrialId("a/mario/0"), RoleSpec("a"), RoleSpec("mario", {"level_seed": _LEVEL_SEED}), 1, 0, 0
+    )
     rng = np.random.default_rng(1)
     policies: dict[str, Callable[[int], np.ndarray]] = {
         "runs right and reaches the goal": lambda n: np.resize(_RUN, n),
@@ -52,20 +56,22 @@ def run() -> list[Table]:
 
 def _record(spec: TrialSpec, path: Path, act: Callable[[int], np.ndarray]) -> Path:
     """Play `_STEPS` steps, and write them down as a competition does."""
-    replay, _ = replay_of(spec)
-    frames = [header(spec.id)]
-    writer = PartWriter(frames.append)
+    replay, task_spec = replay_of(spec)
+    pieces: list[bytes] = []
+    writer = ActionWriter(pieces.append)
+    writer.run(run_of(spec, task_spec))
     left = _STEPS
     while left:
         replay.start()
+        writer.start()
         choices = act(min(left, 2000))
         rewards, ended = replay.play(_LEGAL, choices)
         for choice, reward in zip(choices.tolist(), rewards.tolist(), strict=False):
             writer.step(_LEGAL[choice].body, reward)
-        writer.end(End.TERMINAL if ended else End.CUT_OFF)
+        writer.end(Ending.TERMINAL if ended else Ending.CUTOFF)
         left -= len(rewards)
-    writer.flush()
-    path.write_bytes(b"".join(frames))
+    writer.close()
+    path.write_bytes(b"".join(pieces))
     return path
 
 

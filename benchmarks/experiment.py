@@ -14,18 +14,18 @@ from typing import Final, NamedTuple
 
 from benchmarks.hub import three_processes
 from benchmarks.measure import REPEATS, Table, count, ratio
-from experiment_runner import player_command
+from experiment_runner.meeting import player_command
 from experiment_runner.store.results import Results
-from glue.protocol.messages import Role
+from glue.wire.messages import Role
 
 __all__ = ["run"]
 
 _RUNS: Final = (("random", 100, REPEATS), ("hierarchical", 300, 1), ("random", 5000, 1))
 """Agent, episodes, and how often; what takes long is run once. The second is what `make demo` does."""
 
-_COMMAND: Final = ("-m", "experiment_runner.commands.experiment", "--env", "mario", "--json")
+_COMMAND: Final = ("-m", "experiment_runner.cli.experiment", "--env", "mario", "--json")
 _PROGRAMS: Final = {
-    "experiment and hub": ("experiment_runner.commands.experiment",),
+    "experiment and hub": ("experiment_runner.cli.experiment",),
     "environment": (player_command.MODULE, str(Role.ENVIRONMENT)),
     "agent": (player_command.MODULE, str(Role.AGENT)),
 }

@@ -14,9 +14,20 @@ import numpy as np
 
 from benchmarks.measure import Table, count, rate, rates, ratio
 from benchmarks.others import other_environments
-from env_server.mario.batch import Batch as Games
 from env_server.mario.environment import InfiniteMario
-from glue import Action, Experiment, Observation, connect, make, make_agent, serve_agent, serve_environment
+from env_server.mario.many.batch import Batch as Games
+from glue import (
+    Action,
+    Agent,
+    Environment,
+    Experiment,
+    Observation,
+    connect,
+    make,
+    make_agent,
+    serve_agent,
+    serve_environment,
+)
 from glue.batches import (
     Batch,
     Ragged,
@@ -27,9 +38,10 @@ from glue.batches import (
     unpack_actions,
     unpack_batch,
 )
-from glue.core.config import HubConfig
-from glue.hub.server import Hub
-from glue.players.batched import make_batch
+from glue.hub.config import HubConfig
+from glue.hub.io.server import Hub
+from glue.plugins.batched import make_batch
+from glue.types import Step
 
 __all__ = ["run"]
 
@@ -238,7 +250,7 @@ def _serve_vector(hub: str) -> None:
     serve_agent(_Vector(), hub, log=_ignore)
 
 
-class _Still:
+class _Still(Environment):
     """Many games whose observations are of Mario's size, and whose rules take no time."""
 
     def __init__(self, games: int) -> None:
@@ -260,18 +272,12 @@ class _Still:
     def env_start(self) -> Observation:
         return pack_batch(Batch(np.zeros(self._games), np.zeros(self._games, np.int32), self._shown))
 
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+    def env_step(self, action: Action) -> Step:
         actions = unpack_actions(action, self._games)
-        return float(actions.ints.sum()), self.env_start(), False
-
-    def env_cleanup(self) -> None:
-        pass
-
-    def env_message(self, message: str) -> str:
-        return ""
+        return Step(float(actions.ints.sum()), self.env_start(), False)
 
 
-class _Vector:
+class _Vector(Agent):
     """Runs to the right in all games and jumps now and then, whatever it sees."""
 
     def agent_batch(self) -> int:
@@ -289,15 +295,6 @@ class _Vector:
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
         return self.agent_start(observation)
-
-    def agent_end(self, reward: float) -> None:
-        pass
-
-    def agent_cleanup(self) -> None:
-        pass
-
-    def agent_message(self, message: str) -> str:
-        return ""
 
 
 def _ignore(line: str) -> None:

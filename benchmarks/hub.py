@@ -13,16 +13,16 @@ from benchmarks.original import SERVER, compiler, original_programs, original_se
 from benchmarks.peers import async_vector_env, dm_env_rpc_stream, installed
 from benchmarks.players import SIZES, Still, Walk, serving
 from benchmarks.raw import socket_round_trips, zmq_round_trips
-from glue.client.experiment import connect
+from glue.client.experiment import connect_over
 from glue.client.libzmq import new_pair
-from glue.core.config import Bind, HubConfig
-from glue.core.experiment import Experiment
-from glue.core.keys import Keys, Permit
-from glue.core.local import local
-from glue.hub.inside import InsideTransport
-from glue.hub.server import Hub
+from glue.engine.experiment import Experiment
+from glue.engine.local import local
+from glue.hub.config import Bind, HubConfig
+from glue.hub.io.inside import InsideTransport
+from glue.hub.io.server import Hub
+from glue.hub.keys import Keys, Permit
 from glue.keys.certificates import write_pair
-from glue.protocol.messages import Role
+from glue.wire.messages import Role
 
 __all__ = ["listening", "run", "three_processes"]
 
@@ -160,7 +160,7 @@ def _three(size: str, transport: str, verb: str) -> Iterator[Measure]:
         hub = stack.enter_context(listening(transport))
         url = hub.endpoints[0]
         pids = [stack.enter_context(serving(role, size, url)) for role in ("environment", "agent")]
-        yield _measure(stack.enter_context(connect(url, "0", transport=InsideTransport(hub))), verb, pids)
+        yield _measure(stack.enter_context(connect_over(InsideTransport(hub), "0")), verb, pids)
 
 
 @contextmanager
@@ -180,7 +180,7 @@ def _with_keys(size: str, verb: str) -> Iterator[Measure]:
             stack.enter_context(serving(role, size, url, variables=variables))
             for role in ("environment", "agent")
         ]
-        yield _measure(stack.enter_context(connect(url, "0", transport=InsideTransport(hub))), verb, pids)
+        yield _measure(stack.enter_context(connect_over(InsideTransport(hub), "0")), verb, pids)
 
 
 @contextmanager

@@ -11,8 +11,8 @@ from contextlib import ExitStack, contextmanager
 from benchmarks.measure import Table, count, medians, ratio
 from benchmarks.players import SIZES, serving
 from glue.client.experiment import connect
-from glue.core.config import HubConfig, LegacyPort
-from glue.hub.server import Hub
+from glue.hub.config import HubConfig, LegacyPort
+from glue.hub.io.server import Hub
 from glue.legacy.gateway import Gateway
 from tests.system.legacy.legacy_client import Connection, Experiment, Numbers, serve_agent, serve_environment
 

@@ -11,11 +11,16 @@ from collections.abc import Callable
 from itertools import cycle
 
 import numpy as np
+import numpy.typing as npt
 
 from benchmarks.measure import Table, count, medians, ratio
-from env_server.mario.batch import Batch
+from env_server.mario import model
 from env_server.mario.environment import InfiniteMario
-from glue.core.local import local
+from env_server.mario.many.batch import Batch
+from glue.compiled.jit import entry
+from glue.compiled.records import Array
+from glue.engine.local import local
+from glue.roles import Agent
 from glue.types import Action, Observation
 
 __all__ = ["run"]
@@ -25,6 +30,10 @@ _LEVEL_SEED = 3
 _BUTTONS = [(1, int(i % 7 < 4), 1) for i in range(7)]
 _ACTIONS = [Action(ints=buttons) for buttons in _BUTTONS]
 _STEPS = 50_000
+_PATH = 12  # steps
+_WINDOW = 72  # columns, as in the planner's search
+Bytes = npt.NDArray[np.uint8]
+model_load, model_save, model_step = model.load, model.save, model.step
 _FIRST_STEP = """
 from env_server.mario.environment import InfiniteMario
 from glue.types import Action
@@ -35,11 +44,8 @@ mario.env_step(Action(ints=[1, 0, 1]))
 """
 
 
-class _Runner:
+class _Runner(Agent):
     """An agent that always does the same and learns nothing."""
-
-    def agent_init(self, task_spec: str) -> None:
-        pass
 
     def agent_start(self, observation: Observation) -> Action:
         self._actions = cycle(_ACTIONS)
@@ -48,19 +54,10 @@ class _Runner:
     def agent_step(self, reward: float, observation: Observation) -> Action:
         return next(self._actions)
 
-    def agent_end(self, reward: float) -> None:
-        pass
-
-    def agent_cleanup(self) -> None:
-        pass
-
-    def agent_message(self, message: str) -> str:
-        return ""
-
 
 def run() -> list[Table]:
     """Measure everything about Mario."""
-    return [_steps(), _copies(), _readiness()]
+    return [_steps(), _copies(), _model_steps(), _readiness()]
 
 
 def _steps() -> Table:
@@ -143,6 +140,45 @@ def _copies() -> Table:
         ("", "µs"),
         [(name, f"{value:.1f}") for name, value in zip(measures, values, strict=True)],
     )
+
+
+def _model_steps() -> Table:
+    mario = InfiniteMario(level_seed=_LEVEL_SEED)
+    mario.env_init()
+    body = np.zeros(model.BODY_SIZE, np.uint8)
+    seen = np.frombuffer(mario.env_start().body, np.uint8)
+    body[: len(seen)] = seen
+    worlds, levels = model.make()
+    model.start(worlds[0], levels[0], np.zeros(1, np.int64), body)
+    begun = worlds.copy()
+    rows = np.zeros((2, model.row_size(_WINDOW)), np.uint8)
+
+    def measure() -> float:
+        worlds[:] = begun
+        model.save(worlds[0], worlds.view(np.uint8), rows[0], 0, _WINDOW)
+        began = time.perf_counter()
+        _step_with_copies(worlds, levels, worlds.view(np.uint8), rows, _STEPS)
+        return (time.perf_counter() - began) / _STEPS * 1e6
+
+    measure()  # compiles
+    return Table(
+        "A step of the model",
+        "A world is loaded, stepped with an action and saved, as the planner does for each node of its "
+        "search; Mario runs and jumps over the first 12 steps of a level, again and again (the aim is 5 µs).",
+        ("", "µs"),
+        [("load, step and save", f"{medians([measure])[0]:.2f}")],
+    )
+
+
+@entry
+def _step_with_copies(worlds: Array, levels: Array, memory: Bytes, rows: Bytes, steps: int) -> int:
+    alive = 0
+    for i in range(steps):
+        at = i % _PATH
+        model_load(worlds[0], memory, rows[min(at, 1)], 0, _WINDOW)
+        alive += model_step(worlds[0], levels[0], 11 if i % 7 < 4 else 9)
+        model_save(worlds[0], memory, rows[1], 0, _WINDOW)
+    return alive
 
 
 def _microseconds(call: Callable[[], object], times: int = 2000) -> Callable[[], float]:

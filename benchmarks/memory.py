@@ -9,10 +9,10 @@ from typing import Final
 
 from benchmarks.measure import Table
 from benchmarks.players import SIZES, serving
-from glue.client.experiment import connect
-from glue.core.config import HubConfig
-from glue.hub.inside import InsideTransport
-from glue.hub.server import Hub
+from glue.client.experiment import connect_over
+from glue.hub.config import HubConfig
+from glue.hub.io.inside import InsideTransport
+from glue.hub.io.server import Hub
 
 __all__ = ["run"]
 
@@ -30,7 +30,7 @@ def run() -> list[Table]:
         with (
             serving("environment", _SIZE, url) as environment,
             serving("agent", _SIZE, url) as agent,
-            connect(url, "0", transport=InsideTransport(hub)) as glue,
+            connect_over(InsideTransport(hub), "0") as glue,
         ):
             glue.rl_init()
             for part in range(_PARTS):

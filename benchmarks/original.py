@@ -16,8 +16,8 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from benchmarks.measure import Rate, rate
-from glue.core.config import HubConfig, LegacyPort
-from glue.hub.server import Hub
+from glue.hub.config import HubConfig, LegacyPort
+from glue.hub.io.server import Hub
 from glue.legacy.gateway import Gateway
 from glue.types import Observation
 

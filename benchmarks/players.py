@@ -11,7 +11,8 @@ from contextlib import contextmanager
 import numpy as np
 
 from glue.client.players import serve_agent, serve_environment
-from glue.types import Action, Observation
+from glue.roles import Agent, Environment
+from glue.types import Action, Observation, Step
 
 __all__ = ["SIZES", "Still", "Walk", "serving"]
 
@@ -24,7 +25,7 @@ SIZES = {
 _ACTION = Action(ints=(1,))
 
 
-class Walk:
+class Walk(Environment):
     """Shows the same observation forever; an episode ends when its experiment cuts it off."""
 
     def __init__(self, observation: Observation) -> None:
@@ -36,33 +37,21 @@ class Walk:
     def env_start(self) -> Observation:
         return Observation.from_body(self._body)
 
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
-        return 1.0, Observation.from_body(self._body), False
-
-    def env_cleanup(self) -> None:
-        pass
+    def env_step(self, action: Action) -> Step:
+        return Step(1.0, Observation.from_body(self._body), False)
 
     def env_message(self, message: str) -> str:
         return message
 
 
-class Still:
+class Still(Agent):
     """Does the same thing forever."""
-
-    def agent_init(self, task_spec: str) -> None:
-        pass
 
     def agent_start(self, observation: Observation) -> Action:
         return _ACTION
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
         return _ACTION
-
-    def agent_end(self, reward: float) -> None:
-        pass
-
-    def agent_cleanup(self) -> None:
-        pass
 
     def agent_message(self, message: str) -> str:
         return message

@@ -13,7 +13,7 @@ from benchmarks.measure import Table, count, rate, rates, ratio
 from benchmarks.players import SIZES, serving
 from benchmarks.previous import CHECKOUT, previous_sessions
 from glue.client.experiment import connect
-from glue.core.experiment import Experiment
+from glue.engine.experiment import Experiment
 
 __all__ = ["run"]
 

@@ -13,7 +13,7 @@ from agents.soar.agents import (
 )
 from benchmarks.measure import Table, count, medians
 from env_server.mario.environment import InfiniteMario
-from glue.core.local import local
+from glue.engine.local import local
 
 __all__ = ["run"]
 

@@ -92,7 +92,7 @@ def _game() -> Table:
 def _running(*options: str) -> Iterator[Path]:
     """Yield a folder in which a run goes on."""
     with tempfile.TemporaryDirectory() as made:
-        command = [sys.executable, "-m", "experiment_runner.commands.experiment", *_COMMAND, *options]
+        command = [sys.executable, "-m", "experiment_runner.cli.experiment", *_COMMAND, *options]
         quiet = subprocess.DEVNULL
         with subprocess.Popen(command, cwd=made, stdout=quiet, stderr=quiet) as process:
             try:
@@ -138,7 +138,7 @@ def _steps(directory: Path) -> int:
 @contextmanager
 def _served(folder: Path) -> Iterator[tuple[int, str]]:
     """A `glue-view`: its port, and the cookie that opens it."""
-    command = [sys.executable, "-m", "experiment_runner.view.command", "--port", "0", "--no-browser"]
+    command = [sys.executable, "-m", "experiment_runner.cli.view", "--port", "0", "--no-browser"]
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
