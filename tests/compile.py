@@ -11,18 +11,21 @@ from typing import Any, cast
 
 import numpy as np
 
-from agents.mario.observation import Screen
+from agents.mario.objects import look
+from agents.mario.observation import Screen, read
 from agents.mario.sample import SampleAgent
 from agents.mario.scene import Scene, Senses
 from agents.mohan2010.flat import TilesAgent
 from agents.mohan2010.hierarchical import HierarchicalAgent
+from agents.planner.agent import PlannerAgent
 from env_server.gym import InfiniteMarioEnv
-from env_server.mario.batch_environment import InfiniteMarioBatch
 from env_server.mario.environment import InfiniteMario
-from env_server.mario.observation import BODY_SIZE
+from env_server.mario.many.environment import InfiniteMarioBatch
+from env_server.mario.observation import BODY_SIZE, encode
+from env_server.mario.sim.blocks import hit_block
+from env_server.mario.sim.step import tick
 from glue.compiled.records import new
 from glue.types import Observation
-from tests.compiled import encode, hit_block, look, read, tick
 
 
 def games() -> None:
@@ -31,15 +34,15 @@ def games() -> None:
     environment.env_start()
     InfiniteMarioBatch(environment, 1).env_init()
     InfiniteMarioEnv().close()
-    world = environment.game.world
-    tick(world)
-    hit_block(world, 5, 9, False)
-    encode(world, np.zeros(BODY_SIZE, np.uint8))
+    world, level = environment.game.world, environment.game.level_map
+    tick(world, level)
+    hit_block(world, level, 5, 9, False)
+    encode(world, level, np.zeros(BODY_SIZE, np.uint8))
 
 
 def agents() -> None:
     task_spec = "VERSION Mario-v1 PROBLEMTYPE episodic DISCOUNTFACTOR 1 ACTIONS INTS (-1 1) (2 0 1) REWARDS"
-    for agent in (HierarchicalAgent(), TilesAgent(), SampleAgent()):
+    for agent in (HierarchicalAgent(), TilesAgent(), SampleAgent(), PlannerAgent()):
         agent.agent_init(task_spec)
     scene, senses, screen = (cast(Any, new(record)[0]) for record in (Scene, Senses, Screen))
     body = Observation().body

@@ -1,6 +1,6 @@
-"""What all tests share: their own modules can be imported, as `tests.players` and the like; Ctrl-C works.
+"""Configuration of all tests: modules such as `tests.players` can be imported; Ctrl-C works.
 
-Slow tests come first, so that no process is left alone with one at the end.
+Slow tests run first, so that the other processes do not wait for one of them at the end.
 """
 
 from __future__ import annotations

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from glue.core.local import local
+from glue.engine.local import local
 from glue.errors import GlueError
-from glue.players.loading import find
-from glue.protocol.messages import Role
+from glue.plugins.loading import find
 from glue.taskspec import parse_task_spec
 from glue.testing import check_agent, check_environment
 from glue.types import Action, Observation
+from glue.wire.messages import Role
 from tests.players import installed
 
 AGENTS = installed(Role.AGENT)
@@ -23,13 +23,13 @@ ENVIRONMENTS = installed(Role.ENVIRONMENT)
 
 @cache
 def observations(environment: str) -> list[Observation]:
-    """What is seen in the first 100 steps of an episode or two of random actions."""
+    """Return the observations of 100 steps of random actions."""
     player: Any = find(Role.ENVIRONMENT, environment)()
     actions = parse_task_spec(player.env_init()).actions
     generator = np.random.default_rng(5)
     seen = [player.env_start()]
     for _ in range(100):
-        _, observation, terminal = player.env_step(Action(*actions.sample(generator)))
+        _, observation, terminal, *_ = player.env_step(Action(*actions.sample(generator)))
         seen.append(player.env_start() if terminal else observation)
     return seen
 

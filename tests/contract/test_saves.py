@@ -17,20 +17,20 @@ import pytest
 from agents.keys import feature
 from agents.sarsa import table_of
 from glue import saves
-from glue.core.experiment import Experiment
-from glue.core.local import local
+from glue.engine.experiment import Experiment
+from glue.engine.local import local
 from glue.errors import SaveError
-from glue.players.loading import find
-from glue.protocol.messages import Role
+from glue.plugins.loading import find
 from glue.roles import SaveableAgent, SaveableEnvironment, offers
 from glue.saves import pack, unpack
+from glue.wire.messages import Role
 from tests.players import installed
 
 OLD: dict[str, dict[str, Any]] = json.loads(
     gzip.decompress(Path(__file__).parents[1].joinpath("golden", "old_saves.json.gz").read_bytes())
 )
 """By agent: its task, what both saved after three episodes, and the three episodes after that."""
-TASKS = {name: old["environment"] for name, old in OLD.items()}
+TASKS = {"linear": "mines", **{name: old["environment"] for name, old in OLD.items()}}
 OPTIONS: dict[str, dict[str, Any]] = {"mines": {"random_start": True}}
 SAVEABLE = {Role.AGENT: SaveableAgent, Role.ENVIRONMENT: SaveableEnvironment}
 PLAYERS = [

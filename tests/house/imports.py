@@ -1,7 +1,7 @@
 """Which folder of the program may import which, and which does.
 
-A unit is a folder that holds modules. Two kinds of modules stand above all folders of their package, and are
-units of their own: its `__init__.py`, which re-exports what users write against, and its command lines.
+A unit is a folder that holds modules. `glue/__init__.py`, which re-exports what users write against, is a
+unit of its own above the folders of its package, with `glue/api.py`.
 """
 
 from __future__ import annotations
@@ -16,61 +16,83 @@ ROOT: Final = Path(__file__).parents[2]
 
 PACKAGES: Final = ("glue", "env_server", "agents", "experiment_runner")
 
-_GLUE: Final = ("glue/commands", "glue/gym", "glue/testing")
-"""All of glue."""
-
 MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     # errors, types, roles, options: what users write against
     "glue": (),
-    "glue/compiled": ("glue",),
-    "glue/protocol": ("glue",),
+    # time, network, chance and threads
+    "glue/doors": (),
+    "glue/compiled": ("glue", "glue/doors"),
     "glue/taskspec": ("glue",),
     "glue/trajectory": ("glue",),
-    "glue/core": ("glue/protocol", "glue/taskspec"),
-    "glue/sockets": (),
-    "glue/players": ("glue/core",),
-    "glue/keys": ("glue/core",),
-    "glue/client": ("glue/keys", "glue/players", "glue/sockets"),
-    "glue/hub": ("glue/keys", "glue/sockets"),
-    "glue/legacy": ("glue/hub",),
-    "glue/testing": ("glue/client", "glue/legacy"),
-    "glue/gym": ("glue/client",),
-    "glue/testing/conform/hub": ("glue/testing",),
-    "glue/testing/conform/scenes": ("glue/testing/conform/hub",),
-    "glue/testing/conform": ("glue/testing/conform/scenes",),
-    "glue/__init__": ("glue/client", "glue/compiled", "glue/trajectory"),
-    "glue/commands": ("glue/__init__", "glue/legacy", "glue/testing/conform"),
+    "glue/wire": ("glue", "glue/doors"),
+    "glue/engine": ("glue/taskspec", "glue/wire"),
+    "glue/plugins": ("glue/engine",),
+    "glue/rlglue": ("glue/plugins",),
+    "glue/sockets": ("glue/doors",),
+    "glue/hub": ("glue/engine",),
+    "glue/keys": ("glue/hub",),
+    "glue/client": ("glue/keys", "glue/sockets"),
+    "glue/hub/io": ("glue/client",),
+    "glue/notebook": ("glue/client",),
+    "glue/legacy": ("glue/hub/io",),
+    "glue/gym": ("glue/client", "glue/plugins"),
+    "glue/conform/hub": ("glue/client",),
+    "glue/conform/scenes": ("glue/conform/hub",),
+    "glue/conform/peers": ("glue/conform/scenes",),
+    "glue/conform": ("glue/conform/peers",),
+    "glue/testing": ("glue/conform/peers",),
+    "glue/__init__": ("glue/hub/io", "glue/plugins", "glue/testing"),
+    "glue/cli": ("glue/__init__", "glue/conform", "glue/legacy"),
     # Environments and agents run on different machines, and share what crosses the wire.
-    "env_server": _GLUE,
-    "env_server/mario/sim": ("env_server",),
+    "env_server": ("glue/taskspec",),
+    "env_server/mario/sim": ("glue/compiled",),
     "env_server/mario": ("env_server/mario/sim",),
-    "env_server/render": ("env_server",),
-    "env_server/gym": ("env_server/mario", "env_server/render"),
-    "env_server/replay": ("env_server/mario", "env_server/render"),
-    "env_server/commands": ("env_server/replay",),
-    "agents": _GLUE,
-    "agents/mario": ("agents",),
-    "agents/mohan2010": ("agents/mario",),
+    "env_server/render": ("env_server", "glue/cli"),
+    "env_server/render/page": ("env_server/render",),
+    "env_server/mario/many": ("env_server/mario", "env_server/render", "glue/wire"),
+    "env_server/gym": ("env_server/mario/many", "glue/gym"),
+    "env_server/replay": ("env_server/mario", "env_server/render", "glue/trajectory"),
+    "env_server/datasets": ("glue/gym", "glue/trajectory"),
+    "env_server/cli": ("env_server/datasets", "env_server/replay"),
+    "agents": ("glue/__init__", "glue/compiled"),
+    "agents/mario": ("glue/compiled", "glue/taskspec"),
+    "agents/mohan2010": ("agents", "agents/mario"),
     "agents/soar": ("agents/mario",),
-    "agents/commands": ("agents",),
+    "agents/planner": ("agents/mario", "glue/compiled", "glue/plugins"),
+    "agents/cli": ("glue/cli",),
     # Players are found by their entry points: the framework knows no environment and no agent.
-    "experiment_runner": _GLUE,
-    "experiment_runner/store": ("experiment_runner",),
+    "experiment_runner": (),
+    "experiment_runner/plan": ("glue/__init__",),
+    "experiment_runner/store": ("experiment_runner/plan",),
     "experiment_runner/analysis": ("experiment_runner/store",),
     "experiment_runner/report": ("experiment_runner/analysis",),
-    "experiment_runner/executors": ("experiment_runner/report",),
-    "experiment_runner/competition/records": ("experiment_runner/store",),
-    "experiment_runner/competition": ("experiment_runner/executors", "experiment_runner/competition/records"),
+    "experiment_runner/meeting": ("experiment_runner/store", "glue/legacy"),
+    "experiment_runner/executors": (
+        "experiment_runner/meeting",
+        "experiment_runner/report",
+        "glue/trajectory",
+    ),
+    "experiment_runner/slurm": ("experiment_runner/store",),
+    "experiment_runner/loggers": ("experiment_runner/report",),
+    "experiment_runner/competition/records": ("experiment_runner/executors",),
+    "experiment_runner/competition": ("experiment_runner/competition/records",),
     "experiment_runner/competition/board": ("experiment_runner/competition",),
-    # The page draws what the games that are installed with it look like.
-    "experiment_runner/view": ("experiment_runner/competition/board", "env_server/render"),
-    "experiment_runner/commands": ("experiment_runner/view",),
-    "experiment_runner/generalisation": ("experiment_runner/analysis", "env_server/mario"),
-    "experiment_runner/paper": (
-        "experiment_runner/commands",
-        "env_server/replay",
-        "agents/mohan2010",
-        "agents/soar",
+    "experiment_runner/view": ("experiment_runner/competition/board",),
+    # The studies, and they alone, know Mario and the agents of the paper.
+    "experiment_runner/study": (),
+    "experiment_runner/study/generalisation": (
+        "agents/planner",
+        "env_server/mario",
+        "experiment_runner/executors",
+    ),
+    "experiment_runner/study/paper": ("agents/mohan2010", "agents/soar", "experiment_runner/report"),
+    "experiment_runner/cli": (
+        "experiment_runner/loggers",
+        "experiment_runner/slurm",
+        "experiment_runner/study/generalisation",
+        "experiment_runner/study/paper",
+        "experiment_runner/view",
+        "glue/cli",
     ),
 }
 """From the bottom up: a folder may import itself, the folders named here, and all that those may import."""
@@ -81,16 +103,12 @@ def files() -> list[Path]:
     return sorted(path.relative_to(ROOT) for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 
 
+_PUBLIC: Final = (Path("glue/__init__.py"), Path("glue/api.py"))
+
+
 def unit(file: Path) -> str:
     """Return the unit that a module belongs to."""
-    package = file.parts[0]
-    if file == Path("glue/__init__.py"):
-        return "glue/__init__"
-    if file.parts[1] in ("paper", "generalisation"):
-        return str(file.parent)
-    if file.parent.name == "commands" or file.stem in ("command", "commands", "entry"):
-        return f"{package}/commands"
-    return str(file.parent)
+    return "glue/__init__" if file in _PUBLIC else str(file.parent)
 
 
 @cache

@@ -32,7 +32,7 @@ ROOTS: Final = {
     "agents": "sarsa, policy, ...",
     "experiment_runner": "plan, players, ...",
 }
-"""What to call the modules that lie in a package itself."""
+"""The label of the modules at the top of each package."""
 
 
 class Place(NamedTuple):

@@ -17,8 +17,9 @@ import numpy as np
 
 from agents.baselines import SkeletonAgent
 from env_server.toys import SkeletonEnvironment
-from glue.core.experiment import Experiment
-from glue.types import Action, Observation
+from glue.engine.experiment import Experiment
+from glue.roles import Agent, Environment
+from glue.types import Action, Observation, Step
 
 Seen = list[Any]
 
@@ -28,7 +29,7 @@ ENDLESS: Final = Observation(
     doubles=[0.0078125, -0.0078125, 0.0, 0.0078125e150, -0.0078125e150],
     chars=b"gF? &",
 )
-"""What E1 shows past the end: the extreme values, which must arrive exactly."""
+"""The observation of E1 past the end: extreme values, which must arrive exactly."""
 
 
 @lru_cache
@@ -43,32 +44,7 @@ def counted(message: str, counter: int) -> str:
     return f"{message}|{counter % 3 * f'{counter}.'}|{message}"
 
 
-class Quiet:
-    """What most of the programs do when asked for nothing in particular: nothing."""
-
-    def env_init(self) -> str:
-        return ""
-
-    def env_cleanup(self) -> None:
-        pass
-
-    def env_message(self, message: str) -> str:
-        return ""
-
-    def agent_init(self, task_spec: str) -> None:
-        pass
-
-    def agent_end(self, reward: float) -> None:
-        pass
-
-    def agent_cleanup(self) -> None:
-        pass
-
-    def agent_message(self, message: str) -> str:
-        return ""
-
-
-class MirrorAgent(Quiet):
+class MirrorAgent(Agent):
     """A1: does what it sees, and counts its steps."""
 
     def __init__(self) -> None:
@@ -86,7 +62,7 @@ class MirrorAgent(Quiet):
         return counted(message, self._counter)
 
 
-class FiveStepEnvironment(Quiet):
+class FiveStepEnvironment(Environment):
     """E1: five steps, then the extreme values for whoever steps on."""
 
     def __init__(self) -> None:
@@ -109,7 +85,7 @@ class FiveStepEnvironment(Quiet):
         return counted(message, self._counter)
 
 
-class EmptyAgent(Quiet):
+class EmptyAgent(Agent):
     """A-empty: an empty action in even episodes, 7/3/1 numbers in odd ones."""
 
     def __init__(self) -> None:
@@ -126,7 +102,7 @@ class EmptyAgent(Quiet):
         return Action.from_body(fill(7, 3, 1) if self._episode % 2 else fill(0, 0, 0))
 
 
-class EmptyEnvironment(Quiet):
+class EmptyEnvironment(Environment):
     """E-empty: an empty observation in even episodes, 2/4/5 numbers in odd ones; never ends."""
 
     def __init__(self) -> None:
@@ -154,7 +130,7 @@ def answer(message: str) -> str:
     return {"": "empty", "empty": ""}.get(message, message)
 
 
-class MessageAgent(Quiet):
+class MessageAgent(Agent):
     """A-message."""
 
     def agent_start(self, observation: Observation) -> Action:
@@ -167,8 +143,11 @@ class MessageAgent(Quiet):
         return answer(message)
 
 
-class MessageEnvironment(Quiet):
+class MessageEnvironment(Environment):
     """E-message."""
+
+    def env_init(self) -> str:
+        return ""
 
     def env_start(self) -> Observation:
         return Observation()
@@ -180,7 +159,7 @@ class MessageEnvironment(Quiet):
         return answer(message)
 
 
-class SpeedEnvironment(Quiet):
+class SpeedEnvironment(Environment):
     """E-speed: 5000 steps of 5 + 5 numbers in odd episodes, 200 of 50 000 + 50 000 in even ones."""
 
     def __init__(self) -> None:
@@ -222,14 +201,14 @@ def one(glue: Experiment) -> Seen:
         "five": ("five|5.5.|five", "five|4.|five"),
     }
     for count, (text, (from_environment, from_agent)) in enumerate(answers.items()):
-        reward, observation, terminal, action = result = glue.rl_step()
+        reward, observation, terminal, _, action = result = glue.rl_step()
         assert (reward, observation, terminal) == (1.0, Observation(ints=[count]), count == 4)
         assert action == Action(ints=[min(count, 3)])
         assert glue.rl_env_message(text) == from_environment
         assert glue.rl_agent_message(text) == from_agent
         seen += [result, from_environment, from_agent]
     past_the_end = glue.rl_step()
-    assert past_the_end == (-2.0, ENDLESS, False, Action.from_body(ENDLESS.body))
+    assert past_the_end == Step(-2.0, ENDLESS, False, action=Action.from_body(ENDLESS.body))
     glue.rl_cleanup()
     return [*seen, past_the_end]
 

@@ -5,17 +5,15 @@ from __future__ import annotations
 import random
 import selectors
 import socket
-import struct
 import threading
+from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import BinaryIO
 
-ABORT = struct.pack("ii", 1, 0)
-"""SO_LINGER: drop what is unsent and reset the connection, as a cable that is pulled."""
+from tests.scripted.peer import ABORT
 
-
-_QUIT, _SHUT, _OPEN = b"q", b"s", b"o"
+_QUIT, _SHUT, _OPEN, _CUT = b"q", b"s", b"o", b"c"
 
 
 class Proxy:
@@ -26,12 +24,18 @@ class Proxy:
         cuts: how often, after a few thousand bytes each time, all connections are reset.
         seed: of the numbers of bytes between these cuts.
         piece: maximum number of bytes passed on at once; each piece is a segment of its own.
+
+    Attributes:
+        accepted: number of connections since the last `cut`.
     """
 
     def __init__(self, port: int, cuts: int = 0, seed: int = 0, piece: int = 4096) -> None:
         self._target = port
         self._piece = piece
         self._left = cuts
+        self.accepted = 0
+        self._limits: deque[int] = deque()
+        self._may_say: dict[socket.socket, int] = {}
         self._lengths = random.Random(seed)
         self._until_cut = self._draw()
         self._open = True
@@ -67,6 +71,12 @@ class Proxy:
         """Reset all connections, and let no other through; from any thread."""
         self._waker.send(_SHUT)
 
+    def cut(self, *limits: int) -> None:
+        """Reset all connections, and the next ones after so many bytes from the far end; from any thread."""
+        self._limits = deque(limits)
+        self.accepted = 0
+        self._waker.send(_CUT)
+
     def open(self) -> None:
         """Let connections through again; from any thread."""
         self._waker.send(_OPEN)
@@ -80,8 +90,8 @@ class Proxy:
                     command = self._wake.recv(1)
                     if command == _QUIT:
                         return
-                    self._open = command == _OPEN
-                    if not self._open:
+                    self._open = command != _SHUT
+                    if command != _OPEN:
                         self._cut()
                 elif source is self._listener:
                     self._accept()
@@ -90,7 +100,9 @@ class Proxy:
 
     def _accept(self) -> None:
         near, _ = self._listener.accept()
-        if not self._open:
+        self.accepted += 1
+        limit = self._limits.popleft() if self._limits else None
+        if not self._open or limit == 0:
             near.close()
             return
         try:
@@ -98,6 +110,8 @@ class Proxy:
         except OSError:  # the hub has ended
             near.close()
             return
+        if limit is not None:
+            self._may_say[far] = limit
         for one, other in ((near, far), (far, near)):
             one.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._partner[one] = other
@@ -112,10 +126,15 @@ class Proxy:
         if not data:
             self._end(source)
             return
-        passed = data[: self._until_cut] if self._left else data
+        may_say = self._may_say.get(source)
+        if may_say is not None:
+            self._may_say[source] = may_say - len(data)
+        passed = data[: self._until_cut] if self._left else data[:may_say]
         with suppress(OSError):  # nobody reads this way any more; what comes the other way is passed on
             for at in range(0, len(passed), self._piece):
                 self._partner[source].sendall(passed[at : at + self._piece])
+        if may_say is not None and len(data) >= may_say:
+            self._close(source)
         if self._left:
             self._until_cut -= len(data)
             if self._until_cut <= 0:
@@ -134,6 +153,7 @@ class Proxy:
         if partner not in self._selector.get_map():
             for each in (source, partner):
                 del self._partner[each]
+                self._may_say.pop(each, None)
                 each.close()
 
     def _draw(self) -> int:
@@ -149,6 +169,7 @@ class Proxy:
             if each in self._selector.get_map():
                 self._selector.unregister(each)
             del self._partner[each]
+            self._may_say.pop(each, None)
             each.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, ABORT)
             each.close()
 

@@ -7,14 +7,15 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from experiment_runner.store.records import Checkpoint
 from experiment_runner.store.results import Results
 from tests import forked
 
-__all__ = ["COMMAND", "Contents", "alive", "children", "contents", "run", "start", "wait_until"]
+__all__ = ["COMMAND", "Contents", "alive", "children", "contents", "metrics", "run", "start", "wait_until"]
 
-COMMAND = [sys.executable, "-m", "experiment_runner.commands.experiment"]
+COMMAND = [sys.executable, "-m", "experiment_runner.cli.experiment"]
 _SECONDS = 60.0
 
 
@@ -40,7 +41,7 @@ Contents = dict[str, tuple[list[tuple[int, float, int, bool]], tuple[int, Checkp
 
 
 def contents(directory: Path) -> Contents:
-    """Return what a run came to, as far as it must be the same whenever the plan is."""
+    """Return the part of a run's results that must be the same for the same plan."""
     with Results.open(directory) as results:
         return {
             trial.spec.id: (
@@ -49,6 +50,12 @@ def contents(directory: Path) -> Contents:
             )
             for trial in results.trials()
         }
+
+
+def metrics(directory: Path) -> dict[str, list[tuple[Any, ...]]]:
+    """Return the metrics of each trial, which must also be the same."""
+    with Results.open(directory) as results:
+        return {trial.spec.id: results.metric_rows(trial.spec.id) for trial in results.trials()}
 
 
 def children(pid: int, naming: str = "") -> list[int]:

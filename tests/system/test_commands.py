@@ -42,6 +42,7 @@ def hub(tmp_path: Path) -> str:
 ENDLESS_COMMANDS = {
     "glue-hub": ["--bind", "tcp://127.0.0.1:*"],
     "glue-compete": ["board", "runs"],
+    "glue-compile": ["mario"],
     "glue-conform": ["agent", "--", "sleep", "100"],
     "glue-generalise": ["--agent", "random"],
     "glue-keys": ["show", "carol.key"],
@@ -110,7 +111,7 @@ print(*sorted(set(sys.modules) - before))
     # Without `site`, which imports whatever the installed packages tell it to.
     shown = subprocess.run([sys.executable, "-SEc", program], capture_output=True, text=True, check=True)
     imported = shown.stdout.split()
-    assert "glue.entry" in imported
+    assert "glue.cli.entry" in imported
     assert not {"typing", "re", "contextlib", "click"} & set(imported)
 
 
@@ -426,19 +427,17 @@ def shadowed(tmp_path: Path) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("agent", ["random", "mine.py:Patient", "mine:Patient"])
-def test_file_in_the_working_directory_takes_no_modules_place(agent: str, shadowed: Path, hub: str) -> None:
-    common = ("--episodes", "2", "--max-steps", "20")
-    players = ("--env", "mine.py:Endless", "--agent", agent)
-    for topology in ([], ["--in-process"], ["--workers", "1"]):
-        shown = run_anew("glue-experiment", *common, *players, *topology, cwd=shadowed)
-        assert shown.returncode == 0, shown.stderr
+def test_file_in_the_working_directory_takes_no_modules_place(shadowed: Path, hub: str) -> None:
+    experiment = ("glue-experiment", "--episodes", "2", "--max-steps", "20", "--out")
     commands = (
-        ("glue-experiment", *common, "--bind", hub),
+        (*experiment, "one", "--env", "mine.py:Endless", "--agent", "random", "--in-process"),
+        (*experiment, "two", "--env", "mine.py:Endless", "--agent", "mine.py:Patient", "--workers", "1"),
+        (*experiment, "three", "--env", "mine.py:Endless", "--agent", "mine:Patient"),
+        (*experiment, "four", "--bind", hub),
         ("glue-env", "mine.py:Endless", "--hub", hub),
-        ("glue-agent", agent, "--hub", hub),
+        ("glue-agent", "mine:Patient", "--hub", hub),
     )
-    with ThreadPoolExecutor(3) as pool:
+    with ThreadPoolExecutor(len(commands)) as pool:
         for ended in pool.map(lambda command: run_anew(*command, cwd=shadowed), commands):
             assert ended.returncode == 0, ended.stderr
 
@@ -537,6 +536,19 @@ MISTAKES = {
     ),
     "a bad URL": (["glue-agent", "random", "--hub", "localhost:4097"], "tcp://host:port"),
     "an address open to others": (["glue-hub", "--bind", "tcp://0.0.0.0:4999"], "--insecure"),
+    "a key without the hub's, of a player": (["glue-agent", "random", "--key", "own"], "(--hub-key)"),
+    "no key, of a subcommand": (["glue-compete", "board", ".", "--signed-by", "nowhere"], "(--signed-by)"),
+    "two options at once": (["glue-hub", "--legacy-port", "0.0.0.0:4096"], "(--legacy-port, --insecure)"),
+    "a legacy port without a session": (["glue-hub", "--legacy-port", "4096="], "the name of a session"),
+    "no legacy port": (["glue-hub", "--legacy-port", "http"], "write [HOST:]PORT[=SESSION]"),
+    "a legacy port of another's hub": (
+        ["glue-experiment", "--episodes", "1", "--hub", "tcp://127.0.0.1:4097", "--legacy-port", "4096"],
+        "--hub",
+    ),
+    "a legacy port in one process": (
+        ["glue-experiment", "--episodes", "1", "--in-process", "--legacy-port", "4096"],
+        "--in-process",
+    ),
     "a file that is not there": (["glue-agent", "nowhere.py:Agent"], "no file nowhere.py"),
     "a module that is not there": (["glue-env", "nowhere:Env"], "no module 'nowhere'"),
     "a class that is not there": (["glue-env", "env_server.toys:MineEnvironment"], "did you mean Mines"),
@@ -558,6 +570,7 @@ def test_mistake_is_answered_in_a_line_that_says_what_to_do(mistake: str, tmp_pa
     assert advice in shown.stderr
     assert "Traceback" not in shown.stderr
     assert sum(line.startswith("Error:") for line in shown.stderr.splitlines()) == 1
+    assert not list(tmp_path.iterdir()), "nothing has begun"
 
 
 def test_port_in_use_is_one_line(tmp_path: Path, hub: str, terminals: list[Terminal]) -> None:
@@ -569,6 +582,7 @@ def test_port_in_use_is_one_line(tmp_path: Path, hub: str, terminals: list[Termi
         ["glue-hub", "--bind", taken],
         ["glue-experiment", "--episodes", "1", "--bind", taken],
         ["glue-experiment", "--episodes", "1", "--bind", "tcp://127.0.0.1:*", "--legacy-port", port],
+        ["glue-hub", "--bind", "tcp://127.0.0.1:*", "--legacy-port", port],
     ):
         shown = run(*command, cwd=tmp_path)
         assert shown.returncode == 2
@@ -600,22 +614,6 @@ def test_task_spec_that_does_not_parse_is_one_line_at_the_agent(tmp_path: Path, 
     assert shown.returncode == 1
     assert "ACTIONS" in shown.stderr
     assert "Traceback" not in shown.stderr
-
-
-@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_hub_that_is_stopped_tells_its_peers(
-    number: signal.Signals, status: int, tmp_path: Path, hub: str, terminals: list[Terminal]
-) -> None:
-    stopped = Terminal("glue-hub", "--bind", hub, cwd=tmp_path)
-    agent = Terminal("glue-agent", "random", "--hub", hub, cwd=tmp_path)
-    environment = Terminal("glue-env", "mines", "--hub", hub, cwd=tmp_path)
-    terminals += [stopped, agent, environment]
-    stopped.wait_for("agent .* joined")
-    stopped.wait_for("environment .* joined")
-    stopped.send_signal(number)
-    assert stopped.end() == status
-    assert (agent.end(), environment.end()) == (0, 0)
-    agent.wait_for(f"goodbye: .*{number.name}")
 
 
 @pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])

@@ -16,24 +16,20 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import msgpack
-import pytest
-import zmq
 
 from glue.client.experiment import connect
-from glue.client.libzmq import Context
 from glue.client.players import serve_agent, serve_environment
-from glue.core.config import HubConfig
-from glue.hub.server import Hub
-from glue.protocol.messages import Kind
+from glue.hub.config import HubConfig
+from glue.hub.io.server import Hub
 from glue.types import Action, Observation
+from glue.wire.messages import Kind
 from tests.players import SeededAgent, SeededEnvironment
-from tests.system.peer import TIMEOUT
+from tests.scripted.hub import ScriptedHub
+from tests.scripted.peer import TIMEOUT, ScriptedPeer
 
 RECORDED: Final = Path(__file__).parents[1] / "golden/conversation.jsonl"
 ROLES: Final = ("agent", "environment", "experiment")
 CONFIG: Final = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.5, timeout=60.0)
-
-Sockets = Callable[[int], dict[str, "zmq.Socket[bytes]"]]
 
 
 class Event(NamedTuple):
@@ -58,27 +54,6 @@ def recorded() -> Iterator[Event]:
         yield Event(role, direction == "sent", [bytes.fromhex(frame) for frame in frames])
 
 
-@pytest.fixture
-def context() -> Iterator[Context]:
-    context: Context = zmq.Context()
-    yield context
-    context.destroy(linger=0)
-
-
-@pytest.fixture
-def sockets(context: Context) -> Iterator[Sockets]:
-    """Makes a socket for each role."""
-    with ExitStack() as closing:
-
-        def make(kind: int) -> dict[str, zmq.Socket[bytes]]:
-            made = {role: closing.enter_context(context.socket(kind)) for role in ROLES}
-            for each in made.values():
-                each.setsockopt(zmq.RCVTIMEO, int(TIMEOUT * 1000))
-            return made
-
-        yield make
-
-
 def test_the_recording_has_every_call_of_an_experiment_without_saves() -> None:
     kinds = {Kind(event.kind) for event in recorded()}
     assert {kind for kind in Kind if kind not in kinds} == {
@@ -86,28 +61,31 @@ def test_the_recording_has_every_call_of_an_experiment_without_saves() -> None:
         Kind.HEARTBEAT,
         Kind.ERROR,
         *(kind for kind in Kind if kind.name.endswith(("_SAVE", "_LOAD"))),
-        *(kind for kind in Kind if kind.name.startswith("OBSERVE")),  # the first version had no observers
+        # The first version had neither observers nor metrics.
+        *(kind for kind in Kind if kind.name.startswith("OBSERVE") or kind.name.endswith("_METRICS")),
     }
 
 
-def test_todays_hub_answers_the_first_peers_to_the_byte(sockets: Sockets) -> None:
-    with Hub(CONFIG).in_background() as hub:
-        peers = sockets(zmq.DEALER)
-        for peer in peers.values():
-            peer.connect(hub.endpoints[0])
+def received(end: ScriptedPeer | ScriptedHub) -> list[bytes]:
+    """Return the frames of the next message that is not a heartbeat."""
+    while header(frames := end.receive_frames())[0] == Kind.HEARTBEAT:
+        pass
+    return frames
+
+
+def test_todays_hub_answers_the_first_peers_to_the_byte() -> None:
+    with Hub(CONFIG).in_background() as hub, ExitStack() as closing:
+        peers = {role: closing.enter_context(ScriptedPeer(hub.endpoints[0]).greet()) for role in ROLES}
         for event in recorded():
             if event.sent:
-                peers[event.role].send_multipart(event.frames)
-                continue
-            received = peers[event.role].recv_multipart()
-            while header(received)[0] == Kind.HEARTBEAT:
-                received = peers[event.role].recv_multipart()
-            assert received == event.frames
+                peers[event.role].send(*event.frames)
+            else:
+                assert received(peers[event.role]) == event.frames
 
 
-def run_verbs(url: str, context: Context) -> None:
-    """What the recorded experiment did."""
-    with connect(url, context=context, log=lambda line: None) as glue:
+def run_verbs(url: str) -> None:
+    """Call the verbs of the recorded experiment."""
+    with connect(url, log=lambda line: None) as glue:
         glue.wait_for_players(lambda missing: None)
         glue.rl_init(seed=7)
         glue.rl_start()
@@ -127,50 +105,42 @@ def run_verbs(url: str, context: Context) -> None:
         glue.rl_cleanup()
 
 
-def test_todays_peers_answer_the_first_hub_to_the_byte(context: Context, sockets: Sockets) -> None:
-    ends = sockets(zmq.ROUTER)
-    routes: dict[str, bytes] = {}
+def test_todays_peers_answer_the_first_hub_to_the_byte() -> None:
     greetings: dict[str, int] = {}
     with ExitStack() as ending:
+        hubs = {role: ending.enter_context(ScriptedHub()) for role in ROLES}
         for role in ROLES:
-            ends[role].bind("tcp://127.0.0.1:*")
-            url = ends[role].getsockopt_string(zmq.LAST_ENDPOINT)
-            ending.callback(start(role, url, context).join, TIMEOUT)
+            ending.callback(start(role, hubs[role].url).join, TIMEOUT)
         for event in recorded():
             if not event.sent:
                 kind, session, seq, *scalars = header(event.frames)
                 if kind == Kind.WELCOME:
                     seq = greetings[event.role]  # A hub of any version repeats the number of the HELLO.
                 first = msgpack.packb([kind, session, seq, *scalars])
-                ends[event.role].send_multipart([routes[event.role], first, *event.frames[1:]])
+                hubs[event.role].send_frames(first, *event.frames[1:])
                 continue
-            frames: list[Any] = [Kind.HEARTBEAT]
-            while frames[0] == Kind.HEARTBEAT:
-                routes[event.role], *received = ends[event.role].recv_multipart()
-                frames = header(received)
+            frames = received(hubs[event.role])
             if event.kind == Kind.HELLO:
-                greetings[event.role] = frames[2]
-                expected = header(event.frames)
+                hello, expected = header(frames), header(event.frames)
+                greetings[event.role] = hello[2]
                 for varying in (2, 5, 7):  # the number, the instance, the version of Python
-                    frames[varying] = expected[varying]
-                if event.role == "experiment":
-                    frames[8].remove("outcome")  # the first hub knows no such capability, and ignores it
-                assert frames == expected
+                    hello[varying] = expected[varying]
+                newer = {"experiment": "outcome", "environment": "truncate"}.get(event.role)
+                if newer is not None:
+                    hello[8].remove(newer)  # the first hub knows no such capability, and ignores it
+                assert hello == expected
             else:
-                assert received == event.frames
+                assert frames == event.frames
         for role in ("agent", "environment"):
-            goodbye = msgpack.packb([Kind.GOODBYE, "default", 0, "over"])
-            ends[role].send_multipart([routes[role], goodbye])
+            hubs[role].say(Kind.GOODBYE, 0, "over")
 
 
-def start(role: str, url: str, context: Context) -> threading.Thread:
+def start(role: str, url: str) -> threading.Thread:
     """Let a peer of today play the role."""
     programs: dict[str, Callable[[], object]] = {
-        "agent": lambda: serve_agent(SeededAgent(), url, context=context, log=lambda line: None),
-        "environment": lambda: serve_environment(
-            SeededEnvironment(), url, context=context, log=lambda line: None
-        ),
-        "experiment": lambda: run_verbs(url, context),
+        "agent": lambda: serve_agent(SeededAgent(), url, log=lambda line: None),
+        "environment": lambda: serve_environment(SeededEnvironment(), url, log=lambda line: None),
+        "experiment": lambda: run_verbs(url),
     }
     thread = threading.Thread(target=programs[role], daemon=True)
     thread.start()

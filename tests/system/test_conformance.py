@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 from glue.client.experiment import connect
-from glue.core.config import HubConfig
-from glue.core.local import local
-from glue.hub.server import Hub
+from glue.engine.local import local
+from glue.hub.config import HubConfig
+from glue.hub.io.server import Hub
+from tests.forked import Forked
+from tests.scripted.peer import TIMEOUT
+from tests.scripted.process import main
 from tests.system.conformance import SCENARIOS, Seen
-from tests.system.peer import peer, running
 
 
 @pytest.fixture(scope="module")
@@ -28,11 +30,11 @@ def hub(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     with Hub(HubConfig(bind=(url,))).in_background() as hub:
         (endpoint,) = hub.endpoints
         programs = "tests.system.conformance"
-        with (
-            running(*peer("agent", endpoint, f"{programs}:agents")),
-            running(*peer("environment", endpoint, f"{programs}:environments")),
-        ):
-            yield endpoint
+        players = [Forked(main, role, endpoint, f"{programs}:{role}s") for role in ("agent", "environment")]
+        yield endpoint
+    for player in players:
+        player.wait(TIMEOUT)
+        player.kill()
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

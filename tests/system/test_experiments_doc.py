@@ -1,4 +1,4 @@
-"""docs/experiments.md: all its commands run, in order, in one directory; 20 episodes stand for hundreds."""
+"""docs/experiments.md and the tutorials: all commands run, in order, with 20 episodes for hundreds."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.plan_file import load_plan
+from experiment_runner.plan.file import load_plan
 from experiment_runner.store.results import Results
 from tests.system.runs import contents
 
@@ -29,14 +29,20 @@ COMMANDS = {
 def test_every_block_is_accounted_for() -> None:
     assert TEXT.count("```") == 2 * len(BLOCK.findall(TEXT))
     notes = {note for note, _, _ in BLOCK.findall(TEXT)}
-    cluster = "runs in the tests, where Ray is installed"
-    assert notes == {*COMMANDS, "file: lazy.py", "file: sweep.toml", cluster}
+    assert notes == {
+        *COMMANDS,
+        *(f"runs in the tests, where {what} installed" for what in ("Ray is", "SLURM is", "loggers are")),
+        "file: lazy.py",
+        "file: metrics.toml",
+        "file: sweep.toml",
+        "file: tune.toml",
+    }
 
 
-def follow(folder: Path) -> None:
-    """Write every file of the text, and run every command."""
+def follow(folder: Path, text: str = TEXT) -> None:
+    """Write every file of a text, and run every command."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    for block in BLOCK.finditer(TEXT):
+    for block in BLOCK.finditer(text):
         note, body = block["note"], HUNDREDS.sub("20", block["body"])
         if note.startswith("file: "):
             (folder / note.removeprefix("file: ")).write_text(body)
@@ -50,6 +56,26 @@ def follow(folder: Path) -> None:
                 timeout=SECONDS,
             )
             assert done.returncode == 0, f"{body}\n{done.stdout}\n{done.stderr}"
+
+
+@pytest.mark.slow
+def test_first_agent_can_be_followed(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "first-agent.md").read_text(encoding="utf-8")
+    assert text.count("```") == 2 * len(BLOCK.findall(text))
+    follow(tmp_path, text)
+    assert (tmp_path / "first.png").stat().st_size > 0
+    with Results.open(tmp_path / "runs" / "first") as results:
+        assert all(trial.finished for trial in results.trials())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("page", "made"),
+    [("first-experiment", "compare.png"), ("first-competition", "board.html"), ("notebooks", "")],
+)
+def test_tutorial_can_be_followed(page: str, made: str, tmp_path: Path) -> None:
+    follow(tmp_path, (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8"))
+    assert (tmp_path / made).stat().st_size > 0
 
 
 @pytest.mark.slow

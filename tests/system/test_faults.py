@@ -21,15 +21,17 @@ from glue.client import experiment
 from glue.client.experiment import RemoteExperiment
 from glue.client.libzmq import Context
 from glue.client.players import serve_agent, serve_environment
-from glue.core.config import HubConfig
-from glue.core.experiment import Experiment
-from glue.core.local import local
-from glue.errors import HubClosed, PeerFailed, PeerLost
-from glue.hub.server import Hub
-from glue.types import Action, Observation
+from glue.engine.experiment import Experiment
+from glue.engine.local import local
+from glue.errors import HubClosed, PeerLost
+from glue.hub.config import HubConfig
+from glue.hub.io.server import Hub
+from glue.types import Action, Step
+from tests.forked import Forked
 from tests.players import ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
 from tests.proof import size
-from tests.system.peer import TIMEOUT, peer, running
+from tests.scripted.peer import TIMEOUT
+from tests.scripted.process import main, running
 from tests.system.proxy import Proxy, WelcomeThief
 from tests.system.wires.router_hub import router_hub
 
@@ -55,7 +57,7 @@ _ends = Ends(threads=True, processes=False)
     ids=lambda ends: f"libzmq: {[name for name, there in ends._asdict().items() if there]}",
 )
 def ends(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Ends:
-    """What the peers of a test connect by."""
+    """Return the kinds of connections of the peers of a test."""
     chosen: Ends = request.param
     monkeypatch.setattr(sys.modules[__name__], "_ends", chosen)
     return chosen
@@ -105,25 +107,29 @@ class Processes:
     """Players in processes of their own, any number after one another."""
 
     def __init__(self, hub: str, role: str, player: str) -> None:
-        self._arguments = peer(role, hub, player, _ends.processes)
-        self._stack = ExitStack()
-        self._latest: subprocess.Popen[str] | None = None
+        self._arguments = (role, hub, player, "libzmq" if _ends.processes else "plain")
+        self._started: list[Forked] = []
 
     def __enter__(self) -> Processes:
         self.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stack.close()
+        for started in self._started:
+            started.kill()
 
     def start(self) -> None:
         """Start another."""
-        self._latest = self._stack.enter_context(running(*self._arguments))
+        self._started.append(Forked(main, *self._arguments))
 
     def signal(self, number: int) -> None:
         """Send the latest a signal."""
-        assert self._latest is not None
-        os.kill(self._latest.pid, number)
+        os.kill(self.latest.pid, number)
+
+    @property
+    def latest(self) -> Forked:
+        """The process started last."""
+        return self._started[-1]
 
 
 class At:
@@ -309,20 +315,6 @@ def play_over_cuts(cuts: int, seed: int) -> None:
             assert proxy.finished.is_set(), "all cuts were made"
 
 
-def test_a_run_over_connections_that_pass_single_bytes_has_the_same_returns() -> None:
-    expected = chain(local(ChainAgent(), ChainEnvironment()), 3)
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=1.0, timeout=60.0))
-    with hub.in_background():
-        proxy = Proxy(port(hub), piece=1)
-        with (
-            proxy.in_background(),
-            Processes(proxy.url, "agent", "tests.players:ChainAgent"),
-            Processes(proxy.url, "environment", "tests.players:ChainEnvironment"),
-            connect(proxy.url) as glue,
-        ):
-            assert chain(glue, 3) == expected
-
-
 @pytest.mark.parametrize("cuts", [0, 20])
 def test_a_run_at_a_hub_of_libzmq_has_the_same_returns(cuts: int) -> None:
     episodes = 15
@@ -337,7 +329,7 @@ def test_a_run_at_a_hub_of_libzmq_has_the_same_returns(cuts: int) -> None:
             assert proxy.finished.is_set() == bool(cuts)
 
 
-HUB = "from glue.hub.command import main; main()"
+HUB = "from glue.cli.hub import main; main()"
 
 
 @contextmanager
@@ -454,30 +446,28 @@ def test_a_hub_that_is_told_to_stop_tells_every_peer(
     reason = f"the hub was stopped by {number.name}"
     with hub_process(f"ipc://{tmp_path}/hub") as (hub, url):
         with (
-            running(*peer("agent", url, "tests.players:ScriptedAgent", _ends.processes)) as agent,
-            running(
-                *peer("environment", url, "tests.players:ScriptedEnvironment", _ends.processes)
-            ) as environment,
+            Processes(url, "agent", "tests.players:ScriptedAgent") as agent,
+            Processes(url, "environment", "tests.players:ScriptedEnvironment") as environment,
             connect(url) as glue,
         ):
             glue.rl_init()
             hub.send_signal(number)
             with pytest.raises(HubClosed, match=reason):
                 play_on(glue)
-            for process in (agent, environment):
-                output, _ = process.communicate(timeout=TIMEOUT)
-                assert (process.returncode, output) == (0, f"goodbye: {reason}\n")
+            for player in (agent.latest, environment.latest):
+                assert player.wait(TIMEOUT) == 0
+                assert player.output().endswith(f"goodbye: {reason}\n")
         assert hub.wait(TIMEOUT) == code
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_player_that_is_told_to_stop_tells_the_hub(number: signal.Signals, code: int) -> None:
     class Walk(SkeletonEnvironment):
-        def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        def env_step(self, action: Action) -> Step:
             process.send_signal(number)
             return super().env_step(action)
 
-    agent = "from agents.command import main; main()"
+    agent = "from agents.cli.agent import main; main()"
     hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=60.0))
     with hub.in_background(), ExitStack() as ending:
         (url,) = hub.endpoints
@@ -489,26 +479,6 @@ def test_a_player_that_is_told_to_stop_tells_the_hub(number: signal.Signals, cod
         with pytest.raises(PeerLost, match=r"the agent SkeletonAgent left: interrupted"):
             play_on(glue)
         assert process.wait(TIMEOUT) == code
-
-
-def test_an_exception_shows_its_traceback_where_it_happened_and_its_name_at_the_experiment() -> None:
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=60.0))
-    with hub.in_background(), ExitStack() as ending:
-        (url,) = hub.endpoints
-        ending.enter_context(serving(url, ScriptedEnvironment()))
-        ending.callback(hub.stop, "over")
-        agent = ending.enter_context(
-            running(*peer("agent", url, "tests.players:FailingAgent", _ends.processes))
-        )
-        glue = ending.enter_context(connect(url))
-        glue.rl_init()
-        text = "agent FailingAgent raised in agent_step: ValueError: the second step is too much"
-        with pytest.raises(PeerFailed, match=text):
-            glue.rl_episode()
-        _, shown = agent.communicate(timeout=TIMEOUT)
-        assert agent.returncode == 1
-        assert "Traceback (most recent call last)" in shown
-        assert 'raise ValueError("the second step is too much")' in shown
 
 
 def test_a_slow_session_delays_no_other() -> None:

@@ -5,22 +5,22 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
 import pytest
-import zmq
 
 from env_server.toys import SkeletonEnvironment
 from glue.client.experiment import connect
-from glue.client.players import serve_environment
-from glue.core.config import HubConfig
-from glue.core.experiment import Experiment
-from glue.hub.server import Hub
+from glue.engine.experiment import Experiment
+from glue.hub.config import HubConfig
+from glue.hub.io.server import Hub
+from glue.roles import Environment
 from glue.types import Action, Observation
+from tests.cc import compiled
+from tests.hubs import serving
 from tests.system.proxy import WelcomeThief
 
 EXAMPLES: Final = Path(__file__).parents[2] / "docs/examples"
@@ -44,16 +44,7 @@ def javascript_agent(hub: str) -> list[str]:
 
 @pytest.fixture(scope="module")
 def c_agent(tmp_path_factory: pytest.TempPathFactory) -> Agent:
-    compiler = shutil.which("cc")
-    if compiler is None:
-        pytest.skip("there is no C compiler here to build the C agent")
-    includes = subprocess.run([compiler, "-E", "-"], input=b"#include <zmq.h>\n", capture_output=True)
-    if includes.returncode != 0:
-        pytest.skip("there is no zmq.h here to build the C agent (Debian: libzmq3-dev)")
-    program = tmp_path_factory.mktemp("c") / "agent"
-    source = str(EXAMPLES / "c/agent.c")
-    strict = ["-std=c11", "-Wall", "-Wextra", "-Werror"]
-    subprocess.run([compiler, *strict, "-o", str(program), source, "-lzmq"], check=True)
+    program = compiled(EXAMPLES / "c/agent.c", tmp_path_factory.mktemp("c"))
     return lambda hub: [str(program), hub]
 
 
@@ -65,7 +56,7 @@ def agent(request: pytest.FixtureRequest) -> Agent:
     return {"python": python_agent, "javascript": javascript_agent}[request.param]
 
 
-class Wordy:
+class Wordy(Environment):
     """Shows ints, doubles and chars; ends with the third step."""
 
     def __init__(self) -> None:
@@ -82,9 +73,6 @@ class Wordy:
         self.actions.append(action)
         below = Observation(ints=[-8], doubles=[0.25, -2.0, 4.0], chars=b"abc" * 100)
         return -0.5, below, len(self.actions) == 3
-
-    def env_cleanup(self) -> None:
-        pass
 
     def env_message(self, message: str) -> str:
         return message
@@ -103,24 +91,22 @@ def running(command: list[str]) -> Iterator[subprocess.Popen[str]]:
 
 
 @contextmanager
-def table_for(agent: Agent, environment: object, through: Callable[[str], str] = str) -> Iterator[Experiment]:
+def table_for(
+    agent: Agent, environment: Environment, through: Callable[[str], str] = str
+) -> Iterator[Experiment]:
     """Sit down a foreign agent, our environment and an experiment at a hub of ours.
 
     `through` may put something between the agent and the hub: it is given the hub's URL and returns another.
     """
-    with zmq.Context() as context:
-        hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
-        url = hub.endpoints[0]
-        serve = threading.Thread(
-            target=serve_environment,
-            args=(environment, url),
-            kwargs={"context": context, "log": lambda line: None},
-        )
-        with running(agent(through(url))):
-            with hub.in_background(), connect(url, context=context, log=lambda line: None) as glue:
-                serve.start()
-                yield glue
-            serve.join()
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
+    url = hub.endpoints[0]
+    with (
+        running(agent(through(url))),
+        serving(url, environment),
+        hub.in_background(),
+        connect(url, log=lambda line: None) as glue,
+    ):
+        yield glue
 
 
 def test_agent_walks_the_skeleton_environment(agent: Agent) -> None:
@@ -171,28 +157,23 @@ def test_agent_survives_a_connection_that_is_cut_again_and_again(agent: Agent) -
 
 def test_agent_forgets_another_hub_although_welcomes_of_the_next_are_lost(agent: Agent) -> None:
     # With the count of the first hub in mind it would answer nothing to the second.
+    second = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
+    url = second.endpoints[0]
     with (
-        zmq.Context() as context,
-        Hub(HubConfig(bind=("tcp://127.0.0.1:*",))).in_background() as second,
+        serving(url, SkeletonEnvironment()),
+        second.in_background(),
         WelcomeThief() as thief,
         table_for(agent, SkeletonEnvironment(), thief.before) as glue,
     ):
         glue.rl_init()
         assert glue.rl_episode()
-        thief.lead_to(second.endpoints[0], lose=2)
-        serve = threading.Thread(
-            target=serve_environment,
-            args=(SkeletonEnvironment(), second.endpoints[0]),
-            kwargs={"context": context, "log": lambda line: None},
-        )
-        serve.start()
-        with connect(second.endpoints[0], context=context, log=lambda line: None) as other:
+        thief.lead_to(url, lose=2)
+        with connect(url, log=lambda line: None) as other:
             other.rl_init()
             assert other.rl_episode()
             assert thief.lost
             assert other.rl_agent_message("?").startswith("1 episodes")
         second.stop("over")
-        serve.join()
 
 
 def test_environment_agent_and_experiment_that_know_only_the_document_play_together() -> None:

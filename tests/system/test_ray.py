@@ -15,6 +15,7 @@ import pytest
 from experiment_runner.store.results import Results
 from tests.system.runs import contents, run
 from tests.system.test_experiments_doc import BLOCK, TEXT
+from tests.system.test_resume_kills import SEARCH
 from tests.system.test_workers import FAULTY, MINES, SARSA
 
 pytest.importorskip("ray", reason="needs the extra `ray`; .ci/run installs it")
@@ -84,6 +85,16 @@ def test_trial_that_fails_is_recorded(cluster: str, tmp_path: Path) -> None:
     done = run(*plan, "--in-process", "--engine", "ray", "--address", cluster, "--out", "run", cwd=tmp_path)
     assert done.returncode == 1, done.stderr
     assert "Error: agent Faulty raised in agent_start: ValueError: a mistake" in done.stderr
+
+
+def test_search_comes_to_the_choice_of_workers(cluster: str, tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(SEARCH)
+    plan = ("--plan", "plan.toml", "--in-process")
+    assert run(*plan, "--workers", 2, "--out", "workers", cwd=tmp_path).returncode == 0
+    done = run(*plan, "--engine", "ray", "--address", cluster, "--out", "ray", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    for part in ("search", "result"):
+        assert contents(tmp_path / "ray" / part) == contents(tmp_path / "workers" / part)
 
 
 def test_cluster_that_is_not_there_is_said_in_one_line(tmp_path: Path) -> None:

@@ -25,8 +25,10 @@ COMMANDS = [
     for language, body in BLOCKS
     if language == "sh"
     for line in body.splitlines()
-    if line.startswith("glue-")
+    if line.startswith(("glue-experiment", "glue-env", "glue-agent"))
+    and "sb3" not in line  # tests/glue/gym/test_sb3.py runs those
 ]
+SCORES = [line for _, body in BLOCKS for line in body.splitlines() if line.startswith("glue-generalise")]
 EXPERIMENT = ["glue-experiment", "--episodes", "2", "--max-steps", "50"]
 
 
@@ -40,7 +42,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def partners(command: list[str], hub: str) -> list[list[str]]:
-    """What runs in the other terminals; nothing if the command brings all three roles with it."""
+    """Return the commands of the other terminals; empty if the command itself runs all three roles."""
     environment, agent = ["glue-env", "mines", "--hub", hub], ["glue-agent", "random", "--hub", hub]
     match command[0]:
         case "glue-agent":
@@ -73,6 +75,13 @@ def test_command_runs(command: list[str], folder: Path) -> None:
     finally:
         for terminal in terminals:
             terminal.close()
+
+
+def test_a_score_on_unseen_levels(tmp_path: Path) -> None:
+    (line,) = SCORES
+    shown = run(*shlex.split(line.replace("test-1000", "test-1000:2")), cwd=tmp_path)
+    assert shown.returncode == 0, shown.stderr
+    assert re.search(r"planner\b.*1\.000", shown.stdout), shown.stdout
 
 
 def test_script_runs_an_experiment_and_reads_its_results(tmp_path: Path) -> None:

@@ -15,17 +15,36 @@ import pytest
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 from tests.proof import FULL, size
-from tests.system.runs import alive, children, contents, start, wait_until
+from tests.system.runs import alive, children, contents, metrics, start, wait_until
 
-PLAN = [
-    *("--env", "mines", "--env-option", "random_start=true", "--agent", "sarsa"),
-    *("--episodes", size(600, 6_000), "--max-steps", 30, "--trials", 4, "--seed", 11),
-]
+PLAYERS = ("--env", "mines", "--env-option", "random_start=true", "--agent", "sarsa")
+PLANS = {
+    "episodes": (*PLAYERS, "--episodes", size(600, 6_000), "--max-steps", 30, "--trials", 4, "--seed", 11),
+    "steps and metrics": (
+        *(*PLAYERS, "--steps", size(7_000, 70_000), "--metrics-every", 7),
+        *("--max-steps", 30, "--trials", 4, "--seed", 12),
+    ),
+}
+SEARCH = """
+episodes = 60
+max_steps = 30
+seed = 5
+[environments.mines]
+random_start = true
+[agents.sarsa]
+[tune]
+configurations = 8
+trials = 2
+final = 3
+prune = true
+[tune.agents.sarsa]
+step_size = {low = 0.01, high = 1.0, log = true}
+"""
 KILLS = size(4, 24)
 VICTIMS = (
     "experiment",
-    "player_command -- agent",
-    "player_command -- environment",
+    "player_command agent",
+    "player_command environment",
     "experiment_runner.executors.local",
 )
 LONGEST_LIFE = size(0.3, 1.0)
@@ -76,11 +95,12 @@ def wait_for_an_episode(directory: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.proof
 @pytest.mark.timeout(size(300, 1200))
-def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(tmp_path: Path) -> None:
-    undisturbed = start(*PLAN, "--in-process", "--out", "undisturbed", cwd=tmp_path)
+@pytest.mark.parametrize("plan", PLANS)
+def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(plan: str, tmp_path: Path) -> None:
+    undisturbed = start(*PLANS[plan], "--in-process", "--out", "undisturbed", cwd=tmp_path)
     _, errors = undisturbed.communicate(timeout=size(60, 400))
     assert undisturbed.returncode == 0, errors
-    command = [*PLAN, "--workers", 2, "--checkpoint-every", 20, "--out", "killed"]
+    command = [*PLANS[plan], "--workers", 2, "--checkpoint-every", 20, "--out", "killed"]
     chance = random.Random(4)
     experiment = start(*command, cwd=tmp_path)
     for kill in range(KILLS):
@@ -96,7 +116,32 @@ def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(tmp_path: Pat
     _, errors = experiment.communicate(timeout=size(200, 600))
     assert experiment.returncode == 0, errors
     assert contents(tmp_path / "killed") == contents(tmp_path / "undisturbed")
+    assert metrics(tmp_path / "killed") == metrics(tmp_path / "undisturbed")
+    assert any(metrics(tmp_path / "killed").values()) == ("metrics" in plan)
     with Results.open(tmp_path / "killed") as results:
         events = {event.kind for event in results.events()}
         assert {"resume", "rewind", "lost"} <= events  # the experiment and workers were killed in the midst
         assert results.voids()  # and so were players
+
+
+@pytest.mark.slow
+@pytest.mark.proof
+def test_search_that_is_killed_comes_to_the_same_choice(tmp_path: Path) -> None:
+    (tmp_path / "plan.toml").write_text(SEARCH)
+    command = ("--plan", "plan.toml", "--in-process", "--workers", 2)
+    undisturbed = start(*command, "--out", "undisturbed", cwd=tmp_path)
+    _, errors = undisturbed.communicate(timeout=60)
+    assert undisturbed.returncode == 0, errors
+    chance = random.Random(6)
+    killed = 0
+    while True:
+        searching = start(*command, "--out", "killed", cwd=tmp_path)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            _, errors = searching.communicate(timeout=chance.uniform(0.8, 2.5) if killed < KILLS else 60)
+            break
+        kill_experiment(searching)
+        killed += 1
+    assert killed
+    assert searching.returncode == 0, errors
+    for part in ("search", "result"):
+        assert contents(tmp_path / "killed" / part) == contents(tmp_path / "undisturbed" / part)

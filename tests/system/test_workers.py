@@ -109,7 +109,7 @@ def test_results_do_not_depend_on_the_processes(tmp_path: Path) -> None:
     [
         ("raise", "agent Faulty raised in agent_start: ValueError: a mistake"),
         ("exit", "SystemExit: 3"),
-        ("SIGKILL", "its worker was killed by signal 9, 3 times without getting past episode 6"),
+        ("SIGKILL", "its worker was killed by signal 9, 3 times without progress"),
     ],
 )
 def test_trial_that_crashes_is_recorded_and_the_rest_go_on(folder: Path, how: str, why: str) -> None:
@@ -193,7 +193,7 @@ INTERRUPTED = (*SARSA, "--episodes", 400, "--trials", 2)
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Contents:
-    """What the run comes to that is interrupted below."""
+    """Return the results of the run that is interrupted below, without interruptions."""
     folder = tmp_path_factory.mktemp("undisturbed")
     assert run(*INTERRUPTED, "--in-process", "--out", "run", cwd=folder).returncode == 0
     return contents(folder / "run")
@@ -213,7 +213,7 @@ def test_interrupted_run_leaves_nobody_and_goes_on(
         process.send_signal(number)
     _, errors = process.communicate(timeout=60)
     assert process.returncode == code, errors
-    assert "go on with: glue-experiment --resume run\n" in errors
+    assert "continue with: glue-experiment --resume run" in errors
     assert errors.count("interrupted") == 1, errors
     assert "Traceback" not in errors
     assert not any(map(alive, everybody))
@@ -258,7 +258,7 @@ def test_read_only_directory_is_refused(tmp_path: Path) -> None:
 
 
 def test_full_disk_is_named_and_what_was_stored_is_readable(tmp_path: Path) -> None:
-    script = '"$@" >/dev/null; code=$?; glue() { "$1" -m experiment_runner.commands.results export run; }; '
+    script = '"$@" >/dev/null; code=$?; glue() { "$1" -m experiment_runner.cli.results export run; }; '
     script += 'glue "$1" | tail -n 1 | cut -d , -f 1,2; exit $code'
     plan = (*SARSA, "--episodes", 100_000, "--in-process", "--out", "run")
     done = on_a_disk("size=400k", tmp_path, script, *COMMAND, *plan)
@@ -267,7 +267,7 @@ def test_full_disk_is_named_and_what_was_stored_is_readable(tmp_path: Path) -> N
     assert trial == "sarsa/mines/0"
     assert re.fullmatch(
         rf"Error: episode {int(last) + 1} of {trial} is not recorded(, nor are \d+ after it)?: "
-        "the disk is full; the episodes before it are. Solve that, and continue with --resume run",
+        "the disk is full; the episodes before it are. Solve that, and resume the run in run \\(--resume\\)",
         done.stderr.strip().splitlines()[-1],
     )
     assert "Traceback" not in done.stderr
@@ -285,7 +285,7 @@ def test_file_that_may_not_grow_ends_the_run_and_what_was_stored_is_readable(
     last = json.loads(done.stdout.splitlines()[-1])["episode"]
     assert re.search(
         rf"Error: episode {last + 1} of sarsa/mines/0 is not recorded(, nor are \d+ after it)?: "
-        "disk I/O error; the episodes before it are. Solve that, and continue with --resume run\n",
+        "disk I/O error; the episodes before it are. Solve that, and resume the run in run \\(--resume\\)\n",
         done.stderr,
     )
     assert "Traceback" not in done.stderr

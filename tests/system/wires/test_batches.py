@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
-from typing import Any
 
 import pytest
 
 from agents.baselines import RandomAgent
 from env_server.toys import SkeletonEnvironment
-from glue import connect, local, serve_agent, serve_environment
-from glue.client.link import Link
-from glue.core.config import HubConfig
-from glue.core.experiment import Experiment
-from glue.hub.server import Hub
+from glue import connect, local
+from glue.client.sockets import SocketTransport
+from glue.engine.experiment import Experiment
+from glue.hub.config import HubConfig
+from glue.hub.io.server import Hub
+from tests.hubs import serving
 from tests.proof import size
 from tests.system.proxy import Proxy
 
@@ -28,13 +25,13 @@ EPISODES, CUTS = size((12, 12), (200, 250))
 def together(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """How many answers were sent at once, each time."""
     numbers: list[int] = []
-    send = Link.send_steps
+    send = SocketTransport._send_joined
 
-    def counted(link: Link, answers: Sequence[Any]) -> None:
-        numbers.append(len(answers))
-        send(link, answers)
+    def counted(transport: SocketTransport) -> bool:
+        numbers.append(len(transport._joined))
+        return send(transport)
 
-    monkeypatch.setattr(Link, "send_steps", counted)
+    monkeypatch.setattr(SocketTransport, "_send_joined", counted)
     return numbers
 
 
@@ -47,25 +44,18 @@ def together(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 def test_answers_sent_together_have_the_same_returns(
     together: list[int], cuts: int, piece: int, episodes: int
 ) -> None:
-    with ExitStack() as stack:
-        hub = stack.enter_context(Hub(HubConfig(bind=("tcp://127.0.0.1:*",))).in_background())
-        port = int(hub.endpoints[0].rpartition(":")[2])
-        proxy = stack.enter_context(Proxy(port, cuts, seed=5, piece=piece).in_background())
-        served = [
-            threading.Thread(target=serve, args=(players, proxy.url), kwargs={"log": lambda line: None})
-            for serve, players in (
-                (serve_agent, {str(i): RandomAgent(seed=i) for i in range(SESSIONS)}),
-                (serve_environment, {str(i): SkeletonEnvironment() for i in range(SESSIONS)}),
-            )
-        ]
-        for thread in served:
-            thread.start()
-        with ThreadPoolExecutor(SESSIONS) as pool:
-            came = list(pool.map(lambda i: over(hub, i, episodes), range(SESSIONS)))
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
+    port = int(hub.endpoints[0].rpartition(":")[2])
+    agents = {str(i): RandomAgent(seed=i) for i in range(SESSIONS)}
+    environments = {str(i): SkeletonEnvironment() for i in range(SESSIONS)}
+    with (
+        Proxy(port, cuts, seed=5, piece=piece).in_background() as proxy,
+        serving(proxy.url, agents, environments),
+        hub.in_background(),
+        ThreadPoolExecutor(SESSIONS) as pool,
+    ):
+        came = list(pool.map(lambda i: over(hub, i, episodes), range(SESSIONS)))
         assert proxy.finished.is_set() == bool(cuts), "all cuts were made"
-        hub.stop("the test is over")
-        for thread in served:
-            thread.join()
 
     assert came == [alone(i, episodes) for i in range(SESSIONS)]
     assert max(together) > 1

@@ -10,18 +10,19 @@ from contextlib import ExitStack, contextmanager
 
 import pytest
 
-from glue.client.experiment import RemoteExperiment, connect
+from glue.client.experiment import RemoteExperiment, connect_over
 from glue.client.players import serve_environment
-from glue.core.config import HubConfig
-from glue.core.experiment import Experiment
-from glue.core.local import local
+from glue.engine.experiment import Experiment
+from glue.engine.local import local
 from glue.errors import PeerLost
-from glue.hub.inside import InsideTransport
-from glue.hub.server import Hub
+from glue.hub.config import HubConfig
+from glue.hub.io.inside import InsideTransport
+from glue.hub.io.server import Hub
 from glue.types import Action, Observation
 from tests.players import ChainAgent, ChainEnvironment
 from tests.proof import FULL
-from tests.system.peer import ROOT, TIMEOUT, peer
+from tests.scripted.peer import TIMEOUT
+from tests.scripted.process import ROOT, peer
 from tests.system.wires import networks
 from tests.system.wires.networks import NEAR, Networks
 
@@ -81,7 +82,7 @@ def run(
         process = subprocess.Popen(agent, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         ending.callback(process.wait)
         ending.callback(process.kill)
-        yield ending.enter_context(connect("inside", transport=local_hub))
+        yield ending.enter_context(connect_over(local_hub))
 
 
 def serve(hosts: Networks, environment: ChainEnvironment, hub: str) -> None:

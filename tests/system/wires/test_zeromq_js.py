@@ -13,10 +13,10 @@ import pytest
 from env_server.toys import SkeletonEnvironment
 from glue.client.experiment import connect
 from glue.client.players import serve_environment
-from glue.core.config import HubConfig
-from glue.hub.server import Hub
+from glue.hub.config import HubConfig
+from glue.hub.io.server import Hub
 from tests.proof import FULL
-from tests.system.peer import TIMEOUT
+from tests.scripted.peer import TIMEOUT
 
 pytestmark = [pytest.mark.proof, pytest.mark.skipif(not FULL, reason="proved by `make proof` alone")]
 
