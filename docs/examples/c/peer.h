@@ -336,17 +336,22 @@ static int serve(int argc, char **argv, const char *name, const char *const *cap
         int is_array = size > 0 && ((*start & 0xf0) == 0x90 || *start == 0xdc || *start == 0xdd);
         int64_t scalars = next(&reader).whole - 3;
         int64_t kind = next(&reader).whole;
-        next(&reader); /* the session */
+        struct item session = next(&reader);
         int64_t seq = next(&reader).whole;
         struct item items[5] = {{0}};
         for (int i = 0; i < scalars && i < 5; i++) items[i] = next(&reader);
         struct call call = {.kind = kind, .seed = items[0].whole, .reward = items[0].real,
                             .body = zmq_msg_data(&body), .size = zmq_msg_size(&body)};
+        int ours = session.size == strlen(peer.session) && memcmp(session.text, peer.session, session.size) == 0;
         int observes = kind == START || kind == STEP;
         if (reader.broken || !is_array || scalars < 0 || size > MAX_HEADER || frames > 2) return malformed();
         if (observes && (frames != 2 || !is_abstract(call.body, call.size))) return malformed();
 
-        if (kind == WELCOME) {
+        if (!ours && session.size > 0) {
+            ; /* another session's */
+        } else if (kind == WELCOME && peer.welcomed) {
+            ; /* it answers no HELLO */
+        } else if (kind == WELCOME) {
             peer.welcomed = 1;
             if (!items[1].whole) last_seq = 0;
             double silence_ms = items[2].real * 1000;

@@ -55,7 +55,7 @@ class Connection:
         self._socket.setsockopt(zmq.HEARTBEAT_IVL, SILENCE_MS)
         self._socket.setsockopt(zmq.LINGER, SILENCE_MS)
         # libzmq reconnects without saying so; its monitor says so.
-        self._monitor = self._socket.get_monitor_socket(
+        self._monitor: zmq.Socket[bytes] = self._socket.get_monitor_socket(
             zmq.Event.HANDSHAKE_SUCCEEDED | zmq.Event.DISCONNECTED
         )
         self._poller = zmq.Poller()
