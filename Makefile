@@ -13,17 +13,19 @@ PARALLEL := --numprocesses=4 --dist=worksteal
 # The tests start hundreds of processes: each finds its modules compiled, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test pytest proof check compile games agents coverage picture screenshots vectors bench clean
+.PHONY: help demo test pytest proof check compile games agents coverage picture screenshots vectors bench docs release clean
 
 help:
 	@echo "make demo   set up, then let an agent learn Infinite Mario, as three processes"
 	@echo "make test   set up, then run every check: ruff and mypy, and beside them pytest"
 	@echo "make proof  run the tests that prove more the longer they run, for minutes instead of seconds"
-	@echo "make check  ruff and mypy alone"
+	@echo "make check  ruff and mypy, also on the programs of README and the pages"
 	@echo "make coverage  which lines and branches the tests reach, in every process that they start"
 	@echo "make picture  draw the folders and who imports whom: docs/images/architecture.svg"
 	@echo "make screenshots  take the pictures of glue-view: docs/images/view-*.png; needs chromium, its driver and selenium"
 	@echo "make vectors  write glue/testing/vectors.json from the examples of docs/protocol.md"
+	@echo "make docs   build the site of documents: build/site/index.html"
+	@echo "make release  check version, changelog and tag, and build and prove the distributions: build/dist"
 	@echo "make bench  measure, and write docs/performance.md"
 
 $(READY): pyproject.toml
@@ -38,11 +40,17 @@ demo: $(READY)
 	$(BIN)/glue-plot $(DEMO) --out $(DEMO)/curve.png
 	@echo 'Watch the agent play, after 300 episodes of learning:'
 	@echo '    $(BIN)/glue-watch --env mario --agent hierarchical --after 300'
+	@echo 'A planner, which learns nothing but knows the rules, on ten levels that it has not seen:'
+	@$(BIN)/glue-generalise --set test-1000:10 --agent planner --seed 1 --out $(DEMO)/planner
+	@echo 'Watch it play, with its plan:'
+	@echo '    $(BIN)/glue-watch --env mario --agent planner --plan'
 
 check: $(READY)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python -m tests.house.users_code build/users
+	MYPYPATH=build/users:docs/examples/python $(BIN)/mypy build/users docs/examples/python
 
 # Once; else each process of the tests would compile the simulator, the agents and the modules that the tests import.
 compile: games agents $(FOUND)
@@ -75,10 +83,21 @@ picture: $(READY)
 	$(BIN)/python -m tests.house.picture
 
 screenshots: $(READY)
-	$(BIN)/python -m tests.experiment_runner.view.screenshots
+	$(BIN)/python -m tests.experiment_runner.view.browser.screenshots
 
 vectors: $(READY)
 	$(BIN)/python -m tests.glue.testing.vectors
+
+docs: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[docs]'
+	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet docs build/site
+	@echo 'build/site/index.html'
+
+# All of a release but the upload: the version, the changelog and the tag agree, and the wheel is proved from outside.
+release: $(READY)
+	$(BIN)/python -m tests.package.release
+	$(BIN)/python -m nox --non-interactive --session package names
+	@echo 'proved, in build/dist: push the tag, and publish it from the release page (.github/workflows/publish.yml)'
 
 bench: $(READY)
 	$(BIN)/python -m benchmarks
