@@ -66,7 +66,8 @@ def test_a_quiet_hub_logs_only_its_address() -> None:
 
 
 def test_a_verbose_hub_logs_every_connection() -> None:
-    assert sum(line.endswith("connected") for line in said("--verbose")) == 2
+    # Two programs; one that hears nothing for a few heartbeats of 50 ms connects again.
+    assert sum(line.endswith("connected") for line in said("--verbose")) >= 2
 
 
 def test_quiet_and_verbose_exclude_each_other() -> None:
