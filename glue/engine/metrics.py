@@ -36,7 +36,8 @@ def unpack_metrics(body: Observation) -> dict[str, float]:
     """
     names = body.chars.decode(errors="replace").split("\n") if len(body.chars) else []
     values = body.doubles.tolist()
-    if len(values) > MAX_METRICS or len(set(names)) != len(values) or not all(map(_is_name, names)):
+    fit = len(values) == len(names) == len(set(names)) <= MAX_METRICS
+    if not fit or not all(map(_is_name, names)):
         raise PeerFailed(
             f"the agent's metrics have {len(values)} numbers and {len(names)} names; each number has a name "
             f"of its own, of 1 to {MAX_METRIC_NAME} characters, and there are at most {MAX_METRICS}"

@@ -46,6 +46,18 @@ def test_environment_whose_observation_is_not_as_it_said_is_blamed() -> None:
             glue.rl_step()
 
 
+def test_what_was_returned_and_expected_is_counted_by_its_kind() -> None:
+    class Talking(RandomAgent):
+        def agent_step(self, reward: float, observation: Observation) -> Action:
+            return Action([1, 2], [0.5], b"ab")
+
+    with local(Talking(), MinesEnvironment()) as glue:
+        glue.rl_init(seed=1)
+        glue.rl_start()
+        with pytest.raises(PeerFailed, match=r"must return 1 int, .* returned 2 ints, 1 double, 2 chars$"):
+            glue.rl_step()
+
+
 def test_first_answers_are_checked_as_the_later_ones_are() -> None:
     class Early(MinesEnvironment):
         def env_start(self) -> Observation:

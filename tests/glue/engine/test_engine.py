@@ -9,7 +9,7 @@ import pytest
 from glue.engine.engine import Engine, Instruction, role_seed
 from glue.engine.local import LocalExperiment, local
 from glue.errors import LocalProtocolError, PeerLost, RemoteProtocolError
-from glue.types import Action, Observation, Step
+from glue.types import CUT_OFF, Action, Observation, Step
 from glue.wire.messages import CALLS, Kind, Role
 from tests.players import ScriptedAgent, ScriptedEnvironment, SeededAgent, SeededEnvironment
 
@@ -542,8 +542,12 @@ def test_players_without_the_capability_are_passed_over() -> None:
 def test_role_seeds_are_fixed_for_ever() -> None:
     # Results that others published depend on these.
     assert {
-        (seed, role): role_seed(seed, role) for seed in (0, 1) for role in (Role.AGENT, Role.ENVIRONMENT)
+        (seed, role): role_seed(seed, role)
+        for seed in (0, 1)
+        for role in (Role.AGENT, Role.ENVIRONMENT, Role.EXPERIMENT)
     } == {
+        (0, Role.EXPERIMENT): 8226343694796210948,
+        (1, Role.EXPERIMENT): 637987770806161565,
         (0, Role.AGENT): 2440950710608614359,
         (0, Role.ENVIRONMENT): 4334430513956379144,
         (1, Role.AGENT): 2021340933837429789,
@@ -586,6 +590,48 @@ def test_losing_a_player_between_episodes_voids_nothing() -> None:
     drive(engine, Kind.RL_STEP, env_step=ENDS)
     engine.void("the agent left")
     assert drive(engine, Kind.RL_STEP)[0] == ["ENV_STEP", "AGENT_STEP"]
+
+
+@pytest.mark.parametrize(
+    ("verb", "under_way"),
+    [
+        ((Kind.RL_START,), True),
+        ((Kind.RL_STEP,), True),
+        ((Kind.RL_ENV_START,), True),
+        ((Kind.RL_ENV_STEP,), True),
+        ((Kind.RL_EPISODE, 2), False),
+        ((Kind.RL_CLEANUP,), False),
+        ((Kind.RL_INIT, None), False),
+    ],
+)
+@pytest.mark.parametrize("terminal", [False, True, CUT_OFF])
+@pytest.mark.parametrize("before", [Kind.RL_START, Kind.RL_CLEANUP])
+def test_an_episode_is_under_way_until_it_ends(
+    before: Kind, verb: tuple[Any, ...], terminal: int, under_way: bool
+) -> None:
+    engine = initialised()
+    drive(engine, before)
+    drive(engine, *verb, env_step=(1.0, terminal))
+    expected = under_way and not (terminal and verb[0] in (Kind.RL_STEP, Kind.RL_ENV_STEP))
+    assert engine.in_episode is expected
+    engine.void("the agent left")
+    assert engine.in_episode is False
+    if expected:
+        with pytest.raises(PeerLost):
+            engine.begin(Kind.RL_STEP)
+    else:
+        assert drive(engine, Kind.RL_STEP)[0]
+
+
+def test_an_episode_of_half_steps_counts_like_any_other() -> None:
+    engine = initialised()
+    for done in range(1, 4):
+        drive(engine, Kind.RL_ENV_START)
+        drive(engine, Kind.RL_ENV_STEP, env_step=ENDS)
+        assert engine.num_episodes == done
+        drive(engine, Kind.RL_ENV_START)
+        drive(engine, Kind.RL_ENV_STEP, env_step=(1.0, CUT_OFF))
+        assert (engine.num_episodes, engine.num_steps) == (done, 2)
 
 
 def test_stepping_on_after_a_cut_off_is_an_episode_that_can_be_void() -> None:

@@ -11,7 +11,7 @@ import pytest
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import LocalProtocolError
-from glue.types import Action, Observation
+from glue.types import CUT_OFF, Action, Observation, Step
 from tests.hubs import over_the_hub
 from tests.players import ScriptedAgent, ScriptedEnvironment
 
@@ -46,6 +46,50 @@ def test_a_mistake_is_answered_at_once_and_the_session_goes_on(glue: Experiment)
             mistake(glue)
     assert not glue.rl_episode(3)
     assert glue.rl_num_steps() == 3
+
+
+def test_largest_seed_and_limit_are_accepted(glue: Experiment) -> None:
+    assert glue.rl_init(2**63 - 1) == "a task"
+    assert glue.rl_episode(2**32 - 1)
+
+
+class Keeping(ScriptedAgent):
+    saved = b"the agent's"
+
+    def agent_save(self) -> bytes:
+        return self.saved
+
+    def agent_load(self, data: bytes) -> None:
+        self.saved = data
+
+
+class KeepingEnvironment(ScriptedEnvironment):
+    saved = b"the environment's"
+
+    def env_save(self) -> bytes:
+        return self.saved
+
+    def env_load(self, data: bytes) -> None:
+        self.saved = data
+
+    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+        reward, observation, terminal = super().env_step(action)
+        return reward, observation, CUT_OFF if terminal else False
+
+
+@pytest.mark.parametrize("make", [local, over_the_hub])
+def test_half_steps_and_saves_reach_the_players(make: Callable[..., Any]) -> None:
+    with make(Keeping(), KeepingEnvironment(length=2)) as glue:
+        glue.rl_init()
+        assert glue.rl_env_start() == Observation([0])
+        assert glue.rl_agent_start(Observation([0])) == Action([100])
+        assert glue.rl_env_step(Action([100])) == Step(1.0, Observation([1]), False, False)
+        assert glue.rl_agent_step(1.0, Observation([1])) == Action([101])
+        assert glue.rl_env_step(Action([101])) == Step(1.0, Observation([2]), True, True)
+        assert (glue.rl_agent_save(), glue.rl_env_save()) == (b"the agent's", b"the environment's")
+        glue.rl_agent_load(b"another agent's")
+        glue.rl_env_load(b"another environment's")
+        assert (glue.rl_agent_save(), glue.rl_env_save()) == (b"another agent's", b"another environment's")
 
 
 def test_numbers_may_be_of_numpy(glue: Experiment) -> None:

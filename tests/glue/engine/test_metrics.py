@@ -10,7 +10,7 @@ import pytest
 from agents.baselines import RandomAgent
 from env_server.toys import MinesEnvironment
 from glue.engine.local import local
-from glue.engine.metrics import MAX_METRICS, pack_metrics, unpack_metrics
+from glue.engine.metrics import MAX_METRIC_NAME, MAX_METRICS, pack_metrics, unpack_metrics
 from glue.errors import PeerFailed, Unsupported
 from glue.types import Observation
 
@@ -24,7 +24,16 @@ class Measured(RandomAgent):
         return self.metrics
 
 
-@pytest.mark.parametrize("metrics", [{}, {"größe": -0.0, "a name of several words": math.inf}, {"n": 3}])
+@pytest.mark.parametrize(
+    "metrics",
+    [
+        {},
+        {"größe": -0.0, "a name of several words": math.inf},
+        {"n": 3},
+        {"x" * MAX_METRIC_NAME: 1.0},
+        {f"{i}": float(i) for i in range(MAX_METRICS)},
+    ],
+)
 def test_the_experiment_receives_the_agents_numbers_in_their_order(metrics: dict[str, float]) -> None:
     glue = local(Measured(metrics), MinesEnvironment())
     glue.rl_init()
@@ -47,7 +56,9 @@ def test_the_experiment_receives_the_agents_numbers_in_their_order(metrics: dict
 def test_anything_but_numbers_by_name_is_the_agents_fault(metrics: Any) -> None:
     glue = local(Measured(metrics), MinesEnvironment())
     glue.rl_init()
-    with pytest.raises(PeerFailed, match="agent_metrics of Measured"):
+    with pytest.raises(
+        PeerFailed, match="agent_metrics of Measured must return numbers by name; it returned "
+    ):
         glue.rl_agent_metrics()
 
 
@@ -64,13 +75,20 @@ def test_an_agent_without_metrics_is_not_asked() -> None:
         Observation([], [1.0]),
         Observation([], [1.0], b"a\nb"),
         Observation([], [1.0, 2.0], b"a\na"),
+        Observation([], [1.0], b"a\na"),
+        Observation([], [1.0], b"\xff\xfe\n"),
         Observation([], [], b"a"),
         Observation([], [1.0], b"\x1b[2J"),
     ],
 )
 def test_a_body_whose_names_do_not_fit_is_refused(body: Observation) -> None:
-    with pytest.raises(PeerFailed):
+    numbers = body.doubles.size
+    with pytest.raises(PeerFailed, match=f"the agent's metrics have {numbers} numbers and "):
         unpack_metrics(body)
+
+
+def test_a_name_that_is_not_text_is_shown_with_a_mark() -> None:
+    assert unpack_metrics(Observation([], [1.0], b"a\xff")) == {"a\ufffd": 1.0}
 
 
 def test_nan_crosses() -> None:
