@@ -32,6 +32,9 @@ _FLOAT: Final = 0xCB
 _MORE: Final = 1
 _LONG: Final = 2
 _MAX_SHORT: Final = 255
+_HEAD: Final = 2
+"""Bytes of the flags and the length of the header's frame: with a session of 31 bytes it is a short one."""
+
 _NO_SCALARS: Final[tuple[Value, ...]] = ()
 
 _COUNTS: Final = struct.Struct("<4I")
@@ -93,7 +96,7 @@ class StepFormat:
         max_seq: the largest sequence number that it has a form for, 2**32 - 1.
     """
 
-    __slots__ = ("_head", "_layouts", "_number_at", "_scalars", "kind", "lead", "session")
+    __slots__ = ("_layouts", "_number_at", "_scalars", "kind", "lead", "session")
 
     max_seq: Final = 2**32 - 1
 
@@ -105,20 +108,16 @@ class StepFormat:
         self.lead: bytes = msgpack.packb((int(kind), session, 0, *([None] * self._scalars)))[
             : -1 - self._scalars
         ]
-        largest = len(self.lead) + struct.calcsize(">BI" + _SCALARS[self._scalars])
-        self._head = 2 if largest <= _MAX_SHORT else 9  # flags and length of the header's frame
-        self._number_at = self._head + len(self.lead)
+        self._number_at = _HEAD + len(self.lead)
         self._layouts = tuple(self._layout(first, letter) for _, first, letter in _NUMBERS)
 
     def _layout(self, first: bytes, letter: str) -> _Layout:
         """Return the layout with a sequence number that begins with `first` and goes on as `letter` says."""
         numbers = letter + _SCALARS[self._scalars]
         size = len(self.lead) + len(first) + struct.calcsize(">" + numbers)
-        is_short = self._head == 2
-        head = bytes((_MORE, size)) if is_short else bytes((_MORE | _LONG,)) + size.to_bytes(8, "big")
-        start = head + self.lead + first
+        start = bytes((_MORE, size)) + self.lead + first
         short, long = (_struct(f">{len(start)}s{numbers}{frame}") for frame in ("BB", "BQ"))
-        return _Layout(start, short, long, self._head + size)
+        return _Layout(start, short, long, _HEAD + size)
 
     def head(self, seq: int, scalars: tuple[Value, ...], size: int) -> bytes:
         """Return the bytes before a body of `size` bytes; `seq` is at most `max_seq`."""

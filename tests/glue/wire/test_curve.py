@@ -427,6 +427,18 @@ def streams() -> tuple[Stream, Stream]:
     return hub, peer
 
 
+def test_usual_steps_need_no_codec(monkeypatch: pytest.MonkeyPatch) -> None:
+    hub, peer = streams()
+    monkeypatch.delattr("glue.wire.stream.encode")
+    monkeypatch.delattr("glue.wire.stream.decode")
+    for body in (BODY, bytes(Observation(range(20_000)).body)):
+        for seq in (3, 200, 70_000):
+            for one, other, step in ((hub, peer, CALL), (peer, hub, ANSWER)):
+                message = step._replace(seq=seq, body=body)
+                other.receive_data(b"".join(one.encode(message)))
+                assert other.next_event() == message
+
+
 def test_steps_cross_an_encrypted_connection_as_they_are() -> None:
     for body in (BODY, bytes(Observation(range(20_000)).body)):
         hub, peer = streams()

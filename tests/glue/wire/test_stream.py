@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
 from glue.errors import RemoteProtocolError
@@ -88,6 +90,72 @@ def test_steps_are_written_as_by_the_codec_and_read_back(
         assert read(receiver, data) == [message]
         assert receiver.empty
         assert receiver.buffered == 0
+
+
+class CodecUsed(Exception):
+    pass
+
+
+def _refuse(*_: object) -> None:
+    raise CodecUsed
+
+
+@pytest.fixture
+def without_codec(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """A function that takes the codec away from all streams."""
+
+    def take_away() -> None:
+        monkeypatch.setattr("glue.wire.stream.encode", _refuse)
+        monkeypatch.setattr("glue.wire.stream.decode", _refuse)
+
+    return take_away
+
+
+@every_step
+@pytest.mark.parametrize("body", [BODY, LONG, bytes(Observation(chars=bytes(239)).body)], ids=len)
+@pytest.mark.parametrize("sessions", [("s",), ("", "t", "n" * 31)], ids=len)
+def test_usual_steps_need_no_codec(
+    kind: Kind,
+    from_hub: bool,
+    scalars: tuple[float | bool, ...],
+    body: bytes,
+    sessions: tuple[str, ...],
+    without_codec: Callable[[], None],
+) -> None:
+    sender, receiver = acquainted(kind, from_hub, *sessions)
+    receiver.max_body = len(body)
+    without_codec()
+    for session in sessions:
+        for seq in NUMBERS[:-1]:
+            message = Message(kind, session, seq, scalars, body)
+            data = b"".join(sender.encode(message))
+            assert read(receiver, data) == [message]
+            assert read(receiver, data * 2) == [message] * 2
+
+
+def test_a_step_behind_pieces_of_another_message_needs_no_codec(without_codec: Callable[[], None]) -> None:
+    _, receiver = acquainted(Kind.ENV_STEP, False, "s")
+    beat = Message(Kind.HEARTBEAT, "s", 0)
+    step = Message(Kind.ENV_STEP, "s", 2, (1.0, False), LONG)
+    data = plainly(beat, False) + plainly(step, False)
+    for piece in (data[:1], data[1:40], data[40:]):
+        receiver.receive_data(piece)
+    assert receiver.next_event() == beat
+    without_codec()
+    assert receiver.buffered == len(plainly(step, False))
+    assert receiver.next_event() == step
+    assert receiver.empty
+
+
+def test_formats_are_forgotten_when_there_are_4096(without_codec: Callable[[], None]) -> None:
+    sessions = [str(number) for number in range(4097)]
+    sender, receiver = acquainted(Kind.ENV_STEP, True, *sessions)
+    first, last = (Message(Kind.ENV_STEP, session, 2, (), BODY) for session in (sessions[0], sessions[-1]))
+    data = b"".join(sender.encode(first))
+    without_codec()
+    assert read(receiver, b"".join(sender.encode(last))) == [last]
+    with pytest.raises(CodecUsed):
+        read(receiver, data)
 
 
 @every_step
