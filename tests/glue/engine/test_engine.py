@@ -35,7 +35,7 @@ ENDS = (1.0, True)
 
 
 def go_on(
-    engine: Engine, step: Instruction, env_step: tuple[float, bool] = NEVER_ENDS
+    engine: Engine, step: Instruction, env_step: tuple[float, int] = NEVER_ENDS
 ) -> tuple[list[str], Instruction]:
     """Answer calls from `step` on until the verb is done; return the calls made and the reply."""
     made = []
@@ -47,7 +47,7 @@ def go_on(
 
 
 def drive(
-    engine: Engine, verb: Kind, *scalars: Any, body: Any = b"", env_step: tuple[float, bool] = NEVER_ENDS
+    engine: Engine, verb: Kind, *scalars: Any, body: Any = b"", env_step: tuple[float, int] = NEVER_ENDS
 ) -> tuple[list[str], Instruction]:
     """Carry `verb` out; return the calls made and the reply."""
     return go_on(engine, engine.begin(verb, scalars, body), env_step)

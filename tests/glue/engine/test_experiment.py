@@ -11,7 +11,7 @@ import pytest
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import LocalProtocolError
-from glue.types import CUT_OFF, Action, Observation, Step
+from glue.types import Action, Observation, Step
 from tests.hubs import over_the_hub
 from tests.players import ScriptedAgent, ScriptedEnvironment
 
@@ -72,9 +72,9 @@ class KeepingEnvironment(ScriptedEnvironment):
     def env_load(self, data: bytes) -> None:
         self.saved = data
 
-    def env_step(self, action: Action) -> tuple[float, Observation, bool]:
+    def env_step(self, action: Action) -> Step:  # type: ignore[override]
         reward, observation, terminal = super().env_step(action)
-        return reward, observation, CUT_OFF if terminal else False
+        return Step(reward, observation, terminal, truncated=terminal)
 
 
 @pytest.mark.parametrize("make", [local, over_the_hub])

@@ -171,6 +171,28 @@ def test_an_initiate_is_checked_whoever_made_it(bent: Bent) -> None:
     assert not decoder.ready
 
 
+def test_the_client_is_known_only_after_its_initiate() -> None:
+    mechanism = server()
+    assert mechanism.client == b""
+    connected(mechanism)
+    assert mechanism.client == CAROL.public
+
+
+def test_an_encrypted_frame_has_a_long_head_from_256_bytes_on() -> None:
+    decoder, client = connected()
+    for size in (222, 223):
+        assert events(decoder, client.message(bytes(size))) == [[bytes(size)]]
+    hub, peer = streams()
+    heads = {}
+    for size in (222, 223):
+        first = b"".join(hub.encode(CALL._replace(kind=Kind.ENV_MESSAGE, body=bytes(size))))
+        peer.receive_data(first)
+        assert isinstance(peer.next_event(), Message)
+        head_size = 2 + first[1]
+        heads[size] = first[head_size : head_size + 1]
+    assert heads == {222: b"\0", 223: b"\2"}
+
+
 def _with_bit(data: bytes, at: int, bit: int) -> bytes:
     return data[:at] + bytes((data[at] | bit,)) + data[at + 1 :]
 

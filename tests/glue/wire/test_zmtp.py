@@ -81,6 +81,18 @@ def test_a_ping_is_answered_with_its_context() -> None:
     assert events(decoder, b"\x04\x0a\x04PING\x00\x10abc") == [b"\x04\x08\x04PONGabc"]
 
 
+def test_a_context_that_is_too_long_is_cut_to_16_bytes() -> None:
+    assert events(greeted(), b"\x04\x1b\x04PING\x00\x10" + b"c" * 20) == [b"\x04\x15\x04PONG" + b"c" * 16]
+
+
+def test_the_socket_may_be_said_after_other_properties() -> None:
+    other = b"\x08Identity\x00\x00\x00\x05carol" + b"\x01x\x00\x00\x00\x00"
+    ready = b"\x05READY" + other + READY[8:]
+    decoder = Decoder(ROUTER, MAX_FRAME)
+    assert events(decoder, GREETING + bytes((4, len(ready))) + ready) == [ANSWER]
+    assert decoder.ready
+
+
 def test_unknown_commands_are_passed_over() -> None:
     decoder = greeted()
     assert events(decoder, b"\x04\x05\x04PONG" + b"\x04\x02\x01?" + b"\x04\x00" + encode([b"x"])) == [[b"x"]]
@@ -166,8 +178,14 @@ def test_what_was_said_is_not_kept() -> None:
         (GREETING + encode([b"early"]), "before READY"),
         (GREETING + b"\x04\x06\x05READY", "does not say what socket"),
         (GREETING + b"\x04\x08\x05READY\x0bS", "does not say what socket"),
+        (GREETING + b"\x04\x0c\x05READY\x01x\xff\xff\xff\xfa", "does not say what socket"),
+        (GREETING + READY.replace(b"DEALER", b"SUB..."), "a socket of type b'SUB...', not DEALER"),
+        (GREETING + b"\x04\x0a\x05ERROR\x03why", "ended the handshake: b'why'"),
     ],
-    ids=["version", "mechanism", "message before READY", "no socket type", "cut property"],
+    ids=[
+        *("version", "mechanism", "message before READY", "no socket type", "cut property"),
+        *("large property", "another socket", "ended"),
+    ],
 )
 def test_a_handshake_that_cannot_be_completed_is_refused_with_its_reason(data: bytes, reason: str) -> None:
     decoder = Decoder(ROUTER, MAX_FRAME)
