@@ -54,6 +54,14 @@ def package(session: nox.Session) -> None:
 
 
 @nox.session(default=False)
+def mutation(session: nox.Session) -> None:
+    """Make mistakes in engine and codec, one by one, and list those that no test notices: an hour or less."""
+    session.install("mutmut==3.8.1", "--editable", ".[dev]")
+    session.run("mutmut", "run", *session.posargs)
+    session.run("mutmut", "results")
+
+
+@nox.session(default=False)
 def names(session: nox.Session) -> None:
     """Beside distributions with packages of the same names, in both orders of installation."""
     session.run("pytest", "tests/package/test_names.py", *session.posargs, env=build(session))
