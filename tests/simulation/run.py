@@ -506,7 +506,7 @@ class Run:
                 self.problems.append(f"(e) {stuck}; unfinished: {self._unfinished()}")
             finally:
                 self.problems += world.failures
-                for process in [self.hub, *self.experiments.values(), *(entry[0] for entry in self.players)]:
+                for process in world.processes:
                     process.kill()
 
     def _unfinished(self) -> str:

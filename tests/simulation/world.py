@@ -48,10 +48,10 @@ class Process:
     """
 
     def __init__(self, world: World, name: str) -> None:
-        world.processes += 1
+        world.processes.append(self)
         self.world = world
         self.name = name
-        self.number = world.processes
+        self.number = len(world.processes)
         self.heard = 0
         self.alive = True
         self.stopped_until = 0.0
@@ -101,6 +101,7 @@ class World:
         now: virtual time in seconds.
         failures: errors that no program may end with.
         turns: number of times that a program was given the core.
+        processes: all that were ever started.
     """
 
     def __init__(self, seed: int) -> None:
@@ -111,7 +112,7 @@ class World:
         self.ready: list[Task] = []
         self.failures: list[str] = []
         self.turns = 0
-        self.processes = 0
+        self.processes: list[Process] = []
         self._events: list[tuple[float, int, Callable[..., object], tuple[Any, ...]]] = []
         self._number = 0
 
