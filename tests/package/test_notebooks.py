@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import subprocess
 import sys
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pytest
 
@@ -29,14 +30,31 @@ def test_notebook_is_kept_without_output(path: Path) -> None:
 
 @needs_jupyter
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_notebook_runs(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     import nbclient
     import nbformat
 
     monkeypatch.setenv("PATH", f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     text = path.read_text(encoding="utf-8").replace("TRIALS, EPISODES = 2, 300", "TRIALS, EPISODES = 1, 20")
-    notebook = nbformat.reads(text, as_version=4)
-    nbclient.NotebookClient(notebook, timeout=280, resources={"metadata": {"path": str(tmp_path)}}).execute()
+
+    def executed(name: str) -> Any:
+        folder = tmp_path / name
+        folder.mkdir()
+        notebook = nbformat.reads(text, as_version=4)
+        resources = {"metadata": {"path": str(folder)}}
+        nbclient.NotebookClient(notebook, timeout=140, resources=resources).execute()
+        return notebook
+
+    try:
+        notebook = executed("first")
+    except nbclient.exceptions.CellTimeoutError as error:
+        # Once in a hundred runs a line with `!` did not end; a kernel forks for it while its threads run.
+        with capfd.disabled():
+            print(error)
+            subprocess.run(["ps", "-eo", "pid,ppid,stat,etimes,wchan:20,args"], check=False)
+        notebook = executed("second")
     for cell in notebook.cells:
         for output in cell.get("outputs", ()):
             printed = output.get("text", "")
