@@ -212,7 +212,7 @@ class World:
         """Replace what is behind the doors, while the body of the `with` runs."""
         world = self
 
-        class Lock(_Lock):
+        class RLock(_RLock):
             def __init__(self) -> None:
                 super().__init__(world)
 
@@ -229,7 +229,7 @@ class World:
             (clock, "sleep", self.sleep),
             (clock, "give_way", self.give_way),
             (chance, "random_bytes", self.random_bytes),
-            (threads, "Lock", Lock),
+            (threads, "RLock", RLock),
             (threads, "Event", Event),
             (threads, "Thread", Thread),
             *((network, name, value) for name, value in net.door().items()),
@@ -255,35 +255,30 @@ def replacing(attributes: Sequence[tuple[Any, str, Any]]) -> Iterator[None]:
             setattr(owner, name, value)
 
 
-class _Lock:
-    """A lock between the threads of simulated processes."""
+class _RLock:
+    """A lock between the threads of simulated processes, which none acquires twice."""
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._held = False
+        self._owner: Any = None
         self._waiting: list[Any] = []
 
-    def acquire(self) -> bool:
-        while self._held:
+    def acquire(self, blocking: bool = True) -> bool:
+        while self._owner is not None:
+            if not blocking:
+                return False
             self._waiting.append(getcurrent())
             self._world.block()
-        self._held = True
+        self._owner = getcurrent()
         return True
 
     def release(self) -> None:
-        self._held = False
+        if self._owner is not getcurrent():
+            raise RuntimeError("cannot release un-acquired lock")
+        self._owner = None
         waiting, self._waiting = self._waiting, []
         for task in waiting:
             self._world.wake(task)
-
-    def locked(self) -> bool:
-        return self._held
-
-    def __enter__(self) -> bool:
-        return self.acquire()
-
-    def __exit__(self, *error: object) -> None:
-        self.release()
 
 
 class _Event:

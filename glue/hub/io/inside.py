@@ -60,9 +60,12 @@ class InsideTransport:
         self._received: deque[Message] = deque()
         self._calls: deque[tuple[_InsidePlayer, Message]] = deque()
         joining = [_InsidePlayer(role, player, self._calls) for role, player in players.items()]
-        with hub.loop.ask():
+
+        def join() -> None:
             for player in joining:
                 hub.switchboard.receive(player, player.hello(session), clock.monotonic())
+
+        hub.loop.alone(join)
 
     # The peer's side.
 
@@ -76,26 +79,20 @@ class InsideTransport:
     def send_message(self, message: Message) -> bool:
         """Hand the hub a message; return False if the hub is ending."""
         loop = self._hub.loop
-        with loop.ask():
+
+        def send() -> bool:
             if loop.stopping is not None:
                 return False
             self._hub.switchboard.receive(self, message, clock.monotonic())
             return True
 
+        return loop.alone(send)
+
     def receive_message(self, max_body: int) -> Message | None:
         """Return the next message; None if none is received in time."""
-        loop, received, calls = self._hub.loop, self._received, self._calls
-        receive = self._hub.switchboard.receive
+        loop, received = self._hub.loop, self._received
         try:
-            with loop.ask():
-                until = clock.monotonic() + self._wait
-                while not received and loop.stopping is None and (left := until - clock.monotonic()) > 0:
-                    if not calls:
-                        loop.turn(left)
-                        continue
-                    player, call = calls.popleft()
-                    for answer in player.carry_out(call):
-                        receive(player, answer, clock.monotonic())
+            loop.alone(self._take_turns)
         except BaseException:
             # The loop was interrupted in the middle of something.
             self._hub.stop("the experiment was interrupted in the middle of a verb")
@@ -103,6 +100,19 @@ class InsideTransport:
         if not received and loop.stopping is not None:
             self._hub.join(self._wait)  # it says goodbye as it ends
         return received.popleft() if received else None
+
+    def _take_turns(self) -> None:
+        """Take turns, and carry out the players' calls, until a message is received or the time is over."""
+        loop, received, calls = self._hub.loop, self._received, self._calls
+        receive = self._hub.switchboard.receive
+        until = clock.monotonic() + self._wait
+        while not received and loop.stopping is None and (left := until - clock.monotonic()) > 0:
+            if not calls:
+                loop.turn(left)
+                continue
+            player, call = calls.popleft()
+            for answer in player.carry_out(call):
+                receive(player, answer, clock.monotonic())
 
     def notice_connections(self) -> None:
         """Do nothing: there is one."""

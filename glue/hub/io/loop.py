@@ -13,7 +13,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Final, Protocol
+from typing import Final, Protocol, TypeVar
 
 from glue.doors import clock, network, threads
 from glue.sockets.spinning import LONG_SPIN_SECONDS, Spin
@@ -48,6 +48,8 @@ Events = list[tuple[int, int]]
 Work = Callable[[float], None]
 """Takes the time, as `time.monotonic` returns it."""
 
+Result = TypeVar("Result")
+
 
 class Watched(Protocol):
     """The owner of a descriptor."""
@@ -68,13 +70,7 @@ class Source(Watched, Protocol):
 class Loop:
     """Serves descriptors that are ready, calls functions when time has passed, and works off a queue.
 
-    One thread takes the turns at any time: the one in `run`, or another that has taken `ask()`:
-
-        with loop.ask():
-            loop.turn(seconds)
-
-    No other form is safe from Ctrl-C, which may be raised after any call, also after one that has acquired
-    a lock.
+    One thread takes the turns at any time: the one in `run`, or another that is in `alone`.
 
     Args:
         every: seconds between ticks.
@@ -100,7 +96,7 @@ class Loop:
         self._several = False  # answers of several sources are expected
         self._spin = Spin(_SPIN_SECONDS)
         self._spins = 0
-        self._mutex = threads.Lock()
+        self._mutex = threads.RLock()  # which knows whether this thread has it
         self._times_asked = 0
         self._wake = _Wake()
         self.watch(self._wake.fileno(), READ, self._wake)
@@ -140,21 +136,32 @@ class Loop:
         """Take turns until `stop`, except while other threads take them."""
         asked = 0
         while self.stopping is None:
-            if asked != self._times_asked or self._mutex.locked():
+            if asked != self._times_asked or not self._mutex.acquire(blocking=False):
                 # Another thread has the loop, or had it a moment ago and may soon ask for it again.
                 asked = self._times_asked
                 clock.sleep(_GRACE_SECONDS)
                 continue
-            with self._mutex:
+            try:
                 while asked == self._times_asked and self.stopping is None:
                     self.turn()
+            finally:
+                self._mutex.release()
 
-    def ask(self) -> threads.Lock:
-        """Make the thread in `run` release the loop; return the lock to hold while taking turns."""
+    def alone(self, work: Callable[[], Result]) -> Result:
+        """Call `work`, which may take turns, while no other thread does; return its result."""
         self._times_asked += 1
-        if self._mutex.locked():
-            self._wake.up()
-        return self._mutex
+        # Ctrl-C may be raised after any call, also after one that has acquired a lock. So it is released even
+        # if this thread seems not to have it, which a `with` would not do.
+        try:
+            if not self._mutex.acquire(blocking=False):
+                self._wake.up()
+                self._mutex.acquire()
+            return work()
+        finally:
+            try:  # noqa: SIM105  # another call here could be interrupted before the release
+                self._mutex.release()
+            except RuntimeError:  # it was interrupted before it had it
+                pass
 
     def turn(self, seconds: float = math.inf) -> None:
         """Wait up to `seconds` until there is something to do, and do it.

@@ -90,8 +90,7 @@ class Hub(Closing):
 
     def close(self) -> None:
         """Say goodbye to every peer, and stop listening. A running hub is ended by `stop` instead."""
-        with self.loop.ask():  # an experiment inside may be in the middle of a turn
-            self._closing.close()
+        self.loop.alone(self._closing.close)  # an experiment inside may be in the middle of a turn
 
     def wait(self) -> None:
         """Wait until a hub in the background ends.
