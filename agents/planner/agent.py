@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.mario.agent import MarioAgent
+from agents.mario.observation import CHARS
 from agents.planner.horizons import Horizons
 from agents.planner.route import Route
 from agents.planner.search import SETTINGS, WINDOW, model, search
@@ -86,7 +87,6 @@ class PlannerAgent(MarioAgent):
         self._sims = sims
         self._step_seconds = step_seconds
         self._constants = _parse_constants(constants)
-        self._worlds, self._levels = model.make(max_trial_steps=_NO_LIMIT)
         self._scratch, _ = model.make()
         self._memory = self._scratch.view(np.uint8)
         self._seen = np.zeros(1, np.int64)
@@ -99,17 +99,26 @@ class PlannerAgent(MarioAgent):
         how["anytime"] = bonus > 0
         self._made = 0
         self._route = Route(study)
+        self._warm_up()
+
+    def _warm_up(self) -> None:
+        """Compile all functions or load them from disk, so that no step of an episode waits for that."""
+        nothing = Observation([0] * 3, [0.0] * 4, bytes(CHARS))
+        with announce_compilation(f"the agent {self.name}"):
+            self._reset()
+            self.agent_start(nothing)
+            self.agent_step(0.0, nothing)
         self._reset()
-        with announce_compilation("the planner"):
-            self._search(False)
 
     def _reset(self) -> None:
         """Forget every level."""
-        self._worlds["started"] = False
+        self._worlds, self._levels = model.make(max_trial_steps=_NO_LIMIT)
         self._seen[0] = 0
         self._assume(self._constants)
         self._route.forget()
         self._steps = self._predicted = self._used = 0
+        if self._horizons:
+            self._horizons = Horizons()
         self._per_sim = _SECONDS_PER_SIM
         self._ahead = _AHEAD
         self._farthest, self._idle = 0.0, 0
@@ -179,11 +188,11 @@ class PlannerAgent(MarioAgent):
         end, goal = saved.number("end", model.COLUMNS), saved.number("exit", 2**20)
         tiles = saved.array("tiles", np.int8)
         spawns = saved.array("spawns", np.int8, low=0, high=15)
-        level = self._levels[0]
-        rows = level["tiles"].shape[1]
+        rows = self._levels["tiles"].shape[2]
         if len(tiles) != end * rows or len(spawns) != end * rows:
             raise SaveError(f"saved {self.name}: {end} columns have {end * rows} tiles and spawn points")
         self._reset()
+        level = self._levels[0]
         self._seen[0], level["exit_x"] = end, goal
         level["tiles"][:end] = tiles.view(np.uint8).reshape(-1, rows)
         level["spawns"][:] = 0

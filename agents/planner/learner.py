@@ -25,7 +25,6 @@ from agents.planner.agent import (
 from agents.planner.physics import Physics
 from agents.planner.rewards import Rewards
 from agents.planner.search import model
-from glue.compiled.jit import announce_compilation
 from glue.errors import SaveError
 from glue.options import Option
 from glue.saves import Arrays, Saved
@@ -84,8 +83,7 @@ class LearningPlannerAgent(PlannerAgent):
         self._begin()
         self._physics.begin(before)
         self._probes = 0
-        with announce_compilation("the planner that learns"):
-            self._identify()
+        self._identify()
         return self._act()
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
