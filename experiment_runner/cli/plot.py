@@ -111,7 +111,8 @@ def plot(
         runs = [stack.enter_context(Results.open(directory)) for directory in directories]
         names = dict.fromkeys(name for run in runs for name in run.metric_names())
         if metric and metric not in names:
-            raise click.UsageError(f"there is no metric {metric}{did_you_mean(metric, names)}")
+            near = did_you_mean(metric, names) or "; glue-experiment records metrics with --metrics-every"
+            raise click.UsageError(f"there is no metric {metric}{near}")
         found = collect(runs, measure, metric)
     settings = [setting for setting in found if setting.curves().size]
     rng, label = bootstrap_rng(), "reward per step" if measure == REWARD else MEASURES[measure].label

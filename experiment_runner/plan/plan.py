@@ -217,8 +217,8 @@ class Plan:
                 )
         if bool(self.episodes) == bool(self.steps):
             raise PlanError(
-                "a trial ends after a number of episodes or of steps: a plan needs one of them, as in: "
-                "episodes = 1000"
+                "a trial ends after a number of episodes or of steps: a plan needs "
+                f"{'only ' if self.steps else ''}one of them, as in: episodes = 1000"
             )
         if self.seeds not in get_args(Seeds):
             raise PlanError(f"seeds must be 'number' or 'id', not {self.seeds!r}", "seeds")

@@ -550,6 +550,14 @@ def test_plot_draws_each_kind(run: Path, tmp_path: Path, kind: str) -> None:
     assert (tmp_path / "out.svg").read_text().count("<path") > 50
 
 
+def test_plot_of_a_metric_that_was_not_recorded_says_how_to_record_it(run: Path, tmp_path: Path) -> None:
+    found = CliRunner().invoke(
+        plot, [str(run), "--metric", "epsilon", "--out", str(tmp_path / "epsilon.png")]
+    )
+    assert found.exit_code == 2
+    assert "no metric epsilon; glue-experiment records metrics with --metrics-every" in found.output
+
+
 def test_plot_of_a_run_under_way_draws_what_there_is(tmp_path: Path) -> None:
     make(tmp_path / "run", [4, 2, 0, 0])
     arguments = [str(tmp_path / "run"), "-o", str(tmp_path / "out.png")]

@@ -169,6 +169,7 @@ def test_dumped_plan_reads_back_equal(plan: Plan) -> None:
         ("episodes = 5\nepisode = 5", "no 'episode'; did you mean episodes"),
         ("episodes = 5\nlevel = 5", "no 'level'; choose from episodes, steps, max_steps, trials, seed"),
         ("episodes = 0", "a plan needs one of them"),
+        ("episodes = 5\nsteps = 5", "a plan needs only one of them"),
         ('episodes = "many"', "episodes must be a whole number .*'many'"),
         ("episodes = true", "episodes must be a whole number .*True"),
         ("episodes = 5\nmax_steps = 4294967296", "max_steps must be .* from 0 to 4294967295"),
