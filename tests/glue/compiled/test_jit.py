@@ -122,22 +122,31 @@ def test_one_process_compiles_and_the_others_wait_and_say_so(tmp_path: Path) -> 
     assert other.returncode == 0
 
 
+SPINNING = """
+import numpy as np
+from glue.compiled.jit import announce_compilation, entry
+
+@entry
+def spin(x):  # as LLVM, it does not return for a signal
+    while x[0] < 2:
+        x[0] = 1 - x[0]
+
+def main():
+    with announce_compilation("the rules"):
+        spin(np.array([2]))
+        print("ready", flush=True)
+        spin(np.array([0]))
+"""
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_a_command_that_compiles_without_returning_to_python(number: signal.Signals) -> None:
-    program = (
-        "import numpy as np\n"
-        "from glue.cli.entry import handle_signals\n"
-        "from glue.compiled.jit import announce_compilation, entry\n"
-        "handle_signals()\n"
-        # As LLVM, it does not return for a signal.
-        "@entry\ndef spin(x):\n    while x[0] < 2:\n        x[0] = 1 - x[0]\n"
-        "with announce_compilation('the rules'):\n"
-        "    spin(np.array([2]))\n"
-        "    print('ready', flush=True)\n"
-        "    spin(np.array([0]))\n"
-    )
-    process = subprocess.Popen([sys.executable, "-c", program], cwd=ROOT, stdout=subprocess.PIPE, text=True)
-    with process:
+def test_a_signal_ends_a_command_that_compiles_without_returning_to_python(
+    number: signal.Signals, tmp_path: Path
+) -> None:
+    (tmp_path / "spinning.py").write_text(SPINNING)
+    command = [sys.executable, "-c", "from glue.cli.entry import start; start('spinning')"]
+    settings = {**os.environ, "PYTHONPATH": f"{ROOT}:{tmp_path}"}
+    with subprocess.Popen(command, cwd=tmp_path, env=settings, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
         process.send_signal(number)
