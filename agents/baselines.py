@@ -14,8 +14,6 @@ from glue.taskspec import Space, parse_task_spec
 from glue.taskspec.draws import Draws
 from glue.types import Action, Observation
 
-__all__ = ["RandomAgent", "SkeletonAgent"]
-
 
 class RandomAgent(Agent):
     """Acts at random, evenly within the bounds of the task spec; it learns nothing."""

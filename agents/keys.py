@@ -13,8 +13,6 @@ import numpy as np
 from agents.policy import mix
 from glue.compiled.jit import jit
 
-__all__ = ["extend", "feature"]
-
 _STEP: Final = np.uint64(0x9E3779B97F4A7C15)
 
 

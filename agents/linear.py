@@ -20,8 +20,6 @@ from glue.saves import Arrays, Saved, generator_array, pack, unpack
 from glue.taskspec import Space, parse_task_spec
 from glue.types import Action, Observation
 
-__all__ = ["LinearAgent"]
-
 _WEIGHTS: Final = 2**20
 """Weights, shared by all cells: where there are more cells, some share one."""
 _MAX_ACTIONS: Final = 1000

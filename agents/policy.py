@@ -15,8 +15,6 @@ import numpy.typing as npt
 
 from glue.compiled.jit import jit
 
-__all__ = ["Chooser", "below", "epsilon_greedy", "mix", "seeded", "uniform"]
-
 _GOLDEN: Final = np.uint64(0x9E3779B97F4A7C15)
 _FIRST: Final = np.uint64(0xBF58476D1CE4E5B9)
 _SECOND: Final = np.uint64(0x94D049BB133111EB)

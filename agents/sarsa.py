@@ -18,11 +18,6 @@ from glue.compiled.jit import entry, jit
 from glue.compiled.records import Array, Flag, Int, Real, Word, layout
 from glue.errors import SaveError
 
-__all__ = [
-    "MAX_FEATURES", "Entry", "Keys", "Learner", "Taken", "Values", "action_values", "contents", "grown",
-    "has_room", "sum_of_values", "table_of", "take", "update",
-]  # fmt: skip
-
 Keys = npt.NDArray[np.uint64]
 Values = npt.NDArray[np.float64]
 

@@ -21,8 +21,6 @@ from glue.saves import Arrays, Saved, generator_array, is_packed, pack, unpack
 from glue.taskspec import TaskSpec, parse_task_spec
 from glue.types import PREFIX_SIZE, Action, Observation
 
-__all__ = ["SarsaAgent"]
-
 _MAX_VALUES: Final = 10_000_000
 _INT: Final = struct.Struct("<i")
 

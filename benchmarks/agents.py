@@ -16,8 +16,6 @@ from glue.engine.local import local
 from glue.roles import Agent
 from glue.types import Observation
 
-__all__ = ["run"]
-
 _AGENTS: tuple[type[TilesAgent | HierarchicalAgent], ...] = (
     HierarchicalAgent,
     HierarchicalInternalAgent,

@@ -21,8 +21,6 @@ from glue.wire import zmtp
 from glue.wire.codec import TO_HUB, encode
 from glue.wire.messages import PROTOCOL_VERSION, Kind, Message
 
-__all__ = ["run"]
-
 _STEPS: Final = 500
 _READY: Final = b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER"
 _MALFORMED: Final = zmtp.encode([b"nonsense"])

@@ -18,8 +18,6 @@ from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from glue.trajectory import ActionWriter, Ending
 from glue.types import Action
 
-__all__ = ["run"]
-
 _STEPS = 200_000
 _LEVEL_SEED = 3
 _LEGAL = [Action(ints=[d, j, r]) for d in (-1, 0, 1) for j in (0, 1) for r in (0, 1)]

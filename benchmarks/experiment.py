@@ -18,8 +18,6 @@ from experiment_runner.meeting import player_command
 from experiment_runner.store.results import Results
 from glue.wire.messages import Role
 
-__all__ = ["run"]
-
 _RUNS: Final = (("random", 100, REPEATS), ("hierarchical", 300, 1), ("random", 5000, 1))
 """Agent, episodes, and how often; what takes long is run once. The second is what `make demo` does."""
 

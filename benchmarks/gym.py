@@ -43,8 +43,6 @@ from glue.hub.io.server import Hub
 from glue.plugins.batched import make_batch
 from glue.types import Step
 
-__all__ = ["run"]
-
 _ID = "env_server.gym:glue/InfiniteMario-v0"
 _STEPS = 64_000
 _SEED = 3

@@ -24,8 +24,6 @@ from glue.hub.keys import Keys, Permit
 from glue.keys.certificates import write_pair
 from glue.wire.messages import Role
 
-__all__ = ["listening", "run", "three_processes"]
-
 _STEPS = 5000
 _ACTION_SIZE = 20
 _, _MARIO = SIZES

@@ -20,8 +20,6 @@ import numpy as np
 
 from glue.gym.sb3 import SB3VecEnv
 
-__all__ = ["Progress", "learn"]
-
 _LEVEL = {"level_seed": 121, "level_difficulty": 0}
 _GAMES, _LENGTH = 32, 128  # steps of each game between two updates
 _LAST = 100  # episodes whose outcome is shown

@@ -16,8 +16,6 @@ from glue.hub.io.server import Hub
 from glue.legacy.gateway import Gateway
 from tests.system.legacy.legacy_client import Connection, Experiment, Numbers, serve_agent, serve_environment
 
-__all__ = ["run"]
-
 _STEPS = 5000
 _SESSION = "0"
 _ADDRESS = "tcp://127.0.0.1:*"

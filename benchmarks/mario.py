@@ -23,8 +23,6 @@ from glue.engine.local import local
 from glue.roles import Agent
 from glue.types import Action, Observation
 
-__all__ = ["run"]
-
 # To run right and jump in four steps of every seven takes Mario through this level to its goal.
 _LEVEL_SEED = 3
 _BUTTONS = [(1, int(i % 7 < 4), 1) for i in range(7)]

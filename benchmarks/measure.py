@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-__all__ = ["REPEATS", "Rate", "Table", "count", "interleaved", "medians", "rate", "rates", "ratio"]
-
 REPEATS = 5
 _TICKS = os.sysconf("SC_CLK_TCK")
 

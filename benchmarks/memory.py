@@ -14,8 +14,6 @@ from glue.hub.config import HubConfig
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.server import Hub
 
-__all__ = ["run"]
-
 _STEPS: Final = 10_000_000
 _PARTS: Final = 10
 _EPISODE: Final = 1000

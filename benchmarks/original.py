@@ -21,8 +21,6 @@ from glue.hub.io.server import Hub
 from glue.legacy.gateway import Gateway
 from glue.types import Observation
 
-__all__ = ["SERVER", "compiler", "original_programs", "original_server", "through_the_gateway"]
-
 _SOURCE = Path(__file__).with_name("original.c")
 
 SERVER = Path(os.environ["RLGLUE_C"]) / "bin" / "rl_glue" if "RLGLUE_C" in os.environ else None

@@ -17,8 +17,6 @@ import zmq
 
 from benchmarks.measure import REPEATS, Table
 
-__all__ = ["FILE", "NOTES", "ORDER", "beside_other_work", "head", "merged", "section", "sections_of"]
-
 ORDER: Final = (
     "hub",
     "sessions",

@@ -17,8 +17,6 @@ import numpy as np
 
 from benchmarks.measure import Rate, rate
 
-__all__ = ["async_vector_env", "dm_env_rpc_stream", "installed"]
-
 _STEPS = 2000
 _NUMBERS = 44 + 23 + 44  # as many 8-byte numbers as an observation of Mario has bytes
 

@@ -14,8 +14,6 @@ from glue.client.players import serve_agent, serve_environment
 from glue.roles import Agent, Environment
 from glue.types import Action, Observation, Step
 
-__all__ = ["SIZES", "Still", "Walk", "serving"]
-
 SIZES = {
     "one int": Observation(ints=(1,)),
     "Mario's (23 ints, 44 doubles, 352 chars)": Observation(

@@ -15,8 +15,6 @@ from typing import Final
 
 from benchmarks.measure import Rate
 
-__all__ = ["CHECKOUT", "previous_sessions"]
-
 CHECKOUT: Final = Path(os.environ["GLUE_PREVIOUS"]) if "GLUE_PREVIOUS" in os.environ else None
 """The folder, if there is one."""
 

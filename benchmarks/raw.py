@@ -16,8 +16,6 @@ import zmq
 
 from benchmarks.measure import Rate, rate
 
-__all__ = ["socket_round_trips", "zmq_round_trips"]
-
 _HEADER = b"\x95" + bytes(19)  # as long as the header of a step
 _COUNT = 5000
 

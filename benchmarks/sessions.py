@@ -15,8 +15,6 @@ from benchmarks.previous import CHECKOUT, previous_sessions
 from glue.client.experiment import connect
 from glue.engine.experiment import Experiment
 
-__all__ = ["run"]
-
 _SESSIONS = (1, 64, 256, 1024)
 _COMPARED = 64
 _EACH = 100

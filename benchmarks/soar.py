@@ -15,8 +15,6 @@ from benchmarks.measure import Table, count, medians
 from env_server.mario.environment import InfiniteMario
 from glue.engine.local import local
 
-__all__ = ["run"]
-
 _AGENTS = (
     SoarHierarchicalAgent,
     SoarHierarchicalInternalAgent,

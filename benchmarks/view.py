@@ -20,8 +20,6 @@ from benchmarks.measure import REPEATS, Table, count
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 
-__all__ = ["run"]
-
 _PAGES: Final = 20
 _SECONDS: Final = 6.0
 """Of each measurement."""

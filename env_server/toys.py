@@ -13,8 +13,6 @@ from glue.saves import Saved, pack, pack_generator, unpack, unpack_generator
 from glue.taskspec.spaces import Discrete, task_spec
 from glue.types import Action, Observation, Step
 
-__all__ = ["MINES_MAP", "MinesEnvironment", "SkeletonEnvironment"]
-
 _LAST_STATE: Final = 20
 _FIRST_STATE: Final = 10
 

@@ -19,17 +19,6 @@ import numpy.typing as npt
 from glue.errors import RemoteProtocolError
 from glue.types import CUT_OFF, PREFIX_SIZE, AbstractType, Action, Observation
 
-__all__ = [
-    "Batch",
-    "Ragged",
-    "batch_task_spec",
-    "pack_actions",
-    "pack_batch",
-    "read_batch_task_spec",
-    "unpack_actions",
-    "unpack_batch",
-]
-
 _VERSION: Final = "VERSION RL-Glue-Batch-1 "
 _HEAD: Final = re.compile(rf"{_VERSION}0*([1-9][0-9]{{0,8}})(?: |$)")
 """More games would not fit into a message."""

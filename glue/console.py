@@ -9,8 +9,6 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Final
 
-__all__ = ["reporting", "say", "say_why_slow", "show_failure"]
-
 _CALLERS: Final = frozenset({"glue", "experiment_runner"})
 """Packages that call the code of users."""
 

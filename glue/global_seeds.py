@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["globals_restored", "seed_globals", "take_seeds"]
-
 
 def seed_globals(seed: int) -> None:
     """Seed both generators.

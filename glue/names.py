@@ -10,8 +10,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from typing import Final
 
-__all__ = ["NAMES", "hidden_names", "others"]
-
 NAMES: Final = ("glue", "agents", "env_server", "experiment_runner")
 
 _HOME: Final = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))

@@ -31,8 +31,6 @@ from typing import Any
 from glue.errors import ConfigError
 from glue.suggestions import did_you_mean
 
-__all__ = ["Option", "Parameter", "build", "parameters", "parse_assignments"]
-
 Value = int | float | str | bool
 
 

@@ -9,8 +9,6 @@ import numpy as np
 
 from glue.errors import SaveError
 
-__all__ = ["GENERATOR_SIZE", "load_generator", "save_generator"]
-
 _LAYOUT: Final = struct.Struct("<16s16sII")
 
 GENERATOR_SIZE: Final = _LAYOUT.size

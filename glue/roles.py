@@ -17,18 +17,6 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, TypeGuard, TypeVar
 if TYPE_CHECKING:  # NumPy is not needed for a command's help
     from glue.types import Action, Observation, Step
 
-__all__ = [
-    "CAPABILITIES",
-    "Agent",
-    "AgentLike",
-    "Environment",
-    "EnvironmentLike",
-    "MetricAgent",
-    "capabilities",
-    "completed",
-    "offers",
-]
-
 T = TypeVar("T")
 
 

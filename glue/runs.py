@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
 
-__all__ = ["RunData", "load_run"]
-
 _GROUP: Final = "glue.runs"
 _NAME: Final = "load_run"
 

@@ -26,11 +26,6 @@ import numpy.typing as npt
 from glue.errors import SaveError
 from glue.random_state import load_generator, save_generator
 
-__all__ = [
-    "Arrays", "Saved", "Setting", "generator_array", "is_packed", "pack", "pack_generator", "unpack",
-    "unpack_generator",
-]  # fmt: skip
-
 _MAGIC: Final = b"GLUEAGNT"
 _VERSION: Final = 1
 _HEAD: Final = struct.Struct("<8sII")

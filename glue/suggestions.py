@@ -6,8 +6,6 @@ from collections.abc import Iterable
 from difflib import SequenceMatcher
 from typing import Final
 
-__all__ = ["did_you_mean"]
-
 _MAX_NEAR: Final = 3
 _NEAR: Final = 0.6
 _MAX_LISTED: Final = 30

@@ -26,18 +26,6 @@ import numpy.typing as npt
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
 
-__all__ = [
-    "CUT_OFF",
-    "PREFIX_SIZE",
-    "AbstractType",
-    "Action",
-    "Observation",
-    "Step",
-    "arrays_of",
-    "body_size",
-    "step_of",
-]
-
 CUT_OFF: Final = 2
 """The terminal on the wire of a step that cut the episode off: true, but no terminal state."""
 

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import pytest
 
-__all__ = ["compiled"]
-
 
 def compiled(source: Path, folder: Path) -> Path:
     """Return the program of a source file; skip the test where no compiler or no zmq.h is installed."""

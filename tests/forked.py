@@ -19,8 +19,6 @@ from typing import Any, Final
 
 from glue.conform.hub.clients import is_awake
 
-__all__ = ["BIN", "SERVER", "Forked", "redirect", "run", "start"]
-
 BIN: Final = Path(sys.executable).parent
 
 SERVER: Final = multiprocessing.get_context("forkserver")

@@ -8,8 +8,6 @@ from __future__ import annotations
 import os
 from typing import TypeVar
 
-__all__ = ["FULL", "size"]
-
 _T = TypeVar("_T")
 
 FULL = os.environ.get("GLUE_PROOF") == "full"

@@ -15,17 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-from tests.forked import BIN, run, start
-
-__all__ = [
-    "BIN",
-    "Terminal",
-    "drawings",
-    "run",
-    "run_anew",
-    "run_in_terminal",
-    "watched_terminal",
-]
+from tests.forked import BIN, start
 
 _ESCAPE: Final = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 

@@ -11,8 +11,6 @@ from glue.cli.shared import run
 from glue.plugins.trained import load_trained
 from glue.wire.messages import Role
 
-__all__ = ["agent", "main"]
-
 agent: click.Group = player_command(
     Role.AGENT,
     "  glue-agent hierarchical\n"

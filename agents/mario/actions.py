@@ -10,8 +10,6 @@ from typing import Final
 
 from glue.types import Action
 
-__all__ = ["ACTIONS", "LEFT", "NUM_ACTIONS", "RIGHT", "STAY", "action_number"]
-
 LEFT: Final = -1
 STAY: Final = 0
 RIGHT: Final = 1

@@ -9,8 +9,6 @@ from glue.errors import ConfigError, TaskSpecError
 from glue.roles import Agent
 from glue.taskspec import MARIO, parse_task_spec
 
-__all__ = ["MarioAgent"]
-
 
 class MarioAgent(Agent):
     """An agent for Infinite Mario.

@@ -20,8 +20,6 @@ from agents.mario.actions import NUM_ACTIONS
 from glue.errors import SaveError
 from glue.saves import Arrays, Saved
 
-__all__ = ["MAX_STEPS", "Archive", "Cell", "Place", "Trajectory"]
-
 MAX_STEPS: Final = 4096
 """Maximum number of steps of an episode that are remembered."""
 _MAX_CELLS: Final = 16384

@@ -49,8 +49,6 @@ from glue.options import Option
 from glue.saves import Saved, generator_array, pack, unpack
 from glue.types import Action, Observation
 
-__all__ = ["BestAgent"]
-
 _SETTLING: Final = 4
 _RUN_LEFT: Final = action_number(LEFT, False, True)
 _MAX_WORLDS: Final = 8

@@ -21,17 +21,6 @@ from agents.mario.scene import (
 )
 from glue.compiled.jit import jit
 
-__all__ = [
-    "THREATS_2010",
-    "THREATS_2012",
-    "absolute_motion",
-    "find_monsters",
-    "forget_monsters",
-    "is_threat",
-    "recognise_monsters",
-    "relative_motion",
-]
-
 THREATS_2010: Final = (-3, 4, -6, 5)
 """Area in which a monster is a threat: left, right, below, above, in tiles; the author's agents of 2010."""
 THREATS_2012: Final = (-4, 6, -2, 5)

@@ -23,16 +23,6 @@ from agents.mario.observation import (
 from agents.mario.scene import A_COIN, A_PIT, A_QUESTION, Scene, Senses, add
 from glue.compiled.jit import jit
 
-__all__ = [
-    "coin_is_reachable",
-    "look",
-    "pit_is_dangerous",
-    "platform_is_reachable",
-    "question_is_reachable",
-    "tile_above",
-    "via_platform",
-]
-
 
 @jit
 def look(scene: Scene, senses: Senses, body: bytes) -> bool:

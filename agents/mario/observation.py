@@ -25,13 +25,6 @@ from glue.compiled.records import Int, Real
 from glue.errors import RemoteProtocolError
 from glue.types import PREFIX_SIZE, Observation
 
-__all__ = [
-    "BLANK", "BRICK", "CHARS", "COIN", "COLUMNS", "FINISH", "FIREBALL", "FIRE_FLOWER",
-    "GOOMBA", "GREEN_KOOPA", "LEDGE", "MARIO", "MAX_SPRITES", "MUSHROOM", "OUTSIDE", "PIPE", "PLANT",
-    "QUESTION", "RED_KOOPA", "ROWS", "SHELL", "SOLID", "SPIKEY", "Screen", "Seen", "Sprite", "decode",
-    "glimpse", "malformed", "read", "tile",
-]  # fmt: skip
-
 ROWS: Final = 16
 COLUMNS: Final = 21
 MAX_SPRITES: Final = 512

@@ -7,8 +7,6 @@ from typing import Annotated
 
 from glue.options import Option
 
-__all__ = ["SarsaOptions", "Seed"]
-
 Seed = Annotated[int | None, Option("random seed; the experiment's if not given", low=0)]
 
 

@@ -7,8 +7,6 @@ from typing import Final
 from glue.roles import Agent
 from glue.types import Action, Observation
 
-__all__ = ["RunRightAgent"]
-
 _RUN_AND_JUMP: Final = Action(ints=[1, 1, 1])
 
 

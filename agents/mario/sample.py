@@ -20,8 +20,6 @@ from glue.options import Option
 from glue.saves import Saved, pack, unpack
 from glue.types import Action, Observation
 
-__all__ = ["SampleAgent"]
-
 _FORGOTTEN: Final = 7
 _MARIOS: Final = (0, 10, 11)
 _UNKNOWN: Final = 0

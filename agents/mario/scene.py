@@ -18,25 +18,6 @@ from agents.mario.observation import COLUMNS, MAX_SPRITES, ROWS, Screen
 from glue.compiled.jit import jit
 from glue.compiled.records import Array, Flag, Int
 
-__all__ = [
-    "AWAY",
-    "A_COIN",
-    "A_MONSTER",
-    "A_PIT",
-    "A_QUESTION",
-    "MAX_OBJECTS",
-    "NO_MOTION",
-    "STATIONARY",
-    "TOWARDS",
-    "VERTICAL",
-    "Object",
-    "Platform",
-    "Scene",
-    "Senses",
-    "add",
-    "set_senses",
-]  # fmt: skip
-
 A_MONSTER: Final = 0
 A_QUESTION: Final = 1
 A_COIN: Final = 2

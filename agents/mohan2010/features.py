@@ -19,8 +19,6 @@ from agents.mario.scene import A_COIN, A_MONSTER, A_PIT, A_QUESTION, Scene
 from agents.sarsa import Keys
 from glue.compiled.jit import jit
 
-__all__ = ["WINDOW", "all_objects", "window_parts", "window_whole"]
-
 WINDOW: Final = 15
 _COLUMNS: Final = 5
 _LEFT: Final = -2

@@ -29,8 +29,6 @@ from glue.compiled.records import Array, Flag, Int, new
 from glue.options import Option
 from glue.saves import Setting
 
-__all__ = ["ObjectsFlatAgent", "TilesAgent", "TilesCoarseAgent"]
-
 _TerminalUpdate = Annotated[
     bool, Option("whether to learn the last reward of an episode (author's agents: lost, as in Soar)")
 ]

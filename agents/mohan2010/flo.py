@@ -17,12 +17,6 @@ from agents.mario.observation import COIN, OUTSIDE, QUESTION, ROWS, tile
 from agents.mario.scene import A_COIN, A_MONSTER, A_PIT, A_QUESTION, Object, Scene
 from glue.compiled.jit import jit
 
-__all__ = [
-    "AVOID_PIT", "CONTEXT", "FLO_LEVEL", "GRAB_COIN", "KLO_LEVEL", "LEARNED", "MOVE_TO_GOAL", "NONE",
-    "PROGRAMMED", "SEARCH_QUESTION", "TACKLE_MONSTER", "Numbers", "context", "describe", "find",
-    "goal_reached", "is_learned", "keep_preferred",
-]  # fmt: skip
-
 Numbers = npt.NDArray[np.int64]
 
 TACKLE_MONSTER: Final = A_MONSTER

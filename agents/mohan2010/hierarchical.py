@@ -23,14 +23,6 @@ from glue.compiled.records import Array, new
 from glue.options import Option
 from glue.saves import Setting
 
-__all__ = [
-    "HierarchicalAgent",
-    "HierarchicalFactsAgent",
-    "HierarchicalInternalAgent",
-    "HierarchicalProgrammedAgent",
-    "ObjectsCoarseAgent",
-]
-
 
 class HierarchicalAgent(MarioLearner):
     """Experiment 5: the FLO is chosen by learned values; avoid-pit still comes first, move-to-goal last."""

@@ -13,8 +13,6 @@ from agents.mario.actions import NUM_ACTIONS, RIGHT, action_number
 from agents.mario.observation import PIPE, SOLID, Screen, tile
 from glue.compiled.jit import jit
 
-__all__ = ["KLOS", "jump_the_pit", "move_right"]
-
 KLOS: Final = NUM_ACTIONS
 
 _number: Final = jit(action_number)

@@ -27,8 +27,6 @@ from glue.options import Option
 from glue.saves import Saved, Setting, pack, unpack
 from glue.types import Action, Observation
 
-__all__ = ["FULL", "MALFORMED", "LearnerOptions", "MarioLearner", "ObjectOptions"]
-
 FULL: Final = -1
 """Result of a step that has done nothing, since the table must grow first."""
 MALFORMED: Final = -2

@@ -18,8 +18,6 @@ from agents.sarsa import Keys, Learner, Taken, Values
 from glue.compiled.jit import entry, jit
 from glue.compiled.records import Array, Flag, Int, Real
 
-__all__ = ["Design", "Memory", "end", "step"]
-
 
 class Design:
     """The parameters that differ between experiments; see the classes of `agents.mohan2010.hierarchical`."""

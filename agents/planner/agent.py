@@ -25,8 +25,6 @@ from glue.saves import Arrays, Saved, pack, unpack
 from glue.suggestions import did_you_mean
 from glue.types import Action, Observation
 
-__all__ = ["FRICTION", "LARGEST", "RUN_RIGHT", "CountHorizons", "PlannerAgent", "Sims", "StepSeconds"]
-
 _LONGEST_PLAN: Final = 64
 _MAX_SIMS: Final = 200_000
 _AHEAD: Final = 16  # columns to look ahead, where more are known

@@ -10,8 +10,6 @@ import numpy.typing as npt
 from agents.planner.search import model
 from glue.compiled.records import Array
 
-__all__ = ["Horizons"]
-
 _AHEAD: Final = (1, 3, 5, 10)  # steps
 _LONGEST: Final = _AHEAD[-1]
 

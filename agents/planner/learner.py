@@ -30,8 +30,6 @@ from glue.options import Option
 from glue.saves import Arrays, Saved
 from glue.types import Action, Observation
 
-__all__ = ["LearningPlannerAgent"]
-
 _PROBING: Final = 25  # steps of an episode, at most
 _JUMP: Final = 2  # part of an action's number
 _LEFT, _STAY, _RIGHT = 0, 4, 8

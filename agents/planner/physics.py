@@ -17,8 +17,6 @@ from agents.planner.search import model
 from glue.compiled.jit import entry
 from glue.compiled.records import Array
 
-__all__ = ["Physics"]
-
 _place = model.place
 _step = model.step
 _rewind = model.rewind

@@ -7,8 +7,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Rewards"]
-
 _GUESS: Final = np.array([-0.01, 1.0, 1.0])
 _TRUST: Final = 0.001  # observations that the guess counts as
 

@@ -18,8 +18,6 @@ from glue.compiled.jit import announce_compilation, entry
 from glue.compiled.records import Array, Int, Real, layout
 from glue.saves import Arrays, Saved
 
-__all__ = ["Route"]
-
 _step = model.step
 _save = model.save
 _load = model.load

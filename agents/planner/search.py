@@ -12,8 +12,6 @@ from glue.compiled.jit import entry, jit
 from glue.compiled.records import Array, Flag, Int, Real, layout
 from glue.plugins.models import find_model
 
-__all__ = ["SETTINGS", "Settings", "model", "search"]
-
 model: Final = find_model("mario")
 _step = model.step
 _save = model.save

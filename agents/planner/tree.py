@@ -10,8 +10,6 @@ import numpy.typing as npt
 from glue.compiled.jit import jit
 from glue.compiled.records import Array, Int, Real, layout
 
-__all__ = ["DESCRIBED", "NODE", "Node", "describe", "forget", "meet", "pop", "push"]
-
 
 class Node:
     """A state that a plan leads to."""

@@ -17,17 +17,6 @@ from glue.errors import ConfigError
 from glue.options import Option
 from glue.taskspec import MARIO, TaskSpec
 
-__all__ = [
-    "SoarAgent",
-    "SoarFlatAgent",
-    "SoarHierarchicalAgent",
-    "SoarHierarchicalFactsAgent",
-    "SoarHierarchicalInternalAgent",
-    "SoarHierarchicalProgrammedAgent",
-    "SoarMinesAgent",
-    "SoarObjectsCoarseAgent",
-]
-
 
 class SoarAgent(SoarPlayer):
     """Your own Soar productions, in any task; docs/soar.md says what is on the input link."""

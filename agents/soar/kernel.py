@@ -15,8 +15,6 @@ from typing import Any, Final
 
 from glue.errors import ConfigError, SimulatorError
 
-__all__ = ["Element", "Kernel", "SoarError"]
-
 Element = Any
 """An element of working memory, as soar-sml hands it out."""
 

@@ -15,8 +15,6 @@ from agents.soar.kernel import Kernel
 from glue.taskspec import TaskSpec
 from glue.types import Action, Observation
 
-__all__ = ["Link"]
-
 
 class Link(abc.ABC):
     """The input link and the output link of a Soar agent.

@@ -47,8 +47,6 @@ from agents.soar.link import Link
 from glue.taskspec import TaskSpec
 from glue.types import Action, Observation
 
-__all__ = ["SPRITES", "MarioLink"]
-
 SPRITES: Final = {
     0: "small",
     10: "big",

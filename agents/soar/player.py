@@ -24,8 +24,6 @@ from glue.saves import Saved, pack, unpack
 from glue.taskspec import TaskSpec, parse_task_spec
 from glue.types import Action, Observation
 
-__all__ = ["PRODUCTIONS", "MaxCycles", "SoarPlayer"]
-
 PRODUCTIONS: Final = Path(__file__).parent / "productions"
 """The folder of the productions that come with this package."""
 

@@ -11,8 +11,6 @@ from typing import Final
 
 from glue.errors import SaveError
 
-__all__ = ["parse_rules"]
-
 _MAX_RULES: Final = 1_000_000
 
 _RULE: Final = re.compile(

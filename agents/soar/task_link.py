@@ -21,8 +21,6 @@ from glue.errors import ConfigError, RemoteProtocolError
 from glue.taskspec import Range, TaskSpec
 from glue.types import Action, Observation
 
-__all__ = ["MAX_NUMBERS", "TaskLink"]
-
 MAX_NUMBERS: Final = 10_000
 """Numbers of an observation or action that are put into working memory."""
 

@@ -13,8 +13,6 @@ from typing import Final, NamedTuple
 
 from glue.errors import SaveError
 
-__all__ = ["CONTEXT", "KEYSTROKE", "OPERATOR", "Learned", "learned_values"]
-
 KEYSTROKE: Final = "keystroke"
 OPERATOR: Final = "operator"
 CONTEXT: Final = "context"

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
     from env_server.render.live import Rendered
     from glue.roles import Environment
 
-__all__ = ["environment", "main"]
-
 
 def _rendered(player: Environment, _: bool) -> Rendered:
     """Return `player`, drawn in this terminal until the command ends, however it ends."""

@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from glue.trajectory import TrajectoryReader
     from glue.types import Observation
 
-__all__ = ["main", "replay"]
-
 
 @click.command(name="glue-replay")
 @click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path(path_type=Path))

@@ -8,8 +8,6 @@ from typing import NamedTuple
 from glue.trajectory import Ending, Run, TrajectoryError, TrajectoryReader
 from glue.types import Action, Observation
 
-__all__ = ["Played", "played"]
-
 
 class Played(NamedTuple):
     """An episode of T steps.

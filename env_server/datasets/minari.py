@@ -23,8 +23,6 @@ from glue.taskspec import parse_task_spec
 from glue.trajectory import Run, TrajectoryReader
 from glue.types import AbstractType
 
-__all__ = ["write_minari"]
-
 _MOST_BYTES: Final = 2**30
 """Of an episode's padded observations or actions: a single large one makes all as large."""
 

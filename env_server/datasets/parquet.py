@@ -16,8 +16,6 @@ from glue.errors import ConfigError
 from glue.trajectory import Run, TrajectoryReader
 from glue.types import AbstractType
 
-__all__ = ["write_parquet"]
-
 _NUMBERS: Final = {"ints": arrow.list_(arrow.int32()), "doubles": arrow.list_(arrow.float64())}
 _VALUE: Final = {**_NUMBERS, "chars": arrow.binary()}
 _SCHEMA: Final = arrow.schema(

@@ -11,8 +11,6 @@ from gymnasium import spaces
 from glue.gym.codec import Codec
 from glue.types import AbstractType, arrays_of
 
-__all__ = ["Conversion", "Counts", "padded", "stacked", "stated"]
-
 Counts = tuple[int, int, int]
 """Of ints, doubles and chars."""
 

@@ -12,8 +12,6 @@ from env_server.mario.many.games import DISABLED, MAX_STEPS, SAME_STEP, Games
 from env_server.mario.many.views import VIEWS
 from glue.errors import ConfigError
 
-__all__ = ["make_games"]
-
 
 def make_games(
     count: int,

@@ -16,8 +16,6 @@ from env_server.render.text import draw_text
 from glue.errors import ConfigError
 from glue.types import Observation
 
-__all__ = ["FPS", "RENDER_MODES", "Renderer", "usable_modes"]
-
 RENDER_MODES: Final = ("rgb_array", "ansi", "human")
 FPS: Final = 10
 """Steps per second: a step is five ticks of the game, which has fifty a second."""

@@ -22,9 +22,6 @@ from env_server.gym.spaces import (
 from env_server.mario.many.games import INFOS
 from glue.errors import SimulatorError
 
-__all__ = ["GameState", "InfiniteMarioEnv"]
-
-
 _METADATA: Final = {"render_modes": [*RENDER_MODES], "render_fps": FPS}
 
 

@@ -27,8 +27,6 @@ from env_server.mario.observation import COLUMNS_SHOWN, ROWS_SHOWN
 from env_server.mario.sim.state import ACTORS
 from glue.errors import ConfigError, SimulatorError
 
-__all__ = ["CHOICES", "action_space", "observation_space", "read_actions", "unpack", "what_is_wrong_with"]
-
 _WINDOW: Final = (ROWS_SHOWN, COLUMNS_SHOWN)
 CHOICES: Final = {"buttons": np.array([3, 2, 2]), "discrete": np.array([12])}
 """Number of values of direction, jump and run; and of their number, 4 * direction + 2 * jump + run."""

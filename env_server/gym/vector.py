@@ -26,8 +26,6 @@ from env_server.mario.many.games import DISABLED, INFOS, NEXT_STEP, SAME_STEP, G
 from glue.errors import ConfigError, SimulatorError
 from glue.gym.modes import AutoresetMode, read_mode
 
-__all__ = ["InfiniteMarioVectorEnv"]
-
 _MODES = {
     AutoresetMode.NEXT_STEP: NEXT_STEP,
     AutoresetMode.SAME_STEP: SAME_STEP,

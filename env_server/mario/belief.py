@@ -35,8 +35,6 @@ from env_server.mario.sim.tiles import CHANGED, behavior_at, tile_at
 from glue.compiled.jit import entry, jit
 from glue.types import PREFIX_SIZE
 
-__all__ = ["correct", "place", "predicts", "start"]
-
 _FAR: Final = 2**20
 _RISEN: Final = 9  # age of an item that has left its block
 _UNKNOWN: Final = 24  # columns beyond the view that are guessed

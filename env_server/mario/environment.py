@@ -32,8 +32,6 @@ from glue.roles import Environment
 from glue.suggestions import did_you_mean
 from glue.types import Action, Observation, Step
 
-__all__ = ["InfiniteMario", "check_parameters"]
-
 _LEVEL: Final = ("level_seed", "level_type", "level_difficulty")
 _BUTTONS: Final = ("button_left", "button_right", "button_jump", "button_run")
 _ACTIONS: Final = {Action(ints=buttons).body: buttons for buttons in product((-1, 0, 1), (0, 1), (0, 1))}

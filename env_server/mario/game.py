@@ -30,8 +30,6 @@ from glue.compiled.jit import announce_compilation, entry
 from glue.errors import SimulatorError
 from glue.types import Observation
 
-__all__ = ["Body", "Game"]
-
 Body = npt.NDArray[np.uint8]
 """Room for an observation as the body of an abstract type, shape (BODY_SIZE,)."""
 

@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from itertools import zip_longest
 from typing import Any, NamedTuple
 
-__all__ = ["Level", "Spawn", "level_difference"]
-
 
 class Spawn(NamedTuple):
     """A spawn point of an enemy; `kind` is 0 red koopa, 1 green koopa, 2 goomba, 3 spiky, 4 piranha plant."""

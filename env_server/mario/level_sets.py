@@ -25,15 +25,6 @@ from glue.compiled.jit import entry, jit
 from glue.errors import ConfigError
 from glue.suggestions import did_you_mean
 
-__all__ = [
-    "LEVEL_SETS",
-    "VERSION",
-    "LevelSet",
-    "level_seed",
-    "resolve_levels",
-    "splitmix",
-]
-
 VERSION: Final = 1
 TYPES: Final = 3
 DIFFICULTIES: Final = 4

@@ -29,17 +29,6 @@ from env_server.mario.sim.tiles import CHANGED
 from glue.compiled.jit import jit
 from glue.types import PREFIX_SIZE
 
-__all__ = [
-    "BODY_SIZE",
-    "CHAR_OF",
-    "COLUMNS_SHOWN",
-    "ROWS_SHOWN",
-    "encode",
-    "encode_place",
-    "encode_tiles",
-    "kind_of_mario",
-]
-
 ROWS_SHOWN: Final = 16
 COLUMNS_SHOWN: Final = 21
 _CHARS: Final = ROWS_SHOWN * (COLUMNS_SHOWN + 1)

@@ -17,8 +17,6 @@ from typing import Annotated, Any, Final, get_args, get_type_hints
 from env_server.mario.sim.state import World
 from glue.options import Option
 
-__all__ = ["INSTANCES", "MDPS", "Options", "Parameters", "resolve"]
-
 INSTANCES: Final = 10
 """Instances are numbered from 0."""
 MDPS: Final = tuple(f"{phase}-{number}" for phase in ("proving", "testing") for number in range(1, 11))

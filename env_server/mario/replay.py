@@ -13,8 +13,6 @@ import numpy.typing as npt
 from env_server.mario.environment import InfiniteMario
 from glue.types import Action
 
-__all__ = ["MarioReplay"]
-
 
 class MarioReplay:
     """Plays episodes of an environment; see `experiment_runner.competition.records.replay.Replay`.

@@ -10,8 +10,6 @@ from __future__ import annotations
 from env_server.mario.sim.state import World
 from glue.compiled.jit import jit
 
-__all__ = ["ordinary_reward", "terminal_reward"]
-
 
 @jit
 def ordinary_reward(world: World) -> float:

@@ -14,8 +14,6 @@ import numpy as np
 from glue.errors import SaveError
 from glue.saves import Arrays, Saved, is_packed, pack, unpack
 
-__all__ = ["State", "pack_state", "unpack_state"]
-
 _NAME: Final = "mario"
 
 # Earlier versions saved this record and a CRC-32 of it.

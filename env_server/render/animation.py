@@ -10,8 +10,6 @@ from typing import Final
 
 from env_server.render.scene import COLUMNS, ROWS, Scene, Sprite, buried_cells, is_ground
 
-__all__ = ["between", "outlined"]
-
 _NEAR: Final = 3.0  # tiles; a thing farther from its expected position is a different one
 
 

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["CLOUD", "MARK", "PALETTE", "SPRITES", "TILES", "WING"]
-
 PALETTE: Final = {
     "k": (0x2A, 0x1B, 0x2E),  # outline
     "w": (0xFF, 0xFF, 0xFF),

@@ -28,23 +28,6 @@ from glue.types import Observation
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = [
-    "CLEAR",
-    "HEIGHT",
-    "MOUNTAINS",
-    "SKY",
-    "WIDTH",
-    "Picture",
-    "cloud",
-    "draw",
-    "pillow",
-    "save_gif",
-    "save_mp4",
-    "save_png",
-    "sprite",
-    "tile",
-]
-
 Picture = npt.NDArray[np.uint8]
 """Indices into the palette, shape (height, width); 255 is transparent."""
 

@@ -8,8 +8,6 @@ from glue.cli.screen import TerminalScreen
 from glue.roles import Environment
 from glue.types import Action, Observation, Step, step_of
 
-__all__ = ["Rendered"]
-
 
 class Rendered:
     """`environment`, with every observation drawn on `screen`; otherwise unchanged."""

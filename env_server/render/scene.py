@@ -13,19 +13,6 @@ from glue.cli.screen import Marks
 from glue.errors import SimulatorError
 from glue.types import Observation
 
-__all__ = [
-    "COLUMNS",
-    "KINDS",
-    "ROWS",
-    "Scene",
-    "Sprite",
-    "buried_cells",
-    "element_name",
-    "is_ground",
-    "is_scene",
-    "read_scene",
-]
-
 ROWS: Final = 16
 COLUMNS: Final = 21
 _MAX_SPRITES: Final = 1000

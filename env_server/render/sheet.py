@@ -15,8 +15,6 @@ import numpy as np
 from env_server.render.artwork import PALETTE, SPRITES, TILES
 from env_server.render.drawing import CLEAR, MOUNTAINS, SKY, WIDTH, Picture, cloud, pillow, sprite, tile
 
-__all__ = ["Place", "colors", "places", "sheet_png"]
-
 
 class Place(NamedTuple):
     """The rectangle of a part in the picture, in pixels."""

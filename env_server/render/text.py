@@ -9,8 +9,6 @@ from env_server.toys import MINES_MAP
 from glue.cli.screen import Marks, draw_numbers
 from glue.types import Observation
 
-__all__ = ["draw_mines", "draw_skeleton", "draw_text"]
-
 
 class _Glyph(NamedTuple):
     text: str  # two characters

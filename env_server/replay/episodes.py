@@ -25,18 +25,6 @@ from glue.trajectory.comparison import Outcomes, compare, unequal
 from glue.types import Action, Observation, Step, step_of
 from glue.wire.messages import Role
 
-__all__ = [
-    "Difference",
-    "Moment",
-    "NotInstalled",
-    "Recorded",
-    "build_environment",
-    "build_named",
-    "open_recording",
-    "recorded_moments",
-    "replayed_moments",
-]
-
 Recorded: TypeAlias = Episode | GoldenEpisode | GoldenLevel
 RecordedEpisode: TypeAlias = Episode | GoldenEpisode
 RecordedRun: TypeAlias = Run | GoldenRun

@@ -28,16 +28,6 @@ from glue.roles import Environment
 from glue.trajectory import MAX_EPISODE, MAX_STEPS, TrajectoryError
 from glue.types import Action, Observation
 
-__all__ = [
-    "Digest",
-    "GoldenEpisode",
-    "GoldenLevel",
-    "GoldenReader",
-    "GoldenRun",
-    "GoldenStep",
-    "digest",
-]
-
 _MAX_LINE: Final = 2**20  # bytes of one line
 _DIGEST_SIZE: Final = 8
 _LONGEST_NAME: Final = 100  # characters

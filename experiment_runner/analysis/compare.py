@@ -21,8 +21,6 @@ from experiment_runner.analysis.stats import (
     welch_p,
 )
 
-__all__ = ["Comparison", "compare", "profile", "sensitivity", "tolerance_interval", "trials_needed"]
-
 _RESAMPLES: Final = 2000
 
 

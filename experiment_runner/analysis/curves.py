@@ -9,16 +9,6 @@ import numpy as np
 
 from experiment_runner.analysis.stats import Estimate, FloatArray, estimate, mean, running_mean
 
-__all__ = [
-    "Curve",
-    "StepTotals",
-    "of_metric",
-    "over_episodes",
-    "over_steps",
-    "per_step",
-    "step_returns",
-]
-
 _POINTS: Final = 400
 
 

@@ -18,8 +18,6 @@ from experiment_runner.store.records import TOTAL_REWARD, TrialRecord
 from experiment_runner.store.results import Metric, Results
 from glue.errors import ExperimentError
 
-__all__ = ["REWARD", "Setting", "collect"]
-
 REWARD: Final = "reward"
 """The measure of which only totals over steps exist: the reward of each step."""
 

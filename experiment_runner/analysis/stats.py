@@ -18,23 +18,6 @@ import numpy.typing as npt
 
 from glue.errors import ExperimentError
 
-__all__ = [
-    "FEW_TRIALS",
-    "Estimate",
-    "FloatArray",
-    "binomial_cdf",
-    "bootstrap_rng",
-    "convergence_episode",
-    "estimate",
-    "has_scipy",
-    "interquartile_mean",
-    "mean",
-    "mean_of_last",
-    "require_scipy",
-    "running_mean",
-    "welch_p",
-]
-
 FloatArray = npt.NDArray[np.float64]
 Statistic = Callable[..., Any]
 """Called with an array and `axis`; returns the array without that axis."""

@@ -28,8 +28,6 @@ from experiment_runner.store.store import Store
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError
 
-__all__ = ["carry_out_array", "gather_run"]
-
 _SCRIPT = "array.sh"
 _JOB = "job"
 """Files in the folder of the parts: the script of the array, and the number of its job."""

@@ -39,16 +39,6 @@ from glue.console import say
 from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_SESSION
 
-__all__ = [
-    "carry_out",
-    "carry_out_search",
-    "check_players",
-    "check_recording",
-    "note_players_without_seed",
-    "resume_command",
-    "resume_options",
-]
-
 
 def carry_out(
     directory: Path,

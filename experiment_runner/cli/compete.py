@@ -22,8 +22,6 @@ from glue.keys.certificates import encode, read_pair, read_public
 if TYPE_CHECKING:
     from experiment_runner.competition.settings import Competition
 
-__all__ = ["compete", "main"]
-
 _FILE = click.argument("file", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE")
 _DIRECTORY = click.argument("directory", type=click.Path(path_type=Path, file_okay=False), metavar="DIR")
 

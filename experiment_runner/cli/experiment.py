@@ -48,9 +48,6 @@ from glue.wire.messages import Role
 if TYPE_CHECKING:
     from experiment_runner.meeting.players import HubOptions
 
-__all__ = ["experiment", "main"]
-
-
 _GROUPS: Final = {
     "Episodes and their results": (
         "--any-reward",

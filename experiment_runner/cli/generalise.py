@@ -22,8 +22,6 @@ from glue.errors import ConfigError
 from glue.plugins.naming import complete_names
 from glue.wire.messages import Role
 
-__all__ = ["generalise", "main"]
-
 _T = TypeVar("_T")
 
 

@@ -9,8 +9,6 @@ import click
 
 from glue.plugins.naming import NamingCommand
 
-__all__ = ["GroupedCommand"]
-
 _ALL: Final = f"{__name__}.all"
 
 

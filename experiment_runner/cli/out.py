@@ -11,8 +11,6 @@ import click
 from experiment_runner.store.lock import DirectoryTaken
 from glue.errors import ExperimentError
 
-__all__ = ["naming_out", "over_option"]
-
 over_option: Final = click.option(
     "--over",
     type=click.Choice(["episodes", "steps"]),

@@ -18,8 +18,6 @@ from glue.console import say
 from glue.plugins.loading import find
 from glue.wire.messages import Role
 
-__all__ = ["main", "paper"]
-
 
 @click.command("glue-paper")
 @click.argument("names", metavar="EXPERIMENT...", nargs=-1, type=click.Choice([*EXPERIMENTS, ALL, SOAR]))

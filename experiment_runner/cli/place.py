@@ -13,8 +13,6 @@ from glue.errors import ConfigError
 if TYPE_CHECKING:
     from experiment_runner.executors.run import RunConfig
 
-__all__ = ["check_place", "place_options"]
-
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 _WHERE = {

@@ -21,16 +21,6 @@ from glue.plugins import loading
 from glue.plugins.loading import find, names
 from glue.wire.messages import Role
 
-__all__ = [
-    "ask_for_trust",
-    "find_players",
-    "make_plan",
-    "names_of",
-    "new_directory",
-    "role_sweeps",
-    "without_seed",
-]
-
 
 def role_sweeps(role: Role, name: str | None, assignments: tuple[str, ...]) -> tuple[RoleSweep, ...]:
     """Return the agent or environment of the command line as a plan has it; none if it joins from outside.

@@ -15,8 +15,6 @@ from glue.cli.shared import run
 from glue.console import say
 from glue.suggestions import did_you_mean
 
-__all__ = ["main", "plot"]
-
 
 @click.command("glue-plot")
 @click.argument("directories", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))

@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from experiment_runner.store.records import TrialRecord
     from experiment_runner.store.results import Results
 
-__all__ = ["main", "results"]
-
 _directory = click.Path(path_type=Path, file_okay=False)
 _as_json = click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 

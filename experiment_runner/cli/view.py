@@ -16,8 +16,6 @@ from glue import __version__
 from glue.cli.shared import run
 from glue.errors import ConfigError
 
-__all__ = ["main", "view"]
-
 _LOOPBACK: Final = "127.0.0.1"
 _DEFAULT_FOLDER: Final = Path("runs")
 _NICENESS: Final = 10

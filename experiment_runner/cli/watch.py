@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from glue.engine.experiment import Experiment
     from glue.types import Observation
 
-__all__ = ["main", "play", "watch"]
-
 
 @click.command("glue-watch", cls=NamingCommand)
 @click.option(

@@ -28,8 +28,6 @@ from experiment_runner.meeting.watchdog import spawn
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError
 
-__all__ = ["Container", "Containers"]
-
 _UNIX: Final = "unix://"
 _DOCKER: Final = f"{_UNIX}/var/run/docker.sock"
 

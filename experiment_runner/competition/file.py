@@ -20,8 +20,6 @@ from glue.hub.config import TimeLimits
 from glue.plugins.loading import located
 from glue.suggestions import did_you_mean
 
-__all__ = ["load_competition", "parse_competition"]
-
 _TOP: Final = ("name", "trials", "seed_file", "seed_env", "limits", "tasks", "entrants")
 _TASK: Final = ("env", "options", "episodes", "steps")
 _ENTRANT: Final = ("image", "command", "key", "folder")

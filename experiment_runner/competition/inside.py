@@ -28,8 +28,6 @@ from glue.types import CUT_OFF, Action
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
-__all__ = ["InsideEnvironment"]
-
 _TRUNCATE: Final = "truncate"
 """The one capability that its environment may have: agents are seeded, and saves are not taken."""
 

@@ -17,8 +17,6 @@ from experiment_runner.competition.settings import Limits
 from experiment_runner.competition.starting import SOCKET, Place, variables
 from glue.errors import ConfigError
 
-__all__ = ["LABEL", "check_engine", "check_image", "jail", "user_of"]
-
 LABEL: Final = "glue.competition"
 """Label of our containers: the run that they belong to."""
 

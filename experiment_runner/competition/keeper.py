@@ -20,8 +20,6 @@ from typing import BinaryIO, Final
 
 from experiment_runner.meeting.watchdog import watch_parent
 
-__all__ = ["CANNOT_START", "MODULE", "main"]
-
 MODULE: Final = "experiment_runner.competition.keeper"
 
 CANNOT_START: Final = 127

@@ -39,8 +39,6 @@ from glue.trajectory import ActionWriter, Ending
 from glue.wire.limits import MAX_BODY
 from glue.wire.messages import Event, Role
 
-__all__ = ["MODULE", "REPORTS", "Forfeited", "Match", "Played", "play", "starter_for"]
-
 MODULE: Final = "experiment_runner.competition.match"
 
 _LOOK_SECONDS: Final = 0.2

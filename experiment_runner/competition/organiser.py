@@ -46,8 +46,6 @@ from experiment_runner.store.store import Store
 from glue.closing import Closing
 from glue.errors import ExperimentError
 
-__all__ = ["competition_of", "hold", "log_path", "matches", "open_competition"]
-
 _FOR_ITS_OWNER: Final = 0o700
 
 Say = Callable[[str], None]

@@ -19,8 +19,6 @@ from glue.keys.allowed import HUB
 from glue.keys.certificates import SECRET, read_pair, read_public
 from glue.wire.messages import Role
 
-__all__ = ["InFolder", "Outside", "gate_for"]
-
 
 def gate_for(entrant: Entrant, gate: Gate | None) -> Bind:
     """Return the address at which only the owner of an entrant's key can join, as its agent.

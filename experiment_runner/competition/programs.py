@@ -16,8 +16,6 @@ from experiment_runner.meeting.children import how_it_ended
 from experiment_runner.meeting.watchdog import spawn
 from glue.errors import ConfigError, ExperimentError
 
-__all__ = ["Programs"]
-
 _STOP_SECONDS: Final = 5.0
 """Time for the keeper of a program to end it."""
 

@@ -14,8 +14,6 @@ from typing import Final
 
 from experiment_runner.meeting.watchdog import watch_parent
 
-__all__ = ["MODULE", "main"]
-
 MODULE: Final = "experiment_runner.competition.remover"
 
 _SECONDS: Final = 60.0

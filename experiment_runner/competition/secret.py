@@ -21,8 +21,6 @@ from glue.options import Value, build, parameters
 from glue.plugins.loading import find
 from glue.wire.messages import Role
 
-__all__ = ["agent_seed", "draw", "public_trial", "read_secret", "trials"]
-
 _LEVEL_SEED: Final = "level_seed"
 _NAMES_A_LEVEL: Final = (_LEVEL_SEED, "mdp")
 """Options by which a task says itself which level is played."""

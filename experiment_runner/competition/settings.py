@@ -9,8 +9,6 @@ from pathlib import Path
 from glue.hub.config import TimeLimits
 from glue.options import Value
 
-__all__ = ["Competition", "Entrant", "Gate", "Limits", "Task"]
-
 _MEBIBYTE = 2**20
 
 

@@ -26,8 +26,6 @@ from experiment_runner.store.lock import LOCK_FILE, RunLock
 from experiment_runner.store.records import EpisodeResult
 from glue.errors import ConfigError, ExperimentError
 
-__all__ = ["EPISODES", "check_entrants"]
-
 EPISODES: Final = 3
 _MAX_STEPS: Final = 1_000
 _WAIT_SECONDS: Final = 0.2

@@ -17,8 +17,6 @@ from typing import Final, Protocol
 
 from experiment_runner.competition.settings import Entrant, Limits
 
-__all__ = ["SOCKET", "Place", "Running", "Starter", "name_of_run", "variables"]
-
 SOCKET: Final = "hub"
 """Name of the hub's Unix socket in the folder of a place."""
 

@@ -14,8 +14,6 @@ from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Ended, Lost
 from experiment_runner.plan.plan import TrialSpec
 
-__all__ = ["Collector", "Dispatcher", "Executor", "HasTrial"]
-
 _MAX_LOSSES: Final = 3
 """Number of consecutive losses without progress after which a job has failed."""
 

@@ -15,8 +15,6 @@ from queue import SimpleQueue
 from types import FrameType, TracebackType
 from typing import Final, Self
 
-__all__ = ["GRACE_SECONDS", "Interrupts", "Terminated"]
-
 GRACE_SECONDS: Final = 0.5
 """Maximum time for which a signal is deferred, in seconds."""
 

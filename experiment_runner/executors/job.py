@@ -26,25 +26,6 @@ from glue.console import show_failure
 from glue.errors import ConfigError, ExperimentError, GlueError, HubUnreachable, PeerFailed, Refused
 from glue.trajectory import TrajectoryWriter
 
-__all__ = [
-    "REPORTS",
-    "Ended",
-    "Happened",
-    "Job",
-    "Joined",
-    "Lost",
-    "Recorded",
-    "Report",
-    "Said",
-    "Voided",
-    "decode",
-    "decode_job",
-    "encode",
-    "run_job",
-    "unpack",
-    "unpacker",
-]
-
 _T = TypeVar("_T")
 
 _MAX_MESSAGE: Final = 2**31 - 1

@@ -40,8 +40,6 @@ from experiment_runner.meeting.children import (
 )
 from glue.errors import ExperimentError
 
-__all__ = ["LocalExecutor", "main", "serve"]
-
 _MODULE: Final = "experiment_runner.executors.local"
 _CHUNK: Final = 2**18
 

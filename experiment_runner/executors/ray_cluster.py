@@ -34,8 +34,6 @@ from experiment_runner.executors.job import (
 )
 from glue.errors import ConfigError, ExperimentError
 
-__all__ = ["RayExecutor", "parse_address"]
-
 _BATCH_SECONDS: Final = 0.1
 _CONNECT_SECONDS: Final = 5.0
 _ADDRESS: Final = re.compile(r"(?P<host>.+):(?P<port>\d{1,5})")

@@ -20,8 +20,6 @@ from glue.trajectory import Run, TrajectoryError, TrajectoryReader, TrajectoryWr
 from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
 
-__all__ = ["Recorder", "recorded", "run_of"]
-
 
 @contextmanager
 def recorded(path: Path | None) -> Iterator[TrajectoryWriter | None]:

@@ -40,26 +40,6 @@ from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ConfigError, ExperimentError, HubUnreachable, Refused
 
-__all__ = [
-    "FINISH",
-    "OtherRun",
-    "Remaining",
-    "check_sources",
-    "create_run",
-    "create_trials",
-    "finished_at",
-    "go_back",
-    "kept_if_begun",
-    "lengthen",
-    "open_run",
-    "open_trials",
-    "recorded_plan",
-    "remaining",
-    "resume_run",
-    "resume_trials",
-    "sources_of",
-]
-
 FINISH: Final = "finish"
 """Kind of the event that all trials of a run are finished."""
 

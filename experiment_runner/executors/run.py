@@ -21,8 +21,6 @@ from experiment_runner.report.progress import Reporter
 from experiment_runner.store.store import Store
 from glue.trajectory import TrajectoryWriter
 
-__all__ = ["RunConfig", "run_trials"]
-
 
 @dataclass(frozen=True, slots=True)
 class RunConfig:

@@ -16,8 +16,6 @@ from experiment_runner.plan.tuning import Range, Space, TunePlan
 from glue.errors import ConfigError
 from glue.options import Value
 
-__all__ = ["Configuration", "Sampler", "Score", "sampler_of"]
-
 Configuration = dict[str, Value]
 
 _AT_ONCE: Final = 4

@@ -30,8 +30,6 @@ from experiment_runner.store.records import TUNED
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 
-__all__ = ["RESULT", "SEARCH", "tune"]
-
 SEARCH: Final = "search"
 RESULT: Final = "result"
 _RUNG: Final = 4

@@ -5,8 +5,6 @@ from __future__ import annotations
 from enum import StrEnum
 from typing import Final
 
-__all__ = ["CHECKPOINT_EVERY", "Place"]
-
 CHECKPOINT_EVERY: Final = 100
 """Default number of episodes between checkpoints."""
 

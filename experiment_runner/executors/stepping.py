@@ -10,8 +10,6 @@ from glue.engine.experiment import Experiment
 from glue.errors import GlueError, Unsupported
 from glue.types import Action, Observation, Step
 
-__all__ = ["Meter", "play_steps"]
-
 
 def play_steps(
     glue: Experiment,

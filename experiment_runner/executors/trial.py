@@ -27,8 +27,6 @@ from experiment_runner.store.records import (
 from glue.engine.experiment import Experiment
 from glue.errors import GlueError, PeerLost, Unsupported
 
-__all__ = ["BEGINNING", "Sink", "Start", "run_trial"]
-
 
 class Sink(Protocol):
     """Receiver of the results of a trial, which it stores in order."""

@@ -35,8 +35,6 @@ from experiment_runner.store.store import Store
 from glue.closing import Closing
 from glue.trajectory import TrajectoryWriter
 
-__all__ = ["Trials"]
-
 _COMMIT_SECONDS: Final = 0.05
 """Time after a commit in which episodes are kept for the next one, in seconds; a crash loses them."""
 

@@ -10,8 +10,6 @@ from mlflow.entities import Metric, Param
 
 from experiment_runner.loggers.points import Point, Source
 
-__all__ = ["MLflow"]
-
 _TAG: Final = "glue.trial"
 _MOST_METRICS: Final = 1000
 _MOST_PARAMS: Final = 100

@@ -9,8 +9,6 @@ from experiment_runner.store.export import Cell
 from experiment_runner.store.records import MEASURES, EpisodeResult
 from experiment_runner.store.results import Results
 
-__all__ = ["Logger", "Point", "Source", "points_of"]
-
 
 class Source(NamedTuple):
     """A trial, as loggers know it: each has a run of its own there.

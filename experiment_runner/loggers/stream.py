@@ -29,8 +29,6 @@ from experiment_runner.store.results import Results
 from glue.doors import chance, clock
 from glue.errors import ConfigError, ExperimentError, GlueError
 
-__all__ = ["stream"]
-
 _TOGETHER: Final = 500
 """Episodes that are written together; after a kill, so many may be written again."""
 

@@ -20,8 +20,6 @@ from experiment_runner.loggers.points import Point, Source
 from experiment_runner.store.export import Cell
 from glue.errors import ExperimentError
 
-__all__ = ["TensorBoard"]
-
 _SECONDS: Final = 1e9
 """Interval at which the writer flushes by itself: never."""
 

@@ -13,8 +13,6 @@ from trackio.sqlite_storage import SQLiteStorage
 from experiment_runner.loggers.points import Point, Source
 from glue.errors import ExperimentError
 
-__all__ = ["Trackio"]
-
 
 class Trackio:
     """Writes to a project.

@@ -9,8 +9,6 @@ import wandb
 
 from experiment_runner.loggers.points import Point, Source
 
-__all__ = ["WeightsAndBiases"]
-
 
 class WeightsAndBiases:
     """Writes to a project. Of what is written twice its server ignores the second, as the step is the same.

@@ -19,8 +19,6 @@ from typing import Final, Self
 from experiment_runner.meeting.watchdog import spawn, watch_parent
 from glue.errors import ExperimentError
 
-__all__ = ["KeptAlive", "Say", "end", "has_ended", "how_it_ended", "main", "start"]
-
 Say = Callable[[str], None]
 """Shows a line of text."""
 

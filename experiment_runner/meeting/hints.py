@@ -12,8 +12,6 @@ from glue.keys.certificates import PUBLIC, SECRET
 from glue.plugins.loading import example
 from glue.wire.messages import Role
 
-__all__ = ["Hints"]
-
 _COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
 
 

@@ -23,8 +23,6 @@ from glue.options import Value
 from glue.plugins.loading import construct, find
 from glue.wire.messages import Role
 
-__all__ = ["MODULE", "arguments", "main"]
-
 MODULE: Final = "experiment_runner.meeting.player_command"
 """The module that serves a player in a separate process."""
 

@@ -37,8 +37,6 @@ from glue.legacy.gateway import Gateway, open_legacy_port
 from glue.plugins.loading import construct, find
 from glue.wire.messages import Event, Role
 
-__all__ = ["BOTH", "HubOptions", "Meeting", "Note", "listening", "open_experiment"]
-
 BOTH: Final = frozenset({Role.AGENT, Role.ENVIRONMENT})
 """Both players."""
 

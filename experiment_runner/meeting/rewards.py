@@ -12,8 +12,6 @@ from typing import Any
 from glue.errors import GlueError
 from glue.types import Action, Observation
 
-__all__ = ["FiniteRewards"]
-
 
 class FiniteRewards:
     """Wraps `environment`; raises GlueError with the step if its reward is infinite or NaN.

@@ -14,8 +14,6 @@ from experiment_runner.store.lock import LOCK_FILE, RunLock, lock_holder
 from glue.errors import ExperimentError
 from glue.hub.io.listener import is_left_over
 
-__all__ = ["SOCKET", "scratch_folder"]
-
 _PREFIX: Final = "glue-"
 _OURS: Final = _PREFIX + 8 * "?"
 """Pattern of names made by `tempfile`. Looking into a folder means connecting to its socket."""

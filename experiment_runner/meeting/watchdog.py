@@ -12,8 +12,6 @@ import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 
-__all__ = ["spawn", "watch_parent"]
-
 
 def spawn(
     module: str,

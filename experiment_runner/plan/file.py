@@ -51,9 +51,6 @@ from glue.errors import ExperimentError
 from glue.options import Value
 from glue.suggestions import did_you_mean
 
-__all__ = ["dump_plan", "load_plan", "naming_lines", "parse_plan"]
-
-
 _MAX_BYTES: Final = 2**22
 
 

@@ -10,8 +10,6 @@ from typing import Final, Self
 
 from glue.errors import ExperimentError
 
-__all__ = ["REMOTE", "TrialId", "label_of"]
-
 REMOTE: Final = "remote"
 """Part of a trial's id in place of a player that joins from outside."""
 

@@ -8,8 +8,6 @@ from typing import Any
 
 from glue.errors import ExperimentError
 
-__all__ = ["PlanError", "line_of"]
-
 
 class PlanError(ExperimentError):
     """A key or a value of a plan is wrong.

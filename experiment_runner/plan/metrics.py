@@ -16,8 +16,6 @@ from typing import Final, NamedTuple
 
 from experiment_runner.plan.lines import PlanError
 
-__all__ = ["ALL", "Keep", "MetricsPlan", "parse_metrics"]
-
 _MOST: Final = 2**31
 
 

@@ -28,27 +28,6 @@ from glue.plugins.loading import file_in, located
 from glue.suggestions import did_you_mean
 from glue.wire.messages import Role
 
-__all__ = [
-    "BUDGETS",
-    "COUNTS",
-    "PLAYERS",
-    "ROLES",
-    "Plan",
-    "RoleSpec",
-    "RoleSweep",
-    "Seeds",
-    "TrialSpec",
-    "absolute",
-    "budget",
-    "check_options",
-    "class_files",
-    "describe",
-    "differences",
-    "length_of",
-    "plain",
-    "trial_seed",
-]
-
 COUNTS: Final = {  # a plan's numbers, with the range of each
     "episodes": range(2**63),
     "steps": range(2**63),

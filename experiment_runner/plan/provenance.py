@@ -13,8 +13,6 @@ from typing import Any, Final
 
 from glue import __version__
 
-__all__ = ["about", "program"]
-
 _GIT_SECONDS: Final = 10
 
 

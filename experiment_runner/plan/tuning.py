@@ -24,8 +24,6 @@ from experiment_runner.plan.lines import PlanError
 from glue.options import Value
 from glue.suggestions import did_you_mean
 
-__all__ = ["SAMPLERS", "Range", "Space", "TunePlan", "parse_tune", "tune_tables"]
-
 SAMPLERS: Final = ("random", "grid", "optuna")
 _MOST: Final = 1_000_000
 

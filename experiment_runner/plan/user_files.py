@@ -17,8 +17,6 @@ import glue
 from experiment_runner.plan.plan import RoleSpec, RoleSweep, class_files
 from glue.plugins.loading import PACKAGES
 
-__all__ = ["UserFile", "changed_files", "user_files"]
-
 _LOADED_BEFORE: Final = frozenset(sys.modules)
 _MAX_COPY: Final = 2**24
 """Maximum size in bytes of a file of which a run keeps a copy."""

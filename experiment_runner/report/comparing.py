@@ -16,8 +16,6 @@ from experiment_runner.store.output import finite
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 
-__all__ = ["COLUMNS", "Row", "compared", "needed", "sensitivities"]
-
 COLUMNS: Final = ("A less B", "trials", "difference of IQM", "95 %", "P(A > B)", "95 %")
 _WINDOW: Final = 100
 

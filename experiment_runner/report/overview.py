@@ -29,8 +29,6 @@ from experiment_runner.store.output import finite
 from experiment_runner.store.records import TUNED, UNSEEDED, TrialRecord
 from experiment_runner.store.results import Results
 
-__all__ = ["SORT_KEYS", "Overview", "as_object", "as_text", "date", "overview", "setting_numbers"]
-
 _WINDOW: Final = 100
 _SETTING_COLUMNS: Final = ("setting", "finished", "episodes", "mean", "95 % interval", "IQM", "converged")
 _FEW: Final = " (!)"  # behind an interval of few trials

@@ -34,18 +34,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = [
-    "comparison",
-    "fitting_window",
-    "learning_curves",
-    "metric_curves",
-    "profiles",
-    "save",
-    "scatter",
-    "step_curves",
-    "step_window",
-]
-
 _COLORS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _DASHES: Final = ("-", "--", ":", "-.")
 _STYLE: Final[dict[Any, Any]] = {

@@ -18,8 +18,6 @@ from experiment_runner.report.tables import format_table
 from experiment_runner.store.output import finite
 from experiment_runner.store.records import EpisodeResult, TrialRecord
 
-__all__ = ["JsonLines", "Progress", "Reporter"]
-
 _WINDOW: Final = 100
 _TTY_SECONDS: Final = 0.2
 _LOG_SECONDS: Final = 10.0

@@ -11,8 +11,6 @@ from experiment_runner.analysis.stats import FloatArray, running_mean
 from experiment_runner.report.plots import fitting_window
 from experiment_runner.report.tables import counted
 
-__all__ = ["sketches"]
-
 _BLOCKS: Final = " ▁▂▃▄▅▆▇█"
 _HEIGHT: Final = 8  # lines of a curve
 _MIN_COLUMNS: Final = 10

@@ -11,8 +11,6 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
-__all__ = ["Line", "Numbers", "draw", "sample"]
-
 Numbers = Sequence[float | None]
 """Coordinates; None leaves a gap."""
 

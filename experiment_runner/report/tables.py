@@ -12,8 +12,6 @@ from typing import Final
 from experiment_runner.store.records import Totals
 from experiment_runner.store.results import Results
 
-__all__ = ["counted", "format_table", "one_line", "summarize", "tabulate", "terminal_width", "wrap"]
-
 _LAST: Final = 100
 _COLUMNS: Final = ("trial", "episodes", "steps", "mean return", f"mean of last {_LAST}", "cut off", "void")
 _GAP: Final = "  "

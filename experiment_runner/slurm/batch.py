@@ -15,16 +15,6 @@ from typing import Final
 
 from glue.errors import ConfigError, ExperimentError
 
-__all__ = [
-    "MAX_TASKS",
-    "array_script",
-    "can_submit",
-    "check_options",
-    "gathering_job",
-    "is_queued",
-    "submit",
-]
-
 MAX_TASKS: Final = 1000
 """Maximum number of tasks of an array: SLURM's default MaxArraySize is 1001."""
 

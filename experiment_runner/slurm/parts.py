@@ -12,8 +12,6 @@ from experiment_runner.store.database import reported
 from experiment_runner.store.layout import ABOUT_FILE, PARTS, PLAN_FILE, parts_of, remove_run
 from experiment_runner.store.store import Store
 
-__all__ = ["divide", "gather"]
-
 
 def divide(store: Store, tasks: int) -> int:
     """Make a part for each task, named by its number from 0; return their number.

@@ -22,18 +22,6 @@ from typing import Any, Final
 from experiment_runner.store import schema
 from glue.errors import ExperimentError
 
-__all__ = [
-    "DATABASE_FILES",
-    "KEPT",
-    "Database",
-    "StorageError",
-    "holds_run",
-    "open_to_read",
-    "open_to_write",
-    "reported",
-    "transaction",
-]
-
 _DATABASE: Final = "results.sqlite"
 _WAL: Final = _DATABASE + "-wal"
 _SHM: Final = _DATABASE + "-shm"

@@ -22,18 +22,6 @@ from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 from glue.options import Value
 
-__all__ = [
-    "Cell",
-    "Table",
-    "episode_table",
-    "metric_table",
-    "settings_of",
-    "table_of",
-    "write_csv",
-    "write_json",
-    "write_parquet",
-]
-
 _EPISODE: Final[dict[str, type[Value]]] = {
     "trial": str,
     "episode": int,

@@ -21,30 +21,6 @@ from experiment_runner.store.lock import LOCK_FILE, DirectoryTaken, RunLock, is_
 from experiment_runner.store.meetings import MEETINGS_FILE
 from glue.errors import ExperimentError
 
-__all__ = [
-    "ABOUT_FILE",
-    "COMPETITION_FILE",
-    "LOGS",
-    "NOTES_FILE",
-    "PARTS",
-    "PLAN_FILE",
-    "RECORDS",
-    "SEAL_FILE",
-    "SOURCES",
-    "STREAMS",
-    "UNFINISHED",
-    "NewRun",
-    "clear",
-    "is_part",
-    "new_run",
-    "parts_of",
-    "read_about",
-    "remove_run",
-    "replace_flushed",
-    "runs_under",
-    "write_flushed",
-]
-
 PLAN_FILE: Final = "plan.toml"
 ABOUT_FILE: Final = "run.json"
 COMPETITION_FILE: Final = "competition.toml"

@@ -15,8 +15,6 @@ from typing import Final
 
 from glue.errors import ExperimentError
 
-__all__ = ["LOCK_FILE", "DirectoryTaken", "RunLock", "is_lock", "lock_holder"]
-
 LOCK_FILE: Final = "lock"
 
 # `lock_holder` acquires the lock for an instant to see whether it is free.

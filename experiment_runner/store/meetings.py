@@ -18,8 +18,6 @@ from experiment_runner.store.output import read_regular
 from glue.errors import ConfigError
 from glue.hub.config import check_session, check_url
 
-__all__ = ["MEETINGS_FILE", "Meetings", "Place", "meetings_in"]
-
 MEETINGS_FILE: Final = "hubs.json"
 _MOST_BYTES: Final = 2**18
 _LOOPBACK: Final = ("127.0.0.1", "::1", "localhost")

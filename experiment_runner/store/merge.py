@@ -22,8 +22,6 @@ from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
 
-__all__ = ["merge"]
-
 
 class _Source(NamedTuple):
     run: Results

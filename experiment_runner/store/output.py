@@ -12,8 +12,6 @@ from pathlib import Path
 
 from experiment_runner.store.database import reported
 
-__all__ = ["finite", "read_regular", "written"]
-
 
 def finite(value: object) -> object:
     """Return `value`, or None if it is infinite or NaN, which JSON cannot represent."""

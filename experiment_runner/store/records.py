@@ -10,30 +10,6 @@ from experiment_runner.plan.plan import TrialSpec
 from glue.engine.experiment import Experiment
 from glue.options import Value
 
-__all__ = [
-    "MAX_ANSWER",
-    "MEASURES",
-    "TOTAL_REWARD",
-    "TUNED",
-    "UNSEEDED",
-    "Answer",
-    "Answered",
-    "Checkpoint",
-    "EndedEpisode",
-    "EpisodeResult",
-    "Event",
-    "Measure",
-    "Outcome",
-    "Player",
-    "Reading",
-    "Totals",
-    "TrialRecord",
-    "Verdict",
-    "Void",
-    "ask",
-    "measured",
-]
-
 UNSEEDED: Final = "unseeded"
 """Kind of the event that a player takes no seed."""
 

@@ -30,8 +30,6 @@ from experiment_runner.store.records import (
 from glue.closing import Closing
 from glue.errors import ExperimentError
 
-__all__ = ["Metric", "Results", "thinned"]
-
 _Types = tuple[type, ...]
 _TEXT: Final[_Types] = (str,)
 _TEXT_OR_NULL: Final[_Types] = (str, type(None))

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import polars as pl
 
-__all__ = ["StoredRun", "load_run"]
-
 
 class StoredRun(RunData):
     """The columns of a run directory.

@@ -11,8 +11,6 @@ from typing import Final
 from experiment_runner.store.records import MEASURES
 from glue.errors import ExperimentError
 
-__all__ = ["MIGRATIONS", "check", "migrate"]
-
 _APPLICATION_ID: Final = int.from_bytes(b"GLUE", "big")
 
 Migration = tuple[str, ...]

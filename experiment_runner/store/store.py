@@ -38,8 +38,6 @@ from experiment_runner.store.records import (
 from experiment_runner.store.results import Results, thinned
 from glue.errors import ExperimentError
 
-__all__ = ["Store"]
-
 _PUT_TRIAL: Final = """INSERT INTO trials (id, agent, environment, episodes, max_steps, seed, steps)
     VALUES (?, ?, ?, ?, ?, ?, ?)"""
 _PUT_EPISODE: Final = f"INSERT INTO episodes VALUES (?{', ?' * len(EpisodeResult._fields)})"

@@ -23,8 +23,6 @@ from experiment_runner.view.stream import Pulse
 from experiment_runner.view.summary import run_in_full, standings_of
 from glue.errors import GlueError
 
-__all__ = ["page"]
-
 _MOST_RUNS: Final = 20
 
 

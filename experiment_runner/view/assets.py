@@ -19,8 +19,6 @@ from starlette.routing import BaseRoute, Route
 from experiment_runner.view.reader import json_response
 from glue.errors import ConfigError, GlueError
 
-__all__ = ["routes"]
-
 Drawing = Mapping[str, Callable[[], bytes]]
 """Functions that return the contents of a drawing's files, by name."""
 

@@ -26,16 +26,6 @@ from experiment_runner.view.reader import Reader
 from experiment_runner.view.stream import Pulse, Topic
 from glue.errors import ExperimentError
 
-__all__ = [
-    "NOTES_LIMIT",
-    "Catalog",
-    "Entry",
-    "Watcher",
-    "checked_notes",
-    "read_notes",
-    "write_notes",
-]
-
 _ID_LETTERS: Final = 12
 _MOST_NAMES: Final = 20  # of agents, environments and values of an option in a line
 _MOST_OPTIONS: Final = 50  # that are listed

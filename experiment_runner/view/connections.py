@@ -15,8 +15,6 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from experiment_runner.view.guard import ADMIT
 
-__all__ = ["Connection", "raise_descriptors"]
-
 _MOST: Final = 1000
 """Connections at once."""
 

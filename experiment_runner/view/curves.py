@@ -21,8 +21,6 @@ from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 from glue.suggestions import did_you_mean
 
-__all__ = ["Wanted", "curves", "drawn", "look_of", "wanted_by"]
-
 _HEIGHT: Final = 420  # of a drawing, in pixels
 _WIDEST: Final = 1_000_000_000
 _MOST_NUMBERS: Final = 8000  # of the single trials of a curve, at some 20 bytes each

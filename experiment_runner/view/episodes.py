@@ -30,8 +30,6 @@ from glue.taskspec import Bound, Ranges, parse_task_spec
 from glue.trajectory import Answer, Episode, TrajectoryError, TrajectoryReader
 from glue.types import Action
 
-__all__ = ["described", "number", "routes"]
-
 _SUFFIX: Final = ".traj"
 _MOST_FILES: Final = 50
 _MOST_EPISODES: Final = 10_000  # of a recording, that are listed

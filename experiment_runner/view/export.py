@@ -15,8 +15,6 @@ from experiment_runner.competition.board.forms import LEGEND, number
 from experiment_runner.competition.board.standings import Standing, Standings
 from experiment_runner.report import svg
 
-__all__ = ["as_page", "figures"]
-
 _STYLE: Final = Path(__file__).with_name("static") / "style.css"
 _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'"
 _AXES: Final = ("share of the task (%)", "reward so far")

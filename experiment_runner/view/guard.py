@@ -21,8 +21,6 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-__all__ = ["ADMIT", "HEADERS", "WRITABLE", "Address", "Guard"]
-
 ADMIT: Final = "admit"
 """Key in a request's state of a function that is called when the request has shown the cookie."""
 

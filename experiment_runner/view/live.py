@@ -24,8 +24,6 @@ from glue.client.observer import Answer, Seen, Start, Step, TaskSpecSeen, observ
 from glue.errors import GlueError
 from glue.types import CUT_OFF, Action
 
-__all__ = ["Live"]
-
 _RATE: Final = 30.0  # moments per second
 _LOOK_SECONDS: Final = 0.5  # between looks for a trial in progress
 _WAIT_SECONDS: Final = 5.0  # for a hub to answer

@@ -14,8 +14,6 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 from starlette.responses import Response
 
-__all__ = ["Kept", "Reader", "json_response"]
-
 _T = TypeVar("_T")
 
 _MOST_ANSWERS: Final = 32

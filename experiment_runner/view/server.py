@@ -18,8 +18,6 @@ from experiment_runner.view.guard import Address
 from experiment_runner.view.stream import Pulse
 from glue.errors import ConfigError
 
-__all__ = ["DEFAULT_PORT", "serve"]
-
 DEFAULT_PORT: Final = 8097
 _TOKEN_BYTES: Final = 24
 _BACKLOG: Final = 128

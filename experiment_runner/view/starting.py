@@ -17,8 +17,6 @@ from typing import Final
 from experiment_runner.meeting import children
 from glue.errors import ConfigError
 
-__all__ = ["check_view", "viewed"]
-
 _MODULE: Final = "experiment_runner.cli.view"
 _STANDARD_STREAMS: Final = (0, 1, 2)
 

@@ -21,8 +21,6 @@ from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import BaseRoute, Route
 
-__all__ = ["Pulse", "Source", "Topic", "routes"]
-
 _HEARTBEAT_SECONDS: Final = 15.0
 _LEAST_SECONDS: Final = 0.03  # between two events to a page
 _MAX_TOPICS: Final = 8

@@ -16,8 +16,6 @@ from experiment_runner.store.output import read_regular
 from experiment_runner.store.results import Results
 from experiment_runner.view.export import figures
 
-__all__ = ["run_in_full", "standings_of"]
-
 _MOST_NOTES: Final = 200  # voids and events, the newest; answers
 _MOST_TEXT: Final = 2000  # of an answer
 _MOST_TRIALS: Final = 1000

@@ -14,8 +14,6 @@ from glue.plugins.loading import make, make_agent, names
 from glue.roles import Environment
 from glue.wire.messages import Role
 
-__all__ = ["compile_players", "main"]
-
 
 @click.command("glue-compile")
 @click.argument("players", metavar="[NAME]...", nargs=-1)

@@ -20,8 +20,6 @@ from glue.wire.messages import THREE_ROLES, Role
 if TYPE_CHECKING:
     from glue.conform.judge import Verdict
 
-__all__ = ["conform", "main"]
-
 _FAILED: Final = 1
 _HUB: Final = "hub"
 

@@ -20,15 +20,6 @@ if TYPE_CHECKING:
     from types import FrameType
     from typing import Final, NoReturn
 
-__all__ = [
-    "EXIT_INTERRUPTED",
-    "EXIT_TERMINATED",
-    "Terminated",
-    "handle_signals",
-    "is_stuck",
-    "start",
-]
-
 EXIT_INTERRUPTED: Final = 128 + signal.SIGINT
 EXIT_TERMINATED: Final = 128 + signal.SIGTERM
 

@@ -11,13 +11,12 @@ from typing import Final
 import click
 
 from glue import __version__
-from glue.cli.shared import Terminated, keys_option, legacy_port_option, run
+from glue.cli.entry import Terminated
+from glue.cli.shared import keys_option, legacy_port_option, run
 from glue.console import say
 from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, Bind, HubConfig, LegacyPort
 from glue.hub.io.log import Level, Log
-
-__all__ = ["hub", "main"]
 
 _DEFAULTS: Final = HubConfig()
 

@@ -11,8 +11,6 @@ from glue.cli.shared import run
 from glue.console import say
 from glue.keys.certificates import encode, read_public, write_pair
 
-__all__ = ["keys", "main"]
-
 
 @click.group("glue-keys")
 @click.version_option(__version__, prog_name="glue-keys")

@@ -25,8 +25,6 @@ from glue.options import Parameter, Value, parameters
 from glue.plugins.loading import construct, find, names, summaries, without_seed
 from glue.wire.messages import Role
 
-__all__ = ["Extra", "player_command"]
-
 _COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
 
 

@@ -21,19 +21,6 @@ from glue.errors import ConfigError
 from glue.roles import Environment
 from glue.types import Observation
 
-__all__ = [
-    "Film",
-    "Marks",
-    "Renderer",
-    "TerminalScreen",
-    "draw_numbers",
-    "draws_marks",
-    "film",
-    "has_color",
-    "read_marks",
-    "renderer",
-]
-
 Marks: TypeAlias = tuple[tuple[float, float], ...]
 """Points that an agent wants drawn, such as its plan: x and y as in the environment's observations."""
 Renderer = Callable[..., list[str]]

@@ -22,17 +22,6 @@ from glue.console import say
 from glue.errors import ConfigError, GlueError
 from glue.hub.config import HUB_KEY_VARIABLE, KEY_VARIABLE
 
-__all__ = [
-    "HUB_KEY_SETTINGS",
-    "KEY_SETTINGS",
-    "WAIT_VARIABLE",
-    "Terminated",
-    "keys_option",
-    "legacy_port_option",
-    "reporting",
-    "run",
-]
-
 WAIT_VARIABLE: Final = "GLUE_WAIT"
 """The environment variable of the option `--wait`, in every command that has it."""
 

@@ -11,9 +11,6 @@ from glue.errors import RemoteProtocolError
 from glue.roles import AgentLike, EnvironmentLike, capabilities
 from glue.wire.messages import CALLS, Kind, Message, Role
 
-__all__ = ["Player"]
-
-
 _message: Final = tuple.__new__
 """Makes a named tuple at half the cost of calling its class."""
 

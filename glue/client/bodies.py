@@ -9,8 +9,6 @@ from glue.errors import LocalProtocolError
 from glue.types import AbstractType, Action, Observation, body_size
 from glue.wire.messages import Body
 
-__all__ = ["READ", "write"]
-
 
 def _read_text(body: bytes) -> str:
     # Original RL-Glue programs send whatever bytes they like; they survive the way there and back.

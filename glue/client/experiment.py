@@ -26,8 +26,6 @@ from glue.wire.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
 
-__all__ = ["RemoteExperiment", "connect", "connect_over"]
-
 WAIT_SECONDS: Final = 10.0
 """Seconds to wait for a hub by default."""
 

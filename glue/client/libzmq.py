@@ -20,8 +20,6 @@ from glue.keys.certificates import encode as encode_key
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.messages import Message
 
-__all__ = ["Context", "DealerTransport", "new_pair"]
-
 Context = zmq.Context[zmq.Socket[bytes]]
 
 # As plain ints: on the hot path, pyzmq's flags cost more than what they say.

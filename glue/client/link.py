@@ -17,13 +17,12 @@ from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolErr
 from glue.hub.config import check_session
 from glue.hub.sessions import INSTANCE_SIZE
 from glue.sockets.spinning import LONG_SPIN_SECONDS, SEVERAL_CORES
-from glue.wire.codec import MAX_BODY, UnknownKind, clip
+from glue.wire.codec import UnknownKind, clip
+from glue.wire.limits import MAX_BODY
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
-
-__all__ = ["Link", "Log"]
 
 Log = Callable[[str], None]
 

@@ -24,8 +24,6 @@ from glue.console import say
 from glue.types import Action, Observation, body_size
 from glue.wire.messages import Kind, Message, Role
 
-__all__ = ["Answer", "Observer", "Seen", "Start", "Step", "TaskSpecSeen", "observe"]
-
 
 class TaskSpecSeen(NamedTuple):
     """The task spec that the environment returned from init."""

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 _CALLS: Final = frozenset(CALLS)
 
-__all__ = ["serve_agent", "serve_environment"]
-
 
 def serve_agent(
     agent: AgentLike | Mapping[str, AgentLike],

@@ -23,8 +23,6 @@ from glue.wire.stream import Malformed, Stream
 if TYPE_CHECKING:
     from glue.wire.curve import CurveClient
 
-__all__ = ["SocketTransport"]
-
 _CHUNK: Final = 65_536
 """Bytes received at once, at most; a larger buffer would cost a system call to allocate."""
 

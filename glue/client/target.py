@@ -22,16 +22,6 @@ from glue.hub.config import (
 )
 from glue.keys.certificates import KeyPair, encode, read_pair, read_public
 
-__all__ = [
-    "OwnKey",
-    "Target",
-    "find_target",
-    "needs_key",
-    "needs_no_key",
-    "unknown_key",
-    "wrong_hub_key",
-]
-
 
 @dataclass(frozen=True, slots=True)
 class OwnKey:

@@ -16,13 +16,11 @@ from glue.client.target import OwnKey
 from glue.doors import network
 from glue.errors import ConfigError
 from glue.hub.config import check_url
-from glue.wire.codec import MAX_BODY, MAX_HEADER
+from glue.wire.limits import MAX_BODY, MAX_HEADER
 from glue.wire.messages import Message
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
-
-__all__ = ["Transport", "open_transport"]
 
 _TIMEOUT: Final = 5.0
 """Seconds after which a connection attempt, or data that is not acknowledged, is given up."""

@@ -12,8 +12,6 @@ import numpy.typing as npt
 
 from glue.compiled.jit import entry, jit
 
-__all__ = ["MASK", "State", "draw", "draw_double", "seeded"]
-
 State = npt.NDArray[np.int64]
 
 _MULTIPLIER: Final = 0x5DEECE66D

@@ -29,8 +29,6 @@ from numba.core.registry import CPUDispatcher
 from glue.console import say, say_why_slow
 from glue.doors import clock
 
-__all__ = ["announce_compilation", "entry", "jit"]
-
 _POLL_SECONDS: Final = 0.1
 
 Function = TypeVar("Function", bound=Callable[..., Any])

@@ -13,8 +13,6 @@ from typing import Annotated
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Array", "Flag", "Int", "Real", "Word", "layout", "new"]
-
 Int = Annotated[int, np.int64]
 Real = Annotated[float, np.float64]
 Flag = Annotated[bool, np.bool_]

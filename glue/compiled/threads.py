@@ -36,8 +36,6 @@ from glue.compiled.jit import jit
 from glue.doors import clock
 from glue.doors.threads import Thread
 
-__all__ = ["CALLER", "Gate", "Threads", "begin_turn", "claim", "end_turn"]
-
 CALLER: Final = 0
 """Number of the calling thread; the workers follow."""
 

@@ -18,8 +18,6 @@ from glue.conform.scenes import FIRST, all_rules
 from glue.conform.scenes.faults import play_script
 from glue.wire.messages import Role
 
-__all__ = ["Outcome", "Verdict", "judge", "judge_hub", "judge_scripts", "rules_of"]
-
 
 class Outcome(StrEnum):
     """Whether a rule was kept."""

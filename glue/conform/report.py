@@ -8,8 +8,6 @@ from typing import Any, Final
 from glue.conform.hub.rules import Tier
 from glue.conform.judge import Outcome, Verdict
 
-__all__ = ["document", "line", "reached", "scorecard", "summary"]
-
 _PAGE: Final = "docs/protocol.md"
 
 _SHOWN: Final = 64

@@ -5,7 +5,5 @@ from __future__ import annotations
 import os
 from typing import Final
 
-__all__ = ["random_bytes"]
-
 random_bytes: Final = os.urandom
 """Bytes that nobody can predict, as many as asked for."""

@@ -6,8 +6,6 @@ import os
 import time
 from typing import Final
 
-__all__ = ["give_way", "monotonic", "sleep"]
-
 monotonic: Final = time.monotonic
 """Seconds since an arbitrary moment; never set back."""
 

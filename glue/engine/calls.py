@@ -32,8 +32,6 @@ from glue.taskspec import Space, parse_task_spec
 from glue.types import CUT_OFF, AbstractType, Action, Observation, step_of
 from glue.wire.messages import CALLS, Kind, Role
 
-__all__ = ["Answer", "Handler", "agent_calls", "environment_calls", "name_of", "role_calls"]
-
 Answer = tuple[tuple[Any, ...], Any]
 Handler = Callable[[tuple[Any, ...], Any], Answer]
 

@@ -29,9 +29,6 @@ from glue.errors import LocalProtocolError, PeerLost, RemoteProtocolError
 from glue.types import CUT_OFF
 from glue.wire.messages import CALLS, Kind, Role, Value
 
-__all__ = ["EPISODE_VERBS", "Engine", "Instruction"]
-
-
 EPISODE_VERBS: Final = frozenset(
     {Kind.RL_STEP, Kind.RL_ENV_STEP, Kind.RL_AGENT_START, Kind.RL_AGENT_STEP, Kind.RL_AGENT_END}
 )

@@ -15,8 +15,6 @@ from glue.errors import LocalProtocolError
 from glue.types import CUT_OFF, Action, Observation, Step
 from glue.wire.messages import Kind, Value
 
-__all__ = ["Experiment", "Start"]
-
 _T = TypeVar("_T")
 
 

@@ -22,8 +22,6 @@ from glue.roles import AgentLike, EnvironmentLike, capabilities
 from glue.types import Action
 from glue.wire.messages import CALLS, Kind, Role, Value
 
-__all__ = ["LocalExperiment", "local"]
-
 
 def local(agent: AgentLike, environment: EnvironmentLike) -> LocalExperiment:
     """Return an experiment with this agent and environment; call its verbs.

@@ -8,8 +8,6 @@ from typing import Final
 from glue.errors import PeerFailed
 from glue.types import Observation
 
-__all__ = ["MAX_METRICS", "MAX_METRIC_NAME", "pack_metrics", "unpack_metrics"]
-
 MAX_METRICS: Final = 1000
 MAX_METRIC_NAME: Final = 64
 """Maximum length of a name, in characters."""

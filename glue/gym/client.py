@@ -27,8 +27,6 @@ from glue.roles import Agent, Environment
 from glue.taskspec import parse_task_spec
 from glue.types import Action, Observation, arrays_of
 
-__all__ = ["GlueEnv", "connect", "connect_vec", "wrap"]
-
 
 def wrap(environment: Environment) -> GlueEnv:
     """Return an RL-Glue environment of this process as a `gymnasium.Env`.

@@ -14,8 +14,6 @@ from glue.gym.leaves import CHAR, DOUBLE, INT, Leaf, SpaceLike, ends_of, leaves_
 from glue.taskspec import Range, Ranges, Space
 from glue.types import AbstractType
 
-__all__ = ["Codec"]
-
 
 class Codec:
     """Values of a space as the ints, doubles and chars of an abstract type.

@@ -11,8 +11,6 @@ from gymnasium import spaces
 
 from glue.errors import ConfigError
 
-__all__ = ["CHAR", "DOUBLE", "FLOATS", "INT", "INT32", "Leaf", "SpaceLike", "ends_of", "leaves_of"]
-
 SpaceLike: TypeAlias = "spaces.Space[Any]"
 
 INT, DOUBLE, CHAR = range(3)

@@ -32,8 +32,6 @@ from glue.options import Option
 from glue.taskspec import parse_task_spec
 from glue.types import Action, Observation
 
-__all__ = ["SB3Agent", "SB3VecEnv"]
-
 _ALGORITHMS: Final = ("PPO", "A2C", "DQN", "SAC", "TD3", "DDPG")
 
 

@@ -23,8 +23,6 @@ from glue.plugins.loading import import_user_module
 from glue.roles import Environment
 from glue.types import Action, Observation, Step
 
-__all__ = ["GymnasiumEnvironment", "environment_class"]
-
 _TEXT: Final = "ansi"
 """The render mode of environments that are drawn as text."""
 

@@ -27,8 +27,6 @@ from glue.gym.codec import Codec
 from glue.gym.leaves import CHAR, DOUBLE, FLOATS, INT, INT32, SpaceLike
 from glue.taskspec import RL_GLUE_3, Range, Space, TaskSpec
 
-__all__ = ["read_spaces", "task_spec"]
-
 _MARK: Final = "LAYOUT "
 
 

@@ -33,21 +33,6 @@ from glue.hub.keys import Keys
 from glue.wire.limits import MAX_BODY, MAX_NAME
 from glue.wire.messages import Role
 
-__all__ = [
-    "DEFAULT_HUB",
-    "DEFAULT_SESSION",
-    "HUB_KEY_VARIABLE",
-    "HUB_VARIABLE",
-    "KEY_VARIABLE",
-    "SESSION_VARIABLE",
-    "Bind",
-    "HubConfig",
-    "LegacyPort",
-    "TimeLimits",
-    "check_session",
-    "check_url",
-]
-
 DEFAULT_HUB: Final = "tcp://127.0.0.1:4097"
 """The default address of a hub. RL-Glue's own port, 4096, is left to original RL-Glue programs."""
 

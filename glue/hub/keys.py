@@ -9,8 +9,6 @@ from typing import Final
 from glue.errors import ConfigError
 from glue.wire.messages import Role
 
-__all__ = ["KEY_SIZE", "Keys", "Permit"]
-
 KEY_SIZE: Final = 32
 """Bytes of a CURVE key, public or secret."""
 

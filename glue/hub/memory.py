@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Protocol
 
-__all__ = ["Holder", "Memory"]
-
 
 class Holder(Protocol):
     """Something that uses memory: a connection, or a session."""

@@ -18,8 +18,6 @@ from glue.wire.messages import Kind, Message, Value
 if TYPE_CHECKING:
     from glue.hub.peer import Peer
 
-__all__ = ["MAX_OBSERVERS", "Observers"]
-
 MAX_OBSERVERS: Final = 8
 """Observers of one session at most."""
 

@@ -11,8 +11,6 @@ from glue.wire.messages import Message, Role
 if TYPE_CHECKING:
     from glue.hub.session import Session
 
-__all__ = ["Board", "Peer", "Route"]
-
 
 class Route(Protocol):
     """A connection over which messages are received and sent."""

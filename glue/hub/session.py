@@ -23,8 +23,6 @@ from glue.types import CUT_OFF, Action
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, OUTCOME, ErrorCode, Event, Kind, Message, Role
 
-__all__ = ["Session"]
-
 _CALLEES: Final = {kind: call.callee for kind, call in CALLS.items()}
 _ALWAYS: Final = frozenset(
     kind for kind, call in CALLS.items() if call.capability is None and kind is not Kind.AGENT_INIT

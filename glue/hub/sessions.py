@@ -25,8 +25,6 @@ from glue.hub.time_bank import TimeBank
 from glue.wire.codec import UnknownKind, clip
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
 
-__all__ = ["INSTANCE_SIZE", "ONE_RUN", "Route", "Switchboard"]
-
 INSTANCE_SIZE: Final = 16
 """Bytes of the random number by which a peer is known across connections."""
 

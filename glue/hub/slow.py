@@ -6,8 +6,6 @@ from typing import Final
 
 from glue.wire.messages import Message
 
-__all__ = ["SlowCalls"]
-
 _FIRST_SECONDS: Final = 5.0
 """Seconds without an answer after which a call is reported."""
 

@@ -13,8 +13,6 @@ from typing import Final
 from glue.hub.config import TimeLimits
 from glue.wire.messages import Kind
 
-__all__ = ["TimeBank"]
-
 _STARTING: Final = frozenset({Kind.AGENT_SEED, Kind.AGENT_INIT})
 
 

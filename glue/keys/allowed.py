@@ -34,8 +34,6 @@ from glue.keys.files import check_directory, read_own
 from glue.suggestions import did_you_mean
 from glue.wire.messages import Role
 
-__all__ = ["HUB", "LIST", "read_keys"]
-
 HUB: Final = "hub"
 """The name of the hub's own pair."""
 

@@ -18,8 +18,6 @@ from typing import Final
 from glue.errors import ConfigError
 from glue.keys.files import read_own
 
-__all__ = ["PUBLIC", "SECRET", "KeyPair", "decode", "encode", "read_pair", "read_public", "write_pair"]
-
 PUBLIC: Final = ".key"
 SECRET: Final = ".key_secret"
 """The suffix of the file with the secret key of a pair; that of its public key is `PUBLIC`."""

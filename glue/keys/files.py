@@ -9,8 +9,6 @@ from typing import Final
 
 from glue.errors import ConfigError
 
-__all__ = ["check_directory", "read_own"]
-
 _OTHERS: Final = 0o077
 _OTHERS_WRITE: Final = 0o022
 

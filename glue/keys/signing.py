@@ -27,8 +27,6 @@ try:
 except ImportError:
     raise ConfigError("signatures need PyNaCl: pip install 'glue-rl[keys]'") from None
 
-__all__ = ["is_signed", "sign"]
-
 _PRIME: Final = 2**255 - 19
 _SIGN_BIT: Final = 0x80
 _HASH_1: Final = b"\xfe" + 31 * b"\xff"

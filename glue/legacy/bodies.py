@@ -11,8 +11,6 @@ from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.types import body_size
 from glue.wire.messages import Body
 
-__all__ = ["BODIES", "MAX_COUNT", "MAX_STRING", "BodyForm", "too_short", "until_zero"]
-
 MAX_COUNT: Final = 1_000_000
 """Maximum number of ints, doubles or chars in one abstract type; the original's own limit."""
 

@@ -39,23 +39,6 @@ from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.legacy.bodies import BODIES, MAX_STRING, BodyForm, too_short, until_zero
 from glue.wire.messages import CALLS, Body, Call, Kind, Role, Shape, Value
 
-__all__ = [
-    "FROM_AGENT",
-    "FROM_ENVIRONMENT",
-    "FROM_EXPERIMENT",
-    "HANDSHAKE",
-    "SURPLUS",
-    "TO_AGENT",
-    "TO_ENVIRONMENT",
-    "TO_EXPERIMENT",
-    "Control",
-    "Decoder",
-    "Frame",
-    "Layout",
-    "Vocabulary",
-    "encode",
-]
-
 SURPLUS: Final = 65_536
 """Maximum number of bytes in a payload beyond the longest content of its kind."""
 

@@ -23,8 +23,6 @@ from glue.legacy.states import (
 from glue.types import Action, body_size
 from glue.wire.messages import Event, Kind, Message
 
-__all__ = ["READ_AHEAD", "LegacyExperiment"]
-
 READ_AHEAD: Final = 2**20
 """Maximum size in bytes of requests received before their turn; the rest stays in the network."""
 

@@ -47,8 +47,6 @@ from glue.legacy.peers import LegacyPlayer
 from glue.legacy.pending import Pending
 from glue.wire.messages import Kind, Role
 
-__all__ = ["Gateway", "open_legacy_port"]
-
 _ROLES: Final[Mapping[Kind | Control, Role]] = {
     Control.CONNECT_AGENT: Role.AGENT,
     Control.CONNECT_ENVIRONMENT: Role.ENVIRONMENT,

@@ -31,8 +31,6 @@ from glue.legacy.states import (
 )
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
-__all__ = ["LegacyPeer", "LegacyPlayer"]
-
 _CODEC: Final = "RL-Glue 3.x"
 
 _TO_PLAYER: Final[Mapping[Role, Vocabulary]] = {Role.AGENT: TO_AGENT, Role.ENVIRONMENT: TO_ENVIRONMENT}

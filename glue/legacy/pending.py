@@ -12,8 +12,6 @@ from glue.hub.io.log import Log
 from glue.hub.io.server import Hub
 from glue.legacy.codec import TO_AGENT, Control, Frame, encode
 
-__all__ = ["MAX_PENDING", "Pending"]
-
 MAX_PENDING: Final = 256
 """Maximum number of connections without a role; one more closes the oldest."""
 

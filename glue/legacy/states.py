@@ -16,19 +16,6 @@ from collections.abc import Mapping
 from enum import IntEnum, auto
 from typing import Final, TypeVar
 
-__all__ = [
-    "EXPERIMENT",
-    "PLAYER",
-    "SENDING",
-    "ExperimentEvent",
-    "ExperimentState",
-    "PlayerEvent",
-    "PlayerState",
-    "Sending",
-    "SendingEvent",
-    "after",
-]
-
 
 class PlayerState(IntEnum):
     """The state of a player."""

@@ -11,8 +11,6 @@ from glue.doors import clock
 from glue.engine.experiment import Experiment
 from glue.errors import ConfigError
 
-__all__ = ["draw_curve", "run_live"]
-
 _SECONDS: Final = 0.5
 """Minimum time in seconds between two drawings."""
 

@@ -11,8 +11,6 @@ from glue.doors.threads import Event, Thread
 from glue.errors import ConfigError
 from glue.roles import AgentLike, EnvironmentLike
 
-__all__ = ["Served", "serve"]
-
 
 class Served:
     """A player that a thread serves. Made by `serve`; as a context manager it is stopped at the end.

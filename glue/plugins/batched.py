@@ -19,8 +19,6 @@ from glue.roles import Environment, EnvironmentLike, SeedableEnvironment, offers
 from glue.types import CUT_OFF, Action, Observation, Step
 from glue.wire.messages import Kind, Role
 
-__all__ = ["BatchedEnvironments", "make_batch"]
-
 
 def make_batch(name: str, make: Callable[[], Environment], games: int) -> Environment:
     """Return many games of the environment called `name` as one.

@@ -9,8 +9,6 @@ from typing import Annotated, Any, Final
 
 from glue.options import Option
 
-__all__ = ["keywords", "with_options"]
-
 _SIMPLE: Final = (bool, int, float, str)
 
 

@@ -32,21 +32,6 @@ from glue.wire.messages import Role
 if TYPE_CHECKING:
     from glue.roles import Agent, Environment
 
-__all__ = [
-    "PACKAGES",
-    "construct",
-    "example",
-    "file_in",
-    "find",
-    "import_user_module",
-    "located",
-    "make",
-    "make_agent",
-    "names",
-    "summaries",
-    "without_seed",
-]
-
 PACKAGES: Final = ("glue", "env_server", "agents", "experiment_runner")
 """The packages of this program."""
 

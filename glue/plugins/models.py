@@ -7,8 +7,6 @@ from typing import Any
 
 from glue.errors import ConfigError
 
-__all__ = ["find_model"]
-
 
 def find_model(name: str) -> Any:
     """Return the model of the environment called `name`: a module of compiled functions.

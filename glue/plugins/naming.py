@@ -13,8 +13,6 @@ from glue.options import parameters
 from glue.plugins.loading import find, names
 from glue.wire.messages import Role
 
-__all__ = ["NamingCommand", "complete_names"]
-
 _FLAGS: Final = {"--agent": Role.AGENT, "--env": Role.ENVIRONMENT}
 
 

@@ -8,8 +8,6 @@ from typing import Any, Final
 from glue.errors import ConfigError
 from glue.roles import Agent, SaveableAgent, completed, offers
 
-__all__ = ["Trained", "load_trained"]
-
 _MAX_SIZE: Final = 2**30
 """Bytes of the largest file that is read."""
 

@@ -17,8 +17,6 @@ from glue.rlglue.borrowed import Adapter
 from glue.roles import Agent, Environment
 from glue.types import Action, Observation, Step, arrays_of
 
-__all__ = ["AndnpAgent", "AndnpEnvironment"]
-
 _UNSTATED: Final = "VERSION rlglue-andnp"
 _TaskSpec = Annotated[str, Option("the task spec, which the environment does not have")]
 

@@ -8,8 +8,6 @@ from typing import Any, ClassVar, Final
 from glue.errors import ConfigError
 from glue.plugins.keywords import keywords, with_options
 
-__all__ = ["Adapter", "adapted"]
-
 _SEED: Final = "seed"
 
 

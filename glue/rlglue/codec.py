@@ -14,8 +14,6 @@ from glue.rlglue.borrowed import Adapter
 from glue.roles import Agent, Environment
 from glue.types import AbstractType, Action, Observation, Step
 
-__all__ = ["CodecAgent", "CodecEnvironment"]
-
 T = TypeVar("T", bound=AbstractType)
 
 

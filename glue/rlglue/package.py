@@ -15,8 +15,6 @@ from glue.errors import ConfigError
 from glue.rlglue import values
 from glue.rlglue.parser import TaskSpecParser
 
-__all__ = ["provide"]
-
 
 class _BaseAgent(Protocol):
     """The base class of agents of rlglue-andnp."""

@@ -7,8 +7,6 @@ from typing import Final
 from glue.errors import TaskSpecError
 from glue.taskspec import NEGINF, POSINF, UNSPEC, Bound, Range, Ranges, TaskSpec, parse_task_spec
 
-__all__ = ["TaskSpecParser"]
-
 Bounds = list["float | str"]
 """Minimum and maximum of a number; NEGINF, POSINF and UNSPEC are texts."""
 

@@ -6,8 +6,6 @@ from typing import Final
 
 from glue.doors import network
 
-__all__ = ["limit_silence", "probe_when_silent", "unix_address"]
-
 _PROBES: Final = 3
 """Unanswered probes after which a silent host is considered gone."""
 

@@ -12,8 +12,6 @@ from typing import Final, TypeVar
 
 from glue.doors import clock
 
-__all__ = ["LONG_SPIN_SECONDS", "SEVERAL_CORES", "Spin"]
-
 LONG_SPIN_SECONDS: Final = 300e-6
 """Seconds to poll for a message of many games: 64 games of Infinite Mario are stepped within them."""
 

@@ -14,8 +14,6 @@ import numpy.typing as npt
 from glue.taskspec.space import INT32_MAX, INT32_MIN, Space, window
 from glue.types import PREFIX_SIZE, AbstractType
 
-__all__ = ["Draws"]
-
 _AT_ONCE: Final = 1024
 """Maximum number of numbers drawn at once."""
 

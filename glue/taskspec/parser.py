@@ -37,8 +37,6 @@ from glue.taskspec.spec import (
     TaskSpec,
 )
 
-__all__ = ["parse_task_spec"]
-
 _SPECIALS: Final[Mapping[str, Bound]] = {"NEGINF": NEGINF, "POSINF": POSINF, "UNSPEC": UNSPEC}
 _BOUND: Final = re.compile(r"(?:NEGINF|POSINF|UNSPEC)(?![^\s()])|[-+.0-9][^\s()]*+", re.IGNORECASE)
 _NUMBER: Final = re.compile(r"[+-]?(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)(?:[eE][+-]?[0-9]++)?")

@@ -9,8 +9,6 @@ from glue.errors import TaskSpecError
 from glue.taskspec.space import MAX_COUNT, Bound, Range, Ranges, Run, Space
 from glue.taskspec.spec import RL_GLUE_3, TaskSpec
 
-__all__ = ["Box", "Chars", "Discrete", "Tuple", "task_spec"]
-
 
 def Discrete(n: int, start: int = 0) -> Space:
     """Return the space of one int from `start` to `start` + `n` - 1.

@@ -9,8 +9,6 @@ from typing import Final, Self
 from glue.errors import TaskSpecError
 from glue.taskspec.space import Range, Space
 
-__all__ = ["MARIO", "MAX_LENGTH", "RL_GLUE_3", "TaskSpec"]
-
 RL_GLUE_3: Final = "RL-Glue-3.0"
 MARIO: Final = "Mario-v1"
 

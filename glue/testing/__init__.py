@@ -21,9 +21,10 @@ TYPE_CHECKING = False  # not imported: see glue.cli.entry
 if TYPE_CHECKING:
     from typing import Any, Final
 
+    from glue.conform.peers.rules import HubRule
     from glue.testing.hub import check_hub
     from glue.testing.players import check_agent, check_environment
-    from glue.testing.rules import ContractBroken, HubRule, Rule
+    from glue.testing.rules import ContractBroken, Rule
 
 __all__ = ["ContractBroken", "HubRule", "Rule", "check_agent", "check_environment", "check_hub"]
 
@@ -32,7 +33,7 @@ _HOMES: Final = {
     "check_agent": "glue.testing.players",
     "check_environment": "glue.testing.players",
     "ContractBroken": "glue.testing.rules",
-    "HubRule": "glue.testing.rules",
+    "HubRule": "glue.conform.peers.rules",
     "Rule": "glue.testing.rules",
 }
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from glue.conform.peers.checking import judged_rules
-from glue.testing.rules import ContractBroken, HubRule
-
-__all__ = ["check_hub"]
+from glue.conform.peers.rules import HubRule
+from glue.testing.rules import ContractBroken
 
 
 def check_hub(url: str, *, wait: float = 10.0) -> None:

@@ -23,8 +23,6 @@ from glue.taskspec import RL_GLUE_3, Range, Ranges, Space, parse_task_spec
 from glue.testing.rules import ContractBroken, Rule
 from glue.types import Action, Observation, Step, step_of
 
-__all__ = ["check_agent", "check_environment"]
-
 
 def check_environment(
     factory: Callable[[], EnvironmentLike],

@@ -7,8 +7,6 @@ from enum import StrEnum
 from glue.conform.peers.rules import HubRule
 from glue.errors import GlueError
 
-__all__ = ["ContractBroken", "HubRule", "Rule"]
-
 
 class Rule(StrEnum):
     """Rules for agents and environments."""

@@ -23,8 +23,6 @@ from glue.trajectory.steps import Step, StepSequence
 from glue.trajectory.unpacked import GZIP, Unpacked
 from glue.types import Action
 
-__all__ = ["ActionSteps", "ActionWriter", "Block", "read_block"]
-
 _COUNTS: Final = struct.Struct("<III")
 
 _MAX_ACTIONS_SIZE: Final = 2**23

@@ -11,8 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Outcomes", "compare", "unequal"]
-
 
 class Outcomes(NamedTuple):
     """The outcomes of consecutive steps of an episode.

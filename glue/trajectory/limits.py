@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["MAX_BLOCK", "MAX_BODY", "MAX_EPISODE", "MAX_RUN_SYNTAX", "MAX_STEPS", "MAX_TEXT"]
-
 MAX_BODY: Final = 16 * 2**20  # bytes of one observation or action
 MAX_TEXT: Final = 16 * 2**20  # bytes of one run's JSON, or of one message
 MAX_EPISODE: Final = 256 * 2**20  # bytes of all records of one episode and those before it, unpacked

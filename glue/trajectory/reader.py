@@ -34,8 +34,6 @@ from glue.trajectory.steps import Steps
 from glue.trajectory.unpacked import Torn, TrajectoryError, Unpacked
 from glue.types import Observation
 
-__all__ = ["TrajectoryReader"]
-
 # The closing quote may be missing: a text that never ends is looked at once, not once per quote inside it.
 _TEXT_IN_JSON: Final = re.compile(r'"(?:[^"\\]|\\.)*+"?', re.DOTALL)
 

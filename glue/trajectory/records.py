@@ -16,32 +16,6 @@ from glue.trajectory import limits
 from glue.trajectory.steps import Step
 from glue.types import Observation
 
-__all__ = [
-    "ANSWER",
-    "BEGIN",
-    "BLOCK",
-    "CUTOFF",
-    "ENDINGS",
-    "END_OF",
-    "LENGTH",
-    "MAGIC",
-    "MESSAGE",
-    "REWARD",
-    "RUN",
-    "START",
-    "STEP",
-    "TERMINAL_END",
-    "TERMINAL_STEP",
-    "VOID",
-    "Answer",
-    "Ending",
-    "Episode",
-    "Run",
-    "is_plain",
-    "run_record",
-    "text_record",
-]
-
 MAGIC: Final = b"GLUETRJ1"
 RUN, MESSAGE, START, STEP, TERMINAL_STEP, CUTOFF, VOID = b"R", b"M", b"O", b"S", b"T", b"C", b"V"
 ANSWER: Final = b"A"

@@ -10,8 +10,6 @@ from typing import ClassVar, Final, NamedTuple, overload
 
 from glue.types import Action, Observation, body_size
 
-__all__ = ["Step", "StepSequence", "Steps"]
-
 _REWARD: Final = struct.Struct("<d")
 
 

@@ -9,8 +9,6 @@ from typing import BinaryIO, Final
 from glue.errors import GlueError
 from glue.types import PREFIX_SIZE, body_size
 
-__all__ = ["GZIP", "Torn", "TrajectoryError", "Unpacked"]
-
 GZIP: Final = 31  # zlib's number for "with gzip's header and checksum"
 _PIECE: Final = 2**16  # bytes read, and unpacked, at a time
 _LENGTH: Final = struct.Struct("<I")

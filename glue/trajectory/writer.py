@@ -27,8 +27,6 @@ from glue.trajectory.records import (
 from glue.trajectory.unpacked import GZIP, TrajectoryError
 from glue.types import AbstractType, Action, Observation
 
-__all__ = ["TrajectoryWriter"]
-
 
 class TrajectoryWriter(Closing):
     """Write a new file, record by record; every episode that ended is on disk.

@@ -19,18 +19,6 @@ from glue.types import CUT_OFF, body_size
 from glue.wire.limits import MAX_BODY, MAX_HEADER, MAX_NAME
 from glue.wire.messages import CALLS, CONTROL, OBSERVING, Body, Kind, Message, Scalar, Shape, Value
 
-__all__ = [
-    "FROM_HUB",
-    "MAX_BODY",
-    "MAX_HEADER",
-    "MAX_NAME",
-    "TO_HUB",
-    "UnknownKind",
-    "clip",
-    "decode",
-    "encode",
-]
-
 _MAX_NOTE: Final = 1000
 """Bytes of a text for people. Beside the longest session name it leaves a header room to spare."""
 

@@ -49,8 +49,6 @@ try:
 except ImportError:
     raise ConfigError("keys need PyNaCl: pip install 'glue-rl[keys]'") from None
 
-__all__ = ["CurveClient", "CurveServer", "public_key"]
-
 _KEY: Final = 32
 _ZEROS: Final = bytes(64)
 _PADDING: Final = bytes(72)

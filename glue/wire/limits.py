@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-__all__ = ["MAX_BODY", "MAX_HEADER", "MAX_NAME"]
-
 MAX_HEADER: Final = 4096
 """The largest header, in bytes. The longest legal one, a HELLO, stays far below."""
 

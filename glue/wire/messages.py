@@ -16,24 +16,6 @@ from enum import IntEnum, StrEnum
 from types import MappingProxyType
 from typing import Final, NamedTuple, final
 
-__all__ = [
-    "CALLS",
-    "CONTROL",
-    "OBSERVING",
-    "OUTCOME",
-    "PROTOCOL_VERSION",
-    "THREE_ROLES",
-    "Body",
-    "Call",
-    "ErrorCode",
-    "Event",
-    "Kind",
-    "Message",
-    "Role",
-    "Scalar",
-    "Shape",
-]
-
 PROTOCOL_VERSION: Final = 1
 
 Type = type  # An alias, since `Scalar` has a field `type`.

@@ -17,8 +17,6 @@ import msgpack
 from glue.types import CUT_OFF, PREFIX_SIZE
 from glue.wire.messages import CALLS, Body, Kind, Message, Shape, Value
 
-__all__ = ["STEPS", "StepFormat", "lead_of", "step_formats"]
-
 STEPS: Final = frozenset({Kind.ENV_STEP, Kind.AGENT_STEP})
 """The calls of a step."""
 

@@ -23,8 +23,6 @@ from glue.wire.limits import MAX_BODY
 from glue.wire.messages import Kind, Message
 from glue.wire.steps import STEPS, StepFormat, lead_of, step_formats
 
-__all__ = ["Malformed", "Stream"]
-
 _MAX_FORMATS: Final = 4096
 """Maximum number of formats that a stream remembers; beyond it, all are forgotten and learnt again."""
 

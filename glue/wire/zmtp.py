@@ -22,21 +22,6 @@ from typing import Final, Protocol
 
 from glue.errors import RemoteProtocolError
 
-__all__ = [
-    "CURVE_CLIENT_GREETING",
-    "CURVE_GREETING",
-    "DEALER",
-    "GREETING",
-    "ROUTER",
-    "Decoder",
-    "HandshakeEnded",
-    "HandshakeRefused",
-    "Mechanism",
-    "OtherMechanism",
-    "encode",
-    "encode_parts",
-]
-
 DEALER: Final = b"DEALER"
 ROUTER: Final = b"ROUTER"
 

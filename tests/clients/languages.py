@@ -14,8 +14,6 @@ from typing import Final
 
 import pytest
 
-__all__ = ["CLIENTS", "CPP", "JAVASCRIPT", "LANGUAGES", "PYTHON", "ROOT", "RUST", "SWITCH", "Language", "run"]
-
 ROOT: Final = Path(__file__).parents[2]
 CLIENTS: Final = ROOT / "clients"
 

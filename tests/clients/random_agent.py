@@ -7,8 +7,6 @@ import re
 from glue.roles import Agent
 from glue.types import Action, Observation
 
-__all__ = ["Generator", "RandomAgent", "bounds_of"]
-
 
 class Generator:
     """Numerical Recipes' linear congruential generator: 32 bits of state, of which the upper 16 are drawn.

@@ -16,8 +16,6 @@ from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from glue.roles import Agent, Environment
 
-__all__ = ["SECONDS", "Episode", "hub", "play", "program", "read_episodes", "serving"]
-
 SECONDS: Final = 120.0
 """More than anything here takes, unless it hangs."""
 

@@ -21,8 +21,6 @@ from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.messages import Message
 from glue.wire.stream import Stream
 
-__all__ = ["TARGETS", "Target", "examples", "run"]
-
 Target = Callable[[bytes], None]
 
 ROOT: Final = Path(__file__).parents[2]

@@ -12,8 +12,6 @@ from typing import Final
 
 import pytest
 
-__all__ = ["COMMANDS", "DIST", "Installed", "needs_dist"]
-
 DIST: Final = os.environ.get("GLUE_DIST", "")
 """A folder with the wheel and the sdist, which `nox -s package` and `nox -s names` build."""
 

@@ -12,8 +12,6 @@ from glue.client.libzmq import Context
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.messages import Kind, Message
 
-__all__ = ["HEARTBEAT", "ScriptedHub"]
-
 HEARTBEAT: Final = 0.05
 """Interval of the heartbeats that its WELCOMEs ask for, in seconds."""
 

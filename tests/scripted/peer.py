@@ -19,8 +19,6 @@ from glue.wire.messages import PROTOCOL_VERSION, Kind, Message
 from tests.scripted import curve
 from tests.scripted.curve import METADATA, CurveClient, command
 
-__all__ = ["ABORT", "GREETING", "READY", "TIMEOUT", "ScriptedPeer", "framed", "hello_scalars"]
-
 GREETING: Final = b"\xff" + bytes(8) + b"\x7f\x03\x01" + b"NULL".ljust(20, b"\0") + bytes(32)
 READY: Final = command(b"\x05READY" + METADATA)
 

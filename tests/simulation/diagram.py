@@ -7,8 +7,6 @@ from typing import Any, Final
 
 from glue.wire.messages import Kind, Message
 
-__all__ = ["diagram"]
-
 WIDTH: Final = 34
 """Characters of an arrow."""
 

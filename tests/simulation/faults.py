@@ -8,8 +8,6 @@ from __future__ import annotations
 from random import Random
 from typing import Final, NamedTuple
 
-__all__ = ["Fault", "drawn"]
-
 
 class Fault(NamedTuple):
     """One fault.

@@ -13,8 +13,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final, NamedTuple
 
-__all__ = ["MUTANTS", "Mutant", "first_seed"]
-
 ROOT: Final = Path(__file__).parents[2]
 
 SEEDS: Final = 2000

@@ -17,8 +17,6 @@ from greenlet import getcurrent
 
 from tests.simulation.world import Process, World
 
-__all__ = ["Net", "Socket"]
-
 CAPACITY: Final = 100_000
 """Bytes on their way or unread in one direction of a connection."""
 

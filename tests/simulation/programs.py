@@ -16,8 +16,6 @@ from glue.engine.local import local
 from glue.roles import Agent, Environment
 from glue.types import Action, Observation, Step
 
-__all__ = ["Block", "BusyAgent", "BusyEnvironment", "agent", "environment", "expected", "play"]
-
 Pause = Callable[[], None]
 
 

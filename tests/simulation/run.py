@@ -32,8 +32,6 @@ from tests.simulation.programs import Block, agent, environment, expected, play
 from tests.simulation.watching import Watch
 from tests.simulation.world import Process, Stuck, World
 
-__all__ = ["Outcome", "simulate"]
-
 PORT: Final = 4097
 URL: Final = f"tcp://127.0.0.1:{PORT}"
 

@@ -6,8 +6,6 @@ from collections.abc import Callable, Sequence
 
 from tests.simulation.faults import Fault
 
-__all__ = ["needed"]
-
 
 def needed(faults: Sequence[Fault], fails: Callable[[list[Fault]], bool]) -> list[Fault]:
     """Return a part of `faults` that still fails, of which none can be left out."""

@@ -23,8 +23,6 @@ from tests.simulation.faults import Fault
 from tests.simulation.run import URL, Run, _ignore
 from tests.simulation.world import Process, replacing
 
-__all__ = ["Line", "module", "traced"]
-
 KINDS: Final = ("break", "break", "close", "kill", "dribble", "late", "silence")
 
 

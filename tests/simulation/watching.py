@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from tests.simulation.run import Run
     from tests.simulation.world import Process
 
-__all__ = ["Watch"]
-
 _NAMED: Final = {Kind.REFUSE, Kind.ERROR, Kind.NOTICE, Kind.WELCOME, Kind.GOODBYE}
 
 _CAUSES: Final = {

@@ -15,8 +15,6 @@ from greenlet import GreenletExit, getcurrent, greenlet
 
 from glue.doors import chance, clock, network, threads
 
-__all__ = ["Process", "Stuck", "World", "replacing"]
-
 READ_SECONDS: Final = 1e-6
 """Virtual time that passes when the clock is read: otherwise a loop until some time would never end."""
 

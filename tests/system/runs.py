@@ -13,8 +13,6 @@ from experiment_runner.store.records import Checkpoint
 from experiment_runner.store.results import Results
 from tests import forked
 
-__all__ = ["COMMAND", "Contents", "alive", "children", "contents", "metrics", "run", "start", "wait_until"]
-
 COMMAND = [sys.executable, "-m", "experiment_runner.cli.experiment"]
 _SECONDS = 60.0
 

@@ -16,7 +16,8 @@ from pathlib import Path
 import pytest
 
 from glue import __version__
-from tests.terminal import BIN, Terminal, run, run_anew
+from tests.forked import BIN, run
+from tests.terminal import Terminal, run_anew
 
 ROOT = Path(__file__).parents[2]
 COMMANDS = sorted(

@@ -15,8 +15,8 @@ from typing import Final
 
 import pytest
 
+from tests.forked import run
 from tests.system.runs import contents
-from tests.terminal import run
 
 RUNS: Final = Path(__file__).parents[1] / "golden/run-0.1.0.tar.gz"
 TRIALS: Final = ("sarsa/mines/0", "sarsa/mines/1")

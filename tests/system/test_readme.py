@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from glue.testing import check_agent
-from tests.terminal import Terminal, run
+from tests.forked import run
+from tests.terminal import Terminal
 
 ROOT = Path(__file__).parents[2]
 PAGES = [*sorted(ROOT.glob("*.md")), *sorted(ROOT.glob("docs/**/*.md")), *sorted(ROOT.glob("docker/**/*.md"))]

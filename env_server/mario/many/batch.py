@@ -25,8 +25,6 @@ from glue.closing import Closing
 from glue.errors import SimulatorError
 from glue.types import Observation
 
-__all__ = ["Batch"]
-
 _GAMES_PER_THREAD: Final = 128
 """Games that make a further thread worth its wake-up."""
 _CHOICES: Final = np.array([3, 2, 2])

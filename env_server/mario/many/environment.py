@@ -22,8 +22,6 @@ from glue.roles import Environment
 from glue.types import PREFIX_SIZE, Action, Observation, Step
 from glue.wire.limits import MAX_BODY
 
-__all__ = ["InfiniteMarioBatch"]
-
 _ACTION_INTS: Final = 3
 _BESIDE: Final = 24
 """Bytes of a game in a message beside its observation: its reward, terminal and counts."""

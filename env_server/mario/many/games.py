@@ -24,8 +24,6 @@ from glue.compiled.records import Array, Flag, Int, Real, Word, layout
 from glue.compiled.threads import Gate, Threads, begin_turn, claim, end_turn
 from glue.types import Observation
 
-__all__ = ["DISABLED", "INFOS", "MAX_STEPS", "NEXT_STEP", "SAME_STEP", "Games"]
-
 NEXT_STEP: Final = 0
 SAME_STEP: Final = 1
 DISABLED: Final = 2

@@ -16,8 +16,6 @@ from env_server.mario.sim.state import PLANT, World
 from env_server.render.artwork import PALETTE, SPRITES, TILES
 from glue.compiled.jit import jit
 
-__all__ = ["SIZE", "draw_pixels"]
-
 SIZE: Final = 64
 _TILE: Final = 4
 _BESIDE: Final = 6  # tiles from the picture's border to Mario

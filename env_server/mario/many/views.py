@@ -38,8 +38,6 @@ from env_server.mario.sim.state import ACTORS, PLANT, Actor, LevelMap, World
 from glue.compiled.jit import jit
 from glue.types import PREFIX_SIZE
 
-__all__ = ["BODY", "PIXELS", "PLANES", "RAW", "TILES", "VIEWS", "View", "write_view"]
-
 TILES: Final = 0
 PLANES: Final = 1
 PIXELS: Final = 2

@@ -20,8 +20,6 @@ from env_server.mario.sim.state import (
 from env_server.mario.sim.tiles import behavior_at, change_tile, tile_of
 from glue.compiled.jit import jit
 
-__all__ = ["FLUNG_TICKS", "fling", "hit_block", "mark_spawn_dead", "take_coin"]
-
 FLUNG_TICKS: Final = 100
 _FLING: Final = np.float32(-5)
 _JOLT: Final = np.float32(-10)

@@ -23,8 +23,6 @@ from env_server.mario.sim.state import (
 )
 from glue.compiled.jit import jit
 
-__all__ = ["touch_all"]
-
 _STOMPED_TICKS: Final = 10
 _REACH: Final = 16  # pixels
 

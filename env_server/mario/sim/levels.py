@@ -16,8 +16,6 @@ from env_server.mario.sim.state import GOOMBA, PLANT, RED_KOOPA, ROWS, SPAWN_WIN
 from glue.compiled import java_random as random
 from glue.compiled.jit import jit
 
-__all__ = ["EXTRA_COLUMNS", "generate"]
-
 EXTRA_COLUMNS: Final = 50
 """Number of columns of a level beyond its width parameter."""
 _ROOM_FOR_ZONE: Final = 64

@@ -15,8 +15,6 @@ from env_server.mario.sim.state import MARIO, RED_KOOPA, SHELL, Actor, LevelMap,
 from env_server.mario.sim.tiles import PICKUP, behavior_at, solid, stops, tile_of
 from glue.compiled.jit import jit
 
-__all__ = ["move_sideways", "move_vertically"]
-
 _ZERO: Final = np.float32(0)
 _ONE: Final = np.float32(1)
 _TILE: Final = np.float32(16)

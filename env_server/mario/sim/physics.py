@@ -11,8 +11,6 @@ from env_server.mario.sim.sprites import add_fireball
 from env_server.mario.sim.state import ROWS, Actor, LevelMap, World
 from glue.compiled.jit import jit
 
-__all__ = ["bounce", "die", "grow", "hurt", "is_untouchable", "show_size", "update_mario"]
-
 _ZERO: Final = np.float32(0)
 _TWO: Final = np.float32(2)
 _HALF: Final = np.float32(0.5)

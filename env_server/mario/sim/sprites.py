@@ -23,8 +23,6 @@ from env_server.mario.sim.state import (
 )
 from glue.compiled.jit import jit
 
-__all__ = ["add_enemy", "add_fireball", "add_shell", "drop", "update_sprite"]
-
 _ZERO: Final = np.float32(0)
 _ONE: Final = np.float32(1)
 _TWO: Final = np.float32(2)

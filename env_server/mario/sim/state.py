@@ -19,36 +19,6 @@ import numpy.typing as npt
 
 from glue.compiled.jit import jit
 
-__all__ = [
-    "ACTORS",
-    "COLUMNS",
-    "FIREBALL",
-    "FLOWER",
-    "FREE",
-    "GOOMBA",
-    "GREEN_KOOPA",
-    "LEVEL",
-    "MARIO",
-    "MUSHROOM",
-    "PLANT",
-    "RED_KOOPA",
-    "ROWS",
-    "SHELL",
-    "SPAWN_KIND",
-    "SPAWN_WINGED",
-    "SPIKY",
-    "TICKS_PER_ACTION",
-    "WORLD",
-    "Actor",
-    "Actors",
-    "LevelMap",
-    "Levels",
-    "World",
-    "Worlds",
-    "add_actor",
-    "fill_actor",
-]
-
 COLUMNS: Final = 2050
 """The widest level, in tiles."""
 ROWS: Final = 15

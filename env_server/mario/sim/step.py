@@ -21,8 +21,6 @@ from env_server.mario.sim.state import (
 )
 from glue.compiled.jit import entry, jit
 
-__all__ = ["act", "begin", "clear", "draw", "is_over", "press_buttons", "reset", "rewind", "tick"]
-
 _ZERO: Final = np.float32(0)
 _VIEW: Final = 320  # pixels
 _HALF_VIEW: Final = 160

@@ -12,40 +12,6 @@ import numpy as np
 from env_server.mario.sim.state import ROWS, LevelMap, World
 from glue.compiled.jit import jit
 
-__all__ = [
-    "BEHAVIOR",
-    "BREAKABLE",
-    "BRICK",
-    "BRICK_WITH_COIN",
-    "BRICK_WITH_POWER_UP",
-    "BUMPABLE",
-    "CHANGED",
-    "COIN",
-    "EMPTY",
-    "GROUND",
-    "HILL_TOP_LEFT",
-    "HILL_TOP_RIGHT",
-    "OVERLAPPED_LEFT",
-    "OVERLAPPED_RIGHT",
-    "PICKUP",
-    "PIPE_MOUTH",
-    "PIPE_SHAFT",
-    "QUESTION_WITH_COIN",
-    "QUESTION_WITH_POWER_UP",
-    "SPECIAL",
-    "STAIR",
-    "STOPS_ALL",
-    "STOPS_FALL",
-    "STOPS_RISE",
-    "USED_BLOCK",
-    "behavior_at",
-    "change_tile",
-    "solid",
-    "stops",
-    "tile_at",
-    "tile_of",
-]
-
 EMPTY: Final = 0
 USED_BLOCK: Final = 4
 STAIR: Final = 9

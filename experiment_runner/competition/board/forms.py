@@ -12,8 +12,6 @@ from experiment_runner.competition.board.standings import Standing, Standings
 from experiment_runner.report.tables import format_table, one_line
 from experiment_runner.store.output import finite
 
-__all__ = ["LEGEND", "as_csv", "as_json", "as_text", "number"]
-
 LEGEND: Final = (
     "place     by the mean of the ranks in the tasks; those who are equal share it",
     "total     sum of the tasks' scores, with its 95 % bootstrap interval over trials, and the place by it",

@@ -29,8 +29,6 @@ from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 
-__all__ = ["Forfeit", "Seed", "Standing", "Standings", "TaskScore", "ranks", "standings"]
-
 _RESAMPLES: Final = 10_000
 _MOST_BYTES: Final = 2**20
 """Bytes of the file that says which program held the competition."""

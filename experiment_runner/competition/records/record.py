@@ -14,8 +14,6 @@ from experiment_runner.store.database import KEPT, reported
 from experiment_runner.store.layout import RECORDS
 from glue.closing import Closing
 
-__all__ = ["RecordFile", "digest", "record_path"]
-
 
 class RecordFile(Closing):
     """A record that is being written.

@@ -22,8 +22,6 @@ from glue.taskspec import Ranges, parse_task_spec
 from glue.types import Action, step_of
 from glue.wire.messages import Role
 
-__all__ = ["Replay", "made_for", "passive_action", "passive_score", "replay_of"]
-
 _PASSIVE_STEPS: Final = 10_000
 """Steps after which a passive agent's episode is cut off, if only the number of episodes limits the task."""
 

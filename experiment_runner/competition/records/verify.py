@@ -32,8 +32,6 @@ from glue.trajectory import ActionSteps, Ending, Episode, Run, TrajectoryReader
 from glue.trajectory.comparison import Outcomes, compare
 from glue.types import Action
 
-__all__ = ["Mismatch", "replay_trial", "verify"]
-
 
 class Mismatch(ExperimentError):
     """A record and its replay, or the database, do not agree."""

@@ -31,8 +31,6 @@ from glue.options import parse_assignments
 from glue.plugins.loading import find
 from glue.wire.messages import Role
 
-__all__ = ["BENCHMARK_FILE", "Benchmark", "benchmark_of", "document", "open_benchmark"]
-
 BENCHMARK_FILE: Final = "generalisation.json"
 """File of a run directory: its benchmark, and the version of the sets."""
 

@@ -22,8 +22,6 @@ from experiment_runner.study.generalisation.summary import difference_in_goals, 
 from glue.errors import ConfigError
 from glue.types import Action
 
-__all__ = ["GROUPS", "Outcome", "outcomes", "physics_table"]
-
 GROUPS: Final = (*(f"instance-{number}" for number in range(INSTANCES)), *MDPS, "random", "mdps")
 """Names of groups of tasks: constants on the levels of test-1000, or the 20 MDPs on their own levels."""
 

@@ -32,11 +32,6 @@ from glue.roles import Agent, AgentLike, Environment, SaveableAgent, completed, 
 from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
 
-__all__ = [
-    "ACTIONS", "LAST_ACTIONS", "LAST_REWARD", "Noise", "NumberedLevels", "SetBack",
-    "digit_of", "is_won", "level_set", "play", "scored_levels",
-]  # fmt: skip
-
 LAST_REWARD: Final = "last reward"
 """Message that `SetBack` answers with the last reward of the last episode."""
 

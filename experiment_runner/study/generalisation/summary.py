@@ -17,8 +17,6 @@ import numpy as np
 from experiment_runner.analysis.stats import FloatArray, Statistic, bootstrap_rng, interquartile_mean, mean
 from glue.errors import ConfigError
 
-__all__ = ["Interval", "Summary", "difference_in_goals", "markdown", "summarise", "table"]
-
 _RESAMPLES: Final = 1000
 _TAILS: Final = (2.5, 97.5)
 _SCORES: Final = ("goal", "episode_return")

@@ -34,8 +34,6 @@ from glue.errors import ConfigError
 from glue.saves import Saved, pack
 from glue.types import Action
 
-__all__ = ["certify", "differences", "solvable"]
-
 _TASK: Final = InfiniteMario().parameters
 _BUDGETS: Final = (300, 3_000, 30_000)
 """Model steps for each action in the attempts at a certificate."""

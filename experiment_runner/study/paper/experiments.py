@@ -13,20 +13,6 @@ from typing import Final, NamedTuple
 from experiment_runner.plan.plan import Plan, RoleSpec, RoleSweep
 from glue.errors import ExperimentError
 
-__all__ = [
-    "ALL",
-    "EPISODES",
-    "EXPERIMENTS",
-    "PAPER_LEVEL",
-    "SOAR",
-    "TRIALS",
-    "Level",
-    "PaperExperiment",
-    "Published",
-    "level_of",
-    "plan_of",
-]
-
 TRIALS: Final = 10
 EPISODES: Final = 5000
 ALL: Final = "all"

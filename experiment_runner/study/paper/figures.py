@@ -13,8 +13,6 @@ from experiment_runner.study.paper.outcomes import WINDOW, Outcome
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-__all__ = ["figures"]
-
 _SAMPLE: Final = "sample"
 _BEST: Final = "best"
 _IN_CURVES: Final = (_SAMPLE, "4", "5", "6", "7", "8", _BEST)

@@ -14,8 +14,6 @@ import numpy as np
 from experiment_runner.study.paper.experiments import EPISODES, EXPERIMENTS, PAPER_LEVEL, TRIALS, Level
 from experiment_runner.study.paper.outcomes import Outcome
 
-__all__ = ["Verdict", "verdicts"]
-
 _ORIGINAL_SAMPLE: Final = 130.45
 """The reward of the original sample agent: the mean of ten runs of 500 episodes on the paper's level."""
 

@@ -30,8 +30,6 @@ from glue.options import build
 from glue.plugins.loading import find
 from glue.wire.messages import Role
 
-__all__ = ["FINISHED", "TOLERANCE", "WINDOW", "Outcome", "load", "reach_episode"]
-
 WINDOW: Final = 100
 TOLERANCE: Final = 2.0
 """A running mean of `WINDOW` episodes has converged within this distance, in reward, of its final value."""

@@ -17,8 +17,6 @@ from experiment_runner.study.paper.shared_values import agreements
 from experiment_runner.study.paper.tables import as_csv, as_markdown, as_soar_markdown
 from glue.errors import ExperimentError
 
-__all__ = ["BEGIN", "END", "REPORT", "SOAR_BEGIN", "Report", "write_report"]
-
 REPORT: Final = "report"
 BEGIN: Final = "<!-- written by glue-paper, from here -->"
 SOAR_BEGIN: Final = "<!-- written by glue-paper soar, from here -->"

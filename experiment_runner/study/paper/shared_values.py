@@ -30,8 +30,6 @@ from experiment_runner.study.paper.experiments import EXPERIMENTS, SOAR
 from glue.errors import SaveError
 from glue.saves import unpack
 
-__all__ = ["Agreement", "agreements", "key_of", "spearman"]
-
 Values = Mapping[int, float]
 """Learned values that were updated, by our agents' keys."""
 

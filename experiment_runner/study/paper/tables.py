@@ -15,8 +15,6 @@ from experiment_runner.study.paper.goals import verdicts
 from experiment_runner.study.paper.outcomes import FINISHED, TOLERANCE, WINDOW, Outcome
 from experiment_runner.study.paper.shared_values import Agreement
 
-__all__ = ["as_csv", "as_markdown", "as_soar_markdown", "as_text"]
-
 _HEADER: Final = (
     "experiment", "agent", "level", "paper", "ours", "95 % interval", "single trials",
     "converged: paper", "reached", "settled", "trials reached", "values", "trials finish", "episodes finish",

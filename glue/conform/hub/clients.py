@@ -13,8 +13,6 @@ from typing import Final, Protocol
 
 from glue.errors import ConfigError
 
-__all__ = ["TRANSPORTS", "Client", "ClientProcess", "Start", "is_awake", "starter"]
-
 TRANSPORTS: Final = ("tcp", "ipc")
 """Schemes of the addresses at which the kit listens."""
 

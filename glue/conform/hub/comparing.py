@@ -10,8 +10,6 @@ from glue.types import AbstractType, body_size
 from glue.wire.codec import TO_HUB, encode
 from glue.wire.messages import Message
 
-__all__ = ["described", "difference", "same", "shown"]
-
 _SHOWN: Final = 300
 """Characters of a message that a verdict shows."""
 

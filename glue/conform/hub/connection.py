@@ -14,8 +14,6 @@ from glue.errors import RemoteProtocolError
 from glue.wire import zmtp
 from glue.wire.limits import MAX_BODY, MAX_HEADER
 
-__all__ = ["Connection", "Gone", "Listener"]
-
 _CHUNK: Final = 65_536
 _MAX_FRAME: Final = 2 * MAX_BODY + MAX_HEADER
 _RESET: Final = struct.pack("ii", 1, 0)

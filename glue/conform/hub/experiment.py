@@ -18,8 +18,6 @@ from glue.types import AbstractType, Action, Observation
 from glue.wire.codec import FROM_HUB, encode
 from glue.wire.messages import CALLS, Event, Kind, Message, Role, Value
 
-__all__ = ["DONE", "SEEN", "SPEC", "ExperimentHarness", "Order"]
-
 SPEC: Final = "a task for a mirror, größer als nötig".encode()
 SEEN: Final = Observation([3, 5], [0.5], b"ab")
 DONE: Final = Action([7], [-0.25], b"c")

@@ -19,8 +19,6 @@ from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, decode, encode
 from glue.wire.messages import PROTOCOL_VERSION, Kind, Message, Role, Value
 
-__all__ = ["MAX_BODY", "QUIET", "Exchange", "Harness"]
-
 MAX_BODY: Final = 2**20
 """Bytes of the largest body that the kit accepts, as its WELCOME says."""
 

@@ -25,19 +25,6 @@ from glue.wire.messages import THREE_ROLES, ErrorCode, Role
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
 
-__all__ = [
-    "FAIL",
-    "FAILURE",
-    "TASK_SPEC",
-    "MirrorAgent",
-    "MirrorEnvironment",
-    "carry_out",
-    "main",
-    "play",
-    "result",
-    "run_mirror",
-]
-
 TASK_SPEC: Final = "a mirror, größer than it is"
 FAIL: Final = "fail"
 FAILURE: Final = "asked to fail"

@@ -23,8 +23,6 @@ from glue.types import Action, Observation
 from glue.wire.codec import FROM_HUB, encode
 from glue.wire.messages import CALLS, Kind, Message, Role, Value
 
-__all__ = ["SHOWN", "SPEC", "TASK", "PlayerHarness"]
-
 _KINDS: Final = {
     role: {kind.name.partition("_")[2]: kind for kind, call in CALLS.items() if call.callee is role}
     for role in PLAYERS

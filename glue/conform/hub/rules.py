@@ -10,8 +10,6 @@ from typing import Any, Final
 from glue.errors import GlueError
 from glue.wire.messages import THREE_ROLES, Role
 
-__all__ = ["EVERYONE", "PLAYERS", "Broken", "Level", "NotJudged", "Rule", "Rules", "Scene", "Tier"]
-
 PLAYERS: Final = (Role.AGENT, Role.ENVIRONMENT)
 EVERYONE: Final = THREE_ROLES
 

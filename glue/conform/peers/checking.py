@@ -13,8 +13,6 @@ from glue.conform.peers.rules import HubRule
 from glue.conform.peers.scripted import Scene
 from glue.hub.config import check_url
 
-__all__ = ["RULES", "judged_rules"]
-
 _SCENES: Final[tuple[tuple[HubRule, Tier, str, Callable[[Scene], None]], ...]] = (
     (HubRule.GREETING, Tier.PLAYS, "greeting", playing.greeting),
     (HubRule.HEARTBEAT, Tier.PLAYS, "greeting", playing.heartbeat),

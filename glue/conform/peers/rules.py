@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-__all__ = ["HubRule"]
-
 
 class HubRule(StrEnum):
     """Rules for hubs, in the order in which they are judged; see docs/protocol.md."""

@@ -16,10 +16,9 @@ from glue.doors import chance, clock
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.hub.sessions import INSTANCE_SIZE
 from glue.types import Action, Observation
-from glue.wire.codec import FROM_HUB, MAX_BODY, MAX_HEADER, TO_HUB, decode, encode
+from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
+from glue.wire.limits import MAX_BODY, MAX_HEADER
 from glue.wire.messages import PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role, Value
-
-__all__ = ["TASK_SPEC", "Scene", "ScriptedPeer", "did", "number", "reward", "saw"]
 
 TASK_SPEC: Final = "a task for a hub, with ümlauts"
 

@@ -14,8 +14,6 @@ from glue.conform.scenes.values import NOT_UTF_8
 from glue.types import Action, Observation
 from glue.wire.messages import ErrorCode, Event, Kind, Role
 
-__all__ = ["RULES"]
-
 RULES: Final = Rules(PLAYERS)
 
 _ONCE: Final = "calls-and-how-each-happens-exactly-once"

@@ -14,8 +14,6 @@ from glue.conform.scenes.values import CHARS, DOUBLES, EMPTY, INTS, MANY, REWARD
 from glue.types import AbstractType, Observation
 from glue.wire.messages import Kind, Role
 
-__all__ = ["RULES"]
-
 RULES: Final = Rules((Role.EXPERIMENT,))
 
 

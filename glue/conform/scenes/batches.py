@@ -26,8 +26,6 @@ from glue.taskspec import parse_task_spec
 from glue.types import CUT_OFF, Action, Observation
 from glue.wire.messages import Message, Role
 
-__all__ = ["RULES"]
-
 RULES: Final = Rules()
 
 _GAMES: Final = 3

@@ -10,8 +10,6 @@ from glue.conform.hub.rules import EVERYONE, Broken, Level, Rules, Tier
 from glue.wire import zmtp
 from glue.wire.messages import ErrorCode, Kind
 
-__all__ = ["RULES"]
-
 RULES: Final = Rules(EVERYONE)
 
 

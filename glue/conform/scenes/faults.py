@@ -15,8 +15,6 @@ from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, encode
 from glue.wire.messages import ErrorCode, Kind, Message, Role
 
-__all__ = ["play_script"]
-
 _EPISODES: Final = 2
 _MOST_PIECES: Final = 12
 _LONGEST: Final = 0.05

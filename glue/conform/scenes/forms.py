@@ -6,18 +6,6 @@ import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
-__all__ = [
-    "SPOILED",
-    "SPOILED_BODIES",
-    "VARIANTS",
-    "float_64",
-    "header",
-    "number",
-    "rewards",
-    "text",
-    "truths",
-]
-
 _NUMBERS: Final = {
     "uint 8": (0xCC, ">B"),
     "uint 16": (0xCD, ">H"),

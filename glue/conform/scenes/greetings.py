@@ -11,8 +11,6 @@ from glue.conform.hub.rules import EVERYONE, Broken, Level, Rules, Tier
 from glue.wire.codec import TO_HUB, encode
 from glue.wire.messages import PROTOCOL_VERSION, ErrorCode, Kind
 
-__all__ = ["FIRST", "LAST"]
-
 FIRST: Final = Rules(EVERYONE)
 """Rules judged first: all others depend on them."""
 

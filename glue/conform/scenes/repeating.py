@@ -18,8 +18,6 @@ from glue.types import CUT_OFF, Action, Observation
 from glue.wire.codec import FROM_HUB, encode
 from glue.wire.messages import OUTCOME, ErrorCode, Event, Kind, Role
 
-__all__ = ["RULES"]
-
 RULES: Final = Rules((Role.EXPERIMENT,))
 
 _ONCE: Final = "calls-and-how-each-happens-exactly-once"

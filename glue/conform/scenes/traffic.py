@@ -15,8 +15,6 @@ from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, decode, encode
 from glue.wire.messages import PROTOCOL_VERSION, ErrorCode, Kind, Message
 
-__all__ = ["RULES"]
-
 RULES: Final = Rules(EVERYONE)
 
 _LOOKS: Final = 50

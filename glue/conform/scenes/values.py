@@ -9,8 +9,6 @@ import numpy as np
 
 from glue.types import Observation
 
-__all__ = ["CHARS", "DOUBLES", "EMPTY", "INTS", "MANY", "NOT_UTF_8", "REWARDS", "TEXTS"]
-
 _SOME: Final = [0, 1, -1, 127, 128, -128, 255, 256, 65536, 2**31 - 1, -(2**31)]
 INTS: Final = [*_SOME, -sum(_SOME)]
 """Extremes of 32 bits. Their sum is 0, which even a client that writes doubles wrongly can show."""

@@ -25,12 +25,11 @@ from glue.hub.keys import Keys
 from glue.hub.sessions import Switchboard
 from glue.sockets.options import limit_silence
 from glue.wire import zmtp
-from glue.wire.codec import MAX_HEADER, UnknownKind
+from glue.wire.codec import UnknownKind
+from glue.wire.limits import MAX_HEADER
 from glue.wire.messages import OBSERVING, Kind, Message, Role
 from glue.wire.steps import STEPS
 from glue.wire.stream import Malformed, Stream
-
-__all__ = ["GREETING_SECONDS", "MAX_UNSEATED", "MAX_UNSENT", "Channels"]
 
 MAX_UNSENT: Final = 64 * 2**20
 """Maximum number of bytes waiting to be sent to one peer; with more it is unreachable: it does not read."""

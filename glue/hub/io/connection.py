@@ -16,8 +16,6 @@ from glue.doors import clock, network
 from glue.hub.io.loop import FAILURE, READ, WRITE, Events, Loop
 from glue.sockets.options import probe_when_silent
 
-__all__ = ["Connection", "Owner", "take_leave"]
-
 _CHUNK: Final = 65_536
 """Maximum bytes to read at once; memory for more costs a system call, even if the message is short."""
 

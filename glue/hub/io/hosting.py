@@ -15,8 +15,6 @@ from glue.hub.io.server import Hub
 from glue.roles import AgentLike, EnvironmentLike
 from glue.wire.messages import Role
 
-__all__ = ["host"]
-
 
 @contextmanager
 def host(

@@ -25,8 +25,6 @@ from glue.roles import AgentLike, EnvironmentLike
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
-__all__ = ["InsideTransport"]
-
 _NO_PLAYERS: Mapping[Role, AgentLike | EnvironmentLike] = {}
 
 

@@ -27,8 +27,6 @@ from glue.errors import ConfigError
 from glue.hub.io.loop import READ, Loop
 from glue.sockets.options import unix_address
 
-__all__ = ["Accept", "Listener", "OpenAddress", "is_left_over", "open_address"]
-
 Accept = Callable[[network.socket, str, float], None]
 """Takes a connection, the peer's address for people, and the time."""
 

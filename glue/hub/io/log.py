@@ -14,8 +14,6 @@ from typing import Final
 
 from glue.doors import threads
 
-__all__ = ["Level", "Log"]
-
 _CAPACITY: Final = 1000
 """Lines that wait to be written."""
 

@@ -18,8 +18,6 @@ from typing import Final, Protocol, TypeVar
 from glue.doors import clock, network, threads
 from glue.sockets.spinning import LONG_SPIN_SECONDS, Spin
 
-__all__ = ["FAILURE", "READ", "WRITE", "Loop", "Source", "Watched"]
-
 READ: Final = network.POLLIN
 WRITE: Final = network.POLLOUT
 FAILURE: Final = 0

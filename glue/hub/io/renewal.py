@@ -14,8 +14,6 @@ from glue.errors import ConfigError
 from glue.hub.io.server import Hub
 from glue.keys.allowed import read_keys
 
-__all__ = ["renewed_on_hangup"]
-
 
 @contextmanager
 def renewed_on_hangup(hub: Hub, directory: Path) -> Iterator[None]:

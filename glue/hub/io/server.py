@@ -25,9 +25,6 @@ from glue.hub.io.loop import Loop
 from glue.hub.keys import Keys
 from glue.hub.sessions import Switchboard
 
-__all__ = ["Hub"]
-
-
 _NONE: Final[Mapping[str, OpenAddress]] = {}
 
 

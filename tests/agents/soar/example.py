@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["UP"]
-
 UP = """
 sp {up*propose
    (state <s> ^superstate nil ^io.input-link.step <n>)

@@ -19,7 +19,8 @@ from glue.cli.screen import Marks, TerminalScreen, renderer
 from glue.roles import capabilities
 from glue.testing import check_environment
 from glue.types import Action, Observation
-from tests.terminal import BIN, Terminal, drawings, run, run_in_terminal, watched_terminal
+from tests.forked import BIN, run
+from tests.terminal import Terminal, drawings, run_in_terminal, watched_terminal
 
 
 class Notes(TerminalScreen):

@@ -20,7 +20,8 @@ from glue.errors import ConfigError
 from glue.plugins.trained import Trained
 from glue.roles import AgentLike, Environment
 from glue.types import Observation
-from tests.terminal import drawings, run, run_in_terminal, watched_terminal
+from tests.forked import run
+from tests.terminal import drawings, run_in_terminal, watched_terminal
 
 
 def learned(episodes: int) -> bytes:

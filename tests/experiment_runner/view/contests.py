@@ -5,9 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from tests.terminal import run
-
-__all__ = ["ENTRANTS", "MATCHES", "TITLE", "hold", "write_competition"]
+from tests.forked import run
 
 TITLE = "<script>alert(1)</script> spring"
 ENTRANTS = ("walker", "thrower")

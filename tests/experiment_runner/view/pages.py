@@ -14,10 +14,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from tests.forked import BIN
 from tests.system.runs import wait_until
-from tests.terminal import BIN, watched_terminal
-
-__all__ = ["Answer", "Page", "Stream", "glue_view", "in_terminal"]
+from tests.terminal import watched_terminal
 
 _SECONDS = 100.0  # the page lets everything else go first
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from tests.experiment_runner.view.pages import in_terminal
+from tests.forked import run
 from tests.system.runs import wait_until
-from tests.terminal import run
 
 EXPERIMENT = ("glue-experiment", "--env", "skeleton", "--agent", "skeleton", "--episodes", "3")
 COMPETITION = """\

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from glue.client.sockets import SocketTransport
-from glue.wire.codec import MAX_BODY
+from glue.wire.limits import MAX_BODY
 from glue.wire.messages import Kind, Message
 from tests.scripted.hub import ScriptedHub
 from tests.system.proxy import Proxy

@@ -16,8 +16,8 @@ import pytest
 
 from glue import local, make, make_agent
 from glue.errors import ConfigError, PeerFailed
+from tests.forked import run
 from tests.hubs import hub_with
-from tests.terminal import run
 
 sb3: Any = pytest.importorskip("stable_baselines3", reason="needs Stable-Baselines3: the extra sb3")
 gymnasium: Any = pytest.importorskip("gymnasium")

@@ -10,7 +10,7 @@ import pytest
 from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, Bind, HubConfig, LegacyPort, check_session, check_url
 from glue.hub.keys import Keys, Permit
-from glue.wire.codec import MAX_BODY, MAX_NAME
+from glue.wire.limits import MAX_BODY, MAX_NAME
 from glue.wire.messages import Role
 
 

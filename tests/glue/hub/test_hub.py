@@ -16,7 +16,8 @@ from glue.errors import ConfigError, GlueError, HubClosed, Refused
 from glue.hub.config import Bind, HubConfig, LegacyPort
 from glue.hub.io.listener import open_address
 from glue.hub.io.server import Hub
-from glue.hub.sessions import Route, Switchboard
+from glue.hub.peer import Route
+from glue.hub.sessions import Switchboard
 from glue.legacy.gateway import Gateway
 from glue.wire import zmtp
 from glue.wire.messages import Kind, Message, Role

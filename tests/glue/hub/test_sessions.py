@@ -13,7 +13,8 @@ from glue.errors import RemoteProtocolError
 from glue.hub.config import Bind, HubConfig
 from glue.hub.sessions import INSTANCE_SIZE, Switchboard
 from glue.types import Action, Observation
-from glue.wire.codec import FROM_HUB, MAX_NAME, TO_HUB, UnknownKind, decode, encode
+from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, decode, encode
+from glue.wire.limits import MAX_NAME
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, THREE_ROLES, ErrorCode, Kind, Message, Role
 
 OBSERVATION = Observation(ints=[3], chars=b"o").body

@@ -15,7 +15,8 @@ from glue.engine.local import local
 from glue.errors import ConfigError, GlueError
 from glue.plugins.trained import Trained, load_trained
 from glue.roles import capabilities
-from tests.terminal import Terminal, run
+from tests.forked import run
+from tests.terminal import Terminal
 
 
 def sarsa(episodes: int) -> SarsaAgent:

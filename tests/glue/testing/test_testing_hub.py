@@ -13,8 +13,8 @@ from glue.client.experiment import connect
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
-from glue.hub.peer import Peer
-from glue.hub.sessions import Route, Switchboard
+from glue.hub.peer import Peer, Route
+from glue.hub.sessions import Switchboard
 from glue.testing import ContractBroken, HubRule, check_hub
 from glue.types import Action
 from glue.wire.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value

@@ -16,7 +16,8 @@ from glue.hub.io.channels import GREETING_SECONDS, MAX_UNSEATED, MAX_UNSENT
 from glue.hub.io.server import Hub
 from glue.hub.sessions import INSTANCE_SIZE, ONE_RUN, Switchboard
 from glue.types import CUT_OFF, AbstractType, Action, Observation, body_size
-from glue.wire.codec import FROM_HUB, MAX_BODY, MAX_HEADER, MAX_NAME, TO_HUB, decode, encode
+from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
+from glue.wire.limits import MAX_BODY, MAX_HEADER, MAX_NAME
 from glue.wire.messages import (
     CALLS,
     CONTROL,

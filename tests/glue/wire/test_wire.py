@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from glue.errors import LocalProtocolError, RemoteProtocolError
 from glue.types import Action, Observation
-from glue.wire.codec import FROM_HUB, MAX_HEADER, MAX_NAME, TO_HUB, UnknownKind, clip, decode, encode
+from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, clip, decode, encode
+from glue.wire.limits import MAX_HEADER, MAX_NAME
 from glue.wire.messages import CALLS, OBSERVING, Body, Kind, Message, Scalar, Shape
 
 int32s = st.lists(st.integers(-(2**31), 2**31 - 1), max_size=5)

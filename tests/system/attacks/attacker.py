@@ -29,8 +29,6 @@ from glue.wire.messages import Kind, Message
 from tests.scripted.curve import CurveClient, Pair
 from tests.scripted.peer import ABORT, GREETING, ScriptedPeer, hello_scalars
 
-__all__ = ["HONEST"]
-
 HONEST: Final = ("one", "two", "three", "four")
 """The sessions that the attacker knows the names of."""
 

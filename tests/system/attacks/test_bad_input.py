@@ -25,7 +25,7 @@ from glue.hub.config import HubConfig
 from glue.hub.io.channels import MAX_UNSEATED
 from glue.hub.io.server import Hub
 from glue.types import Action, Observation
-from glue.wire.codec import MAX_BODY, MAX_HEADER
+from glue.wire.limits import MAX_BODY, MAX_HEADER
 from glue.wire.messages import ErrorCode, Kind
 from tests.forked import Forked
 from tests.players import ChainAgent, ChainEnvironment

@@ -16,7 +16,7 @@ from glue.client.experiment import RemoteExperiment
 from glue.errors import HubClosed, LocalProtocolError, PeerFailed, PeerLost
 from glue.hub.config import HubConfig, LegacyPort
 from glue.hub.io.server import Hub
-from glue.hub.sessions import Route
+from glue.hub.peer import Route
 from glue.legacy.gateway import Gateway
 from glue.types import Action, Observation
 from glue.wire.messages import Message

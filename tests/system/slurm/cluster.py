@@ -15,8 +15,6 @@ from typing import Final
 
 import pytest
 
-__all__ = ["slurm_cluster", "wait_for"]
-
 _PROGRAMS: Final = ("munged", "slurmctld", "slurmd", "sbatch")
 
 _CONFIG: Final = """\

@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Final
 
-__all__ = ["NEAR", "Networks", "missing"]
-
 NEAR: Final = "10.221.1.1"
 """The address of the near host."""
 

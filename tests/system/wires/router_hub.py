@@ -13,8 +13,6 @@ from glue.hub.sessions import Switchboard
 from glue.wire.messages import Message, Role
 from tests.scripted.hub import ScriptedHub
 
-__all__ = ["router_hub"]
-
 _CONFIG: Final = HubConfig(heartbeat=0.1, timeout=60.0)
 
 

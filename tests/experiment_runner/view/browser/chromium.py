@@ -17,8 +17,6 @@ import pytest
 
 from tests.experiment_runner.view.pages import Page
 
-__all__ = ["Browser", "browsing", "needed"]
-
 _SECONDS = 40.0
 _TABLES = """
 return Object.fromEntries([...document.querySelectorAll("table")].map((table) => [

@@ -16,8 +16,8 @@ from typing import Final
 
 from tests.experiment_runner.view.browser.chromium import Browser, browsing
 from tests.experiment_runner.view.pages import Page, glue_view
+from tests.forked import BIN, run
 from tests.house.imports import ROOT
-from tests.terminal import BIN, run
 
 FOLDER: Final = ROOT / "docs/images"
 

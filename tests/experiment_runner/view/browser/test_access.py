@@ -13,7 +13,7 @@ from tests.experiment_runner.view.game.test_live import playing, started
 from tests.experiment_runner.view.pages import Page
 from tests.experiment_runner.view.test_curves import store_run
 from tests.experiment_runner.view.test_stream import make_run
-from tests.terminal import run
+from tests.forked import run
 
 needed()
 

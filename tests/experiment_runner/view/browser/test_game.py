@@ -23,7 +23,7 @@ from tests.experiment_runner.view.game.test_episodes import SPEC
 from tests.experiment_runner.view.game.test_live import playing, started
 from tests.experiment_runner.view.pages import Page
 from tests.experiment_runner.view.test_stream import make_run
-from tests.terminal import run
+from tests.forked import run
 
 needed()
 selenium_keys = pytest.importorskip("selenium.webdriver").Keys

@@ -12,7 +12,7 @@ import pytest
 from tests.experiment_runner.view.browser.chromium import Browser, browsing, needed
 from tests.experiment_runner.view.contests import MATCHES, TITLE, write_competition
 from tests.experiment_runner.view.pages import in_terminal
-from tests.terminal import run
+from tests.forked import run
 
 needed()
 

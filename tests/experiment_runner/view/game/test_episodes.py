@@ -187,7 +187,7 @@ def test_the_sheet_holds_every_sprite_where_it_is_said_to_be(shown: tuple[Page, 
 
 
 def test_a_recording_may_be_made_in_the_folder_of_its_run(tmp_path: Path) -> None:
-    from tests.terminal import run
+    from tests.forked import run
 
     command = "glue-experiment --env skeleton --agent skeleton --episodes 2 --in-process --out a"
     assert run(*command.split(), "--record", "a/run.traj", cwd=tmp_path).returncode == 0
