@@ -1,12 +1,11 @@
-"""A DEALER on one plain, blocking socket: what peers use by default.
+"""A DEALER on one plain socket: the default connection of peers.
 
-libzmq's own sockets need an I/O thread, two wake-ups and some twenty system calls for a message; here it is
-one system call to receive it and one to send the answer. On the wire there is no difference.
+libzmq's own sockets need an I/O thread, two wake-ups and some twenty system calls for a message; here two
+receive it and one sends the answer. On the wire there is no difference.
 """
 
 from __future__ import annotations
 
-import struct
 from typing import TYPE_CHECKING, Final
 
 from glue.client.target import OwnKey, needs_key, needs_no_key, unknown_key, wrong_hub_key
@@ -66,6 +65,7 @@ class SocketTransport:
         self._max_frame = max_frame
         self._wait = timeout
         self._socket: network.socket | None = None  # connected or connecting
+        self._poller = network.poll()  # waits for data
         self._key = key
         self._curve: CurveClient | None = None
         self._stream = self._new_stream()
@@ -83,8 +83,6 @@ class SocketTransport:
     def wait_at_most(self, seconds: float) -> None:
         """Set how long `receive` waits, in seconds."""
         self._wait = seconds
-        if self.connected:
-            self._limit_receiving()
 
     def spin_for(self, seconds: float) -> None:
         """Poll for a message for so many seconds before sleeping."""
@@ -107,7 +105,7 @@ class SocketTransport:
         assert connected is not None
         try:
             self._send_joined()
-            sent = connected.sendmsg((head, body), (), network.MSG_DONTWAIT)
+            sent = connected.sendmsg((head, body))
         except BlockingIOError:
             sent = 0
         except OSError:
@@ -213,33 +211,30 @@ class SocketTransport:
     def _receive_data(self) -> bytes | None:
         if self._joined and not self._send_joined():
             return None
-        connected = self._socket
-        assert connected is not None
-        try:
-            data = self._spin.until_found(self._poll) if self._spin is not None else None
-            if data is None:
-                data = connected.recv(_CHUNK)
-        except BlockingIOError:
-            return None
-        except OSError:
-            data = b""
-        if not data:
+        data = None if self._spin is None else self._spin.until_found(self._read)
+        # A system wakes whoever waits in `recv` also when the other end has read: `poll` waits for data only.
+        if data is None and self._poller.poll(self._wait * 1000):
+            data = self._read()
+        if data == b"":
             self._fail()
             return None
         return data
 
-    def _poll(self) -> bytes | None:
+    def _read(self) -> bytes | None:
+        """Return the data received: None if none is available, empty at the end."""
         assert self._socket is not None
         try:
-            return self._socket.recv(_CHUNK, network.MSG_DONTWAIT)
+            return self._socket.recv(_CHUNK)
         except BlockingIOError:
             return None
+        except OSError:
+            return b""
 
     def _send(self, data: bytes) -> bool:
         connected = self._socket
         assert connected is not None
         try:
-            sent = connected.send(data, network.MSG_DONTWAIT)
+            sent = connected.send(data)
         except BlockingIOError:
             sent = 0
         except OSError:
@@ -256,7 +251,7 @@ class SocketTransport:
             _, events = poller.poll()[0]
             try:
                 if events & network.POLLOUT:
-                    rest = rest[connected.send(rest, network.MSG_DONTWAIT) :]
+                    rest = rest[connected.send(rest) :]
                 else:
                     data = connected.recv(_CHUNK)
                     if not data:
@@ -307,17 +302,10 @@ class SocketTransport:
         self.connections += 1
         self.problem = None
         self._retry = _RETRY_SECONDS[0]
-        self._socket.setblocking(True)
+        self._poller = network.poll()
+        self._poller.register(self._socket, network.POLLIN)
         probe_when_silent(self._socket, self._timeout)
         limit_silence(self._socket, self._timeout)
-        self._limit_receiving()
-
-    def _limit_receiving(self) -> None:
-        # The socket's own limit: Python's would add a poll to every system call.
-        assert self._socket is not None
-        seconds, rest = divmod(max(self._wait, 0.001), 1)
-        limit = struct.pack("@ll", int(seconds), int(rest * 1e6))
-        self._socket.setsockopt(network.SOL_SOCKET, network.SO_RCVTIMEO, limit)
 
     def _new_stream(self) -> Stream:
         """Return the stream of a new connection."""

@@ -9,8 +9,9 @@ type, is left to `zmtp.Decoder` and `codec.decode`, which check everything.
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from functools import lru_cache
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import msgpack
 
@@ -34,6 +35,8 @@ _HEAD: Final = 2
 """Bytes of the flags and the length of the header's frame: with a session of 31 bytes it is a short one."""
 
 _NO_SCALARS: Final[tuple[Value, ...]] = ()
+_NOTHING: Final = struct.Struct("")
+"""Unpacks nothing, so that the first message fits no shape."""
 
 _COUNTS: Final = struct.Struct("<4I")
 _SCALARS: Final = ("", "Bd", "BdB")
@@ -51,13 +54,14 @@ _FORM_OF_FIRST: Final = {
 
 
 class _Layout(NamedTuple):
-    """All that comes before the body, with one form of the sequence number.
+    """The bytes before the body, with one form of the sequence number.
 
-    `start` is what comes before that number; `short` and `long` pack it, the number, the scalars, and the
-    head of the body's frame, which begins at `head`.
+    `start` is those before that number, and `numbers` the format of the number and the scalars; `short` and
+    `long` pack all of them and the head of the body's frame, which begins at `head`.
     """
 
     start: bytes
+    numbers: str
     short: struct.Struct
     long: struct.Struct
     head: int
@@ -91,10 +95,12 @@ class StepFormat:
         kind: as given.
         session: as given.
         lead: the bytes from the first frame's beginning to its sequence number, as `lead_of` finds them.
+        num_scalars: number of scalars.
+        number_at: offset of the sequence number in the message.
         max_seq: the largest sequence number that it has a form for, 2**32 - 1.
     """
 
-    __slots__ = ("_layouts", "_number_at", "_scalars", "kind", "lead", "session")
+    __slots__ = ("_layouts", "kind", "lead", "num_scalars", "number_at", "session")
 
     max_seq: Final = 2**32 - 1
 
@@ -102,24 +108,24 @@ class StepFormat:
         assert shape.body in (Body.OBSERVATION, Body.ACTION)
         self.kind: Kind = kind
         self.session: str = session
-        self._scalars = len(shape.scalars)
-        self.lead: bytes = msgpack.packb((int(kind), session, 0, *([None] * self._scalars)))[
-            : -1 - self._scalars
+        self.num_scalars: int = len(shape.scalars)
+        self.lead: bytes = msgpack.packb((int(kind), session, 0, *([None] * self.num_scalars)))[
+            : -1 - self.num_scalars
         ]
-        self._number_at = _HEAD + len(self.lead)
+        self.number_at: int = _HEAD + len(self.lead)
         self._layouts = tuple(self._layout(first, letter) for _, first, letter in _NUMBERS)
 
     def _layout(self, first: bytes, letter: str) -> _Layout:
         """Return the layout with a sequence number that begins with `first` and goes on as `letter` says."""
-        numbers = letter + _SCALARS[self._scalars]
+        numbers = letter + _SCALARS[self.num_scalars]
         size = len(self.lead) + len(first) + struct.calcsize(">" + numbers)
         start = bytes((_MORE, size)) + self.lead + first
         short, long = (_struct(f">{len(start)}s{numbers}{frame}") for frame in ("BB", "BQ"))
-        return _Layout(start, short, long, _HEAD + size)
+        return _Layout(start, numbers, short, long, _HEAD + size)
 
     def head(self, seq: int, scalars: tuple[Value, ...], size: int) -> bytes:
         """Return the bytes before a body of `size` bytes; `seq` is at most `max_seq`."""
-        start, short, long, _ = self._layouts[_FORM_OF_BITS[seq.bit_length()]]
+        start, _, short, long, _ = self._layouts[_FORM_OF_BITS[seq.bit_length()]]
         pack, flags = (short.pack, 0) if size <= _MAX_SHORT else (long.pack, _LONG)
         if not scalars:
             return pack(start, seq, flags, size)
@@ -129,35 +135,96 @@ class StepFormat:
         flag = _FALSE if not terminal else CUT_OFF if terminal == CUT_OFF else _TRUE
         return pack(start, seq, _FLOAT, reward, flag, flags, size)
 
-    def decode(self, data: bytes, at: int, max_body: int) -> tuple[Message, int] | None:
-        """Return the message that begins at `at`, and where it ends; None unless it has this format.
+    def layout_of(self, data: bytes, at: int) -> _Layout:
+        """Return the layout of a message that begins at `at`, by the first byte of its sequence number.
 
-        None, too, unless all of it is there, and its body has at most `max_body` bytes.
+        Raises:
+            LookupError: the bytes end before it, or no whole number begins with it.
         """
-        scalars = _NO_SCALARS
+        return self._layouts[_FORM_OF_FIRST[data[at + self.number_at]]]
+
+
+class StepReader:
+    """Recognises the messages of one format, and remembers the shape of the last one.
+
+    Most messages differ from the last one only in their number, their scalars and the elements of their body.
+    Two comparisons of bytes then replace all other checks.
+
+    Args:
+        form: the format.
+
+    Attributes:
+        size: bytes of the last message that was read.
+    """
+
+    __slots__ = (
+        "_body_at",
+        "_form",
+        "_kind",
+        "_num_scalars",
+        "_session",
+        "_start",
+        "_tail",
+        "_unpack",
+        "size",
+    )
+
+    def __init__(self, form: StepFormat) -> None:
+        self.size: int = 0
+        self._form = form
+        self._kind = form.kind
+        self._session = form.session
+        self._num_scalars = form.num_scalars
+        self._unpack: Callable[[bytes, int], tuple[Any, ...]] = _NOTHING.unpack_from
+        self._start = b""  # the bytes before the number
+        self._tail = b""  # those between the scalars and the elements of the body
+        self._body_at = 0
+
+    def read(self, data: bytes, at: int, max_body: int) -> Message | None:
+        """Return the message that begins at `at`; None unless it has this format and is complete.
+
+        None, too, if its body has more than `max_body` bytes.
+        """
         try:
-            layout = self._layouts[_FORM_OF_FIRST[data[at + self._number_at]]]
-            expected, short, long, head = layout
-            form = long if data[at + head] else short
-            body_at = at + form.size
-            if not self._scalars:
-                start, seq, flags, size = form.unpack_from(data, at)
-            elif self._scalars == 1:
-                start, seq, type_, reward, flags, size = form.unpack_from(data, at)
-                if type_ != _FLOAT:
-                    return None
+            if not self._num_scalars:
+                start, seq, tail = self._unpack(data, at)
+                type_, scalars = _FLOAT, _NO_SCALARS
+            elif self._num_scalars == 1:
+                start, seq, type_, reward, tail = self._unpack(data, at)
                 scalars = (reward,)
             else:
-                start, seq, type_, reward, terminal, flags, size = form.unpack_from(data, at)
-                if type_ != _FLOAT or terminal not in _TERMINALS:
-                    return None
+                start, seq, type_, reward, terminal, tail = self._unpack(data, at)
                 scalars = (reward, _TERMINALS[terminal])
+        except (struct.error, ValueError, LookupError):
+            return self._read_another(data, at, max_body)
+        begin, end = at + self._body_at, at + self.size
+        if (
+            start != self._start
+            or tail != self._tail
+            or type_ != _FLOAT
+            or end > len(data)
+            or end - begin > max_body
+        ):
+            return self._read_another(data, at, max_body)
+        return _message(Message, (self._kind, self._session, seq, scalars, data[begin:end]))
+
+    def _read_another(self, data: bytes, at: int, max_body: int) -> Message | None:
+        """As `read`, whatever the message's shape, which is remembered."""
+        try:
+            layout = self._form.layout_of(data, at)
+            head = layout.long if data[at + layout.head] else layout.short
+            start, seq, *scalars, flags, size = head.unpack_from(data, at)
+            body_at = at + head.size
             ints, doubles, chars, reserved = _COUNTS.unpack_from(data, body_at)
+            types, scalars = scalars[:1], scalars[1:]
+            if self._num_scalars == 2:
+                scalars[1] = _TERMINALS[scalars[1]]
         except (struct.error, LookupError):
             return None
         end = body_at + size
         if (
-            start != expected
+            start != layout.start
+            or types not in ([], [_FLOAT])
             or end > len(data)
             or (flags and flags != _LONG)
             or size > max_body
@@ -165,7 +232,14 @@ class StepFormat:
             or reserved
         ):
             return None
-        return _message(Message, (self.kind, self.session, seq, scalars, data[body_at:end])), end
+        self.size = end - at
+        # A number of a single byte has no first byte that could be compared.
+        if len(start) > self._form.number_at:
+            self._start = start
+            self._tail = data[at + layout.head : body_at + PREFIX_SIZE]
+            self._unpack = _struct(f">{len(start)}s{layout.numbers}{len(self._tail)}s").unpack_from
+            self._body_at = head.size
+        return Message(self._kind, self._session, seq, tuple(scalars), data[body_at:end])
 
 
 _message: Final = tuple.__new__

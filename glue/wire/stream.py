@@ -21,7 +21,7 @@ from glue.wire import zmtp
 from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, decode, encode
 from glue.wire.limits import MAX_BODY
 from glue.wire.messages import Kind, Message
-from glue.wire.steps import STEPS, StepFormat, lead_of, step_formats
+from glue.wire.steps import STEPS, StepFormat, StepReader, lead_of, step_formats
 
 _MAX_FORMATS: Final = 4096
 """Maximum number of formats that a stream remembers; beyond it, all are forgotten and learnt again."""
@@ -71,8 +71,8 @@ class Stream:
         self._mechanism = mechanism
         self._decoder = zmtp.Decoder(own, max_frame, mechanism)
         self._written: dict[str, StepFormat] = {}  # by their session
-        self._read: dict[bytes, StepFormat] = {}  # by their lead
-        self._only: StepFormat | None = None  # if there is but one
+        self._read: dict[bytes, StepReader] = {}  # by the lead of their format
+        self._only: StepReader | None = None  # if there is but one
         self._data = b""  # begins with a message, of which the decoder knows nothing yet
         self._at = 0  # bytes of it that have been read
 
@@ -108,12 +108,14 @@ class Stream:
             return None
         data, at = self._data, self._at
         if data:
-            form = self._only or self._read.get(lead_of(data, at))
-            found = None if form is None else form.decode(data, at, self.max_body)
-            if found is not None:
-                message, self._at = found
-                if self._at == len(data):
+            reader = self._only or self._read.get(lead_of(data, at))
+            message = None if reader is None else reader.read(data, at, self.max_body)
+            if reader is not None and message is not None:
+                at += reader.size
+                if at == len(data):
                     self._data, self._at, self.empty = b"", 0, True
+                else:
+                    self._at = at
                 return message
             self._decode_rest()
         event = self._decoder.next_event()
@@ -134,9 +136,10 @@ class Stream:
     def _decrypted_step(self, frames: list[bytes]) -> Message | None:
         """Return the step in frames that were encrypted; None if they are not a step as usual."""
         head, body = zmtp.encode_parts(frames)
-        form = self._read.get(lead_of(head, 0))
-        found = None if form is None else form.decode(head + body, 0, self.max_body)
-        return found[0] if found is not None and len(frames) == 2 else None
+        reader = self._read.get(lead_of(head, 0))
+        if reader is None or len(frames) != 2:
+            return None
+        return reader.read(head + body, 0, self.max_body)
 
     def _decode_rest(self) -> None:
         """Leave the bytes that are not a step as usual to the decoder."""
@@ -175,6 +178,7 @@ class Stream:
             self._read.clear()
         written, read = formats if self._at_hub else reversed(formats)
         self._written[session] = written
-        self._read[read.lead] = read
-        self._only = read if len(self._read) == 1 else None
+        if read.lead not in self._read:
+            self._read[read.lead] = StepReader(read)
+        self._only = self._read[read.lead] if len(self._read) == 1 else None
         return written

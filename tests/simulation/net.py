@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import errno
 import socket as real
-import struct
 from collections import deque
 from collections.abc import Callable, Iterable
 from select import POLLERR, POLLHUP, POLLIN, POLLOUT
@@ -85,12 +84,7 @@ class Socket:
 
     def setsockopt(self, level: int, option: int, value: int | bytes) -> None:
         self._check()
-        if option == real.SO_RCVTIMEO:
-            assert isinstance(value, bytes)
-            seconds, micros = struct.unpack("@ll", value)
-            self.timeout = seconds + micros / 1e6
-        else:
-            self.options[option] = value if isinstance(value, int) else 1
+        self.options[option] = value if isinstance(value, int) else 1
 
     def getsockopt(self, level: int, option: int) -> int:
         self._check()
@@ -116,7 +110,7 @@ class Socket:
         accepted = self.backlog.pop(0)
         return accepted, accepted.peer.address if accepted.peer else ("127.0.0.1", 1)
 
-    def send(self, data: Any, flags: int = 0) -> int:
+    def send(self, data: Any) -> int:
         self._check()
         if self.error:
             self._raise()
@@ -132,10 +126,10 @@ class Socket:
         self.net.carry(self, data)
         return len(data)
 
-    def sendmsg(self, parts: Iterable[bytes], ancillary: object = (), flags: int = 0) -> int:
-        return self.send(b"".join(parts), flags)
+    def sendmsg(self, parts: Iterable[bytes]) -> int:
+        return self.send(b"".join(parts))
 
-    def recv(self, size: int, flags: int = 0) -> bytes:
+    def recv(self, size: int) -> bytes:
         while True:
             self._check()
             if self.inbox:
@@ -153,7 +147,7 @@ class Socket:
                 self._raise()
             if self.eof:
                 return b""
-            if not self.blocking or flags & real.MSG_DONTWAIT:
+            if not self.blocking:
                 raise BlockingIOError
             self.reader = getcurrent()
             began = self.world.now
@@ -311,10 +305,14 @@ class PollerMs(Poller):
     """As `select.poll`."""
 
     def poll(self, milliseconds: float | None = None) -> list[tuple[int, int]]:
+        for watched, _ in self._interest.values():
+            if self not in watched.pollers:
+                watched.pollers.append(self)
+                self._hot[watched.fd] = None
         found = super().poll(None if milliseconds is None else milliseconds / 1000)
         for watched, _ in self._interest.values():
             if self in watched.pollers:
-                watched.pollers.remove(self)  # such pollers are made for one wait
+                watched.pollers.remove(self)  # it may not be asked again
         return found
 
 
