@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -17,12 +18,19 @@ from glue.errors import ConfigError, ExperimentError
 from tests.system.runs import run as execute
 
 
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of one trial whose agent has metrics; not to be changed."""
+    folder = tmp_path_factory.mktemp("done")
+    ended = execute("--env", "mines", "--agent", "sarsa", "--episodes", 9, "--out", "run", cwd=folder)
+    assert ended.returncode == 0, ended.stderr
+    return folder / "run"
+
+
 @pytest.fixture
-def run(tmp_path: Path) -> Path:
-    """A run of one trial whose agent has metrics."""
-    done = execute("--env", "mines", "--agent", "sarsa", "--episodes", 9, "--out", "run", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    return tmp_path / "run"
+def run(done: Path, tmp_path: Path) -> Path:
+    """A copy of the run, to be changed."""
+    return Path(shutil.copytree(done, tmp_path / "run"))
 
 
 @pytest.mark.parametrize("name", LOGGERS)
