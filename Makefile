@@ -7,8 +7,8 @@ DEMO   := runs/demo
 READY  := $(VENV)/.ready
 FOUND  := $(VENV)/.found
 
-# Twice as many as two cores, as they often wait; each begins with its share of the tests, and takes over from others.
-PARALLEL := --numprocesses=4 --dist=worksteal
+# Twice as many as two cores, as they often wait; each takes a module at a time, in the order of tests/conftest.py.
+PARALLEL := --numprocesses=4 --dist=loadfile --no-loadscope-reorder
 
 # The tests start hundreds of processes: each finds its modules compiled, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE

@@ -1,6 +1,7 @@
 """Configuration of all tests: modules such as `tests.players` can be imported; Ctrl-C works.
 
-Slow tests run first, so that the other processes do not wait for one of them at the end.
+Modules with slow tests run first, so that the other processes do not wait for one of them at the end. A
+module stays in one process (`--dist=loadfile` in the Makefile), which makes once what its tests share.
 """
 
 from __future__ import annotations
@@ -23,4 +24,5 @@ settings.load_profile("glue")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    items.sort(key=lambda item: item.get_closest_marker("slow") is None)
+    slow = {item.path for item in items if item.get_closest_marker("slow") is not None}
+    items.sort(key=lambda item: item.path not in slow)
