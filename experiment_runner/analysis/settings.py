@@ -14,8 +14,9 @@ from experiment_runner.analysis.curves import StepTotals, per_step, step_returns
 from experiment_runner.analysis.stats import FloatArray, mean_of_last
 from experiment_runner.plan.ids import REMOTE
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from experiment_runner.store.readings import NO_METRIC, Metric
 from experiment_runner.store.records import TOTAL_REWARD, TrialRecord
-from experiment_runner.store.results import Metric, Results
+from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 
 REWARD: Final = "reward"
@@ -148,9 +149,10 @@ class _Trial(NamedTuple):
 
 def _read(run: Results, trial: TrialRecord, measure: str, metric: str) -> _Trial:
     name = trial.spec.id
-    found = run.metric(name, metric) if metric else None
+    metrics = run.metrics(name) if metric or measure == REWARD else {}
+    found = metrics.get(metric, NO_METRIC) if metric else None
     if measure == REWARD:
-        total = run.metric(name, TOTAL_REWARD)
+        total = metrics.get(TOTAL_REWARD, NO_METRIC)
         if total.steps.size:
             return _Trial(trial, np.diff(total.values, prepend=0.0), np.diff(total.steps, prepend=0.0), found)
         return _Trial(trial, run.measure(name, "return"), run.measure(name, "steps"), found)

@@ -6,18 +6,17 @@ was lost. Episodes that players only repeat to restore their state are not recor
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from experiment_runner.executors.stepping import play_steps
+from experiment_runner.executors.metering import Meter
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import ask
 from glue.engine.engine import role_seed
 from glue.engine.experiment import Experiment
 from glue.errors import PeerLost, Unsupported
 from glue.trajectory import Run, TrajectoryError, TrajectoryReader, TrajectoryWriter
-from glue.types import Action, Observation, Step
 from glue.wire.messages import Role
 
 
@@ -98,12 +97,12 @@ class Recorder:
         self._goes_on = goes_on
         self._in_run = False
 
-    def rl_episode(self, max_steps: int, stepped: Callable[[Step], None] | None = None) -> bool:
+    def rl_episode(self, max_steps: int, meter: Meter | None = None) -> bool:
         """Run an episode; see `Experiment.rl_episode`.
 
         Args:
             max_steps: step limit.
-            stepped: called after each step; None for nothing.
+            meter: reads the agent's metrics during the episode; None for none.
 
         Raises:
             PeerLost: a player was lost; the recording marks the episode as void.
@@ -114,7 +113,7 @@ class Recorder:
             self._writer.run(run_of(self._spec, self._task_spec, self._saved() if self._goes_on else b""))
             self._in_run = True
         try:
-            return self._episode(max_steps, stepped)
+            return self._episode(max_steps, meter)
         except PeerLost:
             self._writer.void()
             # The environment is a new one, or has executed a step whose result was not received.
@@ -127,23 +126,28 @@ class Recorder:
         except Unsupported:
             return b""
 
-    def _episode(self, max_steps: int, also: Callable[[Step], None] | None) -> bool:
-        def started(observation: Observation) -> None:
-            self._answers.clear()
+    def _episode(self, max_steps: int, meter: Meter | None) -> bool:
+        observation, action = self._glue.rl_start()
+        self._answers.clear()
+        self._ask()
+        self._writer.start(observation)
+        number, due = 1, 0 if meter is None else meter.next_after(0)
+        while max_steps == 0 or number < max_steps:
+            step = self._glue.rl_step()
             self._ask()
-            self._writer.start(observation)
-
-        def stepped(action: Action, step: Step) -> None:
-            self._ask()
-            terminal = step.terminal and not step.truncated
-            self._writer.step(action, step.reward, step.observation, terminal)
-            if also is not None:
-                also(step)
-
-        terminal = play_steps(self._glue, max_steps, started, stepped)
-        if not terminal:
-            self._writer.cutoff()
-        return terminal
+            ended = step.terminal and not step.truncated
+            self._writer.step(action, step.reward, step.observation, ended)
+            if meter is not None and number == due and not ended:
+                meter.read(number)
+                due = meter.next_after(number)
+            if ended:
+                return True
+            if step.terminal:
+                break
+            action = step.action
+            number += 1
+        self._writer.cutoff()
+        return False
 
     def _ask(self) -> None:
         """Record the agent's answers that differ from its previous ones in this episode."""

@@ -11,8 +11,8 @@ from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, Protocol
 
 from experiment_runner.executors.interrupts import Interrupts
+from experiment_runner.executors.metering import Meter, play_metered
 from experiment_runner.executors.recording import Recorder
-from experiment_runner.executors.stepping import Meter, play_steps
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import (
@@ -142,7 +142,8 @@ class _Trial:
         self._interrupts = interrupts
         self._any_reward = any_reward
         self._questions = questions
-        self._meter = None if metrics is None else Meter(glue, metrics, start.steps, start.reward)
+        saved = start.checkpoint.metrics if start.checkpoint else b""
+        self._meter = None if metrics is None else Meter(glue, metrics, start.steps, start.reward, saved)
         self._done = start.after
         self._steps = start.steps  # in the episodes done
         self._since: list[EpisodeResult] = []  # the episodes run after `start`, oldest first
@@ -194,12 +195,11 @@ class _Trial:
     def _play(self, max_steps: int) -> bool:
         """Run an episode that counts: recorded, with metrics, or neither."""
         meter = self._meter if self._meter is not None and self._meter.each_step else None
-        stepped = None if meter is None else lambda step: meter.step(step.reward)
         if self._recorder is not None:
-            return self._recorder.rl_episode(max_steps, stepped)
-        if stepped is None:
-            return self._glue.rl_episode(max_steps)
-        return play_steps(self._glue, max_steps, lambda _: None, lambda _, step: stepped(step))
+            return self._recorder.rl_episode(max_steps, meter)
+        return (
+            self._glue.rl_episode(max_steps) if meter is None else play_metered(self._glue, max_steps, meter)
+        )
 
     def _void(self, error: PeerLost) -> None:
         self._sink.void(self._done + 1, str(error))
@@ -291,7 +291,8 @@ class _Trial:
     def _save(self) -> Checkpoint | None:
         try:
             environment = self._glue.rl_env_save()
-            return Checkpoint(self._glue.rl_agent_save(), environment)
+            metrics = b"" if self._meter is None else self._meter.save()
+            return Checkpoint(self._glue.rl_agent_save(), environment, metrics)
         except Unsupported as error:
             self._unsaved = str(error)
             return None

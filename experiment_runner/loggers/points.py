@@ -66,9 +66,7 @@ class Logger(Protocol):
         ...
 
 
-def points_of(
-    results: Results, trial_id: str, metrics: Sequence[str], after: int, began: float
-) -> list[Point]:
+def points_of(results: Results, trial_id: str, after: int, began: float) -> list[Point]:
     """Return the points of a trial's episodes after number `after`, in order.
 
     An episode's values are at its last step, those of the agent's metrics where they were read. Times are
@@ -77,7 +75,6 @@ def points_of(
     Args:
         results: of the run.
         trial_id: of the trial.
-        metrics: names of the run's metrics.
         after: number of an episode.
         began: seconds since 1970.
     """
@@ -89,8 +86,8 @@ def points_of(
         times.append(times[-1] + episode.wall_time)
         if episode.episode > after:
             found[step] = Point(episode.episode, step, times[-1], _values(episode))
-    for name in metrics:
-        for read_in, at, value in zip(*results.metric(trial_id, name), strict=True):
+    for name, metric in results.metrics(trial_id).items():
+        for read_in, at, value in zip(*metric, strict=True):
             if after < (number := int(read_in)) < len(times):
                 point = found.setdefault(int(at), Point(number, int(at), times[number], {}))
                 point.values[f"agent/{name}"] = float(value)

@@ -125,14 +125,14 @@ def _send(results: Results, logger: Logger, position: _Position, sent: dict[str,
         position: what it keeps.
         sent: what it was sent, as `position.episodes`.
     """
-    joined, metrics = results.joined_players(), results.metric_names()
+    joined = results.joined_players()
     for record in results.trials():
         spec, after = record.spec, sent.get(record.spec.id, 0)
         if record.done <= after:
             continue
         key = hashlib.sha256(f"{position.stream}/{spec.id}".encode()).hexdigest()[:16]
         source = Source(key, results.directory.absolute().name, spec.id, settings_of(spec, joined))
-        points = points_of(results, spec.id, metrics, after, position.began)
+        points = points_of(results, spec.id, after, position.began)
         for _, part in groupby(points, lambda point: (point.episode - 1) // _TOGETHER):
             together = list(part)
             last = together[-1].episode

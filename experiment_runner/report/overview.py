@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -231,13 +232,15 @@ def as_object(results: Results, over: str = "episodes") -> dict[str, object]:
 
 def metric_rows(results: Results) -> list[tuple[str, str, str, str]]:
     """Return the line of each metric in the results: its trials, its values, and the mean of the last."""
-    rows = []
-    for name in results.metric_names():
-        found = [results.metric(trial.spec.id, name) for trial in results.trials()]
-        last = [metric.values[-1] for metric in found if metric.values.size]
-        count = sum(metric.values.size for metric in found)
-        rows.append((name, f"{len(last)}", f"{count}", f"{np.mean(last):.6g}" if last else "-"))
-    return rows
+    last: dict[str, list[float]] = defaultdict(list)
+    counts: Counter[str] = Counter()
+    for trial in results.trials():
+        for name, metric in results.metrics(trial.spec.id).items():
+            last[name].append(metric.values[-1])
+            counts[name] += metric.values.size
+    return [
+        (name, f"{len(last[name])}", f"{counts[name]}", f"{np.mean(last[name]):.6g}") for name in sorted(last)
+    ]
 
 
 def setting_numbers(settings: Sequence[Setting], over: str = "episodes") -> list[dict[str, object]]:

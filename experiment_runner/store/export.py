@@ -51,11 +51,10 @@ def episode_table(results: Results) -> Table:
 
 def metric_table(results: Results) -> Table:
     """Return the table of all values of the agents' metrics."""
-    names = results.metric_names()
 
     def rows(spec: TrialSpec) -> Iterator[list[Cell]]:
-        for name in names:
-            for episode, step, value in zip(*results.metric(spec.id, name), strict=True):
+        for name, metric in results.metrics(spec.id).items():
+            for episode, step, value in zip(*metric, strict=True):
                 yield [name, int(episode), int(step), float(value)]
 
     first = {"trial": str, "metric": str, "episode": int, "step": int, "value": float}

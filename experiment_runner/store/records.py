@@ -102,22 +102,14 @@ TOTAL_REWARD: Final = "total reward"
 
 
 class Reading(NamedTuple):
-    """A value of an agent's metric, or of `TOTAL_REWARD`.
+    """Values of an agent's metrics, and of `TOTAL_REWARD`, that were read at the same time.
 
-    name      of the metric
-    number    of the reading in its trial, from 1: that of the episode, or the step in units of the interval
-    step      number of steps of the trial until then
-    value     may be infinite or NaN
-    every     one of so many values is kept
-    averaged  whether that is their mean; if not, it is the last
+    step    steps of the trial until then
+    values  by name; may be infinite or NaN
     """
 
-    name: str
-    number: int
     step: int
-    value: float
-    every: int = 1
-    averaged: bool = False
+    values: dict[str, float]
 
 
 class Answered(NamedTuple):
@@ -131,10 +123,13 @@ class Answered(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """The state a trial continues from: the bytes of `agent_save` and `env_save`, which may be empty."""
+    """The state a trial continues from: the bytes of `agent_save` and `env_save`, which may be empty, and of
+    the metrics that are averaged.
+    """
 
     agent: bytes
     environment: bytes = b""
+    metrics: bytes = b""
 
 
 class TrialRecord(NamedTuple):

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Self
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ import numpy.typing as npt
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import COUNTS, RoleSpec, TrialSpec
 from experiment_runner.store.database import Database, open_to_read, reported
+from experiment_runner.store.readings import Metric, unpacked
 from experiment_runner.store.records import (
     MEASURES,
     Answered,
@@ -45,47 +46,6 @@ _STORED: Final = {  # types of the values of each measure; NULL for NaN, and if 
 }
 _COLUMNS: Final = {name: measure.sql.partition(" ")[0] for name, measure in MEASURES.items()}
 _LAST_SECOND: Final = 253_402_300_799  # of the year 9999, the last that a date can have
-
-
-class Metric(NamedTuple):
-    """The values of a metric of a trial: three arrays of shape (values,).
-
-    episodes  the episode in which each was read
-    steps     steps of the trial until then
-    values    may be infinite or NaN
-    """
-
-    episodes: npt.NDArray[np.float64]
-    steps: npt.NDArray[np.float64]
-    values: npt.NDArray[np.float64]
-
-    @classmethod
-    def of(cls, rows: Sequence[Sequence[Any]]) -> Self:
-        """Return the metric of rows of number, step, episode, value."""
-        _, steps, episodes, values, *_ = zip(*rows, strict=True) if rows else ((),) * 4
-        return cls(*(np.array(column, np.float64) for column in (episodes, steps, values)))
-
-
-def thinned(rows: Sequence[Sequence[Any]]) -> list[tuple[Any, ...]]:
-    """Return rows of a metric with the mean of each complete group of values that is averaged.
-
-    Args:
-        rows: number, step, episode, value, every and averaged, by number; NULL for NaN.
-    """
-    found: list[tuple[Any, ...]] = []
-    group = -1
-    members: list[float] = []
-    for number, step, episode, value, every, averaged in rows:
-        known = math.nan if value is None else value
-        if averaged:
-            if group != (group := (number - 1) // every):
-                members = []
-            members.append(known)
-            if number % every:
-                continue
-            known = sum(members) / len(members)
-        found.append((number, step, episode, known, every, averaged))
-    return found
 
 
 class Results(Closing):
@@ -212,11 +172,11 @@ class Results(Closing):
     def checkpoint(self, trial_id: str) -> tuple[int, Checkpoint] | None:
         """Return the newest checkpoint of a trial and the episode after which it was taken, None if none."""
         rows = self._query(
-            """SELECT episode, agent, environment FROM checkpoints
+            """SELECT episode, agent, environment, metrics FROM checkpoints
                 WHERE trial = (SELECT key FROM trials WHERE id = ?)""",
             trial_id,
         )
-        self._check(rows, (_WHOLE, _BYTES, _BYTES))
+        self._check(rows, (_WHOLE, _BYTES, _BYTES, _BYTES))
         return (rows[0][0], Checkpoint(*rows[0][1:])) if rows else None
 
     def checkpointed(self) -> dict[str, int]:
@@ -258,29 +218,26 @@ class Results(Closing):
 
     def metric_names(self) -> list[str]:
         """Return the names of all metrics of the run, sorted."""
-        rows = self._query("SELECT DISTINCT name FROM metrics ORDER BY name")
+        rows = self._query("SELECT names FROM metric_names")
         self._check(rows, (_TEXT,))
-        return [name for (name,) in rows]
+        return sorted({name for (names,) in rows for name in names.split("\n")})
 
-    def metric(self, trial_id: str, name: str) -> Metric:
-        """Return a metric of a trial so far."""
-        rows = self._query(
-            """SELECT number, step, episode, value, every, averaged FROM metrics
-                WHERE trial = (SELECT key FROM trials WHERE id = ?) AND name = ? ORDER BY number""",
-            trial_id,
-            name,
-        )
-        self._check(rows, (_WHOLE, _WHOLE, _WHOLE, _NUMBER_OR_NULL, _WHOLE, _WHOLE))
-        return Metric.of(thinned(rows))
+    def metrics(self, trial_id: str) -> dict[str, Metric]:
+        """Return the metrics of a trial so far, by name, sorted."""
+        try:
+            return unpacked(self.readings(trial_id))
+        except ValueError as error:
+            raise self._damaged(str(error)) from None
 
-    def metric_rows(self, trial_id: str) -> list[tuple[Any, ...]]:
-        """Return the rows of the table of metrics of a trial, as `Store.adopt` copies them."""
+    def readings(self, trial_id: str) -> list[tuple[int, str, bytes]]:
+        """Return the readings of a trial: episode, names and data, see `experiment_runner.store.readings`."""
         rows = self._query(
-            """SELECT episode, name, number, step, value, every, averaged FROM metrics
-                WHERE trial = (SELECT key FROM trials WHERE id = ?) ORDER BY name, number""",
+            """SELECT episode, metric_names.names, data FROM readings
+                JOIN metric_names ON metric_names.key = readings.names
+                WHERE trial = (SELECT key FROM trials WHERE id = ?) ORDER BY episode, readings.names""",
             trial_id,
         )
-        self._check(rows, (_WHOLE, _TEXT, _WHOLE, _WHOLE, _NUMBER_OR_NULL, _WHOLE, _WHOLE))
+        self._check(rows, (_WHOLE, _TEXT, _BYTES))
         return rows
 
     def answers(self, trial_id: str) -> list[Answered]:

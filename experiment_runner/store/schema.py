@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import sqlite3
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
+from experiment_runner.store.readings import pack_older
 from experiment_runner.store.records import MEASURES
 from glue.errors import ExperimentError
 
 _APPLICATION_ID: Final = int.from_bytes(b"GLUE", "big")
 
-Migration = tuple[str, ...]
+Migration = tuple[str | Callable[[sqlite3.Connection], None], ...]
 
 
 def _columns(*measures: str) -> str:
@@ -107,8 +109,7 @@ MIGRATIONS: tuple[Migration, ...] = (
         "ALTER TABLE trials ADD COLUMN steps INTEGER NOT NULL DEFAULT 0",
     ),
     (
-        # The agent's metrics: the fields of a `Reading`, after the episode in which it was taken.
-        # SQLite has no NaN, so such a value is NULL.
+        # The agent's metrics, a row for each value. SQLite has no NaN, so such a value is NULL.
         """CREATE TABLE metrics (
             trial INTEGER NOT NULL REFERENCES trials,
             episode INTEGER NOT NULL,
@@ -119,6 +120,21 @@ MIGRATIONS: tuple[Migration, ...] = (
             every INTEGER NOT NULL CHECK (every >= 1),
             averaged INTEGER NOT NULL CHECK (averaged IN (0, 1)),
             PRIMARY KEY (trial, name, number)) WITHOUT ROWID""",
+    ),
+    (
+        # Names of metrics, a line each, that were read at the same time.
+        "CREATE TABLE metric_names (key INTEGER PRIMARY KEY, names TEXT NOT NULL UNIQUE)",
+        # What was read in an episode; see `experiment_runner.store.readings`.
+        """CREATE TABLE readings (
+            trial INTEGER NOT NULL REFERENCES trials,
+            episode INTEGER NOT NULL,
+            names INTEGER NOT NULL REFERENCES metric_names,
+            data BLOB NOT NULL,
+            PRIMARY KEY (trial, episode, names)) WITHOUT ROWID""",
+        # The values of metrics that are not averaged yet.
+        "ALTER TABLE checkpoints ADD COLUMN metrics BLOB NOT NULL DEFAULT x''",
+        pack_older,
+        "DROP TABLE metrics",
     ),
 )
 
@@ -163,8 +179,11 @@ def migrate(connection: sqlite3.Connection, directory: Path) -> None:
 
 def _apply(connection: sqlite3.Connection, migrations: tuple[Migration, ...]) -> None:
     for statements in migrations:
-        for statement in statements:
-            connection.execute(statement)
+        for step in statements:
+            if callable(step):
+                step(connection)
+            else:
+                connection.execute(step)
 
 
 @lru_cache

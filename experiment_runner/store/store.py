@@ -14,7 +14,6 @@ spinning one.)
 from __future__ import annotations
 
 import contextlib
-import itertools
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -26,6 +25,7 @@ from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.database import KEPT, Database, holds_run, open_to_write, reported, transaction
 from experiment_runner.store.layout import new_run, write_flushed
 from experiment_runner.store.lock import RunLock
+from experiment_runner.store.readings import packed
 from experiment_runner.store.records import (
     Answer,
     Checkpoint,
@@ -35,15 +35,15 @@ from experiment_runner.store.records import (
     Reading,
     Verdict,
 )
-from experiment_runner.store.results import Results, thinned
+from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 
 _PUT_TRIAL: Final = """INSERT INTO trials (id, agent, environment, episodes, max_steps, seed, steps)
     VALUES (?, ?, ?, ?, ?, ?, ?)"""
 _PUT_EPISODE: Final = f"INSERT INTO episodes VALUES (?{', ?' * len(EpisodeResult._fields)})"
 _PUT_ANSWER: Final = "INSERT INTO answers VALUES (?, ?, ?, ?)"
-_PUT_METRIC: Final = "INSERT INTO metrics VALUES (?, ?, ?, ?, ?, ?, ?, ?)"
-_PUT_CHECKPOINT: Final = "REPLACE INTO checkpoints VALUES (?, ?, ?, ?)"
+_PUT_READINGS: Final = "INSERT INTO readings VALUES (?, ?, ?, ?)"
+_PUT_CHECKPOINT: Final = "REPLACE INTO checkpoints VALUES (?, ?, ?, ?, ?)"
 _PUT_VOID: Final = "INSERT INTO voids VALUES (?, ?, ?, ?)"
 _PUT_OUTCOME: Final = "REPLACE INTO outcomes VALUES (?, ?, ?)"
 _PUT_VERDICT: Final = "REPLACE INTO verdicts VALUES (?, ?, ?, ?)"
@@ -51,7 +51,7 @@ _PUT_PLAYER: Final = "INSERT INTO players VALUES (?, ?, ?, ?, ?)"
 _PUT_EVENT: Final = "INSERT INTO events VALUES (?, ?, ?, ?)"
 
 _TABLES: Final = (
-    *("answers", "checkpoints", "episodes", "events", "metrics", "outcomes", "players", "verdicts", "voids"),
+    *("answers", "checkpoints", "episodes", "events", "outcomes", "players", "readings", "verdicts", "voids"),
 )
 """Tables whose rows belong to a trial."""
 
@@ -70,6 +70,7 @@ class Store(Results):
         self._clock = clock
         self._flushing: bool | None = None  # not known yet
         self._keys: dict[str, int] = dict(self._query("SELECT id, key FROM trials"))
+        self._names: dict[str, int] = dict(self._query("SELECT names, key FROM metric_names"))
         self._done: dict[str, int] = {record.spec.id: record.done for record in self.trials()}
 
     @classmethod
@@ -150,17 +151,22 @@ class Store(Results):
         what the agent answered after it, and its metrics.
         """
         done: dict[str, int] = {}
-        for trial_id, result, *_ in records:
-            self._key(trial_id)
+        episodes, answered, read, saved = [], [], [], []
+        for trial_id, result, checkpoint, answers, readings in records:
+            key, number = self._key(trial_id), result.episode
             expected = done.get(trial_id, self._done[trial_id]) + 1
-            if result.episode != expected:
+            if number != expected:
                 raise ExperimentError(
-                    f"episode {result.episode} of {trial_id} was recorded "
-                    f"where episode {expected} was expected"
+                    f"episode {number} of {trial_id} was recorded where episode {expected} was expected"
                 )
             done[trial_id] = expected
+            episodes.append((key, *result))
+            answered += [(key, number, *answer) for answer in answers]
+            read += [(key, number, self._key_of(names), data) for names, data in packed(readings).items()]
+            if checkpoint is not None:
+                saved.append(_checkpoint_row(key, number, checkpoint))
         # Flush with each checkpoint: then a power loss costs at most the episodes since.
-        self._flush_commits(any(checkpoint is not None for _, _, checkpoint, *_ in records))
+        self._flush_commits(bool(saved))
         with (
             reported(
                 _unrecorded(records),
@@ -169,38 +175,19 @@ class Store(Results):
             ),
             transaction(self._connection),
         ):
-            for trial_id, result, checkpoint, answers, readings in records:
-                key = self._keys[trial_id]
-                self._connection.execute(_PUT_EPISODE, (key, *result))
-                for answer in answers:
-                    self._connection.execute(_PUT_ANSWER, (key, result.episode, *answer))
-                for name, *numbers in readings:
-                    self._connection.execute(_PUT_METRIC, (key, result.episode, name, *numbers))
-                if checkpoint is not None:
-                    self._thin(key)
-                    row = (key, result.episode, checkpoint.agent, checkpoint.environment)
-                    self._connection.execute(_PUT_CHECKPOINT, row)
+            write = self._connection.executemany
+            write(_PUT_EPISODE, episodes)
+            write(_PUT_ANSWER, answered)
+            write(_PUT_READINGS, read)
+            write(_PUT_CHECKPOINT, saved)
         self._done.update(done)
 
-    def _thin(self, key: int) -> None:
-        """Replace values of metrics by their means, where a trial has passed them for good."""
-        rows = self._connection.execute(
-            """SELECT name, number, step, episode, value, every, averaged FROM metrics
-                WHERE trial = ? AND averaged ORDER BY name, number""",
-            (key,),
-        ).fetchall()
-        for name, group in itertools.groupby(rows, key=lambda row: row[0]):
-            before = [row[1:] for row in group]
-            means = thinned(before)
-            last = means[-1][0] if means else 0
-            if sum(row[0] <= last for row in before) == len(means):
-                continue
-            self._connection.execute(
-                "DELETE FROM metrics WHERE trial = ? AND name = ? AND number <= ?", (key, name, last)
-            )
-            for number, step, episode, value, every, averaged in means:
-                row = (key, episode, name, number, step, value, every, averaged)
-                self._connection.execute(_PUT_METRIC, row)
+    def _key_of(self, names: str) -> int:
+        """Return the key of the names of metrics, a line each; they are stored if they are new."""
+        if names not in self._names:
+            self._execute("INSERT INTO metric_names (names) VALUES (?)", names)
+            self._names.update(self._query("SELECT names, key FROM metric_names"))
+        return self._names[names]
 
     def extend(self, trials: Sequence[TrialSpec]) -> None:
         """Commit the trials of a longer plan: new ones are added, the others get its length."""
@@ -253,7 +240,7 @@ class Store(Results):
         """
         key = self._key(trial_id)
         with self._writing(), transaction(self._connection):
-            for table in ("episodes", "answers", "metrics", "checkpoints"):
+            for table in ("episodes", "answers", "readings", "checkpoints"):
                 self._connection.execute(
                     f"DELETE FROM {table} WHERE trial = ? AND episode > ?", (key, episode)
                 )
@@ -274,7 +261,11 @@ class Store(Results):
         checkpoint = results.checkpoint(trial_id)
         episodes = results.episodes(trial_id)
         answers = [answered for answered in results.answers(trial_id) if answered.episode <= len(episodes)]
-        metrics = [row for row in results.metric_rows(trial_id) if row[0] <= len(episodes)]
+        readings = [
+            (key, episode, self._key_of(names), data)
+            for episode, names, data in results.readings(trial_id)
+            if episode <= len(episodes)
+        ]
         voids = [void for void in results.voids() if void.trial_id == trial_id]
         events = [event for event in results.events() if event.trial_id == trial_id]
         players = [player for player in results.players() if player.trial_id == trial_id]
@@ -286,10 +277,10 @@ class Store(Results):
             write("UPDATE trials SET failure = ? WHERE key = ?", ((why, key) for why in failures))
             write(_PUT_EPISODE, ((key, *e) for e in episodes))
             write(_PUT_ANSWER, ((key, a.episode, a.message, a.answer) for a in answers))
-            write(_PUT_METRIC, ((key, *row) for row in metrics))
+            write(_PUT_READINGS, readings)
             if checkpoint is not None:
                 episode, saved = checkpoint
-                write(_PUT_CHECKPOINT, [(key, episode, saved.agent, saved.environment)])
+                write(_PUT_CHECKPOINT, [_checkpoint_row(key, episode, saved)])
             write(_PUT_VOID, ((v.time, key, v.episode, v.why) for v in voids))
             write(_PUT_EVENT, ((e.time, key, e.kind, e.text) for e in events))
             write(_PUT_PLAYER, ((p.time, key, p.role, p.name, p.program) for p in players))
@@ -330,6 +321,10 @@ def _unrecorded(records: Sequence[_Record]) -> str:
 def _trial_row(spec: TrialSpec) -> tuple[object, ...]:
     roles = (_role_text(spec.agent), _role_text(spec.environment))
     return (spec.id, *roles, spec.episodes, spec.max_steps, spec.seed, spec.steps)
+
+
+def _checkpoint_row(key: int, episode: int, saved: Checkpoint) -> tuple[object, ...]:
+    return key, episode, saved.agent, saved.environment, saved.metrics
 
 
 def _role_text(role: RoleSpec | None) -> str | None:

@@ -245,9 +245,13 @@ class Engine:
         return scalars, (observation, self.last_action)
 
     def _episode(self, scalars: tuple[Any, ...], _: Any) -> Verb:
-        """Start, then step to the end or to the limit; the loop is `_step`, without its frame."""
+        """Start, then step to the end or to the limit; the loop is `_step`, without its frame.
+
+        A second scalar, which no message has, leaves out the start: an episode under way goes on.
+        """
         max_steps = scalars[0]
-        yield from self._start(_NO_SCALARS, None)
+        if len(scalars) == 1:
+            yield from self._start(_NO_SCALARS, None)
         while max_steps == 0 or self.num_steps < max_steps:
             (reward, terminal), observation = yield _instruction(
                 Instruction, (_ENV_STEP, _NO_SCALARS, self.last_action)

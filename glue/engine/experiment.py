@@ -76,6 +76,21 @@ class Experiment(Closing):
         (terminal,), _ = self._call(Kind.RL_EPISODE, (_whole(max_steps, 32, "a step limit"),))
         return bool(terminal) and terminal != CUT_OFF
 
+    def rl_go_on(self, max_steps: int) -> bool | None:
+        """Go on with the episode that was started, until it ends or RL_num_steps is `max_steps`.
+
+        It may be called again. With RL_start before, it is `rl_episode` in parts, between which an experiment
+        may do anything else.
+
+        Returns:
+            True if the episode reached its end, False if the environment cut it off, None if it goes on.
+        """
+        for _ in range(self.rl_num_steps(), max_steps):
+            step = self.rl_step()
+            if step.terminal:
+                return not step.truncated
+        return None
+
     def rl_return(self) -> float:
         """Return the undiscounted sum of the rewards since the last start."""
         return float(self._call(Kind.RL_RETURN)[0][0])

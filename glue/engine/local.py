@@ -19,7 +19,7 @@ from glue.engine.engine import Engine, Instruction
 from glue.engine.experiment import Experiment
 from glue.errors import GlueError, PeerFailed, Unsupported
 from glue.roles import AgentLike, EnvironmentLike, capabilities
-from glue.types import Action
+from glue.types import CUT_OFF, Action
 from glue.wire.messages import CALLS, Kind, Role, Value
 
 
@@ -40,6 +40,10 @@ class LocalExperiment(Experiment):
         self._handlers = role_calls(Role.AGENT, agent) | role_calls(Role.ENVIRONMENT, environment)
         self._unfit = unfit_for_batch(capabilities(environment), capabilities(agent), name_of(agent))
         self._names = {Role.AGENT: name_of(agent), Role.ENVIRONMENT: name_of(environment)}
+
+    def rl_go_on(self, max_steps: int) -> bool | None:
+        (terminal,), _ = self._call(Kind.RL_EPISODE, (max_steps, True))
+        return terminal != CUT_OFF if terminal else None
 
     def _call(self, kind: Kind, scalars: tuple[Value, ...] = (), body: Any = None) -> tuple[Any, Any]:
         if kind is Kind.RL_INIT and self._unfit:

@@ -53,7 +53,7 @@ def contents(directory: Path) -> Contents:
 def metrics(directory: Path) -> dict[str, list[tuple[Any, ...]]]:
     """Return the metrics of each trial, which must also be the same."""
     with Results.open(directory) as results:
-        return {trial.spec.id: results.metric_rows(trial.spec.id) for trial in results.trials()}
+        return {trial.spec.id: results.readings(trial.spec.id) for trial in results.trials()}
 
 
 def children(pid: int, naming: str = "") -> list[int]:

@@ -338,9 +338,9 @@ def test_metrics_of_lost_trials_are_those_of_undisturbed_ones(
                 if every == 0
                 else sum(steps_of(store.directory)) // 7
             )
-            size = len(store.metric(FIRST, "step size").values)
-            assert len(store.metric(FIRST, "mean TD error").values) == size // 3
-            assert len(store.metric(FIRST, "epsilon").values) == size // 2
+            size = len(store.metrics(FIRST)["step size"].values)
+            assert len(store.metrics(FIRST)["mean TD error"].values) == size // 3
+            assert len(store.metrics(FIRST)["epsilon"].values) == size // 2
             assert readings >= size > 0
     assert found[0] == found[1]
 
@@ -349,7 +349,7 @@ def test_the_total_reward_is_the_sum_of_the_returns(tmp_path: Path) -> None:
     plan = replace(STEPS, metrics=MetricsPlan(1))
     with create_run(tmp_path / "run", plan) as store:
         run_trials(store, RunConfig(HERE, metrics=plan.metrics), Silent())
-        _, steps, totals = store.metric(FIRST, TOTAL_REWARD)
+        _, steps, totals = store.metrics(FIRST)[TOTAL_REWARD]
         returns = store.returns(FIRST)
         ends = np.cumsum(store.measure(FIRST, "steps"))
         assert steps.tolist() == list(range(1, 334))

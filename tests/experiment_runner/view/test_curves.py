@@ -168,7 +168,7 @@ def test_a_metric_is_drawn_over_steps(tmp_path: Path) -> None:
         wrong = page.ask(f"/api/curves?run={page.run_id('run')}&measure=mean%20TD%20eror")
     (curve,) = found["curves"]
     with Results.open(tmp_path / "run") as results:
-        readings = [results.metric(trial.spec.id, METRIC) for trial in results.trials()]
+        readings = [results.metrics(trial.spec.id)[METRIC] for trial in results.trials()]
     expected = of_metric([(each.steps, each.values) for each in readings], bootstrap_rng())
     assert expected is not None
     assert curve["at"] == expected.at.tolist()

@@ -1,0 +1,140 @@
+"""The readings of an agent's metrics, and of the total reward, in the episodes of a trial."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import msgspec
+
+from experiment_runner.plan.metrics import ALL, MetricsPlan
+from experiment_runner.store.records import TOTAL_REWARD, EpisodeResult, Reading
+from glue.engine.experiment import Experiment
+from glue.errors import ExperimentError, GlueError, Unsupported
+
+
+def play_metered(glue: Experiment, max_steps: int, meter: Meter) -> bool:
+    """Run an episode as `Experiment.rl_episode`, with the readings that are due during it."""
+    glue.rl_start()
+    step = 0
+    while max_steps == 0 or step + 1 < max_steps:
+        step = meter.next_after(step)
+        until = step + 1 if max_steps == 0 else min(step + 1, max_steps)  # RL_num_steps is 1 after the start
+        terminal = glue.rl_go_on(until)
+        if glue.rl_num_steps() == step + 1:
+            meter.read(step)
+        if terminal is not None:
+            return terminal
+    return False
+
+
+class _Part(NamedTuple):
+    """The values of a metric that are not averaged yet, as there are too few: of their group, in the order of
+    the trial, the number, the sum of the values, and how many there are.
+    """
+
+    group: int
+    total: float
+    count: int
+
+
+class Meter:
+    """Reader of an agent's metrics in a trial and, if they are read during episodes, of the total reward.
+
+    Args:
+        glue: the experiment.
+        plan: the readings to be taken.
+        steps, reward: sums over the episodes before the first.
+        saved: what `save` returned after the last of these; empty if there is none.
+
+    Raises:
+        ExperimentError: `saved` is damaged.
+    """
+
+    def __init__(
+        self, glue: Experiment, plan: MetricsPlan, steps: int = 0, reward: float = 0.0, saved: bytes = b""
+    ) -> None:
+        self._glue = glue
+        self._plan = plan
+        self._steps = steps
+        self._reward = reward
+        self._before = _load(saved)  # the parts before the episode under way
+        self._parts = dict(self._before)
+        self._readings: list[Reading] = []
+        self._offered = True
+
+    @property
+    def each_step(self) -> bool:
+        """Whether it reads during episodes."""
+        return self._plan.every > 0
+
+    def begin(self) -> None:
+        """Note that an episode begins; what was read in one that became void is forgotten."""
+        self._readings = []
+        self._parts = dict(self._before)
+
+    def next_after(self, step: int) -> int:
+        """Return the step of the episode, from 1, of its next reading after a step; 0 for its start."""
+        every = self._plan.every
+        return step + every - (self._steps + step) % every
+
+    def read(self, step: int) -> None:
+        """Read the metrics after a step of the episode."""
+        at = self._steps + step
+        self._read(at // self._plan.every, at, {TOTAL_REWARD: self._reward + self._glue.rl_return()})
+
+    def end(self, result: EpisodeResult) -> tuple[Reading, ...]:
+        """Note the end of an episode, the last of whose steps may be due; return its readings."""
+        if not self.each_step:
+            self._read(result.episode, self._steps + result.steps, {})
+        elif self.next_after(result.steps - 1) == result.steps:
+            self.read(result.steps)
+        self._steps += result.steps
+        self._reward += result.episode_return
+        self._before = self._parts
+        return tuple(self._readings)
+
+    def save(self) -> bytes:
+        """Return what later readings depend on, after an episode."""
+        return msgspec.msgpack.encode(self._before) if self._before else b""
+
+    def _read(self, number: int, step: int, own: dict[str, float]) -> None:
+        """Read the metrics for the `number`-th time, counted from 1, beside the trial's own."""
+        metrics = self._metrics()
+        if TOTAL_REWARD in metrics:
+            raise GlueError(f"the agent has a metric {TOTAL_REWARD!r}, which is the name of the trial's own")
+        if self._plan.keep:
+            metrics = self._kept(number, metrics)
+        if own or metrics:
+            self._readings.append(Reading(step, {**own, **metrics}))
+
+    def _metrics(self) -> Mapping[str, float]:
+        if self._offered:
+            try:
+                return self._glue.rl_agent_metrics()
+            except Unsupported:
+                self._offered = False
+        return {}
+
+    def _kept(self, number: int, metrics: Mapping[str, float]) -> dict[str, float]:
+        """Return the values that are kept, or the means in their places."""
+        kept = {}
+        for name, value in metrics.items():
+            every, averaged = self._plan.keep.get(name, ALL)
+            if averaged:
+                group = (number - 1) // every
+                part = self._parts.get(name)
+                total, count = (part.total, part.count) if part and part.group == group else (0.0, 0)
+                self._parts[name] = _Part(group, total + value, count + 1)
+                value = (total + value) / (count + 1)
+            if number % every == 0:
+                self._parts.pop(name, None)
+                kept[name] = value
+        return kept
+
+
+def _load(saved: bytes) -> dict[str, _Part]:
+    try:
+        return msgspec.msgpack.decode(saved, type=dict[str, _Part]) if saved else {}
+    except msgspec.MsgspecError as error:
+        raise ExperimentError(f"the metrics of a checkpoint are damaged: {error}") from None
