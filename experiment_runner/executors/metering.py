@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import NamedTuple
 
 import msgspec
@@ -21,7 +20,8 @@ def play_metered(glue: Experiment, max_steps: int, meter: Meter) -> bool:
         step = meter.next_after(step)
         until = step + 1 if max_steps == 0 else min(step + 1, max_steps)  # RL_num_steps is 1 after the start
         terminal = glue.rl_go_on(until)
-        if glue.rl_num_steps() == step + 1:
+        reached = until == step + 1 if terminal is None else not terminal and glue.rl_num_steps() == step + 1
+        if reached:
             meter.read(step)
         if terminal is not None:
             return terminal
@@ -35,7 +35,7 @@ class _Part(NamedTuple):
 
     group: int
     total: float
-    count: int
+    members: int
 
 
 class Meter:
@@ -106,9 +106,9 @@ class Meter:
         if self._plan.keep:
             metrics = self._kept(number, metrics)
         if own or metrics:
-            self._readings.append(Reading(step, {**own, **metrics}))
+            self._readings.append(Reading(step, {**own, **metrics} if own else metrics))
 
-    def _metrics(self) -> Mapping[str, float]:
+    def _metrics(self) -> dict[str, float]:
         if self._offered:
             try:
                 return self._glue.rl_agent_metrics()
@@ -116,7 +116,7 @@ class Meter:
                 self._offered = False
         return {}
 
-    def _kept(self, number: int, metrics: Mapping[str, float]) -> dict[str, float]:
+    def _kept(self, number: int, metrics: dict[str, float]) -> dict[str, float]:
         """Return the values that are kept, or the means in their places."""
         kept = {}
         for name, value in metrics.items():
@@ -124,7 +124,7 @@ class Meter:
             if averaged:
                 group = (number - 1) // every
                 part = self._parts.get(name)
-                total, count = (part.total, part.count) if part and part.group == group else (0.0, 0)
+                total, count = (part.total, part.members) if part and part.group == group else (0.0, 0)
                 self._parts[name] = _Part(group, total + value, count + 1)
                 value = (total + value) / (count + 1)
             if number % every == 0:

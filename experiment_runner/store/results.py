@@ -225,12 +225,12 @@ class Results(Closing):
     def metrics(self, trial_id: str) -> dict[str, Metric]:
         """Return the metrics of a trial so far, by name, sorted."""
         try:
-            return unpacked(self.readings(trial_id))
+            return unpacked((names, data) for _, names, data in self.readings(trial_id))
         except ValueError as error:
             raise self._damaged(str(error)) from None
 
     def readings(self, trial_id: str) -> list[tuple[int, str, bytes]]:
-        """Return the readings of a trial: episode, names and data, see `experiment_runner.store.readings`."""
+        """Return the readings of a trial as they are stored: last episode, names and data of each block."""
         rows = self._query(
             """SELECT episode, metric_names.names, data FROM readings
                 JOIN metric_names ON metric_names.key = readings.names

@@ -124,7 +124,7 @@ MIGRATIONS: tuple[Migration, ...] = (
     (
         # Names of metrics, a line each, that were read at the same time.
         "CREATE TABLE metric_names (key INTEGER PRIMARY KEY, names TEXT NOT NULL UNIQUE)",
-        # What was read in an episode; see `experiment_runner.store.readings`.
+        # Readings until `episode`; see `experiment_runner.store.readings`.
         """CREATE TABLE readings (
             trial INTEGER NOT NULL REFERENCES trials,
             episode INTEGER NOT NULL,

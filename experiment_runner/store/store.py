@@ -25,7 +25,7 @@ from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.database import KEPT, Database, holds_run, open_to_write, reported, transaction
 from experiment_runner.store.layout import new_run, write_flushed
 from experiment_runner.store.lock import RunLock
-from experiment_runner.store.readings import packed
+from experiment_runner.store.readings import Block
 from experiment_runner.store.records import (
     Answer,
     Checkpoint,
@@ -151,7 +151,10 @@ class Store(Results):
         what the agent answered after it, and its metrics.
         """
         done: dict[str, int] = {}
-        episodes, answered, read, saved = [], [], [], []
+        episodes: list[tuple[object, ...]] = []
+        answered: list[tuple[object, ...]] = []
+        saved: list[tuple[object, ...]] = []
+        blocks: dict[tuple[int, int], Block] = {}  # none goes on beyond a checkpoint
         for trial_id, result, checkpoint, answers, readings in records:
             key, number = self._key(trial_id), result.episode
             expected = done.get(trial_id, self._done[trial_id]) + 1
@@ -162,9 +165,15 @@ class Store(Results):
             done[trial_id] = expected
             episodes.append((key, *result))
             answered += [(key, number, *answer) for answer in answers]
-            read += [(key, number, self._key_of(names), data) for names, data in packed(readings).items()]
+            if readings:
+                blocks.setdefault((key, len(saved)), Block()).add(number, readings)
             if checkpoint is not None:
                 saved.append(_checkpoint_row(key, number, checkpoint))
+        read = [
+            (key, block.episode, self._key_of(names), data)
+            for (key, _), block in blocks.items()
+            for names, data in block.data().items()
+        ]
         # Flush with each checkpoint: then a power loss costs at most the episodes since.
         self._flush_commits(bool(saved))
         with (
@@ -233,7 +242,11 @@ class Store(Results):
         self._execute(_PUT_VERDICT, self._key(trial_id), *verdict)
 
     def rewind(self, trial_id: str, episode: int) -> None:
-        """Delete the episodes of a trial after `episode` (0: all of them) and how it ended, to repeat them.
+        """Delete what follows the checkpoint of a trial, its outcome included, to repeat it.
+
+        Args:
+            trial_id: of the trial.
+            episode: that of the checkpoint; 0 to delete all of its episodes.
 
         Raises:
             ExperimentError: the database cannot be written to.

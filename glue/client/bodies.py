@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
+from glue.engine.metrics import pack_metrics
 from glue.errors import LocalProtocolError
 from glue.types import AbstractType, Action, Observation, body_size
 from glue.wire.messages import Body
@@ -36,6 +37,8 @@ def write(value: Any) -> bytes:
         return value._body
     if value is None:
         return b""
+    if isinstance(value, dict):
+        return pack_metrics(value).body
     if type(value) is str:
         try:
             return value.encode("utf-8", "surrogateescape")

@@ -15,7 +15,7 @@ import struct
 from collections.abc import Callable, Container, Mapping
 from typing import Any, Final
 
-from glue.engine.metrics import pack_metrics
+from glue.engine.metrics import checked_metrics
 from glue.errors import PeerFailed, TaskSpecError
 from glue.roles import (
     Agent,
@@ -222,7 +222,7 @@ def _metrics(player: object, method: Callable[[], Mapping[str, float]]) -> Handl
     def metrics(_: tuple[Any, ...], __: Any) -> Answer:
         found = method()
         try:
-            return (), pack_metrics(found)
+            return (), checked_metrics(found)
         except (AttributeError, TypeError, ValueError):
             raise _wrong(player, "agent_metrics", "numbers by name", found) from None
 

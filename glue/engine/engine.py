@@ -135,7 +135,7 @@ class Engine:
         verb = self.verb
         assert verb is not None
         self.abort()
-        return Instruction(verb, *reply)
+        return _instruction(Instruction, (verb, *reply))
 
     def _asking(self, instruction: Instruction) -> Instruction:
         if self._uninitialised:
@@ -315,7 +315,7 @@ class Engine:
     @staticmethod
     def _forward(kind: Kind) -> Callable[[Engine, tuple[Any, ...], Any], Verb]:
         def verb(_: Engine, scalars: tuple[Any, ...], body: Any) -> Verb:
-            return (yield Instruction(kind, scalars, body))
+            return (yield _instruction(Instruction, (kind, scalars, body)))
 
         return verb
 

@@ -41,6 +41,10 @@ class LocalExperiment(Experiment):
         self._unfit = unfit_for_batch(capabilities(environment), capabilities(agent), name_of(agent))
         self._names = {Role.AGENT: name_of(agent), Role.ENVIRONMENT: name_of(environment)}
 
+    def rl_agent_metrics(self) -> dict[str, float]:
+        metrics: dict[str, float] = self._call(Kind.RL_AGENT_METRICS)[1]  # in one process they need no body
+        return metrics
+
     def rl_go_on(self, max_steps: int) -> bool | None:
         (terminal,), _ = self._call(Kind.RL_EPISODE, (max_steps, True))
         return terminal != CUT_OFF if terminal else None

@@ -14,15 +14,21 @@ MAX_METRIC_NAME: Final = 64
 """Maximum length of a name, in characters."""
 
 
-def pack_metrics(metrics: Mapping[str, float]) -> Observation:
-    """Return the body for an agent's metrics.
+def checked_metrics(metrics: Mapping[str, float]) -> dict[str, float]:
+    """Return an agent's metrics as floats.
 
     Raises:
-        TypeError: a name is not a text, or a value not a number.
-        ValueError: there are too many, or a name is empty, too long or has a line break.
+        AttributeError, TypeError: they are not a mapping, or a value is not a number.
+        ValueError: there are too many, or a name is not a text, is empty, too long or has a line break.
     """
-    values = [float(value) for value in metrics.values()]
-    return Observation([], values, _joined(tuple(metrics)))
+    found = {name: float(value) for name, value in metrics.items()}
+    _check_names(tuple(found))
+    return found
+
+
+def pack_metrics(metrics: Mapping[str, float]) -> Observation:
+    """Return the body for metrics that `checked_metrics` has returned."""
+    return Observation([], [*metrics.values()], "\n".join(metrics).encode())
 
 
 def unpack_metrics(body: Observation) -> dict[str, float]:
@@ -31,31 +37,22 @@ def unpack_metrics(body: Observation) -> dict[str, float]:
     Raises:
         PeerFailed: the names do not fit the numbers, or the limits.
     """
-    names, valid = _parted(body.chars)
+    names = tuple(body.chars.decode(errors="replace").split("\n")) if body.chars else ()
     values = body.doubles.tolist()
-    if not valid or len(values) != len(names):
+    try:
+        _check_names(names)
+        return dict(zip(names, values, strict=True))
+    except ValueError:
         raise PeerFailed(
             f"the agent's metrics have {len(values)} numbers and {len(names)} names; each number has a name "
             f"of its own, of 1 to {MAX_METRIC_NAME} characters, and there are at most {MAX_METRICS}"
-        )
-    return dict(zip(names, values, strict=True))
+        ) from None
 
 
-# An agent's names are nearly always those of the time before, so they are checked once.
-
-
-@lru_cache
-def _joined(names: tuple[object, ...]) -> bytes:
-    if len(names) > MAX_METRICS or not all(map(_is_name, names)):
+@lru_cache  # an agent's names are nearly always those of the time before
+def _check_names(names: tuple[object, ...]) -> None:
+    if not len(names) == len(set(names)) <= MAX_METRICS or not all(map(_is_name, names)):
         raise ValueError(f"metrics are at most {MAX_METRICS} numbers with names in one line")
-    return "\n".join(map(str, names)).encode()
-
-
-@lru_cache
-def _parted(chars: bytes) -> tuple[tuple[str, ...], bool]:
-    """Return the names in the chars of a body, and whether they may be names."""
-    names = tuple(chars.decode(errors="replace").split("\n")) if chars else ()
-    return names, len(names) == len(set(names)) <= MAX_METRICS and all(map(_is_name, names))
 
 
 def _is_name(name: object) -> bool:

@@ -7,8 +7,8 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
+from experiment_runner.store.export import metric_table
 from experiment_runner.store.records import Checkpoint
 from experiment_runner.store.results import Results
 from tests import forked
@@ -50,10 +50,10 @@ def contents(directory: Path) -> Contents:
         }
 
 
-def metrics(directory: Path) -> dict[str, list[tuple[Any, ...]]]:
-    """Return the metrics of each trial, which must also be the same."""
+def metrics(directory: Path) -> list[list[list[str]]]:
+    """Return the values of the metrics of each trial that has any, which must also be the same."""
     with Results.open(directory) as results:
-        return {trial.spec.id: results.readings(trial.spec.id) for trial in results.trials()}
+        return [[[*map(str, row)] for row in rows] for rows in metric_table(results).rows]
 
 
 def children(pid: int, naming: str = "") -> list[int]:

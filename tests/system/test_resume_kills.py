@@ -117,7 +117,7 @@ def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(plan: str, tm
     assert experiment.returncode == 0, errors
     assert contents(tmp_path / "killed") == contents(tmp_path / "undisturbed")
     assert metrics(tmp_path / "killed") == metrics(tmp_path / "undisturbed")
-    assert any(metrics(tmp_path / "killed").values()) == ("metrics" in plan)
+    assert bool(metrics(tmp_path / "killed")) == ("metrics" in plan)
     with Results.open(tmp_path / "killed") as results:
         events = {event.kind for event in results.events()}
         assert {"resume", "rewind", "lost"} <= events  # the experiment and workers were killed in the midst

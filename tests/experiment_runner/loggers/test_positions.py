@@ -84,8 +84,8 @@ def test_what_was_sent_is_removed_with_the_run(run: Path) -> None:
 def test_points_of_later_episodes_are_those_of_all(run: Path) -> None:
     with Results.open(run) as results:
         (trial,) = results.trials()
-        points = points_of(results, trial.spec.id, [], 0, 1000.0)
-        later = points_of(results, trial.spec.id, [], 4, 1000.0)
+        points = points_of(results, trial.spec.id, 0, 1000.0)
+        later = points_of(results, trial.spec.id, 4, 1000.0)
     assert [point.episode for point in points] == list(range(1, 10))
     assert later == points[4:]
     assert points[0].time > 1000.0
