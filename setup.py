@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import gzip
 import os
+import re
 import shutil
 import tarfile
 from pathlib import Path
@@ -17,6 +18,7 @@ from setuptools import setup
 from setuptools.command.build_py import build_py
 from setuptools.command.sdist import sdist
 
+REPOSITORY = "https://github.com/glue-rl/glue-rl"
 PACKAGES = ("glue", "env_server", "agents", "experiment_runner")
 # The time of every file, in seconds since 1970, unless a builder sets another.
 DATE = int(os.environ.setdefault("SOURCE_DATE_EPOCH", "1577836800"))
@@ -58,5 +60,16 @@ def _plain(entry: tarfile.TarInfo) -> tarfile.TarInfo:
     return entry
 
 
+def _readme() -> str:
+    """Return README.md with links that also work where it stands alone, as on PyPI."""
+    text = Path("README.md").read_text(encoding="utf-8")
+    text = re.sub(r"(!\[[^]]*\]\()(?!\w+:)", rf"\1{REPOSITORY}/raw/main/", text)
+    return re.sub(r"(\]\()(?!\w+:)", rf"\1{REPOSITORY}/blob/main/", text)
+
+
 os.umask(0o022)
-setup(cmdclass={"build_py": Packages, "sdist": Source})
+setup(
+    cmdclass={"build_py": Packages, "sdist": Source},
+    long_description=_readme(),
+    long_description_content_type="text/markdown",
+)
