@@ -96,7 +96,7 @@ def test_metadata(wheel: Path) -> None:
     assert found["License-Expression"] == "Apache-2.0"
     assert found.get_all("License-File") == ["LICENSE", "NOTICE"]
     assert {url.split(",")[0] for url in found.get_all("Project-URL", [])} >= {"Documentation", "Source"}
-    links = re.findall(r"\]\(([^)]+)\)", found.get_payload())
+    links = re.findall(r"\]\(([^)]+)\)", str(found.get_payload()))
     assert len(links) > 10
     assert [link for link in links if not link.startswith("https://")] == []  # it stands alone on PyPI
 
