@@ -22,6 +22,9 @@ _Report = Callable[[str], object]
 _report: Final[ContextVar[_Report | None]] = ContextVar("report", default=None)
 
 
+_printed_by_others: Final[ContextVar[bool]] = ContextVar("printed_by_others", default=False)
+
+
 @contextmanager
 def reporting(report: _Report) -> Iterator[None]:
     """Pass lines of `say_why_slow` on to `report`, too, within a `with` statement and in this thread."""
@@ -32,10 +35,16 @@ def reporting(report: _Report) -> Iterator[None]:
         _report.reset(token)
 
 
+def leave_printing_to_others() -> None:
+    """Do not print lines that are reported, in this thread: whoever waits prints them on the same terminal."""
+    _printed_by_others.set(True)
+
+
 def say_why_slow(line: str) -> None:
     """Print a line that says why an answer will take long, and report it to whoever waits."""
-    say(line)
     report = _report.get()
+    if report is None or not _printed_by_others.get():
+        say(line)
     if report is not None:
         report(line)
 

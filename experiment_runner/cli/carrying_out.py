@@ -85,7 +85,7 @@ def carry_out(
         if left:
             note_players_without_seed(store, plan, progress.say)
         else:
-            progress.say(f"{directory} is already finished{_since(store)}: nothing was run")
+            progress.say(f"{directory} was already finished{_since(store)}: nothing was run")
         failed = run_trials(store, config, progress, recording, again=resume_command(store, config))
         if left and not remaining(store):
             store.record_event(FINISH, "all trials are finished")

@@ -17,7 +17,7 @@ from typing import Any, Final, NoReturn
 
 from experiment_runner.meeting.rewards import FiniteRewards
 from glue.client.players import serve_agent, serve_environment
-from glue.console import say
+from glue.console import leave_printing_to_others, say
 from glue.errors import GlueError, PeerFailed
 from glue.options import Value
 from glue.plugins.loading import construct, find
@@ -79,6 +79,7 @@ def main() -> None:
 
 def _serve(role: Role, player: Any, settings: Mapping[str, Any]) -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # from now on there is something to clean up
+    leave_printing_to_others()
     if role is Role.AGENT:
         serve_agent(player, **settings["place"], log=_ignore)
     else:

@@ -23,12 +23,13 @@ class SlowCalls:
         self._since = 0.0
         self._report_after = _FIRST_SECONDS
 
-    def overdue(self, call: Message | None, now: float) -> float | None:
+    def overdue(self, call: Message | None, now: float, explained: bool) -> float | None:
         """Return the seconds to report if it is time to report `call`, otherwise None.
 
         Args:
             call: the outstanding one, if there is one; it is timed from when it is first passed.
             now: the time in seconds.
+            explained: whether the player has said why it takes long; its first report is left out.
         """
         if call is None or call is not self._call:
             self._call, self._since, self._report_after = call, now, _FIRST_SECONDS
@@ -37,4 +38,4 @@ class SlowCalls:
             return None
         seconds = self._report_after
         self._report_after *= _FACTOR
-        return seconds
+        return None if explained and seconds == _FIRST_SECONDS else seconds

@@ -110,7 +110,7 @@ def test_finished_run_says_so_and_is_extended_or_replaced() -> None:
     assert "already finished" not in invoke(*run).stderr
     again = invoke(*run)
     assert again.return_value == 0
-    assert "run is already finished on 2" in again.stderr
+    assert "run was already finished on 2" in again.stderr
     assert "nothing was run" in again.stderr
     before = contents(Path("run"))
     assert "episodes is 3, not 2" in invoke("--resume", "run", "--episodes", "3", "--in-process").stderr

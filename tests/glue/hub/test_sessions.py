@@ -538,6 +538,9 @@ def test_a_player_may_say_once_why_its_answer_takes_long(playing: Rig) -> None:
     shown = ("slow", "environment", "e: compiling 12 s")
     assert [(m.kind, m.scalars) for m in playing.received("x")] == [(Kind.NOTICE, shown)]
     assert playing.logged == ["session 's': environment e: compiling 12 s"]
+    for _ in range(40):
+        playing.tick(1.0)
+    assert playing.logged[1:] == ["session 's': environment e has not answered env_step for 30 s"]
     assert playing.answer("e") is Kind.ENV_STEP
     assert playing.answer("a") is Kind.AGENT_STEP
 
