@@ -36,7 +36,7 @@ def reporting(report: _Report) -> Iterator[None]:
 
 
 def leave_printing_to_others() -> None:
-    """Do not print lines that are reported, in this thread: whoever waits prints them on the same terminal."""
+    """Do not print reported lines, in this thread: whoever waits prints them on the same terminal."""
     _printed_by_others.set(True)
 
 
