@@ -31,7 +31,7 @@ from env_server.mario.sim.state import (
     fill_actor,
 )
 from env_server.mario.sim.step import rewind
-from env_server.mario.sim.tiles import CHANGED, behavior_at, tile_at
+from env_server.mario.sim.tiles import CHANGED, behavior_at, set_tile, tile_at, write_cells
 from glue.compiled.jit import entry, jit
 from glue.types import PREFIX_SIZE
 
@@ -137,6 +137,7 @@ def read_tiles(world: World, level: LevelMap, seen: npt.NDArray[np.int64], body:
             level.exit_x = column
             if column >= seen[0] and column > 0:
                 level.tiles[column] = level.tiles[column - 1]
+                write_cells(level, column)
             continue
         for row in range(ROWS):
             char = chars[row * (COLUMNS_SHOWN + 1) + j]
@@ -149,6 +150,8 @@ def read_tiles(world: World, level: LevelMap, seen: npt.NDArray[np.int64], body:
             elif CHAR_OF[tile_at(world, level, column, row)] != char:
                 _correct_tile(world, level, column, row, char)
                 corrected += 1
+        if column >= seen[0]:
+            write_cells(level, column)
     _see(world, level, seen)
     return corrected
 
@@ -159,13 +162,13 @@ def _correct_tile(world: World, level: LevelMap, column: int, row: int, char: in
     code = level.tiles[column, row]
     unchanged = world.changed[column] >> row & 1 == 0
     if unchanged and code == tile.BRICK and char == _SOLID:
-        level.tiles[column, row] = tile.BRICK_WITH_COIN
+        set_tile(level, column, row, tile.BRICK_WITH_COIN)
         world.changed[column] |= 1 << row
     elif unchanged and CHAR_OF[CHANGED[code]] == char:
         world.changed[column] |= 1 << row
     else:
         was_hit = code == tile.BRICK_WITH_COIN and not unchanged and char == _BRICK
-        level.tiles[column, row] = tile.BRICK if was_hit else _CODE_OF_CHAR[char]
+        set_tile(level, column, row, tile.BRICK if was_hit else _CODE_OF_CHAR[char])
         world.changed[column] &= ~(1 << row)
 
 
@@ -186,6 +189,7 @@ def _see(world: World, level: LevelMap, seen: npt.NDArray[np.int64]) -> None:
     for guessed in range(end, min(end + _UNKNOWN, COLUMNS)):
         level.tiles[guessed] = tile.EMPTY
         level.tiles[guessed, max(top, 0) :] = tile.STAIR
+        write_cells(level, guessed)
 
 
 @jit
@@ -382,7 +386,7 @@ def _remember(world: World, level: LevelMap, actor: Actor, dx: np.float32, dy: n
         if 0 <= row < ROWS:
             is_question = level.tiles[column, row] == tile.QUESTION_WITH_COIN
             code = tile.QUESTION_WITH_POWER_UP if is_question else tile.BRICK_WITH_POWER_UP
-            level.tiles[column, row] = code
+            set_tile(level, column, row, code)
             world.changed[column] |= 1 << row
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from env_server.mario.sim import tiles as tile
 from env_server.mario.sim.state import GOOMBA, PLANT, RED_KOOPA, ROWS, SPAWN_WINGED, LevelMap
+from env_server.mario.sim.tiles import write_cells
 from glue.compiled import java_random as random
 from glue.compiled.jit import jit
 
@@ -48,6 +49,8 @@ def generate(level: LevelMap, seed: int, kind: int, difficulty: int, columns: in
     if level.type != _OVERGROUND:
         _ceiling(level, rng)
     _dress(level)
+    for column in range(columns):
+        write_cells(level, column)
 
 
 @jit

@@ -1,7 +1,7 @@
 """Motion and collision with tiles: sideways, then vertically, in substeps of at most 8 pixels.
 
-A body tests the grid with a few probe points. For Mario and for shells a probe has effects of its
-own, such as taking a coin, and the next probe sees the changed tile.
+A body tests the grid with a few probe points, but never the cell that its feet are in. For Mario and for
+shells a probe has effects of its own, such as taking a coin, and the next probe sees the changed tile.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from env_server.mario.sim.blocks import hit_block, take_coin
 from env_server.mario.sim.state import MARIO, RED_KOOPA, SHELL, Actor, LevelMap, World
-from env_server.mario.sim.tiles import PICKUP, behavior_at, solid, stops, tile_of
+from env_server.mario.sim.tiles import CEILINGS, COINS, FLOORS, WALLS, cells_at, row_bit, tile_of
 from glue.compiled.jit import jit
 
 _ZERO: Final = np.float32(0)
@@ -26,15 +26,12 @@ _REACH: Final = np.float32(_HALF_WIDTH)
 @jit
 def move_sideways(world: World, level: LevelMap, actor: Actor, amount: np.float32) -> bool:
     """Move by `amount` pixels or up to an obstacle, which clears `vx`; return whether there was one."""
-    while amount > _SUBSTEP:
-        if _substep_sideways(world, level, actor, _SUBSTEP):
+    while amount != _ZERO:
+        dx = _substep(amount)
+        if _substep_sideways(world, level, actor, dx):
             return True
-        amount -= _SUBSTEP
-    while amount < -_SUBSTEP:
-        if _substep_sideways(world, level, actor, -_SUBSTEP):
-            return True
-        amount += _SUBSTEP
-    return amount != _ZERO and _substep_sideways(world, level, actor, amount)
+        amount -= dx
+    return False
 
 
 @jit
@@ -43,35 +40,51 @@ def move_vertically(world: World, level: LevelMap, actor: Actor, amount: np.floa
 
     Landing does not clear `vy`: what remains of it keeps a standing actor grounded.
     """
-    while amount > _SUBSTEP:
-        if _substep_down(world, level, actor, _SUBSTEP):
-            return
-        amount -= _SUBSTEP
-    while amount < -_SUBSTEP:
-        if _substep_up(world, level, actor, -_SUBSTEP):
-            return
-        amount += _SUBSTEP
-    if amount > _ZERO:
-        _substep_down(world, level, actor, amount)
-    elif amount < _ZERO:
-        _substep_up(world, level, actor, amount)
+    falls = amount > _ZERO
+    blocked = False
+    while amount != _ZERO and not blocked:
+        dy = _substep(amount)
+        blocked = _substep_down(world, level, actor, dy) if falls else _substep_up(world, level, actor, dy)
+        amount -= dy
+
+
+@jit
+def _substep(amount: np.float32) -> np.float32:
+    if amount > _SUBSTEP:
+        return _SUBSTEP
+    return -_SUBSTEP if amount < -_SUBSTEP else amount
 
 
 @jit
 def _substep_sideways(world: World, level: LevelMap, actor: Actor, dx: np.float32) -> bool:
     side = 1 if dx > _ZERO else -1
     reach = np.float32(side * _HALF_WIDTH)
-    front = actor.x + dx + reach
-    # All three probes are always made, for their effects.
-    head = _probe(world, level, actor, front, actor.y - np.float32(actor.height), _ZERO, dx)
-    middle = _probe(world, level, actor, front, actor.y - np.float32(actor.height // 2), _ZERO, dx)
-    feet = _probe(world, level, actor, front, actor.y, _ZERO, dx)
+    column = tile_of(actor.x + dx + reach)
+    head = tile_of(actor.y - np.float32(actor.height))
+    middle = tile_of(actor.y - np.float32(actor.height // 2))
+    feet = tile_of(actor.y)
+    is_own = column == tile_of(actor.x)
+    probes = (
+        (0 if is_own and head == feet else row_bit(head))
+        | (0 if is_own and middle == feet else row_bit(middle))
+        | (0 if is_own else row_bit(feet))
+    )
+    cells = cells_at(world, level, column)
+    walls = cells >> WALLS & probes
+    blocked = walls != 0
     if actor.kind == MARIO:
-        world.wall_slide = head and middle and feet
-    blocked = head or middle or feet
-    if actor.kind == RED_KOOPA and actor.grounded:  # it turns around at a cliff
+        world.wall_slide = not is_own and head >= 0 and walls == probes
+        if cells >> COINS & probes:
+            for row in (head, middle, feet):
+                if not (is_own and row == feet):
+                    take_coin(world, level, column, row)
+    elif actor.kind == SHELL and blocked:
+        for row in (head, middle, feet):
+            if walls & row_bit(row) and not (is_own and row == feet):
+                hit_block(world, level, column, row, True)
+    elif actor.kind == RED_KOOPA and actor.grounded:  # it turns around at a cliff
         below = int(actor.y / _TILE + _ONE)
-        blocked = blocked or not solid(world, level, tile_of(front), below, _ONE)
+        blocked = blocked or cells >> FLOORS & row_bit(below) == 0
     if not blocked:
         actor.x += dx
         return False
@@ -86,31 +99,47 @@ def _substep_sideways(world: World, level: LevelMap, actor: Actor, dx: np.float3
 @jit
 def _substep_up(world: World, level: LevelMap, actor: Actor, dy: np.float32) -> bool:
     height = np.float32(actor.height)
-    top = actor.y + dy - height
-    blocked = (
-        _probe(world, level, actor, actor.x, top, dy, _ZERO)
-        or _probe(world, level, actor, actor.x - _REACH, top, dy, _ZERO)
-        or _probe(world, level, actor, actor.x + _REACH, top, dy, _ZERO)
-    )
-    if not blocked:
-        actor.y += dy
-        return False
-    actor.y = np.float32(int((actor.y - height) / _TILE) * 16 + int(actor.height))
-    actor.vy = _ZERO
-    if actor.kind == MARIO:
-        world.jump_count = 0
-    return True
+    row = tile_of(actor.y + dy - height)
+    is_own_row = row == tile_of(actor.y)
+    own_column = tile_of(actor.x)
+    for x in (actor.x, actor.x - _REACH, actor.x + _REACH):
+        column = tile_of(x)
+        if is_own_row and column == own_column:
+            continue
+        cells = cells_at(world, level, column)
+        if actor.kind == MARIO and cells >> COINS & row_bit(row):
+            take_coin(world, level, column, row)
+        if cells >> CEILINGS & row_bit(row):
+            if actor.kind == MARIO:
+                world.jump_count = 0
+                hit_block(world, level, column, row, world.large)
+            actor.y = np.float32(int((actor.y - height) / _TILE) * 16 + int(actor.height))
+            actor.vy = _ZERO
+            return True
+    actor.y += dy
+    return False
 
 
 @jit
 def _substep_down(world: World, level: LevelMap, actor: Actor, dy: np.float32) -> bool:
-    feet = actor.y + dy
+    left = tile_of(actor.x - _REACH)
+    right = tile_of(actor.x + _REACH)
+    feet = tile_of(actor.y + dy)
+    below = tile_of(actor.y + dy + _ONE)
+    own_column = tile_of(actor.x)
+    own_row = tile_of(actor.y)
+    at_feet = row_bit(feet) << WALLS
+    at_ground = row_bit(below) << FLOORS
+    probes = at_feet | at_ground
+    own_probes = (0 if feet == own_row else at_feet) | (0 if below == own_row else at_ground)
+    left_cells = cells_at(world, level, left)
+    right_cells = cells_at(world, level, right)
     blocked = (
-        _probe(world, level, actor, actor.x - _REACH, feet, _ZERO, _ZERO)
-        or _probe(world, level, actor, actor.x + _REACH, feet, _ZERO, _ZERO)
-        or _probe(world, level, actor, actor.x - _REACH, feet + _ONE, dy, _ZERO)
-        or _probe(world, level, actor, actor.x + _REACH, feet + _ONE, dy, _ZERO)
-    )
+        left_cells & (own_probes if left == own_column else probes)
+        | right_cells & (own_probes if right == own_column else probes)
+    ) != 0
+    if actor.kind == MARIO and (left_cells | right_cells) >> COINS & (row_bit(feet) | row_bit(below)):
+        blocked = _fall_onto_coins(world, level, actor, dy)
     if not blocked:
         actor.y += dy
         return False
@@ -121,25 +150,14 @@ def _substep_down(world: World, level: LevelMap, actor: Actor, dy: np.float32) -
 
 
 @jit
-def _probe(
-    world: World, level: LevelMap, actor: Actor, x: np.float32, y: np.float32, vy: np.float32, dx: np.float32
-) -> bool:
-    """Return whether the tile at (x, y) blocks, with the effects that the probe has.
-
-    `vy` is the vertical motion that one-way tiles are asked about, `dx` the sideways part of the
-    substep. The tile that the actor's feet are in never blocks.
-    """
-    column = tile_of(x)
-    row = tile_of(y)
-    if column == tile_of(actor.x) and row == tile_of(actor.y):
-        return False
-    behavior = behavior_at(world, level, column, row)
-    blocks = stops(behavior, vy)
-    if actor.kind == MARIO:
-        if behavior & PICKUP:  # few are, and it would look the tile up again
-            take_coin(world, level, column, row)
-        if blocks and vy < _ZERO:
-            hit_block(world, level, column, row, world.large)
-    elif actor.kind == SHELL and blocks and dx != _ZERO:
-        hit_block(world, level, column, row, True)
-    return blocks
+def _fall_onto_coins(world: World, level: LevelMap, mario: Actor, dy: np.float32) -> bool:
+    """Take the coins that Mario's probes meet before the first that is blocked; return whether one is."""
+    for probe in range(4):
+        column = tile_of(mario.x - _REACH if probe % 2 == 0 else mario.x + _REACH)
+        row = tile_of(mario.y + dy if probe < 2 else mario.y + dy + _ONE)
+        if column == tile_of(mario.x) and row == tile_of(mario.y):
+            continue
+        take_coin(world, level, column, row)
+        if cells_at(world, level, column) >> (WALLS if probe < 2 else FLOORS) & row_bit(row):
+            return True
+    return False

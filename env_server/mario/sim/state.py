@@ -95,7 +95,9 @@ class LevelMap:
     columns: Int  # tiles
     exit_x: Int  # the column that Mario must pass
     exit_y: Int  # the row of the ground there
-    tiles: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]
+    tiles: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]  # write them with `set_tile`
+    cells: Annotated[npt.NDArray[np.int64], np.int64, (COLUMNS,)]  # what they do: see `cells_at`
+    bumpable: Annotated[npt.NDArray[np.uint16], np.uint16, (COLUMNS,)]  # a bit for each row, as in `changed`
     spawns: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]
 
 

@@ -59,6 +59,27 @@ BEHAVIOR: Final = np.array(
 CHANGED: Final = np.where(BEHAVIOR & BUMPABLE, USED_BLOCK, EMPTY).astype(np.uint8)
 """Shape (256,): the tile that each changes to in play: hit blocks are used, bricks break, coins are taken."""
 
+WALLS: Final = 0
+FLOORS: Final = ROWS
+CEILINGS: Final = 2 * ROWS
+COINS: Final = 3 * ROWS
+"""Where the bits of the rows begin in the cells of a column: those that stop every motion, those that stop
+falling, those that stop rising, and those that hold a loose coin."""
+
+_SOLID: Final = 1 << WALLS | 1 << FLOORS | 1 << CEILINGS
+_ANY: Final = _SOLID | 1 << COINS
+
+
+def _cell(behavior: int) -> int:
+    """Return the bits of row 0 for a tile of this behaviour."""
+    if behavior & STOPS_ALL:
+        return _SOLID
+    falls, rises, coin = behavior & STOPS_FALL != 0, behavior & STOPS_RISE != 0, behavior & PICKUP != 0
+    return falls << FLOORS | rises << CEILINGS | coin << COINS
+
+
+_CELL: Final = np.array([_cell(int(behavior)) for behavior in BEHAVIOR], np.int64)
+
 
 @jit
 def tile_of(position: np.float32) -> int:
@@ -86,19 +107,40 @@ def behavior_at(world: World, level: LevelMap, column: int, row: int) -> int:
 
 
 @jit
-def solid(world: World, level: LevelMap, column: int, row: int, vy: np.float32) -> bool:
-    """Return whether a cell stops a body that moves vertically by `vy`, of which the sign counts."""
-    return stops(behavior_at(world, level, column, row), vy)
+def row_bit(row: int) -> int:
+    """Return the bit of a row, to be shifted by WALLS to COINS. Rows go on as in `tile_at`."""
+    return 1 << min(row, ROWS - 1) if row >= 0 else 0
 
 
 @jit
-def stops(behavior: int, vy: np.float32) -> bool:
-    """Return whether a tile of this behaviour stops a body that moves vertically by `vy`, as for `solid`."""
-    return bool(
-        behavior & STOPS_ALL != 0
-        or (vy > 0 and behavior & STOPS_FALL != 0)
-        or (vy < 0 and behavior & STOPS_RISE != 0)
-    )
+def cells_at(world: World, level: LevelMap, column: int) -> int:
+    """Return what the tiles of a column do, as bits; see WALLS to COINS. Columns go on as in `tile_at`."""
+    column = min(max(column, 0), level.columns - 1)
+    cells = int(level.cells[column])
+    changed = int(world.changed[column])
+    if changed:  # hit blocks are solid, everything else is gone
+        cells = cells & ~(changed * _ANY) | (changed & int(level.bumpable[column])) * _SOLID
+    return cells
+
+
+@jit
+def write_cells(level: LevelMap, column: int) -> None:
+    """Note what the tiles of a column do, after they were written."""
+    cells = 0
+    bumpable = 0
+    for row in range(ROWS):
+        code = level.tiles[column, row]
+        cells |= _CELL[code] << row
+        bumpable |= int(BEHAVIOR[code] & BUMPABLE != 0) << row
+    level.cells[column] = cells
+    level.bumpable[column] = bumpable
+
+
+@jit
+def set_tile(level: LevelMap, column: int, row: int, code: int) -> None:
+    """Let a cell inside the level hold another tile from the beginning of the game."""
+    level.tiles[column, row] = code
+    write_cells(level, column)
 
 
 @jit

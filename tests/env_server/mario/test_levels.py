@@ -11,8 +11,22 @@ from hypothesis import strategies as st
 
 from env_server.mario.environment import InfiniteMario
 from env_server.mario.game import Game
-from env_server.mario.sim.state import LevelMap
-from env_server.mario.sim.tiles import BEHAVIOR, GROUND, STOPS_ALL
+from env_server.mario.sim.state import ROWS, LevelMap
+from env_server.mario.sim.tiles import (
+    BEHAVIOR,
+    BUMPABLE,
+    CEILINGS,
+    CHANGED,
+    COINS,
+    FLOORS,
+    GROUND,
+    PICKUP,
+    STOPS_ALL,
+    STOPS_FALL,
+    STOPS_RISE,
+    WALLS,
+    cells_at,
+)
 
 Options = dict[str, int | str]
 
@@ -127,3 +141,25 @@ def test_ground_is_dressed_in_the_colour_of_its_type() -> None:
         tiles = level({"level_type": kind}).tiles[:370]
         assert (tiles == code).any()
         assert not np.isin(tiles, [other for other in inner if other not in (code, GROUND)]).any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_cells_of_a_level_say_what_its_tiles_do_also_where_play_has_changed_them(seed: int) -> None:
+    game = Game(InfiniteMario(level_seed=seed, level_type=seed, level_difficulty=5).parameters)
+    game.start()
+    world, made = game.world, game.level_map
+    changed = np.random.default_rng(seed).integers(0, 2, (made.columns, ROWS)) * (
+        BEHAVIOR[made.tiles[: made.columns]] & (BUMPABLE | PICKUP) != 0
+    )
+    world.changed[: made.columns] = changed @ (1 << np.arange(ROWS))
+    tiles = np.where(changed, CHANGED[made.tiles[: made.columns]], made.tiles[: made.columns])
+    assert changed.any()
+    cells = np.array([cells_at(world, made, column) for column in range(made.columns)])
+    for lane, bits in {
+        WALLS: STOPS_ALL,
+        FLOORS: STOPS_ALL | STOPS_FALL,
+        CEILINGS: STOPS_ALL | STOPS_RISE,
+        COINS: PICKUP,
+    }.items():
+        does = cells[:, np.newaxis] >> (lane + np.arange(ROWS)) & 1 == 1
+        assert np.array_equal(does, BEHAVIOR[tiles] & bits != 0)

@@ -35,6 +35,7 @@ from env_server.mario.sim.tiles import (
     QUESTION_WITH_COIN,
     QUESTION_WITH_POWER_UP,
     USED_BLOCK,
+    set_tile,
     tile_at,
 )
 
@@ -53,6 +54,7 @@ def level(game: Game) -> LevelMap:
     """Nothing at all; the goal is out of reach."""
     level = game.level_map
     level.tiles[:] = EMPTY
+    level.cells[:] = level.bumpable[:] = 0
     level.spawns[:] = 0
     level.exit_x = 1000
     return level
@@ -110,7 +112,8 @@ def give_size(world: World, large: bool, fire: bool) -> None:
 def test_loose_coin_on_a_block_that_is_hit_is_taken(
     world: World, level: LevelMap, block: int, can_break: bool, left: int, coins: int
 ) -> None:
-    level.tiles[5, 9], level.tiles[5, 8] = block, COIN
+    set_tile(level, 5, 9, block)
+    set_tile(level, 5, 8, COIN)
     hit_block(world, level, 5, 9, can_break)
     assert (tile_at(world, level, 5, 9), tile_at(world, level, 5, 8), world.coins) == (left, EMPTY, coins)
 
@@ -133,7 +136,7 @@ def test_loose_coin_on_a_block_that_is_hit_is_taken(
 def test_jolt_of_a_block_moves_who_stands_on_it(
     world: World, level: LevelMap, kind: int, fields: dict[str, Any], after: dict[str, float]
 ) -> None:
-    level.tiles[5, 9] = BRICK  # x from 80 to 96, its upper side at y = 144
+    set_tile(level, 5, 9, BRICK)  # x from 80 to 96, its upper side at y = 144
     actor = put(world, kind, 88, 143, **fields)
     hit_block(world, level, 5, 9, False)
     assert {name: getattr(actor, name) for name in after} == after
@@ -156,7 +159,7 @@ def test_jolt_of_a_block_moves_who_stands_on_it(
 def test_jolt_reaches_whose_feet_are_in_the_cell_above(
     world: World, level: LevelMap, x: float, y: float, stands: bool
 ) -> None:
-    level.tiles[5, 9] = BRICK
+    set_tile(level, 5, 9, BRICK)
     shell = put(world, SHELL, x, y)
     hit_block(world, level, 5, 9, False)
     assert (shell.vy == -10) == stands
@@ -164,7 +167,7 @@ def test_jolt_reaches_whose_feet_are_in_the_cell_above(
 
 def test_block_beyond_the_border_gives_but_stays(world: World, level: LevelMap) -> None:
     last = level.columns - 1
-    level.tiles[last, 9] = QUESTION_WITH_COIN  # goes on to the right for ever
+    set_tile(level, last, 9, QUESTION_WITH_COIN)  # goes on to the right for ever
     hit_block(world, level, int(last) + 1, 9, False)
     assert world.coins == 1
     assert level.tiles[last : last + 2, 9].tolist() == [QUESTION_WITH_COIN, EMPTY]
@@ -173,14 +176,14 @@ def test_block_beyond_the_border_gives_but_stays(world: World, level: LevelMap) 
 def test_item_for_which_there_is_no_place_is_left_out(world: World, level: LevelMap) -> None:
     for _ in range(ACTORS - 1):
         put(world, FLOWER, 300, 100)
-    level.tiles[5, 9] = QUESTION_WITH_POWER_UP
+    set_tile(level, 5, 9, QUESTION_WITH_POWER_UP)
     hit_block(world, level, 5, 9, False)
     assert (tile_at(world, level, 5, 9), world.listed, world.added) == (USED_BLOCK, ACTORS - 1, 0)
 
 
 def test_tile_that_stops_only_rising_is_hit_from_below(world: World, level: LevelMap) -> None:
     mario = world.actors[0]
-    level.tiles[6, 5] = 1  # y from 80 to 96; it holds a coin
+    set_tile(level, 6, 5, 1)  # y from 80 to 96; it holds a coin
     move(mario, 104, 109)  # small: his head is at 97
     mario.vy = np.float32(-4)
     tick(world, level)
@@ -191,7 +194,7 @@ def test_tile_that_stops_only_rising_is_hit_from_below(world: World, level: Leve
 
 def test_tile_that_stops_only_rising_lets_him_fall_through(world: World, level: LevelMap) -> None:
     mario = world.actors[0]
-    level.tiles[6, 7] = 1  # y from 112 on
+    set_tile(level, 6, 7, 1)  # y from 112 on
     move(mario, 104, 111)
     mario.vy = np.float32(4)
     tick(world, level)
