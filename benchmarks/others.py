@@ -21,7 +21,7 @@ def _envpool(name: str, games: int, calls: int) -> tuple[Callable[[], None], int
     import numpy as np
 
     envpool: Any = importlib.import_module("envpool")
-    pool = envpool.make(name, env_type="gymnasium", num_envs=games)
+    pool = envpool.make(name, env_type="gymnasium", num_envs=games, num_threads=1)
     pool.reset()
     actions = np.ones(games, int)
 
@@ -46,9 +46,9 @@ def _super_mario(steps: int) -> tuple[Callable[[], None], int]:
 
 
 _CASES: dict[str, tuple[str, Callable[[], tuple[Callable[[], None], int]]]] = {
-    "EnvPool's CartPole-v1, 64 games": ("envpool", lambda: _envpool("CartPole-v1", 64, 500)),
-    "EnvPool's CartPole-v1, 1,024 games": ("envpool", lambda: _envpool("CartPole-v1", 1024, 60)),
-    "EnvPool's Pong-v5, 64 games": ("envpool", lambda: _envpool("Pong-v5", 64, 20)),
+    "EnvPool's CartPole-v1, 64 games, one thread": ("envpool", lambda: _envpool("CartPole-v1", 64, 500)),
+    "EnvPool's CartPole-v1, 1,024 games, one thread": ("envpool", lambda: _envpool("CartPole-v1", 1024, 60)),
+    "EnvPool's Pong-v5, 64 games, one thread": ("envpool", lambda: _envpool("Pong-v5", 64, 20)),
     "gym-super-mario-bros": ("gym_super_mario_bros", lambda: _super_mario(300)),
 }
 """By name: the package that is needed, and what makes a number of steps."""
