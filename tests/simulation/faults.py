@@ -59,6 +59,10 @@ QUIET: Final = frozenset({"hub", "experiment", "kill", "twin", "jump", "silence"
 """Kinds that make episodes void; some runs have none of them, so that every void episode would be a
 mistake."""
 
+SENDS: Final = 20
+"""Unit of a run's length, in system calls that send: faults go on for 10 to 100 of it, however dense they
+are."""
+
 
 def drawn(seed: int) -> list[Fault]:
     """Return the faults of a seed."""
@@ -75,7 +79,8 @@ def drawn(seed: int) -> list[Fault]:
     gap = random.choice((2, 3, 6, 20))
     names, weights = list(kinds), list(kinds.values())
     at, faults = random.randint(0, 3 * gap), []
-    for _ in range(random.randint(10, 100)):
+    end = at + SENDS * random.randint(10, 100)
+    while at < end:
         kind = random.choices(names, weights)[0]
         longest = 12.0 if kind == "silence" else 2.0 if calm else 6.0
         seconds = random.choice((0.001, 0.05, 0.5, longest)) * random.random()

@@ -60,7 +60,7 @@ SITUATIONS: Final = (
 @pytest.mark.proof
 @pytest.mark.timeout(1800)
 def test_every_promise_is_kept_and_every_situation_reached() -> None:
-    total, failed, _ = many(0, size(20, 2_000), stop=False)
+    total, failed, _ = many(0, size(10, 400), stop=False)
 
     assert not failed, total.problems
     assert total.blocks > 50
