@@ -63,6 +63,7 @@ class Watch:
         self._roles: dict[int, tuple[Role, tuple[str, ...]]] = {}
         self._troubles: list[tuple[float, float, int]] = []  # when, seconds, whose; 0 for everybody's
         self._killed: list[tuple[float, int]] = []
+        self._lost: dict[str, float] = {}  # when a session lost a player in an episode
 
     # What the run tells.
 
@@ -173,6 +174,15 @@ class Watch:
             self._run.problems.append(
                 f"(c) session {session.name} is void without a loss, "
                 f"{now - began:.3f} s after its beginning: {text}"
+            )
+
+    def not_void(self, session: Any, began: float) -> None:
+        """Judge (c): an episode in which a player was lost is void."""
+        lost = self._lost.get(session.name, 0.0)
+        if lost > began:
+            self._run.problems.append(
+                f"(c) session {session.name} is not void, though a player was lost {lost - began:.3f} s "
+                "after its beginning"
             )
 
     def closed(self, session: Any, error: Exception) -> None:
@@ -328,6 +338,8 @@ class Watch:
             when = "in an episode" if engine.in_episode else "in a verb" if engine.verb else "between verbs"
             self.seen[f"hub: lost an {peer.role} {when}"] += 1
             self.note("hub", "loses", f"{peer.role} of {session.name}", why)
+            if engine.in_episode and peer.role in (Role.AGENT, Role.ENVIRONMENT):
+                self._lost[session.name] = self._run.world.now
             original(session, peer, why, code)
 
         return lose
