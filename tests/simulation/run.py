@@ -238,7 +238,6 @@ class Run:
                 self.watch.void(session, error, began)
                 began = self.world.now
         session.blocks += 1
-        self.watch.not_void(session, began)
         known = expected(block, session.bulk, session.many)
         if seen != known:
             at = next((n for n, (a, b) in enumerate(zip(seen, known, strict=False)) if a != b), -1)

@@ -28,6 +28,14 @@ if TYPE_CHECKING:
 
 _NAMED: Final = {Kind.REFUSE, Kind.ERROR, Kind.NOTICE, Kind.WELCOME, Kind.GOODBYE}
 
+_BEGIN: Final = {Kind.RL_INIT, Kind.RL_START, Kind.RL_EPISODE, Kind.RL_ENV_START}
+
+_OF_EPISODES: Final = {
+    *(_BEGIN - {Kind.RL_INIT}),
+    *(Kind.RL_STEP, Kind.RL_ENV_STEP, Kind.RL_AGENT_START, Kind.RL_AGENT_STEP, Kind.RL_AGENT_END),
+}
+"""Requests that a void episode answers with an error."""
+
 _CAUSES: Final = {
     "was unreachable": "a player was unreachable for the timeout",
     "was replaced": "a player was replaced while its connection was broken",
@@ -63,7 +71,8 @@ class Watch:
         self._roles: dict[int, tuple[Role, tuple[str, ...]]] = {}
         self._troubles: list[tuple[float, float, int]] = []  # when, seconds, whose; 0 for everybody's
         self._killed: list[tuple[float, int]] = []
-        self._lost: dict[str, float] = {}  # when a session lost a player in an episode
+        # For sessions whose episode lost a player: the last request until then, and the first after it.
+        self._void: dict[str, tuple[int, int]] = {}
 
     # What the run tells.
 
@@ -176,13 +185,13 @@ class Watch:
                 f"{now - began:.3f} s after its beginning: {text}"
             )
 
-    def not_void(self, session: Any, began: float) -> None:
-        """Judge (c): an episode in which a player was lost is void."""
-        lost = self._lost.get(session.name, 0.0)
-        if lost > began:
+    def _not_void(self, reply: Message) -> None:
+        """Judge (c): an episode that has lost a player is not gone on with."""
+        last = self._void.get(reply.session)
+        if last is not None and reply.seq >= last[1]:
             self._run.problems.append(
-                f"(c) session {session.name} is not void, though a player was lost {lost - began:.3f} s "
-                "after its beginning"
+                f"(c) session {reply.session} is not void, though a player was lost before {reply.kind.name} "
+                f"{reply.seq}"
             )
 
     def closed(self, session: Any, error: Exception) -> None:
@@ -279,6 +288,8 @@ class Watch:
         def deliver(channel: Any, message: Message) -> bool:
             delivered: bool = original(channel, message)
             kind = message.kind
+            if kind in _OF_EPISODES:
+                self._not_void(message)
             if kind in _NAMED:
                 what = (
                     "" if kind is Kind.GOODBYE else f" {message.scalars[1 if kind is Kind.WELCOME else 0]!s}"
@@ -305,6 +316,8 @@ class Watch:
         def receive(switchboard: Switchboard, route: Any, message: Message, now: float) -> bool:
             if self._trace and message.kind is not Kind.HEARTBEAT:
                 self.note("hub", "receives", _peer_of(route), message)
+            if message.kind in _BEGIN and message.seq > self._void.get(message.session, (message.seq, 0))[0]:
+                del self._void[message.session]
             result: bool = original(switchboard, route, message, now)
             return result
 
@@ -315,11 +328,14 @@ class Watch:
             original(session, board, name, time)
             current: Any = getcurrent()
             self._incarnations[current.process.number, name] += 1
+            self._void.pop(name, None)
 
         return init
 
     def _joining(self, original: Any) -> Any:
         def join(session: Session, peer: Any, same: bool, announce: bool) -> None:
+            if not same and peer.role is Role.EXPERIMENT:
+                self._void.pop(session.name, None)
             if same and peer.role is Role.EXPERIMENT:
                 self.seen[
                     f"hub: an experiment returned, {'a' if session._reply else 'no'} reply to repeat"
@@ -339,7 +355,8 @@ class Watch:
             self.seen[f"hub: lost an {peer.role} {when}"] += 1
             self.note("hub", "loses", f"{peer.role} of {session.name}", why)
             if engine.in_episode and peer.role in (Role.AGENT, Role.ENVIRONMENT):
-                self._lost[session.name] = self._run.world.now
+                last = session._request_seq
+                self._void[session.name] = last, last + (session._reply is not None)
             original(session, peer, why, code)
 
         return lose
