@@ -16,8 +16,7 @@ from agents.mario.agent import MarioAgent
 from agents.mario.observation import CHARS
 from agents.planner.horizons import Horizons
 from agents.planner.route import Route
-from agents.planner.search import SETTINGS, WINDOW, model, search
-from agents.planner.tree import NODE
+from agents.planner.search import SETTINGS, make_room, model, search
 from glue.compiled.jit import announce_compilation
 from glue.errors import ConfigError, SaveError
 from glue.options import Option
@@ -26,6 +25,7 @@ from glue.suggestions import did_you_mean
 from glue.types import Action, Observation
 
 _LONGEST_PLAN: Final = 64
+_WINDOW: Final = 72  # columns that may change during a search
 _MAX_SIMS: Final = 200_000
 _AHEAD: Final = 16  # columns to look ahead, where more are known
 _PATIENCE: Final = 15  # steps without progress, after which it searches harder
@@ -35,7 +35,6 @@ _MOST_HARD: Final = 50_000  # model steps, or those of the option
 _SECONDS_PER_SIM: Final = 2e-6  # at first
 _ACTIONS: Final = [Action(ints=buttons) for buttons in model.ACTIONS.tolist()]
 RUN_RIGHT: Final = 9
-FRICTION: Final = 0.89  # share of Mario's speed that is kept in a tick
 LARGEST: Final = 100  # constant, in size
 _NO_LIMIT: Final = 10**9  # steps: how many an episode may have is not known
 
@@ -94,8 +93,8 @@ class PlannerAgent(MarioAgent):
         self._settings: Any = np.zeros(1, SETTINGS)
         how = self._settings[0]
         how["weight"], how["coin"], how["kill"], how["size_cost"] = 1.5, bonus, bonus, 6.0
-        how["anytime"] = bonus > 0
-        self._made = 0
+        how["anytime"], how["columns"] = bonus > 0, _WINDOW
+        self._room = make_room(0, _WINDOW)
         self._route = Route(study)
         self._warm_up()
 
@@ -124,7 +123,6 @@ class PlannerAgent(MarioAgent):
     def _assume(self, constants: npt.NDArray[np.float64]) -> None:
         """Predict and plan with these values of `model.CONSTANTS` from now on."""
         model.change(self._worlds[0], constants)
-        self._settings["stride"] = 5 * constants[model.CONSTANTS.index("speed_run")] / (1 - FRICTION)
 
     def agent_start(self, observation: Observation) -> Action:
         self._read(observation)
@@ -138,7 +136,7 @@ class PlannerAgent(MarioAgent):
             self._seen[0] = 0
             self._route.forget()
             model.start(*belief)
-        self._route.begin(self._worlds, self._levels, int(self._seen[0]), float(self._settings["stride"][0]))
+        self._route.begin(self._worlds, self._levels, int(self._seen[0]))
         if self._horizons:
             self._horizons.start()
         self._plan[:] = -1
@@ -264,11 +262,11 @@ class PlannerAgent(MarioAgent):
         how["hard"] = hard
         column = int(self._worlds[0]["actors"][0]["x"]) // 16
         how["end"] = min(int(self._seen[0]), column + self._ahead)
-        self._make_room(int(how["sims"]) + _LONGEST_PLAN)
+        if (nodes := int(how["sims"]) + _LONGEST_PLAN) > len(self._room.nodes):
+            self._room = make_room(nodes, _WINDOW)
         world = (self._worlds, self._levels, self._scratch, self._memory)
-        room = (self._rows, self._nodes, self._heap, self._table)
         began = time.perf_counter()
-        length = int(search(*world, *room, self._settings, self._plan))
+        length = int(search(*world, *self._room, self._settings, self._plan))
         used = int(how["used"])
         self._used += used
         if used:
@@ -283,15 +281,6 @@ class PlannerAgent(MarioAgent):
             more = _MORE if self._idle < 3 * _PATIENCE else _MOST
             sims = min(self._sims * more, max(self._sims, _MOST_HARD)) if hard else self._sims
         return min(max(int(sims), 12), _MAX_SIMS)
-
-    def _make_room(self, nodes: int) -> None:
-        if nodes <= self._made:
-            return
-        self._made = nodes
-        self._rows = np.zeros((nodes, model.row_size(WINDOW)), np.uint8)
-        self._nodes = np.zeros(nodes, NODE)
-        self._heap = np.zeros(nodes, np.int64)
-        self._table = np.zeros(1 << (2 * nodes).bit_length(), np.uint64)
 
 
 def _parse_constants(text: str) -> npt.NDArray[np.float64]:

@@ -14,7 +14,6 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.planner.agent import (
-    FRICTION,
     LARGEST,
     RUN_RIGHT,
     CountHorizons,
@@ -25,6 +24,7 @@ from agents.planner.agent import (
 from agents.planner.physics import Physics
 from agents.planner.rewards import Rewards
 from agents.planner.search import model
+from agents.planner.tree import FRICTION
 from glue.errors import SaveError
 from glue.options import Option
 from glue.saves import Arrays, Saved

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.planner.search import model
-from agents.planner.tree import DESCRIBED, describe, forget, meet
+from agents.planner.tree import DESCRIBED, describe, forget, meet, stride
 from glue.compiled.jit import announce_compilation, entry
 from glue.compiled.records import Array, Int, Real, layout
 from glue.saves import Arrays, Saved
@@ -69,13 +69,12 @@ class Route:
         self._made: list[int] = []
         self._total = 0.0
 
-    def begin(self, worlds: Array, levels: Array, end: int, stride: float) -> None:
+    def begin(self, worlds: Array, levels: Array, end: int) -> None:
         """Choose a route for an episode: a new one, if it promises more than the best so far.
 
         Args:
             worlds, levels: the belief after the first observation, shape (1,) each.
             end: number of columns that were seen.
-            stride: pixels that Mario runs in a step.
         """
         self._made, self._plan, self._total = [], [], 0.0
         if not (self._width and levels["exit_x"][0] < end):
@@ -85,7 +84,7 @@ class Route:
         for turn, worth in enumerate(_WORTH):
             if (attempt := len(_WORTH) * knowledge + turn) not in self.tried:
                 self.tried.append(attempt)
-                plan = self._planned(worlds, levels, end, worth, stride)
+                plan = self._planned(worlds, levels, end, worth)
                 if self._promised(plan, worlds, levels) > self.earned:
                     self._plan = plan
                 break
@@ -140,7 +139,7 @@ class Route:
                 break
         return _NOTHING
 
-    def _planned(self, worlds: Array, levels: Array, columns: int, worth: float, stride: float) -> list[int]:
+    def _planned(self, worlds: Array, levels: Array, columns: int, worth: float) -> list[int]:
         width = self._width
         self._world.view(np.uint8)[:] = worlds.view(np.uint8)
         plan = np.zeros(_LAYERS + 1, np.int64)
@@ -156,7 +155,6 @@ class Route:
                 np.zeros((_LAYERS, width), np.int32),
                 np.zeros((_LAYERS, width), np.int8),
                 worth,
-                stride,
                 plan,
             )
         return [int(action) for action in plan[:length]]
@@ -174,7 +172,6 @@ def plan_level(
     parents: npt.NDArray[np.int32],
     actions: npt.NDArray[np.int8],
     item: float,
-    stride: float,
     plan: npt.NDArray[np.int64],
 ) -> int:
     """Plan; return the length of the plan, 0 if no way to the goal was found.
@@ -188,7 +185,6 @@ def plan_level(
         table: room for their keys, a power of two above 24 * W.
         parents, actions: the tree, shape (layers, W).
         item: steps that a coin or a kill is worth; being large is worth half of it, and fire as much again.
-        stride: pixels that Mario runs in a step.
         plan: takes the actions of the plan, ended by -1.
     """
     level: Any = levels[0]
@@ -230,7 +226,7 @@ def plan_level(
                 candidate.worth = (
                     item * (world.coins + world.kills)
                     + item / 2 * (int(world.large) + int(world.fire))
-                    + mario.x / stride
+                    + mario.x / stride(world)
                 )
                 made += 1
         order = np.argsort(-candidates["worth"][:made])

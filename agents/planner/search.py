@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from agents.planner.tree import DESCRIBED, describe, forget, meet, pop, push
+from agents.planner.tree import DESCRIBED, NODE, describe, forget, meet, pop, push, stride
 from glue.compiled.jit import entry, jit
 from glue.compiled.records import Array, Flag, Int, Real, layout
 from glue.plugins.models import find_model
@@ -17,14 +17,13 @@ _step = model.step
 _save = model.save
 _load = model.load
 
-BEFORE: Final = 24  # columns to the left of Mario that may change during a search
-WINDOW: Final = 72
+_BEFORE: Final = 24  # columns to the left of Mario that may change during a search
 
 # Actions by number, 4 * (direction + 1) + 2 * jump + run, in the order in which they are tried.
 _AHEAD: Final = np.array([11, 9, 10, 8, 6, 4, 2, 0], np.int64)
 _ALL: Final = np.array([11, 9, 10, 8, 7, 6, 5, 4, 3, 2, 1, 0], np.int64)
 _LEFT: Final = 0
-_STAY: Final = 4
+STAY: Final = 4
 _RIGHT: Final = 8
 _BRAKING: Final = 8  # steps
 _FAST: Final = np.float32(2)  # pixels a tick
@@ -40,8 +39,8 @@ class Settings:
     coin: Real  # steps that a coin is worth
     kill: Real  # steps that a kill is worth
     size_cost: Real  # steps that being small rather than large costs
-    stride: Real  # pixels that Mario runs in a step
     end: Int  # the first column that has not been seen
+    columns: Int  # that may change during the search, some of them to the left of Mario
     hard: Flag  # find any way at all: try all actions, and no state again at another time
     anytime: Flag  # use the whole budget
     used: Int  # result: model steps
@@ -49,6 +48,25 @@ class Settings:
 
 
 SETTINGS: Final = layout(Settings)
+
+
+class Room(NamedTuple):
+    """The memory of a search."""
+
+    rows: npt.NDArray[np.uint8]  # the worlds of N nodes, shape (N, bytes)
+    nodes: Array  # shape (N,)
+    heap: npt.NDArray[np.int64]  # shape (N,)
+    table: npt.NDArray[np.uint64]  # a power of two above 2 * N
+
+
+def make_room(nodes: int, columns: int) -> Room:
+    """Return the memory of a search of so many nodes, in which so many columns may change."""
+    return Room(
+        np.zeros((nodes, model.row_size(columns)), np.uint8),
+        np.zeros(nodes, NODE),
+        np.zeros(nodes, np.int64),
+        np.zeros(1 << (2 * nodes).bit_length(), np.uint64),
+    )
 
 
 @entry
@@ -69,28 +87,27 @@ def search(
     Args:
         worlds, levels: the belief, shape (1,) each; it is not changed.
         scratch, memory: a world to step, shape (1,), and its bytes.
-        rows: room for the worlds of nodes, shape (N, bytes).
-        nodes, heap, table: room for N nodes, shapes (N,), (N,) and (a power of two above 2 * N,).
+        rows, nodes, heap, table: see `Room`.
         settings: see `Settings`, shape (1,).
         plan: the last plan, ended by -1, and room for the new one.
     """
     how: Any = settings[0]
     level: Any = levels[0]
     world: Any = scratch[0]
-    first = max(0, min(int(worlds[0].actors[0].x) // 16 - BEFORE, len(level.tiles) - WINDOW))
+    first = max(0, min(int(worlds[0].actors[0].x) // 16 - _BEFORE, len(level.tiles) - how.columns))
     forget(table)
     # The root.
     memory[:] = worlds.view(np.uint8)
     earned = how.coin * world.coins + how.kill * world.kills
     large = int(world.large) + int(world.fire)
     root_x = float(world.actors[0].x)
-    goal = min(16.0 * min(how.end, first + WINDOW) - 8.0, 16.0 * level.exit_x + 1.0)
-    _save(world, memory, rows[0], first, WINDOW)
+    goal = min(16.0 * min(how.end, first + how.columns) - 8.0, 16.0 * level.exit_x + 1.0)
+    _save(world, memory, rows[0], first, how.columns)
     nodes[0].parent = -1
     nodes[0].action = -1
     nodes[0].depth = 0
     nodes[0].x = root_x
-    nodes[0].key = how.weight * (goal - root_x) / how.stride
+    nodes[0].key = how.weight * (goal - root_x) / stride(worlds[0])
     nodes[0].rank = nodes[0].key
     count = 1
     size = push(nodes, heap, 0, 0)
@@ -100,12 +117,12 @@ def search(
     for i in range(len(plan)):
         if plan[i] < 0 or count >= len(nodes):
             break
-        _load(world, memory, rows[node], first, WINDOW)
+        _load(world, memory, rows[node], first, how.columns)
         alive = _step(world, level, plan[i])
         used += 1
         if not _add(world, level, alive, how, nodes, count, node, plan[i], earned, large, goal):
             break
-        _save(world, memory, rows[count], first, WINDOW)
+        _save(world, memory, rows[count], first, how.columns)
         size = push(nodes, heap, size, count)
         node = count
         count += 1
@@ -122,7 +139,7 @@ def search(
                 how.safe = True
                 break
             if not how.anytime:
-                _load(world, memory, rows[node], first, WINDOW)
+                _load(world, memory, rows[node], first, how.columns)
                 safe, steps = _is_safe(world, level, 16.0 * how.end)
                 used += steps
                 if safe:
@@ -133,7 +150,7 @@ def search(
         for k in range(len(actions)):
             if count >= len(nodes):
                 break
-            _load(world, memory, rows[node], first, WINDOW)
+            _load(world, memory, rows[node], first, how.columns)
             alive = _step(world, level, actions[k])
             used += 1
             if not _add(world, level, alive, how, nodes, count, node, actions[k], earned, large, goal):
@@ -142,11 +159,11 @@ def search(
                 table, numbers, world, 0 if how.hard else nodes[count].depth // 2
             ):
                 continue
-            _save(world, memory, rows[count], first, WINDOW)
+            _save(world, memory, rows[count], first, how.columns)
             size = push(nodes, heap, size, count)
             count += 1
     if best < 0:
-        best, steps = _best_leaf(world, level, memory, rows, nodes, heap, count, first, 16.0 * how.end)
+        best, steps = _best_leaf(world, level, memory, rows, nodes, heap, count, first, how)
         used += steps
         how.safe = best > 0
     if best < 0:
@@ -194,7 +211,7 @@ def _add(
     lost = large - int(world.new_large if world.change_timer != 0 else world.large)
     lost -= int(world.new_fire if world.change_timer != 0 else world.fire)
     worth = (_HURRY if how.hard else 1.0) * node.depth - gained + how.size_cost * lost
-    remaining = max(goal - node.x, 0.0) / how.stride
+    remaining = max(goal - node.x, 0.0) / stride(world)
     node.key = worth + how.weight * remaining
     node.rank = node.key
     return True
@@ -216,7 +233,7 @@ def _is_safe(world: Any, level: Any, end: float) -> tuple[bool, int]:
             return True, steps
         if mario.x > end:
             return False, steps
-        action = _STAY
+        action = STAY
         if mario.vx > _FAST:
             action = _LEFT
         elif mario.vx < -_FAST:
@@ -238,7 +255,7 @@ def _best_leaf(
     heap: npt.NDArray[np.int64],
     count: int,
     first: int,
-    end: float,
+    how: Any,
 ) -> tuple[int, int]:
     """Return the best node at which it is safe to stop, -1 if none is, and the steps it took to find out."""
     used = 0
@@ -252,8 +269,8 @@ def _best_leaf(
             break
         node = pop(nodes, heap, size)
         size -= 1
-        _load(world, memory, rows[node], first, WINDOW)
-        safe, steps = _is_safe(world, level, end)
+        _load(world, memory, rows[node], first, how.columns)
+        safe, steps = _is_safe(world, level, 16.0 * how.end)
         used += steps
         if safe:
             return node, used

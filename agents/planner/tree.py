@@ -24,6 +24,8 @@ class Node:
 
 NODE: Final = layout(Node)
 DESCRIBED: Final = 10
+FRICTION: Final = 0.89  # share of Mario's speed that is kept in a tick
+_TICKS: Final = 5.0  # of a step
 _GRAIN: Final = 4  # pixels
 _FNV: Final = np.uint64(1099511628211)
 
@@ -77,6 +79,12 @@ def describe(world: Any, numbers: npt.NDArray[np.int64]) -> None:
     numbers[7] = world.kills
     numbers[8] = world.safe_timer > 0
     numbers[9] = world.carrying > 0
+
+
+@jit
+def stride(world: Any) -> float:
+    """Return the pixels that Mario runs in a step."""
+    return float(_TICKS * world.speed_run / (1.0 - FRICTION))
 
 
 @jit

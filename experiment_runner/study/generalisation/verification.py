@@ -2,20 +2,17 @@
 
 Both are documents, see `experiment_runner.study.generalisation.benchmark.document`. A score holds the
 actions of its episode, so that anybody can play them in the simulator and compare what they earn.
-Certificates are found by a planner that is told the whole level. Without a solution, a score holds no
-actions, and the model steps spent.
+Certificates are found by a search of the whole level. Without a solution, a score holds no actions, and
+the model steps spent.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
 from typing import Any, Final
 
-import numpy as np
-
-from agents.planner.agent import PlannerAgent
+from agents.planner.way import find_way
 from env_server.mario import InfiniteMario
 from env_server.mario.game import Game
 from env_server.mario.level_sets import VERSION, LevelSet
@@ -23,21 +20,18 @@ from experiment_runner.study.generalisation.benchmark import Benchmark
 from experiment_runner.study.generalisation.players import (
     ACTIONS,
     Noise,
-    digit_of,
     is_won,
     level_set,
-    play,
     scored_levels,
 )
 from experiment_runner.study.generalisation.summary import Document
 from glue.errors import ConfigError
-from glue.saves import Saved, pack
-from glue.types import Action
 
 _TASK: Final = InfiniteMario().parameters
-_BUDGETS: Final = (300, 3_000, 30_000)
-"""Model steps for each action in the attempts at a certificate."""
+_SIMS: Final = 300_000
+"""Model steps of the search for a certificate."""
 _MOST_ACTIONS: Final = 100_000
+_DIGITS: Final = "".join(ACTIONS)
 
 
 def differences(document: Document, say: Callable[[str], None]) -> Iterator[str]:
@@ -81,20 +75,26 @@ def _difference(score: dict[str, Any], levels: LevelSet, noise: Noise) -> str:
         return "" if not score["goal"] and score.get("sims") else "its actions are not recorded"
     if len(actions) > _MOST_ACTIONS or not set(actions) <= ACTIONS.keys():
         return "its actions are not those of Infinite Mario"
-    game = Game(levels.level(_TASK, int(score["level"])))
-    game.start()
-    earned, steps = 0.0, 0
-    for digit in actions:
-        reward, _, ended = game.step(*InfiniteMario.buttons_of(noise(ACTIONS[digit])))
-        earned += reward
-        steps += 1
-        if ended:
-            break
-    found = {"steps": steps, "goal": is_won(game), "episode_return": earned}
+    found = _replay(levels, int(score["level"]), actions, noise)
     said = {"steps": len(actions), "goal": score["goal"], "episode_return": score["episode_return"]}
     return "; ".join(
         f"{name} is {said[name]}, replayed {found[name]}" for name in found if said[name] != found[name]
     )
+
+
+def _replay(levels: LevelSet, number: int, actions: str, noise: Noise | None = None) -> dict[str, Any]:
+    """Return what actions, given by their digits, earn on a level, up to the end of the episode."""
+    game = Game(levels.level(_TASK, number))
+    game.start()
+    earned, steps = 0.0, 0
+    for digit in actions:
+        action = ACTIONS[digit]
+        reward, _, ended = game.step(*InfiniteMario.buttons_of(noise(action) if noise else action))
+        earned += reward
+        steps += 1
+        if ended:
+            break
+    return {"steps": steps, "goal": is_won(game), "episode_return": earned}
 
 
 def solvable(document: Document) -> set[int]:
@@ -124,10 +124,8 @@ def certify(name: str, known: Document | None, keep: Callable[[Document], None])
         trial[column] = list(known["trials"][0][column])
     document = {**asdict(benchmark), "trials": [trial]}
     done = {score["level"] for score in trial[column]}
-    task_spec = InfiniteMario().env_init()
-    planners = [PlannerAgent(sims=sims) for sims in _BUDGETS]
     for count, number in enumerate([number for number in levels.numbers if number not in done], 1):
-        trial[column].append(_certificate(levels, number, planners, task_spec))
+        trial[column].append(_certificate(levels, number))
         if count % 100 == 0:
             keep(document)
     trial[column].sort(key=lambda score: int(score["level"]))
@@ -135,38 +133,18 @@ def certify(name: str, known: Document | None, keep: Callable[[Document], None])
     return document
 
 
-def _certificate(
-    levels: LevelSet, number: int, planners: list[PlannerAgent], task_spec: str
-) -> dict[str, Any]:
-    """Return the score of the first attempt that reaches the goal, or one without actions."""
-    spent = 0
-    for planner in planners:
-        game = Game(levels.level(_TASK, number))
-        observation = game.start()
-        planner.agent_init(task_spec)
-        planner.agent_load(_knowledge(game))
-        actions: list[Action] = []
-        earned = play(planner, game, observation, actions.append)
-        spent += json.loads(planner.agent_message("predictions"))["sims"]
-        goal = is_won(game)
-        if goal:
-            break
+def _certificate(levels: LevelSet, number: int) -> dict[str, Any]:
+    """Return the score of the way to the goal that was found, or one without actions."""
+    game = Game(levels.level(_TASK, number))
+    game.start()
+    way, sims = find_way(game.world, game.level_map, _SIMS)
+    actions = "".join(_DIGITS[action] for action in way)
     return {
         "level": number,
         "difficulty": levels.difficulty(number),
-        "episode_return": earned,
-        "goal": goal,
-        "steps": len(actions),
+        **_replay(levels, number, actions),
         "seconds": 0.0,
-        "sims": spent,
-        "actions": "".join(map(digit_of, actions)) if goal else "",
+        "sims": sims,
+        "actions": actions,
         "answers": {},
     }
-
-
-def _knowledge(game: Game) -> bytes:
-    """Return the whole level as what a planner saves of it."""
-    level = game.level_map
-    end = int(level.columns)
-    arrays = {name: np.ravel(getattr(level, name)[:end]).view(np.int8) for name in ("tiles", "spawns")}
-    return pack(Saved(PlannerAgent.name, {}, {"end": end, "exit": int(level.exit_x)}, arrays))

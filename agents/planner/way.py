@@ -1,0 +1,45 @@
+"""A way to the goal of a level that is known completely, found by one search of the whole level."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from agents.planner.search import SETTINGS, STAY, make_room, model, search
+from glue.compiled.jit import announce_compilation
+
+_WEIGHT: Final = 1.5
+
+
+def find_way(world: Any, level: Any, sims: int) -> tuple[list[int], int]:
+    """Search for actions that reach the goal, whatever they cost.
+
+    Args:
+        world: the record of a game that has just begun; it is not changed.
+        level: the record of its level, all columns of which are known.
+        sims: model steps at most; each takes 4 kB of memory.
+
+    Returns:
+        The actions by number, none if no way was found, and the model steps.
+    """
+    worlds, levels = model.make()
+    worlds[0], levels[0] = world, level
+    columns = int(levels["columns"][0])
+    scratch, _ = model.make()
+    settings: Any = np.zeros(1, SETTINGS)
+    how = settings[0]
+    how["weight"], how["hard"], how["sims"] = _WEIGHT, True, sims
+    how["end"] = how["columns"] = columns
+    plan = np.full(int(worlds["max_trial_steps"][0]) + 1, -1, np.int64)
+    with announce_compilation("the planner"):
+        room = make_room(sims, columns)
+        length = search(worlds, levels, scratch, scratch.view(np.uint8), *room, settings, plan)
+    way: list[int] = plan[:length].tolist()
+    for action in way:
+        model.step(worlds[0], levels[0], action)
+    if not worlds["win_timer"][0] > 0:
+        way = []
+    elif worlds["playing"][0]:
+        way.append(STAY)  # the game notices that it is won when it draws again
+    return way, int(how["used"])
