@@ -1,0 +1,193 @@
+"""A hub with four honest sessions, by turns alone and beside the attacker:
+
+    python -m tests.system.attacks.siege SECONDS [keys]
+
+The attacker has `SECONDS` in all, in turns. Before each turn the sessions play a quarter as long alone: other
+work on the machine is then the same for both speeds.
+"""
+
+from __future__ import annotations
+
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from glue.client.experiment import connect
+from glue.client.target import find_target
+from glue.engine.local import local
+from tests.keyed import KeyFolder
+from tests.players import ChainAgent, ChainEnvironment
+from tests.scripted.peer import TIMEOUT
+from tests.scripted.process import ROOT, running
+from tests.system.attacks.attacker import HONEST
+from tests.system.attacks.test_bad_input import quiet
+
+LIMIT: Final = 64
+"""Megabytes that the hub may keep."""
+
+MOST: Final = LIMIT + 64
+"""Megabytes that its process may hold."""
+
+_TURN: Final = 60.0
+"""Seconds of a turn of the attacker, at most."""
+
+_PLAYERS: Final = """
+import sys
+from glue import serve_agent, serve_environment
+from tests.players import ChainAgent, ChainEnvironment
+
+role, url, key, hub_key, *sessions = sys.argv[1:]
+serve, make = (serve_agent, ChainAgent) if role == "agent" else (serve_environment, ChainEnvironment)
+players = {name: make() for name in sessions}
+serve(players, url, key=key or None, hub_key=hub_key or None, log=lambda line: None)
+"""
+
+
+@contextmanager
+def hub(*options: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """Start a hub in a process of its own, which forgets nobody for a minute."""
+    command = ["-c", "from glue.cli.hub import main; main()", "--bind", "tcp://127.0.0.1:*", "--quiet"]
+    with running(*command, "--max-memory", str(LIMIT), "--timeout", "60", *options) as process:
+        assert process.stderr is not None
+        url = process.stderr.readline().split()[-1]
+        threading.Thread(target=process.stderr.read, daemon=True).start()
+        yield url, process
+        assert process.poll() is None, "the hub has died"
+
+
+def peak(process: subprocess.Popen[str]) -> int:
+    """Return the most memory that a process has held, in megabytes."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    return int(status.split("VmHWM:")[1].split()[0]) // 1024
+
+
+class Honest:
+    """An experiment that plays until it is told to stop, and its twin in process.
+
+    Attributes:
+        played: episodes that have ended.
+    """
+
+    def __init__(self, url: str, session: str, keys: Mapping[str, Any]) -> None:
+        self.played = 0
+        self._returns: deque[float] = deque()
+        self._begun = threading.Event()
+        self._stop = threading.Event()
+        self._twin = local(ChainAgent(), ChainEnvironment())
+        self._twin.rl_init()
+        self._glue = connect(url, session, log=quiet, **keys)
+        self._thread = threading.Thread(target=self._play, daemon=True)
+        self._thread.start()
+
+    def _play(self) -> None:
+        with self._glue as glue:
+            glue.rl_init()
+            while not self._stop.is_set():
+                assert glue.rl_episode()
+                self._returns.append(glue.rl_return())
+                self.played += 1
+                self._begun.set()
+
+    def begin(self) -> None:
+        """Wait until an episode has ended."""
+        assert self._begun.wait(TIMEOUT), "the session has failed"
+
+    def check(self) -> None:
+        """Assert that the twin earns in the same episodes what was earned since the last check."""
+        assert self._returns, "the session stands still"
+        while self._returns:
+            assert self._twin.rl_episode()
+            assert self._twin.rl_return() == self._returns.popleft()
+
+    def finish(self) -> None:
+        """Stop playing."""
+        assert self._thread.is_alive(), "the session has failed"
+        self._stop.set()
+        self._thread.join(TIMEOUT)
+        assert not self._thread.is_alive()
+
+
+def besiege(seconds: float, keyed: bool, folder: Path) -> None:
+    """Attack a hub, assert that its memory is bounded and its sessions play on, and print their speed.
+
+    Args:
+        seconds: for the attacker.
+        keyed: whether the hub, the sessions and the attacker have keys.
+        folder: an empty directory for them.
+    """
+    options, ours, theirs = _keys(folder) if keyed else ((), {}, ())
+    with hub(*options) as (url, process), ExitStack() as stack:
+        files = [str(ours.get(name, "")) for name in ("key", "hub_key")]
+        for role in ("agent", "environment"):
+            stack.enter_context(running("-c", _PLAYERS, role, url, *files, *HONEST))
+        sessions = [Honest(url, name, ours) for name in HONEST]
+        for session in sessions:
+            session.begin()
+        turns = max(1, round(seconds / _TURN))
+        ratios = []
+        for turn in range(1, turns + 1):
+            alone = _speed(sessions, seconds / turns / 4)
+            attacker = [sys.executable, "-m", "tests.system.attacks.attacker", url, str(turn)]
+            with subprocess.Popen(
+                [*attacker, str(seconds / turns), *theirs], stderr=subprocess.PIPE, text=True, cwd=ROOT
+            ) as attack:
+                beside = _speed(sessions, seconds / turns)
+                _, errors = attack.communicate(timeout=TIMEOUT)
+            assert (attack.returncode, errors) == (0, "")
+            for session in sessions:
+                session.check()
+            assert peak(process) <= MOST
+            ratios.append(beside / alone)
+            print(
+                f"turn {turn} of {turns}: {beside:.0f} episodes per second, {alone:.0f} alone, "
+                f"ratio {ratios[-1]:.2f}, median {statistics.median(ratios):.2f}; "
+                f"{sum(session.played for session in sessions)} episodes as if alone, "
+                f"at most {peak(process)} MiB",
+                flush=True,
+            )
+        for session in sessions:
+            session.finish()
+
+
+def _keys(folder: Path) -> tuple[tuple[str, ...], dict[str, Any], tuple[str, ...]]:
+    """Make keys, and return the options of the hub, of the honest sessions and of the attacker."""
+    keys = KeyFolder(folder)
+    carol, mallory = keys.entrant("carol"), keys.entrant("mallory")
+    others = [f"m{number}" for number in range(40)]
+    keys.allow(
+        f'[carol]\nrole = ["agent", "environment", "experiment"]\nsession = {list(HONEST)}\n'
+        f'[mallory]\nrole = ["agent", "environment", "experiment"]\nsession = {["m", *others]}\n'
+    )
+    own = find_target(None, None, mallory, keys.hub_key).key
+    assert own is not None
+    return (
+        ("--keys", str(keys.path)),
+        {"key": carol, "hub_key": keys.hub_key},
+        (own.pair.public.hex(), own.pair.secret.hex(), own.hub.hex()),
+    )
+
+
+def _speed(sessions: list[Honest], seconds: float) -> float:
+    """Return the episodes that are played in a second, of all sessions together."""
+    before = sum(session.played for session in sessions)
+    began = time.monotonic()
+    time.sleep(seconds)
+    return (sum(session.played for session in sessions) - before) / (time.monotonic() - began)
+
+
+def _main(seconds: str, keyed: str = "") -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        besiege(float(seconds), keyed == "keys", Path(folder))
+    print("results equal, memory bounded")
+
+
+if __name__ == "__main__":
+    _main(*sys.argv[1:])
