@@ -3,11 +3,12 @@
     python -m tests.system.attacks.siege SECONDS [keys]
 
 The attacker has `SECONDS` in all, in turns. Before each turn the sessions play a quarter as long alone: other
-work on the machine is then the same for both speeds.
+work on the machine is then the same for both speeds. The time that the hub uses hardly depends on it.
 """
 
 from __future__ import annotations
 
+import os
 import statistics
 import subprocess
 import sys
@@ -26,7 +27,7 @@ from glue.engine.local import local
 from tests.keyed import KeyFolder
 from tests.players import ChainAgent, ChainEnvironment
 from tests.scripted.peer import TIMEOUT
-from tests.scripted.process import ROOT, running
+from tests.scripted.process import running
 from tests.system.attacks.attacker import HONEST
 from tests.system.attacks.test_bad_input import quiet
 
@@ -36,7 +37,7 @@ LIMIT: Final = 64
 MOST: Final = LIMIT + 64
 """Megabytes that its process may hold."""
 
-_TURN: Final = 60.0
+_TURN: Final = 20.0
 """Seconds of a turn of the attacker, at most."""
 
 _PLAYERS: Final = """
@@ -132,23 +133,26 @@ def besiege(seconds: float, keyed: bool, folder: Path) -> None:
         for session in sessions:
             session.begin()
         turns = max(1, round(seconds / _TURN))
-        ratios = []
+        ratios, times = [], []
         for turn in range(1, turns + 1):
-            alone = _speed(sessions, seconds / turns / 4)
-            attacker = [sys.executable, "-m", "tests.system.attacks.attacker", url, str(turn)]
-            with subprocess.Popen(
-                [*attacker, str(seconds / turns), *theirs], stderr=subprocess.PIPE, text=True, cwd=ROOT
-            ) as attack:
-                beside = _speed(sessions, seconds / turns)
+            alone, time_alone = _speed(process, sessions, seconds / turns / 4)
+            attacker = ["-m", "tests.system.attacks.attacker", url, str(turn)]
+            with running(*attacker, str(seconds / turns), *theirs) as attack:
+                assert attack.stdout is not None
+                attack.stdout.readline()
+                beside, time_beside = _speed(process, sessions, seconds / turns)
                 _, errors = attack.communicate(timeout=TIMEOUT)
-            assert (attack.returncode, errors) == (0, "")
+                assert (attack.returncode, errors) == (0, "")
             for session in sessions:
                 session.check()
             assert peak(process) <= MOST
             ratios.append(beside / alone)
+            times.append(time_beside / time_alone)
             print(
                 f"turn {turn} of {turns}: {beside:.0f} episodes per second, {alone:.0f} alone, "
                 f"ratio {ratios[-1]:.2f}, median {statistics.median(ratios):.2f}; "
+                f"{1000 * time_beside:.2f} ms of the hub per episode, {1000 * time_alone:.2f} alone, "
+                f"ratio {times[-1]:.2f}, median {statistics.median(times):.2f}; "
                 f"{sum(session.played for session in sessions)} episodes as if alone, "
                 f"at most {peak(process)} MiB",
                 flush=True,
@@ -175,12 +179,20 @@ def _keys(folder: Path) -> tuple[tuple[str, ...], dict[str, Any], tuple[str, ...
     )
 
 
-def _speed(sessions: list[Honest], seconds: float) -> float:
-    """Return the episodes that are played in a second, of all sessions together."""
-    before = sum(session.played for session in sessions)
+def _speed(process: subprocess.Popen[str], sessions: list[Honest], seconds: float) -> tuple[float, float]:
+    """Let all sessions play; return the episodes in a second, and the hub's seconds per episode."""
+    before, used = sum(session.played for session in sessions), _used(process)
     began = time.monotonic()
     time.sleep(seconds)
-    return (sum(session.played for session in sessions) - before) / (time.monotonic() - began)
+    episodes = sum(session.played for session in sessions) - before
+    assert episodes, "all sessions stand still"
+    return episodes / (time.monotonic() - began), (_used(process) - used) / episodes
+
+
+def _used(process: subprocess.Popen[str]) -> float:
+    """Return the seconds for which a process has used a processor."""
+    fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _main(seconds: str, keyed: str = "") -> None:
