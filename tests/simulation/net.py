@@ -16,9 +16,6 @@ from greenlet import getcurrent
 
 from tests.simulation.world import Process, World
 
-MSG_DONTWAIT: Final = int(real.MSG_DONTWAIT)
-"""The flag as an int: `&` with a member of `enum` makes another member, which takes as long as `recv`."""
-
 CAPACITY: Final = 100_000
 """Bytes on their way or unread in one direction of a connection."""
 
