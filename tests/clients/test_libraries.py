@@ -135,6 +135,7 @@ def test_page_tells_how_long_the_sources_are() -> None:
     assert [round(length, -2) for length in lengths] == told
 
 
+@pytest.mark.slow
 def test_first_agent_in_python_walks(tmp_path: Path) -> None:
     file = tmp_path / "agent.py"
     file.write_text(code_in(PAGE, "python"))
@@ -168,6 +169,7 @@ def walks(start: Sequence[str]) -> None:
         assert (glue.rl_return(), glue.rl_num_steps()) == (1.0, 10)
 
 
+@pytest.mark.slow
 def test_first_agent_of_the_page_walks(
     language: Language, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

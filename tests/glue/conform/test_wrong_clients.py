@@ -56,6 +56,7 @@ def misjudged(role: Role, fault: str) -> list[str]:
     return missed + [line(verdict) for verdict in [*failed, *unjudged] if verdict.rule.name not in broken]
 
 
+@pytest.mark.slow
 @pytest.mark.proof
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("role", THREE_ROLES)
