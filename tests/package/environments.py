@@ -57,7 +57,7 @@ class Installed:
 
     def pip(self, command: str, *arguments: str) -> None:
         """Run a command of `uv pip`, which keeps what it has unpacked: dozens of megabytes for each of us."""
-        pip = [sys.executable, "-m", "uv", "--quiet", "pip", command, "--python", self.folder]
+        pip = [sys.executable, "-m", "uv", "--quiet", "pip", command, "--python", str(self.folder)]
         subprocess.run([*pip, *arguments], check=True)
 
     def install(self, *requirements: str) -> None:
