@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import subprocess
 import sys
@@ -12,6 +11,7 @@ import pytest
 
 from experiment_runner.plan.file import load_plan
 from experiment_runner.store.results import Results
+from tests.shell import bash
 from tests.system.runs import contents
 
 ROOT = Path(__file__).parents[2]
@@ -20,17 +20,16 @@ BLOCK = re.compile(r"^<!-- (?P<note>.*?) -->\n```(?P<language>\w+)\n(?P<body>.*?
 SECONDS = 120
 HUNDREDS = re.compile(r"(?<=episodes )[12]00\b|(?<=episodes = )[12]00\b")
 
-COMMANDS = {
-    "runs in the tests": ["bash", "-euo", "pipefail"],
-    "runs in the tests, with Python": [sys.executable],
-}
+SHELL = "runs in the tests"
+PYTHON = "runs in the tests, with Python"
 
 
 def test_every_block_is_accounted_for() -> None:
     assert TEXT.count("```") == 2 * len(BLOCK.findall(TEXT))
     notes = {note for note, _, _ in BLOCK.findall(TEXT)}
     assert notes == {
-        *COMMANDS,
+        SHELL,
+        PYTHON,
         *(f"runs in the tests, where {what} installed" for what in ("Ray is", "SLURM is", "loggers are")),
         "file: lazy.py",
         "file: metrics.toml",
@@ -41,21 +40,15 @@ def test_every_block_is_accounted_for() -> None:
 
 def follow(folder: Path, text: str = TEXT) -> None:
     """Write every file of a text, and run every command."""
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     for block in BLOCK.finditer(text):
         note, body = block["note"], HUNDREDS.sub("20", block["body"])
         if note.startswith("file: "):
             (folder / note.removeprefix("file: ")).write_text(body)
-        elif note in COMMANDS:
-            done = subprocess.run(
-                [*COMMANDS[note], "-c", body],
-                cwd=folder,
-                env={**os.environ, "PATH": path},
-                capture_output=True,
-                text=True,
-                timeout=SECONDS,
-            )
+        elif note == SHELL:
+            done = bash(body, folder, SECONDS)
             assert done.returncode == 0, f"{body}\n{done.stdout}\n{done.stderr}"
+        elif note == PYTHON:
+            subprocess.run([sys.executable, "-c", body], cwd=folder, check=True, timeout=SECONDS)
 
 
 @pytest.mark.slow

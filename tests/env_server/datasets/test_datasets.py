@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import subprocess
 import sys
@@ -19,6 +18,7 @@ from glue.trajectory import ActionWriter, Ending, Episode, Run, TrajectoryReader
 from glue.types import Action, Observation
 from tests import forked
 from tests.env_server.replay.test_replay import GOLDEN
+from tests.shell import bash
 
 parquet = pytest.importorskip("pyarrow.parquet")
 minari = pytest.importorskip("minari")
@@ -124,6 +124,7 @@ def test_counts_that_are_not_stated_are_padded(tmp_path: Path) -> None:
                 assert not here[kind][count:].any()
 
 
+@pytest.mark.slow
 def test_parquet_has_each_step_and_each_run(tmp_path: Path) -> None:
     game = ("--env", "mario", "--agent", "sample", "--episodes", 2, "--max-steps", 60)
     episodes = recorded(tmp_path / "a.traj", *game) + recorded(tmp_path / "b.traj", *GAMES["stated"])
@@ -245,21 +246,12 @@ def test_one_large_observation_does_not_make_all_as_large(tmp_path: Path) -> Non
     assert replay(tmp_path / "a", "--parquet", tmp_path / "out").endswith(": 1 episode\n")
 
 
+@pytest.mark.slow
 def test_text_can_be_followed(tmp_path: Path) -> None:
     text = PAGE.read_text()
-    path = os.pathsep.join([str(forked.BIN), os.environ["PATH"]])
-    shell = re.findall(r"<!-- runs in the tests, in a shell -->\n```sh\n(.*?)```", text, re.DOTALL)
-    python = re.findall(r"<!-- runs in the tests, with Minari -->\n```python\n(.*?)```", text, re.DOTALL)
-    printed = ""
-    for command in (["bash", "-euc", *shell], [sys.executable, "-c", *python]):
-        done = subprocess.run(
-            command,
-            cwd=tmp_path,
-            env=os.environ | {"PATH": path},
-            capture_output=True,
-            text=True,
-            timeout=120,
-        )
-        assert done.returncode == 0, done.stderr
-        printed = done.stdout
+    (shell,) = re.findall(r"<!-- runs in the tests, in a shell -->\n```sh\n(.*?)```", text, re.DOTALL)
+    (python,) = re.findall(r"<!-- runs in the tests, with Minari -->\n```python\n(.*?)```", text, re.DOTALL)
+    done = bash(shell, tmp_path, 120)
+    assert done.returncode == 0, done.stderr
+    printed = subprocess.check_output([sys.executable, "-c", python], cwd=tmp_path, text=True, timeout=120)
     assert f"# {printed}" in text.replace("```", "")
