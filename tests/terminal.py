@@ -54,7 +54,7 @@ class Terminal:
 
     def wait_for(self, pattern: str) -> re.Match[str]:
         with self._news:
-            assert self._news.wait_for(lambda: self._find(pattern) is not None, 60), self.lines
+            assert self._news.wait_for(lambda: self._find(pattern) is not None, 120), self.lines
             found = self._find(pattern)
             assert found is not None
             return found

@@ -9,14 +9,13 @@ import os
 import re
 import signal
 import subprocess
-import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from tests.forked import BIN
 from tests.system.runs import wait_until
-from tests.terminal import watched_terminal
+from tests.terminal import Terminal, watched_terminal
 
 _SECONDS = 100.0  # the page lets everything else go first
 
@@ -35,8 +34,8 @@ class Answer(NamedTuple):
 class Page:
     """A server that runs, and the cookie that opens it."""
 
-    def __init__(self, process: subprocess.Popen[str], url: str) -> None:
-        self.process = process
+    def __init__(self, end: Callable[[signal.Signals], int], url: str) -> None:
+        self._end = end
         self.url = url
         found = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/\?token=([\w-]{20,})", url)
         assert found, url
@@ -83,10 +82,9 @@ class Page:
         while self._streams:
             self._streams.pop().close()
 
-    def stop(self, number: int = signal.SIGINT) -> int:
+    def stop(self, number: signal.Signals = signal.SIGINT) -> int:
         """Send a signal, and return the exit code."""
-        self.process.send_signal(number)
-        return self.process.wait(_SECONDS)
+        return self._end(number)
 
 
 class Stream:
@@ -100,12 +98,12 @@ class Stream:
         self.id = ""
 
     def next(self) -> Any:
-        """Wait for the next event, and return its data; None at the end."""
+        """Wait for the next event but heartbeats, which are empty, and return its data; None at the end."""
         while line := self.response.readline():
             if line.startswith(b"id: "):
                 self.id = line[4:].decode().strip()
-            elif line.startswith(b"data: "):
-                return json.loads(line[6:])
+            elif line.startswith(b"data: ") and (data := json.loads(line[6:])):
+                return data
         return None
 
     def close(self) -> None:
@@ -116,20 +114,20 @@ class Stream:
 @contextlib.contextmanager
 def glue_view(*arguments: object, cwd: Path | None = None) -> Iterator[Page]:
     """Run `glue-view` at a free port until the context ends."""
-    command = [sys.executable, "-m", "experiment_runner.cli.view", *map(str, arguments), "--no-browser"]
-    process = subprocess.Popen(
-        [*command, "--port", "0"], cwd=cwd, stdout=subprocess.PIPE, text=True, env={**os.environ}
-    )
-    with process:
-        try:
-            assert process.stdout is not None
-            line = process.stdout.readline()
-            page = Page(process, line.split()[-1] if line else "")
-            page.log_in()
-            with contextlib.closing(page):
-                yield page
-        finally:
-            process.kill()
+    command = ("glue-view", *map(str, arguments), "--no-browser", "--port", "0")
+    terminal = Terminal(*command, cwd=cwd or Path.cwd())
+
+    def end(number: signal.Signals) -> int:
+        terminal.send_signal(number)
+        return terminal.end()
+
+    try:
+        page = Page(end, terminal.wait_for(r"http://\S+")[0])
+        page.log_in()
+        with contextlib.closing(page):
+            yield page
+    finally:
+        terminal.close()
 
 
 @contextlib.contextmanager
@@ -147,9 +145,14 @@ def in_terminal(*command: str, cwd: Path) -> Iterator[tuple[Page, list[bytes]]]:
             text=True,
         ) as process,
     ):
+
+        def end(number: signal.Signals) -> int:
+            process.send_signal(number)
+            return process.wait(_SECONDS)
+
         try:
             wait_until(lambda: re.search(rb"token=\S+\s", b"".join(seen)), "the page's address")
-            page = Page(process, re.findall(r"http://\S+", b"".join(seen).decode())[0])
+            page = Page(end, re.findall(r"http://\S+", b"".join(seen).decode())[0])
             page.log_in()
             with contextlib.closing(page):
                 yield page, seen
