@@ -15,7 +15,7 @@ from pathlib import Path
 import nox
 
 nox.needs_version = ">=2025.2.9"
-nox.options.default_venv_backend = "uv"  # pip would unpack the same large packages for each session
+nox.options.default_venv_backend = "virtualenv"
 nox.options.reuse_existing_virtualenvs = True
 
 DIST = Path("build/dist")
@@ -42,8 +42,8 @@ MATRIX = [
 def build(session: nox.Session) -> dict[str, str]:
     """Build wheel and sdist anew, and return the variable that names their folder to the tests."""
     shutil.rmtree(DIST, ignore_errors=True)
-    session.install("build", "uv", *TESTING, "--editable", ".")
-    session.run("pyproject-build", "--installer=uv", "--outdir", str(DIST))
+    session.install("build", *TESTING, "--editable", ".")
+    session.run("pyproject-build", "--outdir", str(DIST))
     return {"GLUE_DIST": str(DIST)}
 
 

@@ -46,7 +46,7 @@ class Installed:
 
     @classmethod
     def make(cls, folder: Path) -> Installed:
-        subprocess.run([sys.executable, "-m", "uv", "--quiet", "venv", folder / "venv"], check=True)
+        subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder / "venv"], check=True)
         (folder / "cwd").mkdir()
         return cls(folder / "venv", folder / "cwd")
 
@@ -55,10 +55,9 @@ class Installed:
         (found,) = self.folder.glob("lib/python3*/site-packages")
         return found
 
-    def pip(self, command: str, *arguments: str) -> None:
-        """Run a command of `uv pip`, which keeps what it has unpacked: dozens of megabytes for each of us."""
-        pip = [sys.executable, "-m", "uv", "--quiet", "pip", command, "--python", str(self.folder)]
-        subprocess.run([*pip, *arguments], check=True)
+    def pip(self, *arguments: str) -> None:
+        pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet", "--python"]
+        subprocess.run([*pip, self.folder / "bin/python", *arguments], check=True)
 
     def install(self, *requirements: str) -> None:
         self.pip("install", "--only-binary=:all:", *requirements)

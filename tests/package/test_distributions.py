@@ -84,9 +84,7 @@ def test_building_again_gives_the_same_bytes(wheel: Path, sdist: Path, tmp_path:
         if (ROOT / name).is_file() and name.split("/")[0] not in {"docs", "tests", "clients"}:
             (checkout / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ROOT / name, checkout / name)  # of today, with other permissions
-    subprocess.run(
-        ["pyproject-build", "--installer=uv", "--outdir", tmp_path, checkout], check=True, capture_output=True
-    )
+    subprocess.run(["pyproject-build", "--outdir", tmp_path, checkout], check=True, capture_output=True)
     assert (tmp_path / wheel.name).read_bytes() == wheel.read_bytes()
     assert (tmp_path / sdist.name).read_bytes() == sdist.read_bytes()
 

@@ -79,12 +79,12 @@ def test_importing_ours_after_the_other_glue_is_refused(mixed: Installed) -> Non
 @needs_dist
 def test_taking_the_others_away_leaves_ours_whole(mixed: Installed) -> None:
     """The last test of an environment: `import glue` is ours again, and says what hides `agents`."""
-    mixed.pip("uninstall", "glue-core")
+    mixed.pip("uninstall", "--yes", "glue-core")
     shown = mixed.python("import glue; glue.Agent")
     (line,) = [line for line in shown.stderr.splitlines() if "Warning" in line]
     assert str(mixed.packages / "agents/__init__.py") in line
     assert "import glue_rl" in line
-    mixed.pip("uninstall", *THEIRS[1:])
+    mixed.pip("uninstall", "--yes", *THEIRS[1:])
     assert not mixed.python("import glue; glue.Agent").stderr
 
 
