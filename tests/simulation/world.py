@@ -261,7 +261,8 @@ class _RLock:
         self._owner: Any = None
         self._waiting: list[Any] = []
 
-    def acquire(self, blocking: bool = True) -> bool:
+    def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
+        """Acquire it; `timeout` does not matter, as whoever has it gives it away when it is asked to."""
         while self._owner is not None:
             if not blocking:
                 return False

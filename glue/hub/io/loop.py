@@ -151,9 +151,12 @@ class Loop:
         # Ctrl-C may be raised after any call, also after one that has acquired a lock. So it is released even
         # if this thread seems not to have it, which a `with` would not do.
         try:
-            if not self._mutex.acquire(blocking=False):
+            mine = self._mutex.acquire(blocking=False)
+            while not mine:
+                # A busy machine may have stopped this thread for longer than `run` waited for it: ask again.
+                self._times_asked += 1
                 self._wake.up()
-                self._mutex.acquire()
+                mine = self._mutex.acquire(timeout=_GRACE_SECONDS)
             return work()
         finally:
             try:  # noqa: SIM105  # another call here could be interrupted before the release

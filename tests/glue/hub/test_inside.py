@@ -11,7 +11,7 @@ import pytest
 
 from glue.client.experiment import RemoteExperiment, connect, connect_over
 from glue.client.players import serve_agent, serve_environment
-from glue.doors import network
+from glue.doors import network, threads
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import HubClosed
@@ -19,6 +19,7 @@ from glue.hub.config import HubConfig
 from glue.hub.io import inside as inside_hub
 from glue.hub.io import loop
 from glue.hub.io.inside import InsideTransport
+from glue.hub.io.loop import Loop
 from glue.hub.io.server import Hub
 from glue.wire.messages import Kind, Message
 from tests.players import ChainAgent, ChainEnvironment
@@ -85,6 +86,47 @@ def test_two_experiments_of_one_process_take_the_loop_in_turn(hub: Hub) -> None:
     for thread in threads:
         thread.join(TIMEOUT)
         assert not thread.is_alive()
+
+
+class LateLock:
+    """A lock for which the thread `late` asks only after another has taken it: the machine had stopped it."""
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()
+        self._asking = threading.Event()
+        self._taken = threading.Event()
+
+    def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
+        late = threading.current_thread().name == "late"
+        if late and not self._asking.is_set():
+            self._asking.set()
+            assert self._taken.wait(TIMEOUT)
+        acquired = self._lock.acquire(blocking, timeout)
+        if acquired and not late and self._asking.is_set():
+            self._taken.set()
+        return acquired
+
+    def release(self) -> None:
+        self._lock.release()
+
+
+def test_a_thread_that_the_machine_stops_while_it_asks_for_the_loop_is_given_it_all_the_same(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(threads, "RLock", LateLock)
+    taken = Loop(0.01, print)
+    given: list[str] = []
+    running = threading.Thread(target=taken.run)
+    late = threading.Thread(target=lambda: taken.alone(lambda: given.append("the loop")), name="late")
+    running.start()
+    late.start()
+    late.join(TIMEOUT)
+    in_time = list(given)
+    taken.stop("the test is over")
+    for thread in (running, late):
+        thread.join(TIMEOUT)
+    taken.close()
+    assert in_time == ["the loop"]
 
 
 def test_a_hub_that_ends_ends_the_verb_that_waits(hub: Hub) -> None:
