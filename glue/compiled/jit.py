@@ -20,7 +20,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar, Final, TypeVar, cast
 
-from numba.core import config, event
+from numba.core import config, event, types
 from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
@@ -62,14 +62,28 @@ def entry(function: Function) -> Function:
 
 
 class _Part(CPUDispatcher):
-    """A function without the wrapper through which Python calls compiled code: it gets an entry for that."""
+    """A function without the wrapper through which Python calls compiled code: it gets an entry for that.
+
+    numba would compile it anew for each constant and for each width of integer that it is called with.
+    """
 
     _own_entry: Any = None
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Return what types a call: integers of any width, constants too, are passed as int64."""
+        widened = {name: _widened(kind) for name, kind in kws.items()}
+        return super().get_call_template([*map(_widened, args)], widened)
 
     def __call__(self, *arguments: Any) -> Any:
         if self._own_entry is None:
             self._own_entry = entry(self.py_func)
         return self._own_entry(*arguments)
+
+
+def _widened(kind: Any) -> Any:
+    """Return the type as which compiled code passes a value of type `kind`."""
+    kind = types.unliteral(kind)  # type: ignore[no-untyped-call]
+    return types.int64 if isinstance(kind, types.Integer) and kind != types.uint64 else kind
 
 
 class _PartLibrary(JITCodeLibrary):

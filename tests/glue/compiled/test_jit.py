@@ -39,6 +39,20 @@ from player.scaling import scaled
 with announce_compilation("the rules"):
     print(scaled(21))
 """
+WIDTHS = """
+import numpy as np
+from glue.compiled.jit import entry, jit
+
+@jit
+def twice(number):
+    return 2 * number
+
+@entry
+def doubled(numbers):
+    return twice(1) + twice(2) + twice(numbers[0]) + twice(len(numbers))
+
+print(doubled(np.array([2**30], np.int32)), len(twice.overloads))
+"""
 
 
 @pytest.fixture
@@ -94,6 +108,15 @@ def test_without_a_folder_to_write_to_it_still_runs(program: Path, tmp_path: Pat
 
 def test_without_compiling_nothing_is_said(program: Path) -> None:
     assert run(program, environment={"NUMBA_DISABLE_JIT": "1"}) == ""
+
+
+def test_a_function_is_compiled_once_for_all_widths_of_integers_and_constants(tmp_path: Path) -> None:
+    program = tmp_path / "widths.py"
+    program.write_text(WIDTHS)
+    done = subprocess.run(
+        [sys.executable, str(program)], capture_output=True, text=True, timeout=TIMEOUT, check=False
+    )
+    assert done.stdout == f"{2 + 4 + 2**31 + 2} 1\n", done.stderr
 
 
 def test_one_process_compiles_and_the_others_wait_and_say_so(tmp_path: Path) -> None:
