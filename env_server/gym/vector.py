@@ -142,13 +142,17 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         """
         games, count = self._opened(), self.num_envs
         rows = read_actions(self._action, actions, count)
-        refused = games.step(rows, CHOICES[self._action])
+        refused = games.step(rows, CHOICES[self._action], self._read)
         if refused >= count:
             game = refused - count
             raise SimulatorError(f"{what_is_wrong_with(self._action, rows[game])} for game {game}")
         if refused >= 0:
             raise SimulatorError(f"game {refused} has no episode to step in: reset it first")
-        lanes = games.lanes
+        return self._results
+
+    def _read(self) -> None:
+        """Copy what the games show after a step."""
+        lanes = self._games.lanes
         terminated, truncated = lanes["terminated"].copy(), lanes["truncated"].copy()
         infos: dict[str, Any] = {}
         if self._mode is AutoresetMode.SAME_STEP:
@@ -156,7 +160,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
             if over.any():
                 infos = self._final(over)
         infos |= _columns(lanes["info"])
-        return self._observations(), lanes["reward"].copy(), terminated, truncated, infos
+        self._results = self._observations(), lanes["reward"].copy(), terminated, truncated, infos
 
     def render(self) -> tuple[Any, ...] | None:
         """Render each game as the render mode says."""

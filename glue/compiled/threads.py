@@ -52,7 +52,7 @@ _GO: Final = 3
 """Address of the semaphore that releases a worker."""
 _DONE: Final = 4
 """Address of the semaphore by which a worker reports."""
-_RELEASED: Final = 5
+RELEASED: Final = 5
 """In the caller's row: workers released in this turn."""
 _PIECE: Final = 6
 """In the caller's row: items in a piece."""
@@ -75,6 +75,8 @@ _TRIAL: Final = 0.02
 _REST: Final = 0.4
 """Seconds until the next trials; twice as many each time if their result is the same."""
 _LONGEST_REST: Final = 6.4
+_WORTH: Final = 0.9
+"""Share of the time of the caller alone that threads together may take: trials are short."""
 
 
 def _semaphore_function(name: str) -> Any:
@@ -87,10 +89,15 @@ _trywait = _semaphore_function("sem_trywait")
 _yield = types.ExternalFunction("sched_yield", types.int32())
 
 
+def nothing() -> None:
+    """Read nothing after a turn."""
+
+
 class Threads:
     """A number of threads that share `count` items; the calling thread is one of them.
 
-    They work together while that is faster than the calling thread without the others, which trials decide.
+    They work together while that is clearly faster than the calling thread without the others, which trials
+    decide.
     Where threads cannot wait for each other in compiled code, the calling thread does all the work.
     """
 
@@ -101,25 +108,29 @@ class Threads:
         self._choices = _choices()
         self._together = next(self._choices)
 
-    def run(self, function: Callable[..., None], *shared: Any) -> None:
-        """Call `function(gate, worker, *shared)` in the threads, and wait until every item is done.
+    def run(self, function: Callable[..., None], *shared: Any, then: Callable[[], None] = nothing) -> None:
+        """Call `function(gate, worker, *shared)` in the threads, and `then` when every item is done.
 
         Args:
             function: claims items; see above.
             shared: the same in every call.
+            then: reads what was done, in the calling thread. Trials count its time, too, because it is
+                longer where another core has written.
         """
         gate = self._gate
         if len(gate) == 1:
             function(gate, CALLER, *shared)
+            then()
             return
         if self._together and not self._workers:
             self._start(function, shared)
-        gate[CALLER, _RELEASED] = len(self._workers) if self._together else 0
+        gate[CALLER, RELEASED] = len(self._workers) if self._together else 0
         began = clock.monotonic()
         if not self._errors:
             function(gate, CALLER, *shared)
         if self._errors:
             raise self._errors[0]
+        then()
         self._together = self._choices.send(clock.monotonic() - began)
 
     def close(self) -> None:
@@ -181,8 +192,9 @@ def _choices() -> Generator[bool, float, None]:
         yield True  # wakes the workers
         together = yield from _timed(True, _TRIAL)
         alone = yield from _timed(False, _TRIAL)
-        rest = min(2 * rest, _LONGEST_REST) if (together < alone) == before else _REST
-        before = together < alone
+        pays = together < _WORTH * alone
+        rest = min(2 * rest, _LONGEST_REST) if pays == before else _REST
+        before = pays
         yield from _timed(before, rest)
 
 
@@ -201,7 +213,7 @@ def begin_turn(gate: Gate, worker: int) -> bool:
     if worker == CALLER:
         for share in range(len(gate)):
             gate[share, _NEXT] = gate[share, _FIRST]
-        for other in range(1, gate[CALLER, _RELEASED] + 1):
+        for other in range(1, gate[CALLER, RELEASED] + 1):
             _post(np.uintp(gate[other, _GO]))
         return True
     _await(gate[worker, _GO])
@@ -226,7 +238,7 @@ def claim(gate: Gate, worker: int) -> tuple[int, int]:
 def end_turn(gate: Gate, worker: int) -> bool:
     """As the caller, wait for all workers that have begun; as a worker, report. Return whether to leave."""
     if worker == CALLER:
-        for other in range(1, gate[CALLER, _RELEASED] + 1):
+        for other in range(1, gate[CALLER, RELEASED] + 1):
             if _trywait(np.uintp(gate[other, _GO])) != 0:  # it has begun; any other is not needed any more
                 _await(gate[other, _DONE])
         return True

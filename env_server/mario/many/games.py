@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated, Final
 
 import numpy as np
@@ -21,7 +21,7 @@ from env_server.mario.sim.step import act, begin
 from glue.closing import Closing
 from glue.compiled.jit import announce_compilation, entry, jit
 from glue.compiled.records import Array, Flag, Int, Real, Word, layout
-from glue.compiled.threads import Gate, Threads, begin_turn, claim, end_turn
+from glue.compiled.threads import Gate, Threads, begin_turn, claim, end_turn, nothing
 from glue.types import Observation
 
 NEXT_STEP: Final = 0
@@ -153,12 +153,18 @@ class Games(Closing):
         self._orders[:] = _BEGIN if which is None else np.where(which, _BEGIN, _LEAVE)
         self._run()
 
-    def step(self, actions: npt.NDArray[np.int64], choices: npt.NDArray[np.int64]) -> int:
+    def step(
+        self,
+        actions: npt.NDArray[np.int64],
+        choices: npt.NDArray[np.int64],
+        then: Callable[[], None] = nothing,
+    ) -> int:
         """Carry out an action in every game.
 
         Args:
             actions: shape (N, K): direction 0 to 2, jump and run, or their number; see `choices`.
             choices: number of choices of each, shape (K,).
+            then: reads what the games show now; see `Threads.run`.
 
         Returns:
             -1; or `i`, if game `i` has no episode to step in, or `N + i`, if it has no such action. Then no
@@ -166,7 +172,7 @@ class Games(Closing):
         """
         refused = int(_order(actions, choices, self.lanes, self._setup, self._orders))
         if refused < 0:
-            self._run()
+            self._run(then)
         return refused
 
     def observation(self, i: int) -> Observation:
@@ -175,9 +181,10 @@ class Games(Closing):
         size = _body(self.worlds[i : i + 1], self.levels[i : i + 1], body)
         return Observation.from_body(body[:size].tobytes())
 
-    def _run(self) -> None:
+    def _run(self, then: Callable[[], None] = nothing) -> None:
         shown = (self.cells, self.reals, self.final_cells, self.final_reals)
-        self._threads.run(_advance, self.worlds, self.levels, self.lanes, self._setup, self._orders, *shown)
+        games = (self.worlds, self.levels, self.lanes, self._setup, self._orders)
+        self._threads.run(_advance, *games, *shown, then=then)
 
     def _load(self) -> None:
         """Load the compiled rules, or compile them and say so."""

@@ -12,7 +12,8 @@ import numpy.typing as npt
 import pytest
 
 from glue.compiled.jit import entry
-from glue.compiled.threads import CALLER, Gate, Threads, begin_turn, claim, end_turn
+from glue.compiled.threads import CALLER, RELEASED, Gate, Threads, begin_turn, claim, end_turn
+from glue.doors import clock
 from tests.house.imports import ROOT
 
 COUNT = 10
@@ -88,6 +89,34 @@ def test_workers_claim_what_the_caller_leaves() -> None:
         turns += 1
     assert numbers.min() > 0
     threads.close()
+
+
+@pytest.mark.parametrize(
+    ("work", "read", "pays"),
+    [(0.5, 0.0, True), (0.95, 0.0, False), (0.5, 1.0, False)],
+    ids=["half the time", "hardly faster", "what other cores wrote is read slowly"],
+)
+def test_threads_work_together_only_where_trials_show_that_it_pays(
+    monkeypatch: pytest.MonkeyPatch, work: float, read: float, pays: bool
+) -> None:
+    """A turn takes the caller alone 2 ms; for threads together `work` and `read` are shares of that."""
+    now, together = [0.0], [False]
+    monkeypatch.setattr(clock, "monotonic", lambda: now[0])
+
+    def timed(gate: Gate, worker: int, numbers: Numbers) -> None:
+        if worker == CALLER:
+            together.append(bool(gate[CALLER, RELEASED]))
+            now[0] += 0.002 * (work if together[-1] else 1)
+        mark(gate, worker, numbers)
+
+    def reading() -> None:
+        now[0] += 0.002 * read * together[-1]
+
+    threads, numbers = Threads(2, COUNT), np.zeros(COUNT, np.int64)
+    for _ in range(200):
+        threads.run(timed, numbers, then=reading)
+    threads.close()
+    assert set(together[50:]) == {pays}
 
 
 def test_threads_that_nobody_closes_end_when_they_are_forgotten() -> None:
