@@ -62,14 +62,14 @@ CONSTANTS: Final = ("speed_walk", "speed_run", "speed_jump", "accel_fall", "spee
 
 _KEPT: Final = 48  # actors of a saved world; of more, the oldest are left out
 
-# What a saved world consists of: the numbers before the actors, the flags, the length of the list, the actors
-# in the order of the list, Mario first, and what was changed in some columns.
+# What a saved world consists of: all numbers, the length of the list, the actors in the order of the list,
+# Mario first, and what was changed in some columns.
 _OFFSETS: Final = {name: WORLD.fields[name][1] for name in WORLD.fields} if WORLD.fields else {}
 _ACTORS_AT: Final = _OFFSETS["actors"]
-_FLAGS_AT: Final = _OFFSETS["draws_at_checkins"]
-_FLAGS: Final = _OFFSETS["order"] - _FLAGS_AT
+_NUMBERS_AT: Final = _OFFSETS["level_seed"]
+_NUMBERS: Final = _OFFSETS["changed"] - _NUMBERS_AT
 _ACTOR_SIZE: Final = 40
-_LISTED_AT: Final = -(-(_ACTORS_AT + _FLAGS) // 8) * 8
+_LISTED_AT: Final = -(-_NUMBERS // 8) * 8
 _LIST_AT: Final = _LISTED_AT + 8
 _WINDOW_AT: Final = -(-(_LIST_AT + _ACTOR_SIZE * (_KEPT + 1)) // 8) * 8
 Bytes = npt.NDArray[np.uint8]
@@ -123,8 +123,7 @@ def save(world: World, memory: Bytes, row: Bytes, first: int, columns: int) -> N
         first, columns: the columns that play may have changed since the first of the worlds that are loaded
             in turns. The same in every call for these.
     """
-    _copy(memory, 0, row, 0, _ACTORS_AT)
-    _copy(memory, _FLAGS_AT, row, _ACTORS_AT, _FLAGS)
+    _copy(memory, _NUMBERS_AT, row, 0, _NUMBERS)
     listed = min(world.listed, _KEPT)
     carrying = 0
     _copy(memory, _ACTORS_AT, row, _LIST_AT, _ACTOR_SIZE)
@@ -147,8 +146,7 @@ def load(world: World, memory: Bytes, row: Bytes, first: int, columns: int) -> N
     """Copy a world back from `row`. Args: as for `save`."""
     for i in range(world.listed):
         world.actors[world.order[i]].kind = FREE
-    _copy(row, 0, memory, 0, _ACTORS_AT)
-    _copy(row, _ACTORS_AT, memory, _FLAGS_AT, _FLAGS)
+    _copy(row, 0, memory, _NUMBERS_AT, _NUMBERS)
     words = row.view(np.int32)
     listed = words[_LISTED_AT // 4]
     world.listed = listed

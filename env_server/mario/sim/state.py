@@ -190,12 +190,16 @@ Levels = npt.NDArray[np.void]
 
 
 def _record(fields: type) -> np.dtype[np.void]:
-    """Return the record layout of an annotated class, widest fields first, so that all are aligned."""
+    """Return the record layout of an annotated class.
+
+    Numbers stand together, so that those of a step share a few lines of the cache, behind the actors and
+    before the long arrays; the widest come first, so that all are aligned.
+    """
     layout: list[tuple[Any, ...]] = []
     for name, hint in typing.get_type_hints(fields, include_extras=True).items():
         kind, *shape = hint.__metadata__
         layout.append((name, _ACTOR if kind == "Actor" else np.dtype(kind), *shape))
-    layout.sort(key=lambda field: -_width(field[1]))
+    layout.sort(key=lambda field: (field[1].fields is None, len(field), -_width(field[1])))
     return np.dtype((np.record, np.dtype(layout, align=True)))
 
 
