@@ -26,6 +26,7 @@ ORDER: Final = (
     "attacks",
     "legacy",
     "experiment",
+    "metrics",
     "view",
     "mario",
     "agents",
