@@ -16,9 +16,10 @@ from experiment_runner.store.records import TOTAL_REWARD, EpisodeResult, Reading
 from glue.engine.experiment import Experiment
 from glue.engine.local import LocalExperiment
 from glue.errors import ExperimentError
+from glue.roles import Environment
 from glue.trajectory import TrajectoryWriter
 from glue.types import Action, Observation, Step
-from tests.players import ScriptedAgent, ScriptedEnvironment
+from tests.players import ScriptedAgent
 
 LENGTHS = (4, 1, 7, 2, 2)
 Play = Callable[[Experiment, int, Meter], bool]
@@ -31,14 +32,16 @@ class Counting(ScriptedAgent):
         return {"calls": float(len(self.calls))}
 
 
-class Varying(ScriptedEnvironment):
+class Varying(Environment):
     """Ends its episodes after `LENGTHS` steps, or cuts them off then; each step has another reward."""
 
     def __init__(self, cut_off: bool) -> None:
-        super().__init__()
         self._lengths = iter(LENGTHS)
         self._cut_off = cut_off
         self._left = 0
+
+    def env_init(self) -> str:
+        return ""
 
     def env_start(self) -> Observation:
         self._left = next(self._lengths)
