@@ -6,6 +6,7 @@ import itertools
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -51,12 +52,12 @@ def make_plan(plan_file: Path | None, counts: Mapping[str, Any], roles: Mapping[
                 raise ConfigError(
                     "give the number of --episodes or --steps, or a --plan, or a run to --resume"
                 )
-            plan = check_options(absolute(Plan(**counts, **roles), Path.cwd()), _find)
+            plan = absolute(Plan(**counts, **roles), Path.cwd())
         else:
             plan = absolute(replace(load_plan(plan_file), **budget(counts)), plan_file.parent)
-            with naming_lines(plan_file):
-                plan = check_options(plan, _find)
-        plan.expand()  # raises an error, before anything is created, if a trial occurs twice
+        with nullcontext() if plan_file is None else naming_lines(plan_file):
+            plan = check_options(plan, _find)
+            plan.expand()  # raises an error, before anything is created, if a trial occurs twice
     except ExperimentError as error:  # a mistake in a plan is one in the command
         raise ConfigError(str(error)) from error
     return plan

@@ -22,7 +22,7 @@ from experiment_runner.plan.ids import REMOTE, TrialId, label_of
 from experiment_runner.plan.lines import PlanError
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.tuning import Range, TunePlan
-from glue.errors import ConfigError, ExperimentError
+from glue.errors import ConfigError
 from glue.options import Value, parameters
 from glue.plugins.loading import file_in, located
 from glue.suggestions import did_you_mean
@@ -197,7 +197,8 @@ class Plan:
         if bool(self.episodes) == bool(self.steps):
             raise PlanError(
                 "a trial ends after a number of episodes or of steps: a plan needs "
-                f"{'only ' if self.steps else ''}one of them, as in: episodes = 1000"
+                f"{'only ' if self.steps else ''}one of them, as in: episodes = 1000",
+                *(["steps"] if self.steps else []),
             )
         if self.seeds not in get_args(Seeds):
             raise PlanError(f"seeds must be 'number' or 'id', not {self.seeds!r}", "seeds")
@@ -223,7 +224,7 @@ class Plan:
         """Return every trial; those of one combination follow each other.
 
         Raises:
-            ExperimentError: two trials would have the same id, as when a value is listed twice.
+            PlanError: two trials would have the same id, as when a value is listed twice.
         """
         specs = []
         for (agent_part, agent), (environment_part, environment) in itertools.product(
@@ -237,7 +238,7 @@ class Plan:
         seen = set()
         for spec in specs:
             if spec.id in seen:
-                raise ExperimentError(f"the plan has trial {spec.id} twice: is a value listed twice?")
+                raise PlanError(f"the plan has trial {spec.id} twice: is a value listed twice?")
             seen.add(spec.id)
         return specs
 
@@ -294,21 +295,28 @@ def check_options(plan: Plan, find: Callable[[str, str], type]) -> Plan:
         find: returns the class for a role ("agent" or "environment") and a name.
 
     Raises:
-        ConfigError: raised by `find`.
-        PlanError: an option is unknown to its class or has an invalid value.
+        PlanError: a class cannot be found, or an option is unknown to its class or has an invalid value.
     """
     for sweep in plan.agents if plan.tune else ():
         space = plan.tune.space.get(sweep.label, {}) if plan.tune else {}
         ends = {name: (v.at(0), v.at(1)) if isinstance(v, Range) else v for name, v in space.items()}
-        where = ("tune", "agents", sweep.label)
-        _check_sweep(RoleSweep(sweep.name, ends, sweep.label), find("agent", sweep.name), where)
-    return replace(
-        plan,
-        environments=tuple(
-            _check_sweep(s, find("environment", s.name), ("environments", s.label)) for s in plan.environments
-        ),
-        agents=tuple(_check_sweep(s, find("agent", s.name), ("agents", s.label)) for s in plan.agents),
-    )
+        factory = _class_of(sweep, "agent", find)
+        _check_sweep(RoleSweep(sweep.name, ends, sweep.label), factory, ("tune", "agents", sweep.label))
+    checked = {
+        role: tuple(
+            _check_sweep(sweep, _class_of(sweep, role.removesuffix("s"), find), (role, sweep.label))
+            for sweep in getattr(plan, role)
+        )
+        for role in ROLES
+    }
+    return replace(plan, **checked)
+
+
+def _class_of(sweep: RoleSweep, role: str, find: Callable[[str, str], type]) -> type:
+    try:
+        return find(role, sweep.name)
+    except ConfigError as error:
+        raise PlanError(str(error), f"{role}s", sweep.label, "class") from error
 
 
 def differences(ours: Plan, theirs: Plan) -> list[str]:

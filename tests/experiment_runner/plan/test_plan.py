@@ -215,6 +215,7 @@ def test_load_names_the_file(tmp_path: Path) -> None:
     [
         ("episode = 3", 2),
         ("episodes = -3", 2),
+        ("steps = 3", 2),
         ('seeds = "none"', 2),
         ('inside = ["hub"]', 2),
         ("metrics_every = -1", 2),
@@ -242,6 +243,23 @@ def test_wrong_option_of_a_plan_names_its_line(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError, match=rf"^{path}, line 5: mine has no option stepsize; did you mean step_size"
     ):
+        make_plan(path, {}, {})
+
+
+@pytest.mark.parametrize(("text", "line"), [("[agents.srasa]", 2), ("[agents.mine]\nclass = 'srasa'", 3)])
+def test_wrong_class_of_a_plan_names_its_line(tmp_path: Path, text: str, line: int) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text(f"episodes = 3\n{text}\n")
+
+    with pytest.raises(ConfigError, match=rf"^{path}, line {line}: no agent .*'srasa'; did"):
+        make_plan(path, {}, {})
+
+
+def test_trial_that_occurs_twice_is_an_error_of_the_plan(tmp_path: Path) -> None:
+    path = tmp_path / "plan.toml"
+    path.write_text("episodes = 3\n[agents.sarsa]\nstep_size = [0.5, 0.5]\n")
+
+    with pytest.raises(ConfigError, match=f"^{path}: the plan has trial sarsa/step_size=0.5/remote/0 twice"):
         make_plan(path, {}, {})
 
 
