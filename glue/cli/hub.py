@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import resource
 from collections.abc import Sequence
 from contextlib import ExitStack, suppress
@@ -19,6 +20,12 @@ from glue.hub.config import DEFAULT_HUB, Bind, HubConfig, LegacyPort
 from glue.hub.io.log import Level, Log
 
 _DEFAULTS: Final = HubConfig()
+
+_MMAP_THRESHOLD: Final = -3
+"""M_MMAP_THRESHOLD of mallopt(3)."""
+
+_LARGE_BLOCK: Final = 2**20
+"""Size in bytes from which a block of memory goes back to the system as soon as it is free."""
 
 
 @click.command("glue-hub")
@@ -125,6 +132,7 @@ def serve_until_interrupted(
     from glue.legacy.gateway import Gateway
 
     _allow_many_connections()
+    _give_memory_back()
     log = Log(say, level, stamped=True)
     with ExitStack() as stack:
         running = stack.enter_context(Hub(config, log))
@@ -152,6 +160,12 @@ def _allow_many_connections() -> None:
     _, maximum = resource.getrlimit(resource.RLIMIT_NOFILE)
     with suppress(ValueError, OSError):  # macOS calls it infinite, and refuses that
         resource.setrlimit(resource.RLIMIT_NOFILE, (maximum, maximum))
+
+
+def _give_memory_back() -> None:
+    """Have glibc return large blocks that are free, which it learns to keep: `--max-memory` is a bound."""
+    with suppress(OSError, AttributeError):  # another C library has no mallopt
+        ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE_BLOCK)
 
 
 def main() -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Final, Protocol
+
+_SMALL: Final = 65_536
+"""Bytes that a connection may hold before it joins a session, and not be evicted before others."""
 
 
 class Holder(Protocol):
@@ -10,7 +13,7 @@ class Holder(Protocol):
 
     @property
     def seated(self) -> bool:
-        """Whether it takes part in a session; holders that do not are evicted first."""
+        """Whether it takes part in a session; holders that do not, and are not small, are evicted first."""
         ...
 
     def evict(self, why: str) -> None:
@@ -44,7 +47,10 @@ class Memory:
     def relieve(self) -> None:
         """Evict the largest holders until the total is within the limit; none may be in use afterwards."""
         while self.exceeded:
-            largest = max(self._held, key=lambda known: (not known.seated, self._held[known]))
+            largest = max(
+                self._held,
+                key=lambda known: (self._held[known] > _SMALL and not known.seated, self._held[known]),
+            )
             held = self._held[largest]
             self.hold(largest, 0)
             largest.evict(

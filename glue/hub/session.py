@@ -211,7 +211,8 @@ class Session:
         role = None if asked is None else CALLS[asked.kind].callee
         player = None if role is None else self.peers.get(role)
         explained = asked is not None and asked.seq == self._explained
-        seconds = self._slow.overdue(None if player is None else asked, now, explained)
+        call = asked.seq if asked is not None and player is not None else None
+        seconds = self._slow.overdue(call, now, explained)
         if player is not None and asked is not None and seconds is not None:
             text = f"{player.name} has not answered {asked.kind.name.lower()} for {seconds:.0f} s"
             self._board.log(f"session {self.name!r}: {player.role} {text}")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Final
 
-from glue.wire.messages import Message
-
 _FIRST_SECONDS: Final = 5.0
 """Seconds without an answer after which a call is reported."""
 
@@ -19,19 +17,20 @@ class SlowCalls:
     __slots__ = ("_call", "_report_after", "_since")
 
     def __init__(self) -> None:
-        self._call: Message | None = None
+        self._call: int | None = None  # its sequence number: a message may be large, and is not kept here
         self._since = 0.0
         self._report_after = _FIRST_SECONDS
 
-    def overdue(self, call: Message | None, now: float, explained: bool) -> float | None:
+    def overdue(self, call: int | None, now: float, explained: bool) -> float | None:
         """Return the seconds to report if it is time to report `call`, otherwise None.
 
         Args:
-            call: the outstanding one, if there is one; it is timed from when it is first passed.
+            call: the sequence number of the outstanding one, if there is one; it is timed from when it is
+                first passed.
             now: the time in seconds.
             explained: whether the player has said why it takes long; its first report is left out.
         """
-        if call is None or call is not self._call:
+        if call is None or call != self._call:
             self._call, self._since, self._report_after = call, now, _FIRST_SECONDS
             return None
         if now - self._since < self._report_after:

@@ -57,9 +57,6 @@ _KEPT: Final = 3
 _AT_ONCE: Final = 16
 """Frames after which the caller may serve another connection, even if no message is complete."""
 
-_PIECE: Final = 4096
-"""Bytes below which what comes is put together at once: a little piece takes more room than it holds."""
-
 _SIZE: Final = struct.Struct(">Q")
 _SHORT_HEADS: Final = [[bytes((flags, size)) for size in range(256)] for flags in (0, _MORE)]
 
@@ -185,7 +182,7 @@ class Decoder:
         self._mechanism = mechanism
         self._buffer = b""
         self._at = 0  # what comes before it is done with
-        self._later: list[bytes] = []  # what was received after it, until it is needed
+        self._later = bytearray()  # what was received after it, until it is needed
         self._size = 0  # bytes of both that are not done with
         self._needed = len(GREETING)  # bytes without which there is nothing to do
         self._frames: list[bytes] = []  # of a message that is not complete
@@ -196,7 +193,7 @@ class Decoder:
         """Return the bytes received that begin with a message in plain text, if any, and forget them."""
         if not self._size or not self.ready or self._frames or self._mechanism is not None:
             return b""
-        data = b"".join((self._buffer[self._at :], *self._later))
+        data = b"".join((self._buffer[self._at :], self._later))
         self._later.clear()
         self._buffer, self._at, self._size, self._needed = b"", 0, 0, 2
         return data
@@ -211,10 +208,8 @@ class Decoder:
         if not self._size:
             self._buffer = data
             self._at = 0
-        elif self._later and len(self._later[-1]) < _PIECE:
-            self._later[-1] += data
         else:
-            self._later.append(data)
+            self._later += data
         self._size += len(data)
 
     def next_event(self) -> list[bytes] | bytes | None:
@@ -231,7 +226,7 @@ class Decoder:
             if self._size < self._needed:
                 return None
             if self._later:
-                self._buffer = b"".join((self._buffer[self._at :], *self._later))
+                self._buffer = b"".join((self._buffer[self._at :], self._later))
                 self._at = 0
                 self._later.clear()
             if not self._greeted:

@@ -40,6 +40,9 @@ MAX_UNSEATED: Final = 256
 GREETING_SECONDS: Final = 1.0
 """Seconds that a connection may be without a seat before it is dropped, at the next tick."""
 
+_MAX_COPIED: Final = 65_536
+"""Maximum size of a body that is sent together with its head, in bytes; a copy of more costs memory."""
+
 _FAREWELL_SECONDS: Final = 1.0
 """Seconds that the hub waits at most, when it closes, for its last messages to be read."""
 
@@ -84,15 +87,20 @@ class _Channel:
         kind = message[0]
         if connection.unsent and kind in OBSERVING:
             return False  # an observer that has not read the previous messages misses this one
-        head, body = self._stream.encode(message)
+        head, data = self._stream.encode(message)
+        if len(data) > _MAX_COPIED:
+            self.send_joined()
+            connection.send(head)
+        else:
+            data = head + data
         joined = self._channels.joined
         if kind not in STEPS:
             self.send_joined()
-            connection.send(head + body)
+            connection.send(data)
         elif joined is not None:
-            joined.setdefault(self, []).append(head + body)
+            joined.setdefault(self, []).append(data)
         else:
-            connection.send(head + body)
+            connection.send(data)
             self._loop.expect(connection)
         if connection.unsent:
             self._weigh()

@@ -130,8 +130,9 @@ class Connection:
                 sent = self._failed_to_send(error, data)
             if sent == len(data):
                 return
-            data = data[sent:]
-        self._unsent += data
+            self._unsent += memoryview(data)[sent:]
+        else:
+            self._unsent += data
         self.unsent = len(self._unsent)
         self._watch()
 

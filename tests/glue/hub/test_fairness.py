@@ -10,6 +10,7 @@ import pytest
 from glue.hub.config import HubConfig
 from glue.hub.io.connection import Connection
 from glue.hub.io.server import Hub
+from glue.hub.memory import Memory
 from glue.types import Action
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.messages import CALLS, Kind, Message, Role, Value
@@ -203,3 +204,30 @@ def test_the_steps_that_follow_from_answers_received_together_leave_together(
     agent.answer()
     assert [step.session for step in agent.steps] == list(sessions)
     assert sum(AGENT_STEP in data for data in sent) == 1
+
+
+class Holding:
+    """A holder that writes down that it was evicted."""
+
+    def __init__(self, memory: Memory, size: int, seated: bool) -> None:
+        self.seated = seated
+        self.evicted = False
+        memory.hold(self, size)
+
+    def evict(self, why: str) -> None:
+        """Release all memory."""
+        self.evicted = True
+
+
+def test_a_newcomer_that_holds_little_is_not_evicted_for_those_that_fill_the_memory() -> None:
+    memory = Memory(2**20)
+    largest, newcomer = Holding(memory, 2**20, True), Holding(memory, 60, False)
+    memory.relieve()
+    assert (largest.evicted, newcomer.evicted) == (True, False)
+
+
+def test_who_takes_part_in_no_session_and_holds_much_is_evicted_first() -> None:
+    memory = Memory(2**20)
+    seated, newcomer = Holding(memory, 2**20, True), Holding(memory, 2**17, False)
+    memory.relieve()
+    assert (seated.evicted, newcomer.evicted) == (False, True)

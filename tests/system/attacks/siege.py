@@ -80,7 +80,7 @@ class Honest:
     def __init__(self, url: str, session: str, keys: Mapping[str, Any]) -> None:
         self.played = 0
         self._returns: deque[float] = deque()
-        self._begun = threading.Event()
+        self._ended = threading.Event()
         self._stop = threading.Event()
         self._twin = local(ChainAgent(), ChainEnvironment())
         self._twin.rl_init()
@@ -95,15 +95,12 @@ class Honest:
                 assert glue.rl_episode()
                 self._returns.append(glue.rl_return())
                 self.played += 1
-                self._begun.set()
-
-    def begin(self) -> None:
-        """Wait until an episode has ended."""
-        assert self._begun.wait(TIMEOUT), "the session has failed"
+                self._ended.set()
 
     def check(self) -> None:
-        """Assert that the twin earns in the same episodes what was earned since the last check."""
-        assert self._returns, "the session stands still"
+        """Assert that episodes have ended since the last check, and that the twin earns the same in them."""
+        assert self._ended.wait(TIMEOUT), "the session stands still"
+        self._ended.clear()
         while self._returns:
             assert self._twin.rl_episode()
             assert self._twin.rl_return() == self._returns.popleft()
@@ -131,7 +128,7 @@ def besiege(seconds: float, keyed: bool, folder: Path) -> None:
             stack.enter_context(running("-c", _PLAYERS, role, url, *files, *HONEST))
         sessions = [Honest(url, name, ours) for name in HONEST]
         for session in sessions:
-            session.begin()
+            session.check()
         turns = max(1, round(seconds / _TURN))
         ratios, times = [], []
         for turn in range(1, turns + 1):
@@ -180,12 +177,16 @@ def _keys(folder: Path) -> tuple[tuple[str, ...], dict[str, Any], tuple[str, ...
 
 
 def _speed(process: subprocess.Popen[str], sessions: list[Honest], seconds: float) -> tuple[float, float]:
-    """Let all sessions play; return the episodes in a second, and the hub's seconds per episode."""
+    """Let all sessions play; return the episodes in a second, and the hub's seconds per episode.
+
+    On a busy machine it may take longer until the first episode has ended.
+    """
     before, used = sum(session.played for session in sessions), _used(process)
     began = time.monotonic()
     time.sleep(seconds)
-    episodes = sum(session.played for session in sessions) - before
-    assert episodes, "all sessions stand still"
+    while not (episodes := sum(session.played for session in sessions) - before):
+        assert time.monotonic() < began + seconds + TIMEOUT, "all sessions stand still"
+        time.sleep(0.1)
     return episodes / (time.monotonic() - began), (_used(process) - used) / episodes
 
 
