@@ -121,7 +121,7 @@ def besiege(seconds: float, keyed: bool, folder: Path) -> None:
         keyed: whether the hub, the sessions and the attacker have keys.
         folder: an empty directory for them.
     """
-    options, ours, theirs = _keys(folder) if keyed else ((), {}, ())
+    options, ours, theirs = make_keys(folder) if keyed else ((), {}, ())
     with hub(*options) as (url, process), ExitStack() as stack:
         files = [str(ours.get(name, "")) for name in ("key", "hub_key")]
         for role in ("agent", "environment"):
@@ -158,7 +158,7 @@ def besiege(seconds: float, keyed: bool, folder: Path) -> None:
             session.finish()
 
 
-def _keys(folder: Path) -> tuple[tuple[str, ...], dict[str, Any], tuple[str, ...]]:
+def make_keys(folder: Path) -> tuple[tuple[str, ...], dict[str, Any], tuple[str, ...]]:
     """Make keys, and return the options of the hub, of the honest sessions and of the attacker."""
     keys = KeyFolder(folder)
     carol, mallory = keys.entrant("carol"), keys.entrant("mallory")

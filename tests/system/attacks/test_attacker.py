@@ -14,8 +14,9 @@ from glue.types import Observation
 from glue.wire.limits import MAX_BODY
 from glue.wire.messages import Kind
 from tests.proof import size
+from tests.scripted.curve import CurveClient, Pair
 from tests.scripted.peer import TIMEOUT, ScriptedPeer
-from tests.system.attacks.siege import MOST, besiege, hub, peak
+from tests.system.attacks.siege import MOST, besiege, hub, make_keys, peak
 
 
 @pytest.mark.parametrize("stay", [False, True], ids=["and leave", "and stay"])
@@ -33,15 +34,25 @@ def test_peers_that_stop_in_the_middle_of_large_frames_fill_no_memory(stay: bool
         assert peak(process) <= MOST
 
 
-def test_calls_of_the_largest_size_that_are_not_read_have_a_bound_in_all() -> None:
+@pytest.mark.parametrize("keyed", [False, True], ids=["without keys", "with keys"])
+def test_calls_of_the_largest_size_that_are_not_read_have_a_bound_in_all(keyed: bool, tmp_path: Path) -> None:
+    options, _, hexadecimal = make_keys(tmp_path) if keyed else ((), {}, ())
+    public, secret, server = map(bytes.fromhex, hexadecimal or ("", "", ""))
+
+    def join(role: str, session: str, receive_buffer: int = 0) -> ScriptedPeer:
+        while True:
+            keys = CurveClient(Pair(public, secret), server) if keyed else None
+            peer = ScriptedPeer(url, keys, session=session, receive_buffer=receive_buffer)
+            with suppress(ConnectionError):  # on a busy machine, it took too long to join
+                peer.greet().join(role)
+                return stack.enter_context(peer)
+
     huge = Observation(chars=bytes(MAX_BODY - 16)).body
-    with hub() as (url, process), ExitStack() as stack:
-        for number in range(12):
-            session = f"huge {number}"
-            agent = stack.enter_context(ScriptedPeer(url, receive_buffer=4096).greet())
-            agent.join("agent", session=session)
-            experiment = stack.enter_context(ScriptedPeer(url).greet())
-            experiment.join("experiment", session=session)
+    with hub(*options) as (url, process), ExitStack() as stack:
+        for number in range(8):
+            session = f"m{number}"
+            join("agent", session, receive_buffer=4096)
+            experiment = join("experiment", session)
             experiment.say(Kind.RL_AGENT_START, 1, body=huge, session=session)
         assert peak(process) <= MOST
 
