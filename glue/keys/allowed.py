@@ -3,11 +3,7 @@
     keys/hub.key_secret    the hub's own pair, made by `glue-keys new hub --dir keys`
     keys/hub.key           its public half, for everyone who may join
     keys/carol.key         the public key that Carol sent
-    keys/allow.toml        what each may be
-    keys/carol.key         the public key that Carol sent
     keys/allow.toml        the roles and sessions of each key
-    keys/carol.key         the public key that Carol sent
-    keys/allow.toml        what each may be
 
     # allow.toml
     [carol]
