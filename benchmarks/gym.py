@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.measure import Table, count, rate, rates, ratio
 from benchmarks.others import other_environments
 from env_server.mario.environment import InfiniteMario
-from env_server.mario.many.batch import Batch as Games
+from env_server.mario.many.batch import MarioBatch as Games
 from glue import (
     Action,
     Agent,

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from benchmarks.measure import Table, count, medians, ratio
 from env_server.mario import model
 from env_server.mario.environment import InfiniteMario
-from env_server.mario.many.batch import Batch
+from env_server.mario.many.batch import MarioBatch
 from glue.compiled.jit import entry
 from glue.compiled.records import Array
 from glue.engine.local import local
@@ -104,7 +104,7 @@ def _through_glue() -> float:
 
 def _batched(games: int) -> Callable[[], float]:
     def measure() -> float:
-        with Batch([InfiniteMario(level_seed=_LEVEL_SEED).parameters] * games) as batch:
+        with MarioBatch([InfiniteMario(level_seed=_LEVEL_SEED).parameters] * games) as batch:
             batch.start()
             actions = [np.tile(buttons, (games, 1)) for buttons in _BUTTONS]
             steps = 0

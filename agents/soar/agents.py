@@ -9,7 +9,7 @@ from typing import Annotated, Any, ClassVar
 
 from agents.mario.options import SarsaOptions, Seed
 from agents.soar.kernel import Kernel
-from agents.soar.link import Link
+from agents.soar.link import SoarLink
 from agents.soar.mario_link import MarioLink
 from agents.soar.player import PRODUCTIONS, MaxCycles, SoarPlayer
 from agents.soar.task_link import TaskLink
@@ -37,7 +37,7 @@ class SoarAgent(SoarPlayer):
             )
         super().__init__(Path(productions), max_cycles, seed)
 
-    def _new_link(self, kernel: Kernel, task: TaskSpec) -> Link:
+    def _new_link(self, kernel: Kernel, task: TaskSpec) -> SoarLink:
         return TaskLink(kernel, task)
 
 
@@ -49,7 +49,7 @@ class SoarMinesAgent(SoarPlayer):
     def __init__(self, *, max_cycles: MaxCycles = 100, seed: Seed = None) -> None:
         super().__init__(PRODUCTIONS / "mines.soar", max_cycles, seed)
 
-    def _new_link(self, kernel: Kernel, task: TaskSpec) -> Link:
+    def _new_link(self, kernel: Kernel, task: TaskSpec) -> SoarLink:
         return TaskLink(kernel, task)
 
 
@@ -77,7 +77,7 @@ class SoarHierarchicalAgent(SoarPlayer):
             f"decide indifferent-selection --reduction-rate epsilon exponential {options.reduction!r}",
         )
 
-    def _new_link(self, kernel: Kernel, task: TaskSpec) -> Link:
+    def _new_link(self, kernel: Kernel, task: TaskSpec) -> SoarLink:
         if task.version != MARIO:
             raise ConfigError(
                 f"agent {self.name} plays Infinite Mario only, whose task spec begins VERSION {MARIO}; "

@@ -16,7 +16,7 @@ from glue.taskspec import TaskSpec
 from glue.types import Action, Observation
 
 
-class Link(abc.ABC):
+class SoarLink(abc.ABC):
     """The input link and the output link of a Soar agent.
 
     Args:

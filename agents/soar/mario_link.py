@@ -43,7 +43,7 @@ from agents.mario.observation import (
     decode,
 )
 from agents.soar.kernel import Element, Kernel, SoarError
-from agents.soar.link import Link
+from agents.soar.link import SoarLink
 from glue.taskspec import TaskSpec
 from glue.types import Action, Observation
 
@@ -103,7 +103,7 @@ class _Column:
     elements: dict[int, Element]
 
 
-class MarioLink(Link):
+class MarioLink(SoarLink):
     """Observations of Infinite Mario for Soar, and Soar's keystrokes as actions."""
 
     def __init__(self, kernel: Kernel, task: TaskSpec) -> None:

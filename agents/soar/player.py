@@ -15,7 +15,7 @@ from typing import Annotated, ClassVar, Final
 import numpy as np
 
 from agents.soar.kernel import Kernel, require_soar
-from agents.soar.link import Link
+from agents.soar.link import SoarLink
 from agents.soar.rules import parse_rules
 from glue.errors import ConfigError, SaveError
 from glue.options import Option
@@ -58,12 +58,12 @@ class SoarPlayer(Agent):
         self._seed = seed or 0
         self._task: TaskSpec | None = None
         self._kernel: Kernel | None = None
-        self._link: Link | None = None
+        self._link: SoarLink | None = None
         self._episodes = 0
         self._cycles = 0
 
     @abc.abstractmethod
-    def _new_link(self, kernel: Kernel, task: TaskSpec) -> Link:
+    def _new_link(self, kernel: Kernel, task: TaskSpec) -> SoarLink:
         """Return the input and output links for a task.
 
         Raises:
@@ -164,7 +164,7 @@ class SoarPlayer(Agent):
         self._connected()
         self._restore(unpack(data, self.name, {}))
 
-    def _connected(self) -> tuple[Kernel, Link]:
+    def _connected(self) -> tuple[Kernel, SoarLink]:
         if self._kernel is None or self._link is None:
             raise ConfigError(f"agent {self.name} needs agent_init first")
         return self._kernel, self._link

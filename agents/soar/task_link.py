@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final
 
 from agents.soar.kernel import Element, Kernel, SoarError
-from agents.soar.link import Link
+from agents.soar.link import SoarLink
 from glue.errors import ConfigError, RemoteProtocolError
 from glue.taskspec import Range, TaskSpec
 from glue.types import Action, Observation
@@ -27,7 +27,7 @@ MAX_NUMBERS: Final = 10_000
 _CHARS: Final = "chars"
 
 
-class TaskLink(Link):
+class TaskLink(SoarLink):
     """Observations of any task for Soar, and Soar's answers as actions.
 
     Raises:

@@ -16,7 +16,7 @@ from env_server.render.artwork import PALETTE, SPRITES, TILES
 from env_server.render.drawing import CLEAR, MOUNTAINS, SKY, WIDTH, Picture, cloud, pillow, sprite, tile
 
 
-class Place(NamedTuple):
+class Rectangle(NamedTuple):
     """The rectangle of a part in the picture, in pixels."""
 
     left: int
@@ -25,9 +25,9 @@ class Place(NamedTuple):
     height: int
 
 
-def places() -> dict[str, Place]:
+def rectangles() -> dict[str, Rectangle]:
     """Return where the parts are: `tile NAME`, `cloud`, and `sprite KIND right` or `left`, and `winged`."""
-    return {name: place for name, (place, _) in _layout().items()}
+    return {name: rectangle for name, (rectangle, _) in _layout().items()}
 
 
 def colors() -> dict[str, list[str]]:
@@ -46,10 +46,13 @@ def sheet_png() -> bytes:
         ConfigError: Pillow is missing.
     """
     layout = _layout()
-    height = max(place.top + place.height for place, _ in layout.values())
+    height = max(rectangle.top + rectangle.height for rectangle, _ in layout.values())
     indices = np.full((height, WIDTH), CLEAR, np.uint8)
-    for place, part in layout.values():
-        indices[place.top : place.top + place.height, place.left : place.left + place.width] = part
+    for rectangle, part in layout.values():
+        indices[
+            rectangle.top : rectangle.top + rectangle.height,
+            rectangle.left : rectangle.left + rectangle.width,
+        ] = part
     seen = np.zeros((CLEAR + 1, 4), np.uint8)  # what is transparent is black, and so is equal everywhere
     seen[: len(PALETTE)] = [(*color, 255) for color in PALETTE.values()]
     file = io.BytesIO()
@@ -58,8 +61,8 @@ def sheet_png() -> bytes:
 
 
 @cache
-def _layout() -> Mapping[str, tuple[Place, Picture]]:
-    """Return all parts and their places: in rows, the tallest first."""
+def _layout() -> Mapping[str, tuple[Rectangle, Picture]]:
+    """Return all parts and their rectangles: in rows, the tallest first."""
     parts = {f"tile {name}": tile(name) for name in TILES} | {"cloud": cloud()}
     for kind in SPRITES:
         for winged in (False, True):
@@ -67,12 +70,12 @@ def _layout() -> Mapping[str, tuple[Place, Picture]]:
                 parts[f"sprite {kind} {side}{' winged' if winged else ''}"] = sprite(
                     kind, to_the_left, winged
                 )
-    layout: dict[str, tuple[Place, Picture]] = {}
+    layout: dict[str, tuple[Rectangle, Picture]] = {}
     left = top = row = 0
     for name, part in sorted(parts.items(), key=lambda item: (-len(item[1]), item[0])):
         height, width = part.shape
         if left + width > WIDTH:
             left, top, row = 0, top + row, 0
-        layout[name] = Place(left, top, width, height), part
+        layout[name] = Rectangle(left, top, width, height), part
         left, row = left + width, max(row, height)
     return layout

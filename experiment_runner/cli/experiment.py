@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 from click.core import ParameterSource
 
+from experiment_runner.cli.backend import backend_options, check_backend
 from experiment_runner.cli.grouped import GroupedCommand
-from experiment_runner.cli.place import check_place, place_options
 from experiment_runner.cli.planning import (
     ask_for_trust,
     find_players,
@@ -19,7 +19,7 @@ from experiment_runner.cli.planning import (
     new_directory,
     role_sweeps,
 )
-from experiment_runner.executors.settings import CHECKPOINT_EVERY, Place
+from experiment_runner.executors.settings import CHECKPOINT_EVERY, Backend
 from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import BUDGETS, COUNTS, PLAYERS, Plan, RoleSweep, budget, describe
 from experiment_runner.view.starting import check_view
@@ -170,7 +170,7 @@ class Options:
     type=click.Choice([*PLAYERS]),
     help="Run this player as an object in the hub's process; of both, it is --in-process.",
 )
-@place_options(*Place)
+@backend_options(*Backend)
 @click.option(
     "--sbatch",
     multiple=True,
@@ -294,23 +294,25 @@ def experiment(**given: Any) -> int:
     inside = [*PLAYERS] if options.in_process else options.inside or plan.inside
     roles = frozenset(PLAYERS[player] for player in inside)
     meeting = Meeting(roles, _hub_options(options), any_reward=options.any_reward)
-    place, questions = Place(options.engine), tuple(dict.fromkeys(options.ask))
-    config = RunConfig(meeting, options.checkpoint_every, place, options.workers, options.address, questions)
+    backend, questions = Backend(options.engine), tuple(dict.fromkeys(options.ask))
+    config = RunConfig(
+        meeting, options.checkpoint_every, backend, options.workers, options.address, questions
+    )
     config = replace(config, metrics=plan.metrics)
-    check_place(config)
+    check_backend(config)
     check_players(config, plan)
     if options.record is not None:
         check_recording(config, plan)
     if options.dry_run:
         click.echo(describe(plan))
         return 0
-    if options.sbatch and place is not Place.SLURM:
+    if options.sbatch and backend is not Backend.SLURM:
         raise ConfigError("--sbatch is for --engine slurm")
     if plan.tune is not None:
         if options.record or options.view or options.again or options.as_json:
             raise ConfigError("a plan with a search has no --record, --view, --again or --json")
         return carry_out_search(directory, plan, config)
-    if place is Place.SLURM:
+    if backend is Backend.SLURM:
         if options.view or options.as_json:
             raise ConfigError("a job array runs later: it has no --view and no --json")
         return carry_out_array(directory, plan, config, options.sbatch, options.again)
@@ -369,7 +371,7 @@ def _hub_options(options: Options) -> HubOptions:
     from experiment_runner.meeting.players import HubOptions
 
     in_process = options.in_process or PLAYERS.keys() <= {*options.inside}
-    isolated = in_process or options.workers or options.engine != Place.LOCAL
+    isolated = in_process or options.workers or options.engine != Backend.LOCAL
     ours = {"--bind": options.bind, "--legacy-port": options.legacy_port, "--keys": options.keys}
     hub = None if _from_variable("hub") and (isolated or any(ours.values())) else options.hub
     session = DEFAULT_SESSION if _from_variable("session") and isolated else options.session

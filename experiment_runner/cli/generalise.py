@@ -10,10 +10,10 @@ from typing import Any, TypeVar
 
 import click
 
+from experiment_runner.cli.backend import backend_options, check_backend
 from experiment_runner.cli.out import naming_out
-from experiment_runner.cli.place import check_place, place_options
 from experiment_runner.cli.planning import new_directory
-from experiment_runner.executors.settings import Place
+from experiment_runner.executors.settings import Backend
 from experiment_runner.plan.plan import RoleSpec
 from glue import __version__
 from glue.cli.shared import run
@@ -88,7 +88,7 @@ _T = TypeVar("_T")
     help="Probability of each action to be replaced by a random one.",
 )
 @click.option("--name", help="Name of the agent in the table. [default: --agent]")
-@place_options(Place.LOCAL, Place.RAY)
+@backend_options(Backend.LOCAL, Backend.RAY)
 @click.option(
     "--out",
     type=click.Path(path_type=Path),
@@ -177,12 +177,12 @@ def generalise(
     )
     config = RunConfig(
         Meeting(BOTH),
-        place=Place(engine),
+        backend=Backend(engine),
         workers=workers,
         address=address,
         questions=(LAST_REWARD, LAST_ACTIONS, *benchmark.questions),
     )
-    check_place(config)
+    check_backend(config)
     require_scipy()  # now, not after hours of playing
     is_file = out is not None and out.suffix == ".json"
     directory = out or new_directory(f"generalise-{RoleSpec(agent_name).label}")

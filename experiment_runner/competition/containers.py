@@ -23,7 +23,7 @@ import docker
 from experiment_runner.competition.jail import LABEL, check_engine, check_image, jail, user_of
 from experiment_runner.competition.remover import MODULE as REMOVER
 from experiment_runner.competition.settings import Entrant, Limits
-from experiment_runner.competition.starting import SOCKET, Place
+from experiment_runner.competition.starting import SOCKET, Launch
 from experiment_runner.meeting.watchdog import spawn
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError
@@ -64,7 +64,7 @@ class Containers:
         if warning is not None:
             self._warn(f"{entrant.name}: {warning}")
 
-    def start(self, entrant: Entrant, limits: Limits, place: Place) -> Container:
+    def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> Container:
         """Start the image in a jail of its own.
 
         Raises:
@@ -73,13 +73,13 @@ class Containers:
         """
         user, _ = user_of(self._image(entrant).get("User") or "")
         # An unprivileged user passes through; the folder above keeps other users of this machine out.
-        place.folder.chmod(0o711)
-        (place.folder / SOCKET).chmod(0o666)
+        launch.folder.chmod(0o711)
+        (launch.folder / SOCKET).chmod(0o666)
         with _asking(f"start a container for {entrant.name}"):
-            settings = {"Image": entrant.image, **jail(limits, place, user, self._podman)}
+            settings = {"Image": entrant.image, **jail(limits, launch, user, self._podman)}
             made = self._engine.containers.get(self._engine.api.create_container_from_config(settings)["Id"])
             try:
-                container = Container(made, limits, place.log, self._address.removeprefix(_UNIX))
+                container = Container(made, limits, launch.log, self._address.removeprefix(_UNIX))
                 container.start()
             except BaseException:
                 _remove(made)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from experiment_runner.competition.settings import Limits
-from experiment_runner.competition.starting import SOCKET, Place, variables
+from experiment_runner.competition.starting import SOCKET, Launch, variables
 from glue.errors import ConfigError
 
 LABEL: Final = "glue.competition"
@@ -54,24 +54,24 @@ _NEEDED: Final = {"MemoryLimit": "memory", "PidsLimit": "processes", "CpuCfsQuot
 """Limits that an engine must support: their keys in its description, and their names for people."""
 
 
-def jail(limits: Limits, place: Place, user: str, podman: bool = False) -> dict[str, Any]:
+def jail(limits: Limits, launch: Launch, user: str, podman: bool = False) -> dict[str, Any]:
     """Return the settings of a container that is a jail, as Docker's API has them.
 
     Args:
         limits: limits of the entrant.
-        place: directory and session of the entrant's hub.
+        launch: directory and session of the entrant's hub.
         user: user and group, see `user_of`.
         podman: whether the engine is podman, which takes the path of a seccomp profile instead of its text.
     """
     seccomp = str(_SECCOMP) if podman else _SECCOMP.read_text(encoding="utf-8")
     return {
-        "Env": [f"{name}={value}" for name, value in variables(_HUB, place.session).items()],
+        "Env": [f"{name}={value}" for name, value in variables(_HUB, launch.session).items()],
         "User": user,
         "Healthcheck": {"Test": ["NONE"]},  # the engine runs nothing on behalf of the image
-        "Labels": {LABEL: place.run},
+        "Labels": {LABEL: launch.run},
         "HostConfig": {
             "NetworkMode": "none",
-            "Mounts": [{"Type": "bind", "Source": str(place.folder), "Target": _FOLDER, "ReadOnly": True}],
+            "Mounts": [{"Type": "bind", "Source": str(launch.folder), "Target": _FOLDER, "ReadOnly": True}],
             "Init": True,
             "ReadonlyRootfs": True,
             "Tmpfs": {"/tmp": f"size={limits.tmp},mode=1777,nosuid,nodev,noexec"},

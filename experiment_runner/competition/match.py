@@ -3,7 +3,7 @@
     python -P -m experiment_runner.meeting.children experiment_runner.competition.match DESCRIPTOR
 
 is a worker, see `experiment_runner.executors.local`. Environment and hub are in this process; the entrant's
-program, which the starter starts, reaches nothing but the one socket of its place.
+program, which the starter starts, reaches nothing but the one socket that it is launched with.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from experiment_runner.competition.outside import InFolder, Outside, gate_for
 from experiment_runner.competition.records.replay import made_for
 from experiment_runner.competition.secret import agent_seed
 from experiment_runner.competition.settings import Entrant, Gate, Limits
-from experiment_runner.competition.starting import Place, Running, Starter
+from experiment_runner.competition.starting import Launch, Running, Starter
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Ended, Lost, Recorded, decode
 from experiment_runner.executors.local import serve
@@ -63,7 +63,7 @@ class Match:
         limits: limits of the entrant.
         steps: how many steps are played; 0 if it is the number of episodes that counts.
         log: the file for the output of the entrant.
-        run: identifies the run, see `Place`.
+        run: identifies the run, see `Launch`.
         gate: where entrants from elsewhere connect; None if there is none.
     """
 
@@ -160,9 +160,9 @@ class _Playing:
         # Nobody tells a program in a folder which session is its own; there is no other in this hub.
         session = match.entrant.name if match.entrant.folder is None else DEFAULT_SESSION
         with ExitStack() as stack:
-            place = self._place(stack.enter_context(scratch_folder()), session)
+            launch = self._launch(stack.enter_context(scratch_folder()), session)
             if match.entrant.key is None:
-                bind = Bind(place.hub, frozenset({Role.AGENT}), frozenset({session}))
+                bind = Bind(launch.hub, frozenset({Role.AGENT}), frozenset({session}))
             else:
                 bind = gate_for(match.entrant, match.gate)
             config = HubConfig(bind=(bind,), max_sessions=1, max_memory=_MAX_MEMORY, time=match.limits.time)
@@ -178,23 +178,23 @@ class _Playing:
             stack.enter_context(hub.in_background())
             glue = connect_over(InsideTransport(hub), session, log=_ignore, on_notice=self._notice)
             stack.enter_context(glue)
-            running = starter.start(match.entrant, match.limits, place)
+            running = starter.start(match.entrant, match.limits, launch)
             stack.callback(running.stop)
             stack.callback(self._over.set)
             threading.Thread(target=self._watch, args=(running, glue), name="entrant", daemon=True).start()
             self._play_or_forfeit(glue, inside, running)
 
-    def _place(self, scratch: Path, session: str) -> Place:
+    def _launch(self, scratch: Path, session: str) -> Launch:
         shared = self._match.entrant.folder
         if shared is None:
             folder = scratch / SHARED
         else:
             _, task, trial = self._match.spec.id.parts
             folder = shared / f"{task}-{trial}"
-        with reported(f"cannot make a place for {self._match.entrant.name}"):
+        with reported(f"cannot make the folder of {self._match.entrant.name}"):
             folder.mkdir(mode=0o711, exist_ok=True)
             self._match.log.parent.mkdir(parents=True, exist_ok=True)
-        return Place(folder, session, self._match.log, self._match.run)
+        return Launch(folder, session, self._match.log, self._match.run)
 
     def _play_or_forfeit(self, glue: RemoteExperiment, inside: InsideEnvironment, running: Running) -> None:
         try:

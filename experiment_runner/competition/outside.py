@@ -10,7 +10,7 @@ import threading
 from pathlib import Path
 
 from experiment_runner.competition.settings import Entrant, Gate, Limits
-from experiment_runner.competition.starting import SOCKET, Place
+from experiment_runner.competition.starting import SOCKET, Launch
 from experiment_runner.store.database import reported
 from glue.errors import ConfigError
 from glue.hub.config import Bind
@@ -49,13 +49,13 @@ class Outside:
                 "that glue-keys new has made"
             )
 
-    def start(self, entrant: Entrant, limits: Limits, place: Place) -> _Elsewhere:
+    def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> _Elsewhere:
         """Write to the log that the program is started elsewhere."""
-        with reported(f"cannot write {place.log}"):
-            place.log.write_text(
+        with reported(f"cannot write {launch.log}"):
+            launch.log.write_text(
                 f"{entrant.name} is not started here: its log is where its program is\n", encoding="utf-8"
             )
-        return _Elsewhere(place.log)
+        return _Elsewhere(launch.log)
 
     def sweep(self, run: str) -> None:
         """Do nothing: nothing was started here."""
@@ -72,10 +72,10 @@ class InFolder(Outside):
                 "only the entrant's program access to it"
             )
 
-    def start(self, entrant: Entrant, limits: Limits, place: Place) -> _Elsewhere:
+    def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> _Elsewhere:
         """Let any user connect; write to the log that the program is started elsewhere."""
-        (place.folder / SOCKET).chmod(0o666)
-        return super().start(entrant, limits, place)
+        (launch.folder / SOCKET).chmod(0o666)
+        return super().start(entrant, limits, launch)
 
 
 class _Elsewhere:

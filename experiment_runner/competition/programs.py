@@ -11,7 +11,7 @@ from typing import Final
 
 from experiment_runner.competition.keeper import CANNOT_START, MODULE
 from experiment_runner.competition.settings import Entrant, Limits
-from experiment_runner.competition.starting import Place, variables
+from experiment_runner.competition.starting import Launch, variables
 from experiment_runner.meeting.children import how_it_ended
 from experiment_runner.meeting.watchdog import spawn
 from glue.errors import ConfigError, ExperimentError
@@ -31,9 +31,9 @@ class Programs:
                 "name it with its path"
             )
 
-    def start(self, entrant: Entrant, limits: Limits, place: Place) -> _Program:
+    def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> _Program:
         """Start the command."""
-        return _Program(entrant, limits, place)
+        return _Program(entrant, limits, launch)
 
     def sweep(self, run: str) -> None:
         """Do nothing: a program ends with the process that started it."""
@@ -42,11 +42,13 @@ class Programs:
 class _Program:
     """A command and its keeper, see `experiment_runner.competition.keeper`."""
 
-    def __init__(self, entrant: Entrant, limits: Limits, place: Place) -> None:
-        self.log: Path = place.log
-        arguments = [str(place.log), str(limits.log), *entrant.command]
+    def __init__(self, entrant: Entrant, limits: Limits, launch: Launch) -> None:
+        self.log: Path = launch.log
+        arguments = [str(launch.log), str(limits.log), *entrant.command]
         try:
-            self._keeper = spawn(MODULE, arguments, env={**os.environ, **variables(place.hub, place.session)})
+            self._keeper = spawn(
+                MODULE, arguments, env={**os.environ, **variables(launch.hub, launch.session)}
+            )
         except OSError as error:
             raise ExperimentError(f"cannot start {entrant.name}: {error}") from error
 

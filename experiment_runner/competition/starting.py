@@ -1,7 +1,7 @@
 """The start of an entrant's program for one trial of a task: an interface for all kinds of entrants.
 
-An entrant is given a place: a directory with the Unix socket `hub`, on which the hub of this trial admits
-only the agent of one session. Nothing else connects the entrant with the competition.
+An entrant is launched with a directory that holds the Unix socket `hub`, on which the hub of this trial
+admits only the agent of one session. Nothing else connects the entrant with the competition.
 
 `programs` starts trusted commands of this machine, `outside` waits for entrants from elsewhere, and
 `containers` starts images.
@@ -18,12 +18,12 @@ from typing import Final, Protocol
 from experiment_runner.competition.settings import Entrant, Limits
 
 SOCKET: Final = "hub"
-"""Name of the hub's Unix socket in the folder of a place."""
+"""Name of the hub's Unix socket in a launch's folder."""
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """The meeting point of an entrant and its hub in one trial of a task.
+class Launch:
+    """The circumstances of an entrant's program in one trial of a task.
 
     Args:
         folder: a directory that holds only the socket `hub`.
@@ -78,7 +78,7 @@ class Starter(Protocol):
         """
         ...
 
-    def start(self, entrant: Entrant, limits: Limits, place: Place) -> Running:
+    def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> Running:
         """Start the entrant's program, a new one in each trial.
 
         It must end when this process ends, however that is ended.
@@ -94,7 +94,7 @@ class Starter(Protocol):
 
 
 def name_of_run(directory: Path) -> str:
-    """Return the id of a run among all runs of this machine: `Place.run`.
+    """Return the id of a run among all runs of this machine: `Launch.run`.
 
     Only the holder of the directory's lock starts entrants under this name. So containers that have it when a
     run begins were left behind by one that was killed.
@@ -103,5 +103,5 @@ def name_of_run(directory: Path) -> str:
 
 
 def variables(hub: str, session: str) -> Mapping[str, str]:
-    """Return the environment variables by which an entrant's program finds its place."""
+    """Return the environment variables by which an entrant's program finds its hub and its session."""
     return {"GLUE_HUB": hub, "GLUE_SESSION": session}

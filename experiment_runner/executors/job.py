@@ -75,7 +75,7 @@ class Happened(NamedTuple):
 
 
 class Joined(NamedTuple):
-    """A player joined from outside; see `experiment_runner.store.records.Player`.
+    """A player joined from outside; see `experiment_runner.store.records.OutsidePlayer`.
 
     `seeded` is false if it is known to take no seed.
     """

@@ -11,7 +11,7 @@ from experiment_runner.executors.job import Job, Report
 from experiment_runner.executors.local import LocalExecutor
 from experiment_runner.executors.ray_cluster import RayExecutor
 from experiment_runner.executors.resume import remaining
-from experiment_runner.executors.settings import CHECKPOINT_EVERY, Place
+from experiment_runner.executors.settings import CHECKPOINT_EVERY, Backend
 from experiment_runner.executors.trial import Start
 from experiment_runner.executors.trials import Trials
 from experiment_runner.meeting.players import Meeting
@@ -29,7 +29,7 @@ class RunConfig:
     Args:
         meeting: the way in which the players of each trial are connected.
         checkpoint_every: number of episodes between checkpoints; 0 for none.
-        place: the kind of machine on which trials run.
+        backend: the kind of machine on which trials run.
         workers: maximum number of concurrent trials, each in its own process, or of a job array's tasks. None
             for one after the other in this process, for the number of processors of a cluster, or no limit.
         address: address of the Ray cluster; None for the one that Ray finds, or one on this machine.
@@ -39,7 +39,7 @@ class RunConfig:
 
     meeting: Meeting = field(default_factory=Meeting)
     checkpoint_every: int = CHECKPOINT_EVERY
-    place: Place = Place.LOCAL
+    backend: Backend = Backend.LOCAL
     workers: int | None = None
     address: str | None = None
     questions: tuple[str, ...] = ()
@@ -48,7 +48,7 @@ class RunConfig:
     @property
     def parallel(self) -> bool:
         """Whether trials run in processes of their own, at the same time."""
-        return self.place is not Place.LOCAL or self.workers is not None
+        return self.backend is not Backend.LOCAL or self.workers is not None
 
 
 def run_trials(
@@ -106,6 +106,6 @@ def run_trials(
 
 
 def _executor(config: RunConfig) -> Executor[Job, Report] | None:
-    if config.place is Place.RAY:
+    if config.backend is Backend.RAY:
         return RayExecutor(config.address, config.workers)
     return None if config.workers is None else LocalExecutor(config.workers)

@@ -9,7 +9,7 @@ CHECKPOINT_EVERY: Final = 100
 """Default number of episodes between checkpoints."""
 
 
-class Place(StrEnum):
+class Backend(StrEnum):
     """Where trials run: on this machine, on a Ray cluster, or as tasks of a SLURM job array."""
 
     LOCAL = "local"

@@ -29,7 +29,7 @@ from experiment_runner.executors.resume import go_back, remaining
 from experiment_runner.executors.trial import BEGINNING, Start
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.progress import Reporter
-from experiment_runner.store.meetings import Meetings, Place
+from experiment_runner.store.meetings import LiveSession, Meetings
 from experiment_runner.store.records import UNSEEDED
 from experiment_runner.store.store import Store
 from glue.closing import Closing
@@ -116,7 +116,7 @@ class Trials(Closing):
                 if report.checkpoint is not None:
                     self.commit()
             case Met(hub, session):
-                self._meetings.begin(trial_id, Place(hub, session))
+                self._meetings.begin(trial_id, LiveSession(hub, session))
             case Said(line):
                 self._say(trial_id, line)
             case Voided(episode, why):

@@ -23,7 +23,7 @@ _MOST_BYTES: Final = 2**18
 _LOOPBACK: Final = ("127.0.0.1", "::1", "localhost")
 
 
-class Place(NamedTuple):
+class LiveSession(NamedTuple):
     """The hub of a trial: its URL, and the session's name."""
 
     hub: str
@@ -40,59 +40,59 @@ class Meetings:
 
     def __init__(self, directory: Path) -> None:
         self._path = directory / MEETINGS_FILE
-        self._places: dict[str, Place] = {}
+        self._live: dict[str, LiveSession] = {}
         self._write()  # removes the file of a killed process
 
-    def begin(self, trial_id: str, place: Place) -> None:
+    def begin(self, trial_id: str, live: LiveSession) -> None:
         """Note where a trial is played."""
-        self._places[trial_id] = place
+        self._live[trial_id] = live
         self._write()
 
     def end(self, trial_id: str) -> None:
         """Note that it is over."""
-        if self._places.pop(trial_id, None) is not None:
+        if self._live.pop(trial_id, None) is not None:
             self._write()
 
     def close(self) -> None:
         """Remove the file."""
-        self._places.clear()
+        self._live.clear()
         self._write()
 
     def _write(self) -> None:
         new = self._path.with_name(f".{MEETINGS_FILE}.{os.getpid()}")
         with suppress(OSError):
-            if not self._places:
+            if not self._live:
                 self._path.unlink(missing_ok=True)
                 return
             new.unlink(missing_ok=True)
             file = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
             with os.fdopen(file, "w") as opened:
-                json.dump(self._places, opened)
+                json.dump(self._live, opened)
             new.replace(self._path)
 
 
-def meetings_in(directory: Path) -> dict[str, Place]:
+def meetings_in(directory: Path) -> dict[str, LiveSession]:
     """Return the hubs of the trials in progress, by id, that belong to this user or this machine."""
     try:
         fields: Any = json.loads(read_regular(directory / MEETINGS_FILE, _MOST_BYTES, own=True))
-        places = {str(trial_id): Place(hub, session) for trial_id, (hub, session) in fields.items()}
+        found = {str(trial_id): LiveSession(hub, session) for trial_id, (hub, session) in fields.items()}
     except (ValueError, TypeError, AttributeError, RecursionError):
         return {}
-    return {trial_id: place for trial_id, place in places.items() if _is_ours(place)}
+    return {trial_id: live for trial_id, live in found.items() if _is_ours(live)}
 
 
-def _is_ours(place: Place) -> bool:
+def _is_ours(live: LiveSession) -> bool:
     """Check that a hub is a socket of this user's, or listens on this machine."""
-    if not (isinstance(place.hub, str) and isinstance(place.session, str)):
+    if not (isinstance(live.hub, str) and isinstance(live.session, str)):
         return False
     try:
-        check_url(place.hub)
-        check_session(place.session)
+        check_url(live.hub)
+        check_session(live.session)
     except ConfigError:
         return False
-    scheme, _, path = place.hub.partition("://")
+    scheme, _, path = live.hub.partition("://")
     if scheme == "tcp":
-        return urlsplit(place.hub).hostname in _LOOPBACK
+        return urlsplit(live.hub).hostname in _LOOPBACK
     try:
         status = os.lstat(path)
     except (OSError, ValueError):

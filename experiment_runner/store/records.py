@@ -192,7 +192,7 @@ class Event(NamedTuple):
     text: str
 
 
-class Player(NamedTuple):
+class OutsidePlayer(NamedTuple):
     """A player that joined a trial from outside.
 
     time      of joining, in seconds since 1970, UTC

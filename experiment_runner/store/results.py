@@ -22,7 +22,7 @@ from experiment_runner.store.records import (
     EpisodeResult,
     Event,
     Outcome,
-    Player,
+    OutsidePlayer,
     Totals,
     TrialRecord,
     Verdict,
@@ -207,14 +207,14 @@ class Results(Closing):
         self._check(rows, (_NUMBER, _TEXT_OR_NULL, _TEXT, _TEXT), timed=True)
         return [Event(*row) for row in rows]
 
-    def players(self) -> list[Player]:
+    def players(self) -> list[OutsidePlayer]:
         """Return the players that joined from outside, oldest first."""
         rows = self._query(
             """SELECT time, id, role, name, program FROM players JOIN trials ON key = trial
                 ORDER BY players.rowid"""
         )
         self._check(rows, (_NUMBER, _TEXT, _TEXT, _TEXT, _TEXT_OR_NULL), timed=True)
-        return [Player(*row) for row in rows]
+        return [OutsidePlayer(*row) for row in rows]
 
     def metric_names(self) -> list[str]:
         """Return the names of all metrics of the run, sorted."""

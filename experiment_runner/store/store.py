@@ -31,7 +31,7 @@ from experiment_runner.store.records import (
     Checkpoint,
     EpisodeResult,
     Outcome,
-    Player,
+    OutsidePlayer,
     Reading,
     Verdict,
 )
@@ -221,9 +221,9 @@ class Store(Results):
         key = None if trial_id is None else self._key(trial_id)
         self._execute(_PUT_EVENT, self._clock(), key, kind, text)
 
-    def record_player(self, trial_id: str, role: str, name: str, program: str | None) -> Player:
+    def record_player(self, trial_id: str, role: str, name: str, program: str | None) -> OutsidePlayer:
         """Commit, also as an event, that a player joined a trial from outside; return its record."""
-        player = Player(self._clock(), trial_id, role, name, program)
+        player = OutsidePlayer(self._clock(), trial_id, role, name, program)
         self._execute(_PUT_PLAYER, player.time, self._key(trial_id), role, name, program)
         self.record_event("joined", f"{player} joined", trial_id)
         return player

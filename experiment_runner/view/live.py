@@ -16,11 +16,11 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
-from experiment_runner.store.meetings import Place, meetings_in
+from experiment_runner.store.meetings import LiveSession, meetings_in
 from experiment_runner.view.catalog import Catalog
 from experiment_runner.view.episodes import described, number
 from experiment_runner.view.stream import Pulse, Topic
-from glue.client.observer import Answer, Seen, Start, Step, TaskSpecSeen, observe
+from glue.client.observer import AnswerSeen, Seen, StartSeen, StepSeen, TaskSpecSeen, observe
 from glue.errors import GlueError
 from glue.types import CUT_OFF, Action
 
@@ -80,19 +80,19 @@ class _Watch:
 
     def _work(self) -> None:
         while not self.over.is_set():
-            places = meetings_in(self._directory)
-            self._put("trials", sorted(places))
-            trial = self._trial or min(places, default="")
-            if trial in places:
+            meetings = meetings_in(self._directory)
+            self._put("trials", sorted(meetings))
+            trial = self._trial or min(meetings, default="")
+            if trial in meetings:
                 # It may be over at any time: whether it goes on is seen at the next look.
                 with suppress(GlueError, OSError):
-                    self._watch(trial, places[trial])
+                    self._watch(trial, meetings[trial])
             self._put("trial", None)
             self.over.wait(_LOOK_SECONDS)
 
-    def _watch(self, trial: str, place: Place) -> None:
+    def _watch(self, trial: str, live: LiveSession) -> None:
         with observe(
-            place.hub, place.session, name="glue-view", wait=_WAIT_SECONDS, log=lambda line: None
+            live.hub, live.session, name="glue-view", wait=_WAIT_SECONDS, log=lambda line: None
         ) as observer:
             self._put("trial", trial)
             self._answers = {}
@@ -104,9 +104,9 @@ class _Watch:
                 now = time.monotonic()
                 if now - looked >= _LOOK_SECONDS:
                     looked = now
-                    places = meetings_in(self._directory)
-                    self._put("trials", sorted(places))
-                    if places.get(trial) != place or not observer.connected:
+                    meetings = meetings_in(self._directory)
+                    self._put("trials", sorted(meetings))
+                    if meetings.get(trial) != live or not observer.connected:
                         return  # a hub that was killed says no goodbye
                 self.over.wait(max(0.0, asked + 1 / _RATE - now))
                 asked = time.monotonic()
@@ -116,13 +116,13 @@ class _Watch:
         match seen:
             case TaskSpecSeen(text):
                 self._put("spec", described(text))
-            case Answer(message, answer):
+            case AnswerSeen(message, answer):
                 if len(self._answers) < _MOST_MESSAGES or message in self._answers:
                     self._answers = {**self._answers, message[:_MOST_TEXT]: answer[:_MOST_TEXT]}
                     self._put("answers", [*self._answers.items()])
-            case Start(_, observation):
-                self._put("moment", _moment(Step(0, 1, 0.0, 0.0, False, observation, Action())))
-            case Step():
+            case StartSeen(_, observation):
+                self._put("moment", _moment(StepSeen(0, 1, 0.0, 0.0, False, observation, Action())))
+            case StepSeen():
                 self._put("moment", _moment(seen))
 
     def _put(self, key: str, value: object) -> None:
@@ -132,7 +132,7 @@ class _Watch:
             self.over.set()
 
 
-def _moment(step: Step) -> dict[str, Any]:
+def _moment(step: StepSeen) -> dict[str, Any]:
     """Return a moment as JSON; action and observation are one after the other, in base64."""
     seen = step.action.body + step.observation.body
     ending = "cut off" if step.terminal == CUT_OFF else "terminal" if step.terminal else ""

@@ -15,7 +15,7 @@ _message: Final = tuple.__new__
 """Makes a named tuple at half the cost of calling its class."""
 
 
-class Player:
+class ServedPlayer:
     """One agent or environment, in one session: its calls, and its last answer.
 
     Attributes:

@@ -7,7 +7,7 @@
         for seen in observer:
             print(seen)
 
-What is seen is a `Start`, a `Step`, a `TaskSpecSeen` or an `Answer`. An observer is shown as many moments,
+It yields `StartSeen`, `StepSeen`, `TaskSpecSeen` and `AnswerSeen`. An observer is shown as many moments,
 that is starts and steps, as it wants, and misses the others.
 """
 
@@ -31,14 +31,14 @@ class TaskSpecSeen(NamedTuple):
     text: str
 
 
-class Start(NamedTuple):
+class StartSeen(NamedTuple):
     """An episode has begun. `episode` counts those that began since the session was first observed."""
 
     episode: int
     observation: Observation
 
 
-class Step(NamedTuple):
+class StepSeen(NamedTuple):
     """A step of the environment, with the counters of the episode after it.
 
     `episode` is 0 if it began before the session was observed; `num_steps` is RL_num_steps, and `terminal`
@@ -54,14 +54,14 @@ class Step(NamedTuple):
     action: Action
 
 
-class Answer(NamedTuple):
+class AnswerSeen(NamedTuple):
     """The agent's answer to a message from the experiment."""
 
     message: str
     answer: str
 
 
-Seen = TaskSpecSeen | Start | Step | Answer
+Seen = TaskSpecSeen | StartSeen | StepSeen | AnswerSeen
 
 
 def observe(
@@ -173,23 +173,23 @@ class Observer(Closing):
             self._link.send(Message(Kind.OBSERVE, self._session, 0, (self._wanted,)))
 
 
-def _step(message: Message) -> Step:
+def _step(message: Message) -> StepSeen:
     body = message.body
     cut = body_size(body)
     counters: Any = message.scalars
     episode, num_steps, episode_return, reward, terminal = counters
     seen = Observation.from_body(body[:cut]), Action.from_body(body[cut:])
-    return Step(episode, num_steps, episode_return, reward, terminal, *seen)
+    return StepSeen(episode, num_steps, episode_return, reward, terminal, *seen)
 
 
-def _start(message: Message) -> Start:
+def _start(message: Message) -> StartSeen:
     (episode,) = message.scalars
     assert isinstance(episode, int)
-    return Start(episode, Observation.from_body(message.body))
+    return StartSeen(episode, Observation.from_body(message.body))
 
 
-def _answer(message: Message) -> Answer:
-    return Answer(str(message.scalars[0]), message.body.decode(errors="replace"))
+def _answer(message: Message) -> AnswerSeen:
+    return AnswerSeen(str(message.scalars[0]), message.body.decode(errors="replace"))
 
 
 _MOMENTS: Final = frozenset({Kind.OBSERVED_START, Kind.OBSERVED_STEP})

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from glue.client.answers import Player
+from glue.client.answers import ServedPlayer
 from glue.client.link import Link, Log
 from glue.client.target import Target, find_target
 from glue.console import reporting, say, show_failure
@@ -99,7 +99,7 @@ def _serve(
     log: Log,
     stop: threads.Event | None,
 ) -> str:
-    served = {session: Player(role, player) for session, player in players.items()}
+    served = {session: ServedPlayer(role, player) for session, player in players.items()}
     names = {session: (player.name, player.capabilities) for session, player in served.items()}
     link = Link(role, target.hub, names, wait, context, log, key=target.key)
     reason = "interrupted"

@@ -20,7 +20,7 @@ from glue.trajectory.actions import ActionSteps, ActionWriter, Block
 from glue.trajectory.limits import MAX_BODY, MAX_EPISODE, MAX_STEPS, MAX_TEXT
 from glue.trajectory.reader import TrajectoryReader
 from glue.trajectory.records import MAGIC, Answer, Ending, Episode, Run
-from glue.trajectory.steps import Step
+from glue.trajectory.steps import Transition
 from glue.trajectory.unpacked import TrajectoryError
 from glue.trajectory.writer import TrajectoryWriter
 
@@ -37,8 +37,8 @@ __all__ = [
     "Ending",
     "Episode",
     "Run",
-    "Step",
     "TrajectoryError",
     "TrajectoryReader",
     "TrajectoryWriter",
+    "Transition",
 ]

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from glue.errors import LocalProtocolError
 from glue.trajectory import limits
 from glue.trajectory.records import BEGIN, BLOCK, END_OF, MAGIC, Ending, Run, run_record
-from glue.trajectory.steps import Step, StepSequence
+from glue.trajectory.steps import StepSequence, Transition
 from glue.trajectory.unpacked import GZIP, Unpacked
 from glue.types import Action
 
@@ -67,12 +67,12 @@ class ActionSteps(StepSequence):
     def __len__(self) -> int:
         return self._ends[-1] if self._ends else 0
 
-    def _step(self, index: int) -> Step:
+    def _step(self, index: int) -> Transition:
         number = bisect_right(self._ends, index)
         actions, choices, rewards = self.blocks[number]
         at = index - self._ends[number]  # from the block's end
         terminal = self._terminal and index == len(self) - 1
-        return Step(Action.from_body(actions[choices[at]]), rewards[at].item(), None, terminal)
+        return Transition(Action.from_body(actions[choices[at]]), rewards[at].item(), None, terminal)
 
 
 class ActionWriter:

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 from glue.errors import LocalProtocolError
 from glue.options import Value
 from glue.trajectory import limits
-from glue.trajectory.steps import Step
+from glue.trajectory.steps import Transition
 from glue.types import Observation
 
 MAGIC: Final = b"GLUETRJ1"
@@ -82,7 +82,7 @@ class Episode:
     run: Run
     messages: tuple[str, ...]
     start: Observation | None
-    steps: Sequence[Step]
+    steps: Sequence[Transition]
     ending: Ending
     answers: tuple[Answer, ...] = ()
 

@@ -13,7 +13,7 @@ from glue.types import Action, Observation, body_size
 _REWARD: Final = struct.Struct("<d")
 
 
-class Step(NamedTuple):
+class Transition(NamedTuple):
     """An action and its outcome; the observation is None in an actions-only recording."""
 
     action: Action
@@ -22,25 +22,25 @@ class Step(NamedTuple):
     terminal: bool
 
 
-class StepSequence(Sequence[Step]):
+class StepSequence(Sequence[Transition]):
     """The steps of an episode, decoded one at a time when they are accessed; equal to any sequence of equal
     steps."""
 
     @abstractmethod
-    def _step(self, index: int) -> Step:
+    def _step(self, index: int) -> Transition:
         """Return the step of an index from 0 to the length less 1."""
 
     @overload
-    def __getitem__(self, index: int) -> Step: ...
+    def __getitem__(self, index: int) -> Transition: ...
     @overload
-    def __getitem__(self, index: slice) -> tuple[Step, ...]: ...
-    def __getitem__(self, index: int | slice) -> Step | tuple[Step, ...]:
+    def __getitem__(self, index: slice) -> tuple[Transition, ...]: ...
+    def __getitem__(self, index: int | slice) -> Transition | tuple[Transition, ...]:
         which = range(len(self))[index]
         if isinstance(which, range):
             return tuple(map(self._step, which))
         return self._step(which)
 
-    def __iter__(self) -> Iterator[Step]:
+    def __iter__(self) -> Iterator[Transition]:
         return map(self._step, range(len(self)))
 
     def __eq__(self, other: object) -> bool:
@@ -74,13 +74,13 @@ class Steps(StepSequence):
     def __len__(self) -> int:
         return len(self._starts)
 
-    def _step(self, index: int) -> Step:
+    def _step(self, index: int) -> Transition:
         start = self._starts[index]
         end = self._starts[index + 1] if index + 1 < len(self) else len(self._data)
         record = bytes(memoryview(self._data)[start:end])
         (reward,) = _REWARD.unpack_from(record)
         middle = _REWARD.size + body_size(record, _REWARD.size)
-        return Step(
+        return Transition(
             Action._wrap(record[_REWARD.size : middle]),
             reward,
             Observation._wrap(record[middle:]),

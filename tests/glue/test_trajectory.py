@@ -26,10 +26,10 @@ from glue.trajectory import (
     Ending,
     Episode,
     Run,
-    Step,
     TrajectoryError,
     TrajectoryReader,
     TrajectoryWriter,
+    Transition,
     limits,
 )
 from glue.types import Action, Observation
@@ -92,8 +92,8 @@ def test_written_episodes_are_read_back(tmp_path: Path) -> None:
     first, second, third, fourth = read(path)
     assert (first.run, first.messages, first.start) == (RUN, (), observation(1))
     assert first.steps == (
-        Step(Action([2], [0.5], b"x"), -0.0, observation(3), False),
-        Step(Action(), 1e300, observation(4), True),
+        Transition(Action([2], [0.5], b"x"), -0.0, observation(3), False),
+        Transition(Action(), 1e300, observation(4), True),
     )
     assert str(first.steps[0].reward) == "-0.0"
     assert first.ending is Ending.TERMINAL
@@ -143,7 +143,9 @@ def test_round_trip(tmp_path_factory: pytest.TempPathFactory, recorded: list[tup
                 ending = Ending.CUTOFF
             last = len(path_taken) - 1
             taken = tuple(
-                Step(Action(*action), reward, Observation(*seen), ending is Ending.TERMINAL and i == last)
+                Transition(
+                    Action(*action), reward, Observation(*seen), ending is Ending.TERMINAL and i == last
+                )
                 for i, (action, reward, seen) in enumerate(path_taken)
             )
             expected.append(Episode(run, tuple(messages), Observation(*start), taken, ending))
@@ -205,7 +207,7 @@ def test_answers_of_an_episode_are_limited_for_writer_and_reader(
 
 def test_episode_return_adds_in_order() -> None:
     rewards = [1e16, 1.0, -1e16]
-    taken = tuple(Step(Action(), reward, Observation(), False) for reward in rewards)
+    taken = tuple(Transition(Action(), reward, Observation(), False) for reward in rewards)
     assert Episode(RUN, (), Observation(), taken, Ending.CUTOFF).episode_return == 0.0
 
 

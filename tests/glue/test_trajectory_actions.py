@@ -20,9 +20,9 @@ from glue.trajectory import (
     Ending,
     Episode,
     Run,
-    Step,
     TrajectoryError,
     TrajectoryReader,
+    Transition,
     limits,
 )
 from glue.trajectory.records import run_record
@@ -89,8 +89,8 @@ def test_a_long_episode_has_several_blocks(tmp_path: Path) -> None:
     assert isinstance(long.steps, ActionSteps)
     assert [len(block.choices) for block in long.steps.blocks] == [limits.MAX_BLOCK, limits.MAX_BLOCK, 5]
     at = limits.MAX_BLOCK
-    assert long.steps[at - 1 : at + 1] == tuple(Step(*steps[i], None, False) for i in (at - 1, at))
-    assert long.steps[-1] == Step(*steps[-1], None, True)
+    assert long.steps[at - 1 : at + 1] == tuple(Transition(*steps[i], None, False) for i in (at - 1, at))
+    assert long.steps[-1] == Transition(*steps[-1], None, True)
     assert (len(short.steps), short.episode_return) == (3, 3.0)
 
 

@@ -16,7 +16,7 @@ import pytest
 from experiment_runner.competition.containers import Container, Containers
 from experiment_runner.competition.jail import LABEL
 from experiment_runner.competition.settings import Entrant, Limits
-from experiment_runner.competition.starting import SOCKET, Place
+from experiment_runner.competition.starting import SOCKET, Launch
 from glue.errors import ConfigError
 from tests.system.runs import wait_until
 
@@ -34,17 +34,17 @@ Run = Callable[..., Container]
 
 
 @pytest.fixture
-def place(tmp_path: Path) -> Iterator[Place]:
-    folder = tmp_path / "place"
+def launch(tmp_path: Path) -> Iterator[Launch]:
+    folder = tmp_path / "launch"
     folder.mkdir()
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(str(folder / SOCKET))
         listening.listen()
-        yield Place(folder, "easy/honest/0", tmp_path / "log", f"test {tmp_path}")
+        yield Launch(folder, "easy/honest/0", tmp_path / "log", f"test {tmp_path}")
 
 
 @pytest.fixture
-def run(image: Callable[..., str], place: Place) -> Iterator[Run]:
+def run(image: Callable[..., str], launch: Launch) -> Iterator[Run]:
     """Return a function that runs a Python program in a jail."""
     containers = Containers(warn=lambda line: None)
     started: list[Container] = []
@@ -52,7 +52,7 @@ def run(image: Callable[..., str], place: Place) -> Iterator[Run]:
     def run(program: str, *lines: str) -> Container:
         command = json.dumps(["python3", "-u", "-c", program])
         entrant = Entrant("alice", image=image("USER 1234:1234", *lines, f"CMD {command}"))
-        container = containers.start(entrant, _LIMITS, place)
+        container = containers.start(entrant, _LIMITS, launch)
         started.append(container)
         return container
 
@@ -68,7 +68,7 @@ def printed(container: Container) -> str:
     return container.log.read_text(errors="replace")
 
 
-def test_it_reaches_the_hub_and_finds_its_place_in_the_environment(run: Run) -> None:
+def test_it_reaches_the_hub_and_finds_its_session_in_the_environment(run: Run) -> None:
     said = printed(
         run(
             "import os, socket\n"
@@ -125,9 +125,9 @@ def test_it_does_not_see_the_load_of_the_machine(run: Run) -> None:
     assert {line.split()[1] for line in said.splitlines()} == {"0"}, said
 
 
-def test_what_it_may_use_is_limited(engine: Any, run: Run, place: Place) -> None:
+def test_what_it_may_use_is_limited(engine: Any, run: Run, launch: Launch) -> None:
     run("import time; time.sleep(1000)")
-    (container,) = engine.containers.list(filters={"label": f"{LABEL}={place.run}"})
+    (container,) = engine.containers.list(filters={"label": f"{LABEL}={launch.run}"})
     settings = container.attrs["HostConfig"]
     assert settings["Memory"] == settings["MemorySwap"] == _LIMITS.memory
     assert settings["PidsLimit"] == _LIMITS.pids
@@ -182,7 +182,7 @@ def test_how_it_ended_is_said_as_of_any_program(run: Run) -> None:
         assert container.reason == reason
 
 
-def test_nothing_of_it_is_left_when_it_is_stopped(engine: Any, run: Run, place: Place) -> None:
+def test_nothing_of_it_is_left_when_it_is_stopped(engine: Any, run: Run, launch: Launch) -> None:
     program = (
         "import subprocess, time\n"
         "subprocess.Popen(['sleep', '1000'], start_new_session=True)\n"
@@ -194,7 +194,7 @@ def test_nothing_of_it_is_left_when_it_is_stopped(engine: Any, run: Run, place: 
     container.stop()
     container.stop()
     assert container.reason is None
-    assert not engine.containers.list(all=True, filters={"label": f"{LABEL}={place.run}"})
+    assert not engine.containers.list(all=True, filters={"label": f"{LABEL}={launch.run}"})
 
 
 def test_a_program_that_prints_without_end_waits_and_leaves_a_short_log(run: Run) -> None:
@@ -210,12 +210,12 @@ def test_the_last_words_are_kept(run: Run) -> None:
     assert len(said) == _LIMITS.log
 
 
-def test_what_an_organiser_that_was_killed_left_is_swept(engine: Any, run: Run, place: Place) -> None:
+def test_what_an_organiser_that_was_killed_left_is_swept(engine: Any, run: Run, launch: Launch) -> None:
     run("import time; time.sleep(1000)")
     Containers().sweep("another run")
-    assert len(engine.containers.list(filters={"label": f"{LABEL}={place.run}"})) == 1
-    Containers().sweep(place.run)
-    assert not engine.containers.list(all=True, filters={"label": f"{LABEL}={place.run}"})
+    assert len(engine.containers.list(filters={"label": f"{LABEL}={launch.run}"})) == 1
+    Containers().sweep(launch.run)
+    assert not engine.containers.list(all=True, filters={"label": f"{LABEL}={launch.run}"})
 
 
 _STARTER = """
@@ -223,24 +223,24 @@ import sys, time
 from pathlib import Path
 from experiment_runner.competition.containers import Containers
 from experiment_runner.competition.settings import Entrant, Limits
-from experiment_runner.competition.starting import Place
+from experiment_runner.competition.starting import Launch
 
 image, folder, run = sys.argv[1:]
-Containers().start(Entrant("alice", image=image), Limits(), Place(Path(folder), "s", Path("log"), run))
+Containers().start(Entrant("alice", image=image), Limits(), Launch(Path(folder), "s", Path("log"), run))
 print("started", flush=True)
 time.sleep(1000)
 """
 
 
-def test_it_ends_with_whoever_started_it(engine: Any, image: Callable[..., str], place: Place) -> None:
+def test_it_ends_with_whoever_started_it(engine: Any, image: Callable[..., str], launch: Launch) -> None:
     tag = image("USER 1234:1234", "CMD sleep 1000")
     starter = subprocess.Popen(
-        [sys.executable, "-c", _STARTER, tag, str(place.folder), place.run], stdout=subprocess.PIPE
+        [sys.executable, "-c", _STARTER, tag, str(launch.folder), launch.run], stdout=subprocess.PIPE
     )
     assert starter.stdout is not None
     with starter.stdout:
         assert starter.stdout.readline() == b"started\n"
-    label = {"label": f"{LABEL}={place.run}"}
+    label = {"label": f"{LABEL}={launch.run}"}
     assert len(engine.containers.list(filters=label)) == 1
     starter.kill()
     starter.wait()
@@ -250,9 +250,9 @@ def test_it_ends_with_whoever_started_it(engine: Any, image: Callable[..., str],
     )
 
 
-def test_an_image_that_cannot_run_is_its_entrants_fault(image: Callable[..., str], place: Place) -> None:
+def test_an_image_that_cannot_run_is_its_entrants_fault(image: Callable[..., str], launch: Launch) -> None:
     entrant = Entrant("alice", image=image("USER 1000", 'ENTRYPOINT ["/no/such/program"]'))
-    container = Containers().start(entrant, _LIMITS, place)
+    container = Containers().start(entrant, _LIMITS, launch)
     assert container.wait(_SECONDS)
     assert container.reason == "ended with status 127"
     container.stop()
@@ -263,14 +263,14 @@ def test_an_image_that_cannot_run_is_its_entrants_fault(image: Callable[..., str
     ("lines", "warned"), [(["USER 1000"], False), ([], True), (["USER root"], True), (["USER nobody"], True)]
 )
 def test_an_image_that_runs_as_root_is_run_as_nobody_with_a_warning(
-    image: Callable[..., str], place: Place, lines: list[str], warned: bool
+    image: Callable[..., str], launch: Launch, lines: list[str], warned: bool
 ) -> None:
     warnings: list[str] = []
     containers = Containers(warnings.append)
     entrant = Entrant("alice", image=image(*lines, "CMD id -u"))
     containers.check(entrant)
     assert bool(warnings) == warned
-    assert printed(containers.start(entrant, _LIMITS, place)) == ("65534\n" if warned else "1000\n")
+    assert printed(containers.start(entrant, _LIMITS, launch)) == ("65534\n" if warned else "1000\n")
 
 
 def test_an_image_with_a_volume_could_fill_the_disk(image: Callable[..., str]) -> None:
@@ -301,9 +301,9 @@ def test_an_engine_elsewhere_cannot_reach_the_hub(monkeypatch: pytest.MonkeyPatc
         Containers().check(Entrant("alice", image="alice/agent:1"))
 
 
-def test_an_engine_that_lets_only_others_in(monkeypatch: pytest.MonkeyPatch, place: Place) -> None:
-    monkeypatch.setenv("DOCKER_HOST", f"unix://{place.folder / SOCKET}")
-    (place.folder / SOCKET).chmod(0)
+def test_an_engine_that_lets_only_others_in(monkeypatch: pytest.MonkeyPatch, launch: Launch) -> None:
+    monkeypatch.setenv("DOCKER_HOST", f"unix://{launch.folder / SOCKET}")
+    (launch.folder / SOCKET).chmod(0)
     user = os.geteuid()
     if user == 0:
         os.seteuid(_NOBODY)

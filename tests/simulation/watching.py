@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from greenlet import getcurrent
 
 from glue.client import players
-from glue.client.answers import Player
+from glue.client.answers import ServedPlayer
 from glue.hub.io import channels, inside
 from glue.hub.io.log import Level, Log
 from glue.hub.io.server import Hub
@@ -244,7 +244,7 @@ class Watch:
         """Watch the hub and the players, while the body of the `with` runs."""
         watch = self
 
-        class Counting(Player):
+        class Counting(ServedPlayer):
             """A player whose calls are counted."""
 
             _now: Message
@@ -271,8 +271,8 @@ class Watch:
                 return super().answer(message)
 
         replaced: list[tuple[Any, str, Any]] = [
-            (players, "Player", Counting),
-            (inside, "Player", Counting),
+            (players, "ServedPlayer", Counting),
+            (inside, "ServedPlayer", Counting),
             (channels._Channel, "deliver", self._delivering(channels._Channel.deliver)),
             (Switchboard, "tick", self._ticking(Switchboard.tick)),
             (Switchboard, "receive", self._receiving(Switchboard.receive)),

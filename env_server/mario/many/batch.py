@@ -32,7 +32,7 @@ _LEFT: Final = np.array([1, 0, 0])
 """From a direction of -1 to 1 to its number."""
 
 
-class Batch(Closing):
+class MarioBatch(Closing):
     """N games as RL-Glue's agents see them. Close it at the end, or use it in a `with` statement.
 
     Args:

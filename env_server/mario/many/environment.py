@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from env_server.mario.environment import InfiniteMario
-from env_server.mario.many.batch import Batch
+from env_server.mario.many.batch import MarioBatch
 from env_server.mario.observation import BODY_SIZE
 from glue.batches import Ragged, batch_task_spec, pack_actions, unpack_actions
 from glue.compiled.jit import announce_compilation, entry, jit
@@ -47,7 +47,7 @@ class InfiniteMarioBatch(Environment):
             raise ConfigError(f"a batch of Infinite Mario has 1 to {_MAX_GAMES} games, not {games}")
         self.__wrapped__ = environment
         self._games = games
-        self._batch: Batch | None = None
+        self._batch: MarioBatch | None = None
         self._message = np.empty(games * (BODY_SIZE + _BESIDE) + 8, np.uint8)
         counts = np.tile(np.array([_ACTION_INTS, 0, 0], np.int32), (games, 1))
         still = Ragged(counts, np.zeros(counts.size, np.int32), np.empty(0), np.empty(0, np.uint8))
@@ -61,7 +61,7 @@ class InfiniteMarioBatch(Environment):
         """Make fresh games; return the task spec of all."""
         task_spec = self.__wrapped__.env_init()
         self._close()
-        self._batch = Batch([self.__wrapped__.parameters] * self._games, restarts=True)
+        self._batch = MarioBatch([self.__wrapped__.parameters] * self._games, restarts=True)
         with announce_compilation("messages of many games"):
             _gather(self._batch.bodies, np.zeros(self._games), np.zeros(self._games, np.bool_), self._message)
         return batch_task_spec(self._games, task_spec)
@@ -105,7 +105,7 @@ class InfiniteMarioBatch(Environment):
             self._batch.set_tasks([task] * self._games)
         return answer
 
-    def _playing(self) -> Batch:
+    def _playing(self) -> MarioBatch:
         if self._batch is None:
             raise SimulatorError("there are no games yet: call env_init first")
         return self._batch
@@ -127,7 +127,7 @@ class InfiniteMarioBatch(Environment):
         raise AssertionError("actions of the right shape begin otherwise")
 
     def _shown(
-        self, batch: Batch, rewards: npt.NDArray[np.float64], ended: npt.NDArray[np.bool_]
+        self, batch: MarioBatch, rewards: npt.NDArray[np.float64], ended: npt.NDArray[np.bool_]
     ) -> Observation:
         size = _gather(batch.bodies, rewards, ended, self._message)
         return Observation.from_body(self._message[:size].tobytes())

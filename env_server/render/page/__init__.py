@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
-from env_server.render.sheet import colors, places, sheet_png
+from env_server.render.sheet import colors, rectangles, sheet_png
 from env_server.toys import MINES_MAP
 
 __all__ = ["MARIO", "TOYS"]
@@ -20,7 +20,7 @@ _FOLDER: Final = Path(__file__).parent
 
 
 def _artwork() -> bytes:
-    return json.dumps({"places": places(), "colors": colors()}).encode()
+    return json.dumps({"places": rectangles(), "colors": colors()}).encode()
 
 
 def _map() -> bytes:

@@ -14,7 +14,7 @@ import platform
 from collections import deque
 from collections.abc import Mapping
 
-from glue.client.answers import Player
+from glue.client.answers import ServedPlayer
 from glue.console import show_failure
 from glue.doors import chance, clock
 from glue.errors import GlueError
@@ -146,7 +146,7 @@ class _InsidePlayer:
         calls: deque[tuple[_InsidePlayer, Message]],
     ) -> None:
         self._role = role
-        self._player = Player(role, player)
+        self._player = ServedPlayer(role, player)
         self._calls = calls
         self._gone = False
 

@@ -12,14 +12,14 @@ import pytest
 
 from env_server.mario.environment import InfiniteMario
 from env_server.mario.game import Game
-from env_server.mario.many.batch import Batch
+from env_server.mario.many.batch import MarioBatch
 from glue.errors import SimulatorError
 from tests.env_server.mario import random_play
 
 
 @pytest.fixture
-def batch() -> Iterator[Batch]:
-    with Batch([InfiniteMario(level_seed=seed).parameters for seed in range(3)]) as batch:
+def batch() -> Iterator[MarioBatch]:
+    with MarioBatch([InfiniteMario(level_seed=seed).parameters for seed in range(3)]) as batch:
         yield batch
 
 
@@ -29,7 +29,7 @@ def test_games_play_as_they_do_alone(threads: int) -> None:
     tasks = [random_play.random_task(rng) for _ in range(7)]
     actions = np.array([random_play.random_actions(rng, 150) for _ in tasks])
     alone = [Game(task) for task in tasks]
-    with Batch(tasks, threads=threads) as batch:
+    with MarioBatch(tasks, threads=threads) as batch:
         batch.start()
         for i, game in enumerate(alone):
             assert batch.observation(i) == game.start()
@@ -45,7 +45,7 @@ def test_games_play_as_they_do_alone(threads: int) -> None:
 
 def test_ended_game_must_be_started_again() -> None:
     tasks = [InfiniteMario(max_trial_steps=limit).parameters for limit in (2, 1)]
-    with Batch(tasks) as batch:
+    with MarioBatch(tasks) as batch:
         batch.start()
         _, ended = batch.step(np.zeros((2, 3), np.int32))
         assert ended.tolist() == [False, True]
@@ -55,7 +55,7 @@ def test_ended_game_must_be_started_again() -> None:
         batch.step(np.zeros((2, 3), np.int32))
 
 
-def test_action_out_of_bounds_is_refused_and_no_game_moves(batch: Batch) -> None:
+def test_action_out_of_bounds_is_refused_and_no_game_moves(batch: MarioBatch) -> None:
     batch.start()
     before = [batch.observation(i) for i in range(3)]
     actions = np.zeros((3, 3), np.int32)
@@ -67,7 +67,7 @@ def test_action_out_of_bounds_is_refused_and_no_game_moves(batch: Batch) -> None
     assert [batch.observation(i) for i in range(3)] == before
 
 
-def test_batch_must_be_started(batch: Batch) -> None:
+def test_batch_must_be_started(batch: MarioBatch) -> None:
     with pytest.raises(SimulatorError, match="game 0 has no episode"):
         batch.step(np.zeros((3, 3), np.int32))
 
@@ -75,8 +75,8 @@ def test_batch_must_be_started(batch: Batch) -> None:
 def test_a_batch_plays_uncompiled() -> None:
     code = (
         "from env_server.mario.environment import InfiniteMario as M; "
-        "from env_server.mario.many.batch import Batch; "
-        "import numpy as np; b = Batch([M().parameters] * 2, threads=2); b.start(); "
+        "from env_server.mario.many.batch import MarioBatch; "
+        "import numpy as np; b = MarioBatch([M().parameters] * 2, threads=2); b.start(); "
         "print(b.step(np.zeros((2, 3), int))[0].tolist())"
     )
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}

@@ -12,7 +12,7 @@ from typing import Any
 from experiment_runner.competition.match import Match, play
 from experiment_runner.competition.secret import trials
 from experiment_runner.competition.settings import Competition, Entrant, Limits, Task
-from experiment_runner.competition.starting import Place
+from experiment_runner.competition.starting import Launch
 from glue.client.players import serve_agent
 from glue.errors import GlueError
 from glue.hub.config import TimeLimits
@@ -45,18 +45,18 @@ class Walker(Agent):
 
 
 class InThread:
-    """Starts an agent in a thread, which joins over the socket of its place; None never joins."""
+    """Starts an agent in a thread, which joins over the socket of its launch; None never joins."""
 
     def __init__(self, agent: Any) -> None:
         self.agent = agent
-        self.places: list[Place] = []
+        self.launches: list[Launch] = []
 
     def check(self, entrant: Entrant) -> None:
         pass
 
-    def start(self, entrant: Entrant, limits: Limits, place: Place) -> _Thread:
-        self.places.append(place)
-        return _Thread(self.agent, place)
+    def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> _Thread:
+        self.launches.append(launch)
+        return _Thread(self.agent, launch)
 
     def sweep(self, run: str) -> None:
         pass
@@ -65,10 +65,10 @@ class InThread:
 class _Thread:
     reason: str | None = None
 
-    def __init__(self, agent: Any, place: Place) -> None:
-        self.log = place.log
+    def __init__(self, agent: Any, launch: Launch) -> None:
+        self.log = launch.log
         self._agent = agent
-        self._place = place
+        self._launch = launch
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
 
@@ -76,7 +76,7 @@ class _Thread:
         if self._agent is None:
             return
         with suppress(GlueError):
-            serve_agent(self._agent, self._place.hub, self._place.session, log=lambda line: None)
+            serve_agent(self._agent, self._launch.hub, self._launch.session, log=lambda line: None)
 
     def wait(self, seconds: float) -> bool:
         self._thread.join(min(seconds, 0.05))

@@ -9,10 +9,10 @@ import pytest
 
 from experiment_runner.competition.jail import check_engine, check_image, jail, user_of
 from experiment_runner.competition.settings import Limits
-from experiment_runner.competition.starting import Place
+from experiment_runner.competition.starting import Launch
 from glue.errors import ConfigError
 
-PLACE = Place(Path("/run/1000/easy-alice-0"), "easy/alice/0", Path("log"), "spring")
+PLACE = Launch(Path("/run/1000/easy-alice-0"), "easy/alice/0", Path("log"), "spring")
 
 
 def test_every_door_is_shut() -> None:

@@ -172,15 +172,15 @@ def test_containers_without_their_sdk_are_one_line_that_says_what_to_install(
         starter_for(Entrant("alice", image="alice/agent:1"))
 
 
-def test_nobody_else_finds_the_place(tmp_path: Path) -> None:
+def test_nobody_else_finds_the_socket(tmp_path: Path) -> None:
     """Its folder is within one that other users cannot enter, and it is gone afterwards."""
     modes = []
 
     class Curious(Walker):
         def agent_init(self, task_spec: str) -> None:
-            modes.append(starter.places[0].folder.parent.stat().st_mode & 0o077)
+            modes.append(starter.launches[0].folder.parent.stat().st_mode & 0o077)
 
     starter = InThread(Curious())
     reports_of(starter, tmp_path)
     assert modes == [0]
-    assert not starter.places[0].folder.exists()
+    assert not starter.launches[0].folder.exists()

@@ -14,7 +14,7 @@ from env_server.toys import MinesEnvironment
 from experiment_runner.competition.match import Forfeited
 from experiment_runner.competition.secret import trials
 from experiment_runner.competition.settings import Entrant, Limits
-from experiment_runner.competition.starting import Place, variables
+from experiment_runner.competition.starting import Launch, variables
 from experiment_runner.executors.job import Ended
 from glue.engine.engine import role_seed
 from glue.hub.config import TimeLimits
@@ -94,12 +94,12 @@ class RawAgent:
     def sweep(self, run: str) -> None:
         pass
 
-    def start(self, entrant: Entrant, limits: Limits, place: Place) -> _Running:
-        self.told += [str(place.folder), *variables(place.hub, place.session).values()]
-        return _Running(self, place)
+    def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> _Running:
+        self.told += [str(launch.folder), *variables(launch.hub, launch.session).values()]
+        return _Running(self, launch)
 
-    def serve(self, place: Place, over: threading.Event) -> None:
-        with ScriptedPeer(place.hub, session=place.session).greet() as peer:
+    def serve(self, launch: Launch, over: threading.Event) -> None:
+        with ScriptedPeer(launch.hub, session=launch.session).greet() as peer:
             peer.say(Kind.HELLO, 0, *hello_scalars("agent", CANARY, ("seed", "save")))
             while not over.is_set():
                 if peer.can_read(0.05):
@@ -132,10 +132,10 @@ class RawAgent:
 class _Running:
     reason: str | None = None
 
-    def __init__(self, agent: RawAgent, place: Place) -> None:
-        self.log = place.log
+    def __init__(self, agent: RawAgent, launch: Launch) -> None:
+        self.log = launch.log
         self._over = threading.Event()
-        self._thread = threading.Thread(target=agent.serve, args=(place, self._over))
+        self._thread = threading.Thread(target=agent.serve, args=(launch, self._over))
         self._thread.start()
 
     def wait(self, seconds: float) -> bool:

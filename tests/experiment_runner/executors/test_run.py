@@ -16,7 +16,7 @@ from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.job import Job, Joined, Lost, Recorded, Report, Said, run_job
 from experiment_runner.executors.resume import OtherRun, create_run, open_run, remaining
 from experiment_runner.executors.run import RunConfig, run_trials
-from experiment_runner.executors.settings import Place
+from experiment_runner.executors.settings import Backend
 from experiment_runner.executors.trial import Start
 from experiment_runner.executors.trials import Trials
 from experiment_runner.meeting.players import BOTH, HubOptions, Meeting
@@ -224,7 +224,11 @@ def test_an_interrupted_run_says_how_to_continue_as_it_was_begun(tmp_path: Path)
     ("config", "plan", "message"),
     [
         (RunConfig(workers=2, meeting=Meeting(hub=HubOptions(session="a"))), PLAN, "its own hub"),
-        (RunConfig(place=Place.RAY, meeting=Meeting(hub=HubOptions(hub="tcp://h:1"))), PLAN, "its own hub"),
+        (
+            RunConfig(backend=Backend.RAY, meeting=Meeting(hub=HubOptions(hub="tcp://h:1"))),
+            PLAN,
+            "its own hub",
+        ),
         (RunConfig(Meeting(BOTH, HubOptions(bind=("ipc://x",)))), PLAN, "with --in-process there is no hub"),
         (RunConfig(workers=2), Plan(episodes=1, agents=PLAN.agents), "--env NAME is missing"),
         (RunConfig(HERE), Plan(episodes=1, environments=PLAN.environments), "--agent NAME is missing"),

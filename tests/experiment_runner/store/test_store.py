@@ -21,7 +21,7 @@ from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store import schema
 from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE, UNFINISHED
 from experiment_runner.store.lock import lock_holder
-from experiment_runner.store.records import Checkpoint, EpisodeResult, Event, Player, Void
+from experiment_runner.store.records import Checkpoint, EpisodeResult, Event, OutsidePlayer, Void
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
@@ -345,9 +345,11 @@ def test_run_of_version_1_opens_today(tmp_path: Path) -> None:
         assert [void.why for void in results.voids()] == ["the agent was lost"]
         assert [event.kind for event in results.events()] == ["start", *["joined"] * 4]
         assert results.players() == [
-            Player(1000000001.0, "remote/mario/1", "agent", "Jumper", "Python 3.11"),
-            Player(1000000002.0, "remote/mario/1", "agent", "My (old) agent joined", "RL-Glue C codec"),
-            Player(1000000003.0, "remote/mario/1", "environment", "mario", None),
+            OutsidePlayer(1000000001.0, "remote/mario/1", "agent", "Jumper", "Python 3.11"),
+            OutsidePlayer(
+                1000000002.0, "remote/mario/1", "agent", "My (old) agent joined", "RL-Glue C codec"
+            ),
+            OutsidePlayer(1000000003.0, "remote/mario/1", "environment", "mario", None),
         ]
         assert results.trial_names()["remote/mario/1"] == "My (old) agent joined/mario/1"
     with Store.open(tmp_path) as store:

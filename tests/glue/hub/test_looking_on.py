@@ -9,7 +9,7 @@ from itertools import islice
 import pytest
 
 from glue import connect
-from glue.client.observer import Answer, Start, Step, TaskSpecSeen, observe
+from glue.client.observer import AnswerSeen, StartSeen, StepSeen, TaskSpecSeen, observe
 from glue.engine.experiment import Experiment
 from glue.errors import HubClosed, Refused
 from glue.hub.config import Bind, HubConfig
@@ -68,14 +68,14 @@ def test_an_observer_sees_what_is_played_and_what_the_agent_answers() -> None:
             glue.rl_agent_message("values")
             seen = list(islice(observer, 5))
         start, *moments, answer = seen
-        assert start == Start(1, first.observation)
-        assert [(m.reward, m.terminal, m.observation) for m in moments if isinstance(m, Step)] == [
+        assert start == StartSeen(1, first.observation)
+        assert [(m.reward, m.terminal, m.observation) for m in moments if isinstance(m, StepSeen)] == [
             (s.reward, s.terminal, s.observation) for s in steps
         ]
         last = moments[-1]
-        assert isinstance(last, Step)
+        assert isinstance(last, StepSeen)
         assert (last.episode_return, last.num_steps) == (glue.rl_return(), glue.rl_num_steps())
-        assert isinstance(answer, Answer)
+        assert isinstance(answer, AnswerSeen)
         assert answer.message == "values"
         assert observer.missed == 0
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from experiment_runner.store.meetings import MEETINGS_FILE, Meetings, Place, meetings_in
+from experiment_runner.store.meetings import MEETINGS_FILE, LiveSession, Meetings, meetings_in
 from glue.types import Action, Observation, body_size
 from tests.experiment_runner.view.pages import Page, Stream, glue_view
 from tests.terminal import Terminal
@@ -59,8 +59,8 @@ def test_a_page_sees_what_is_played_and_the_run_does_not_change(page: Page, tmp_
         run_id = started(page, page.stream("topic=runs"))
         file = tmp_path / "a" / MEETINGS_FILE
         assert stat.S_IMODE(file.stat().st_mode) == 0o600
-        ((trial, place),) = meetings_in(tmp_path / "a").items()
-        assert place.hub.startswith("ipc:///")
+        ((trial, live),) = meetings_in(tmp_path / "a").items()
+        assert live.hub.startswith("ipc:///")
         topic = f"live:{run_id}"
         stream, known = page.stream(f"topic={topic}"), dict[str, Any]()
         steps = set()
@@ -118,10 +118,13 @@ def test_trials_come_and_go(tmp_path: Path) -> None:
     file.write_text("left behind")
     meetings = Meetings(tmp_path)
     assert not file.exists()
-    places = {"a/b/0": Place("tcp://127.0.0.1:4097", "default"), "a/b/1": Place("tcp://[::1]:4097", "b")}
-    for trial, place in places.items():
-        meetings.begin(trial, place)
-    assert meetings_in(tmp_path) == places
+    sessions = {
+        "a/b/0": LiveSession("tcp://127.0.0.1:4097", "default"),
+        "a/b/1": LiveSession("tcp://[::1]:4097", "b"),
+    }
+    for trial, live in sessions.items():
+        meetings.begin(trial, live)
+    assert meetings_in(tmp_path) == sessions
     meetings.end("a/b/0")
     assert meetings_in(tmp_path).keys() == {"a/b/1"}
     meetings.close()
@@ -157,4 +160,4 @@ def test_a_link_is_not_followed_and_a_socket_is_one_of_ours(tmp_path: Path) -> N
         (tmp_path / MEETINGS_FILE).symlink_to(tmp_path / "true.json")
         assert meetings_in(tmp_path) == {}
         (tmp_path / "true.json").replace(tmp_path / MEETINGS_FILE)
-        assert meetings_in(tmp_path) == {"a": Place(f"ipc://{tmp_path}/hub", "default")}
+        assert meetings_in(tmp_path) == {"a": LiveSession(f"ipc://{tmp_path}/hub", "default")}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from experiment_runner.executors.settings import Place
+from experiment_runner.executors.settings import Backend
 from glue.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -16,9 +16,9 @@ if TYPE_CHECKING:
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 
 _WHERE = {
-    Place.LOCAL: "on this machine",
-    Place.RAY: "on a Ray cluster",
-    Place.SLURM: "as a job array of SLURM",
+    Backend.LOCAL: "on this machine",
+    Backend.RAY: "on a Ray cluster",
+    Backend.SLURM: "as a job array of SLURM",
 }
 
 _WORKERS = click.option(
@@ -34,18 +34,18 @@ _ADDRESS = click.option(
 )
 
 
-def place_options(*places: Place) -> Callable[[_Command], _Command]:
+def backend_options(*backends: Backend) -> Callable[[_Command], _Command]:
     """Return a decorator that adds the options `--workers`, `--engine` and `--address` to a command.
 
     Args:
-        places: the values of `--engine`.
+        backends: the values of `--engine`.
     """
     engine = click.option(
         "--engine",
-        type=click.Choice([place.value for place in places]),
-        default=Place.LOCAL.value,
+        type=click.Choice([backend.value for backend in backends]),
+        default=Backend.LOCAL.value,
         show_default=True,
-        help=f"Where trials run: {', '.join(_WHERE[place] for place in places)}.",
+        help=f"Where trials run: {', '.join(_WHERE[backend] for backend in backends)}.",
     )
 
     def add(command: _Command) -> _Command:
@@ -54,7 +54,7 @@ def place_options(*places: Place) -> Callable[[_Command], _Command]:
     return add
 
 
-def check_place(config: RunConfig) -> None:
+def check_backend(config: RunConfig) -> None:
     """Check the address of a cluster.
 
     Raises:
@@ -63,6 +63,6 @@ def check_place(config: RunConfig) -> None:
     from experiment_runner.executors.ray_cluster import parse_address
 
     if config.address is not None:
-        if config.place is not Place.RAY:
+        if config.backend is not Backend.RAY:
             raise ConfigError("--address is the address of a Ray cluster: add --engine ray")
         parse_address(config.address)
