@@ -109,7 +109,9 @@ def plot(
         runs = [stack.enter_context(Results.open(directory)) for directory in directories]
         names = dict.fromkeys(name for run in runs for name in run.metric_names())
         if metric and metric not in names:
-            near = did_you_mean(metric, names) or "; glue-experiment records metrics with --metrics-every"
+            near = did_you_mean(metric, names) or (
+                "; glue-experiment records metrics with --metrics-every, of agents that have them"
+            )
             raise click.UsageError(f"there is no metric {metric}{near}")
         found = collect(runs, measure, metric)
     settings = [setting for setting in found if setting.curves().size]

@@ -207,7 +207,9 @@ def compare(first: Path, second: Path, over: str, as_json: bool) -> None:
       glue-results compare runs/new runs/old
       glue-results compare runs/new runs/old --over steps --json
     """
+    from experiment_runner.analysis.stats import FEW_TRIALS
     from experiment_runner.report.comparing import COLUMNS, compared
+    from experiment_runner.report.overview import FEW
     from experiment_runner.report.tables import format_table, terminal_width
     from experiment_runner.store.results import Results
 
@@ -217,6 +219,8 @@ def compare(first: Path, second: Path, over: str, as_json: bool) -> None:
         click.echo(json.dumps([row.as_json() for row in rows], indent=2))
     else:
         click.echo(format_table(COLUMNS, [row.cells() for row in rows], width=terminal_width()))
+        if any(row.found.trials < FEW_TRIALS for row in rows):
+            click.echo(f"({FEW.strip()} fewer than {FEW_TRIALS} trials: their intervals are too narrow)")
 
 
 @results.command()

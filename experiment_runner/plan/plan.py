@@ -329,7 +329,8 @@ def differences(ours: Plan, theirs: Plan) -> list[str]:
     if ours.tune != theirs.tune:
         found.append("tune differs")
     if ours.metrics != theirs.metrics:
-        found.append(f"metrics are {theirs.metrics or 'not recorded'}, not {ours.metrics or 'not recorded'}")
+        was, become = (plan.metrics or "not recorded" for plan in (ours, theirs))
+        found.append(f"metrics are {become}; they were {was}")
     for role in ROLES:
         our_sweeps, their_sweeps = ({s.label: s for s in getattr(plan, role)} for plan in (ours, theirs))
         found += [f"{role} lack {label}" for label in our_sweeps if label not in their_sweeps]

@@ -10,8 +10,9 @@ import numpy as np
 
 from experiment_runner.analysis.compare import Comparison, compare, sensitivity, trials_needed
 from experiment_runner.analysis.settings import Setting, collect
-from experiment_runner.analysis.stats import Estimate, bootstrap_rng, mean_of_last
+from experiment_runner.analysis.stats import FEW_TRIALS, Estimate, bootstrap_rng, mean_of_last
 from experiment_runner.plan.plan import RoleSpec, plain
+from experiment_runner.report.overview import FEW
 from experiment_runner.store.output import finite
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
@@ -32,7 +33,7 @@ class Row(NamedTuple):
         difference, improvement, trials = self.found
         return (
             f"{self.a} less {self.b}",
-            str(trials),
+            f"{trials}{FEW if trials < FEW_TRIALS else ''}",
             f"{difference.value:.2f}",
             f"{difference.low:.2f} to {difference.high:.2f}",
             f"{improvement.value:.2f}",

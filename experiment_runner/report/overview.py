@@ -32,7 +32,8 @@ from experiment_runner.store.results import Results
 
 _WINDOW: Final = 100
 _SETTING_COLUMNS: Final = ("setting", "finished", "episodes", "mean", "95 % interval", "IQM", "converged")
-_FEW: Final = " (!)"  # behind an interval of few trials
+FEW: Final = " (!)"
+"""Mark of an interval of few trials."""
 _LEGEND: Final = {
     "mean, IQM": f"over trials, of the mean return of the last {_WINDOW} episodes; "
     "IQM is the interquartile mean",
@@ -164,8 +165,8 @@ def as_text(
     notes = []
     if not has_scipy():
         notes.append("(intervals and IQM need SciPy: pip install 'glue-rl[plot]')")
-    elif any(cells[4].endswith(_FEW) for cells in rows):
-        notes.append(f"({_FEW.strip()} of fewer than {FEW_TRIALS} trials: they may well miss the mean)")
+    elif any(cells[4].endswith(FEW) for cells in rows):
+        notes.append(f"({FEW.strip()} of fewer than {FEW_TRIALS} trials: they may well miss the mean)")
     for run in runs:
         notes += _notes(run)
     return "\n".join([*lines, *(wrap(one_line(note), width) for note in notes)])
@@ -309,7 +310,7 @@ def _numbers(setting: Setting, over: str, rng: np.random.Generator) -> dict[str,
 
 def _cells(numbers: dict[str, object]) -> tuple[str, ...]:
     low, high = numbers["low"], numbers["high"]
-    few = _FEW if numbers["few_trials"] else ""
+    few = FEW if numbers["few_trials"] else ""
     return (
         str(numbers["setting"]),
         f"{numbers['finished_trials']}/{numbers['trials']}",

@@ -540,6 +540,16 @@ def test_agent_that_was_taken_out_plays_on_with_what_it_learned(tmp_path: Path) 
     play()
 
 
+# compare
+
+
+def test_comparison_of_few_trials_says_so(run: Path, tmp_path: Path) -> None:
+    other = make(tmp_path / "other", [4, 4, 4, 4])
+    *_, last, note = call("compare", run, other).splitlines()
+    assert " 2 (!) " in last
+    assert note == "((!) fewer than 5 trials: their intervals are too narrow)"
+
+
 # glue-plot
 
 
