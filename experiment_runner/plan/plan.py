@@ -302,14 +302,14 @@ def check_options(plan: Plan, find: Callable[[str, str], type]) -> Plan:
         ends = {name: (v.at(0), v.at(1)) if isinstance(v, Range) else v for name, v in space.items()}
         factory = _class_of(sweep, "agent", find)
         _check_sweep(RoleSweep(sweep.name, ends, sweep.label), factory, ("tune", "agents", sweep.label))
-    checked = {
-        role: tuple(
-            _check_sweep(sweep, _class_of(sweep, role.removesuffix("s"), find), (role, sweep.label))
-            for sweep in getattr(plan, role)
-        )
-        for role in ROLES
-    }
-    return replace(plan, **checked)
+    return replace(
+        plan,
+        environments=tuple(
+            _check_sweep(s, _class_of(s, "environment", find), ("environments", s.label))
+            for s in plan.environments
+        ),
+        agents=tuple(_check_sweep(s, _class_of(s, "agent", find), ("agents", s.label)) for s in plan.agents),
+    )
 
 
 def _class_of(sweep: RoleSweep, role: str, find: Callable[[str, str], type]) -> type:
