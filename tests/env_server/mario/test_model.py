@@ -72,6 +72,20 @@ def test_model_that_knows_everything_is_the_game() -> None:
             assert belief.shows() == observation
 
 
+def test_a_level_of_which_tiles_and_spawn_points_were_saved_is_whole_again_at_the_start() -> None:
+    first = Game(TASK).start()
+    belief, loaded = Belief(), Belief()
+    for one in (belief, loaded):
+        one.read(first)
+        model.start(one.world, one.level, one.seen, one.body)
+        loaded.seen[:] = belief.seen
+        for name in ("tiles", "spawns"):
+            loaded.levels[name] = belief.levels[name]
+    cells, end = belief.levels["cells"][0], int(belief.seen[0])
+    assert cells[:end].any()
+    assert np.array_equal(loaded.levels["cells"][0, :end], cells[:end])
+
+
 def test_belief_follows_what_it_sees() -> None:
     """After a correction every tile and every actor is where it was seen; most steps need none."""
     rng = np.random.default_rng(2)
