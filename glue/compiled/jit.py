@@ -70,7 +70,7 @@ class _Part(CPUDispatcher):
     _own_entry: Any = None
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Return what types a call: integers of any width, constants too, are passed as int64."""
+        """Return the template of a call: integers of any width, constants too, are passed as int64."""
         widened = {name: _widened(kind) for name, kind in kws.items()}
         return super().get_call_template([*map(_widened, args)], widened)
 

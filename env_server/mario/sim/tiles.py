@@ -114,7 +114,7 @@ def row_bit(row: int) -> int:
 
 @jit
 def cells_at(world: World, level: LevelMap, column: int) -> int:
-    """Return what the tiles of a column do, as bits; see WALLS to COINS. Columns go on as in `tile_at`."""
+    """Return the cells of a column now, in bits from WALLS to COINS on. Columns go on as in `tile_at`."""
     column = min(max(column, 0), level.columns - 1)
     cells = int(level.cells[column])
     changed = int(world.changed[column])
@@ -125,7 +125,7 @@ def cells_at(world: World, level: LevelMap, column: int) -> int:
 
 @jit
 def write_cells(level: LevelMap, column: int) -> None:
-    """Note what the tiles of a column do, after they were written."""
+    """Write the cells of a column again, after its tiles were written."""
     cells = 0
     bumpable = 0
     for row in range(ROWS):
