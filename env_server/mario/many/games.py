@@ -46,6 +46,7 @@ class Lane:
 
     key: Word  # which levels its episodes are played on, with `episode`
     episode: Int  # how many have begun since the seed
+    place: Int  # which record of `levels` it plays on
     begun: Flag
     over: Flag  # the episode has ended or was cut off
     reward: Real
@@ -64,6 +65,7 @@ class Setup:
     max_steps: Int
     first_level: Int
     levels: Int  # 0: the task's own level
+    shared: Flag  # whether there is a record for each level, already made, for all games
     difficulties: Int
     level_type: Int  # -1: as the level's number says
     level_difficulty: Int
@@ -91,6 +93,7 @@ class Games(Closing):
         cells, reals: what is shown, shapes (N, bytes) and (N, reals) of the view.
         final_cells, final_reals: what was shown last of episodes that are over.
         lanes: shape (N,); see `Lane`.
+        levels: the levels of the set if they are no more than the games, which share them; else each game's.
     """
 
     def __init__(
@@ -116,16 +119,20 @@ class Games(Closing):
             setup["difficulties"] = levels.difficulties
         setup["level_type"], setup["level_difficulty"] = level_type, level_difficulty
         self.worlds: Worlds = np.zeros(count, WORLD)
-        self.levels: Levels = np.zeros(count, LEVEL)
+        shared = levels is not None and len(levels.numbers) <= count
+        self.levels: Levels = np.zeros(len(levels.numbers) if levels is not None and shared else count, LEVEL)
         self.set_tasks(tasks)
         self.cells: Bytes = np.zeros((count, view.bytes), np.uint8)
         self.reals: Reals = np.zeros((count, view.reals), np.float32)
         kept = count if finals else 0
         self.final_cells: Bytes = np.zeros((kept, view.bytes), np.uint8)
         self.final_reals: Reals = np.zeros((kept, view.reals), np.float32)
+        self.lanes["place"] = np.arange(count) % len(self.levels)
         self._orders = np.full(count, _LEAVE, np.int8)
         self._threads = Threads(1, count)
         self._load()
+        if shared:
+            self._make_levels()
         self._threads = Threads(threads, count)
 
     def __len__(self) -> int:
@@ -147,6 +154,7 @@ class Games(Closing):
         self._tasks[i].write_to(self.worlds[i])
         self.lanes[i] = np.zeros((), self.lanes.dtype)
         self.lanes["key"][i] = key
+        self.lanes["place"][i] = i % len(self.levels)
 
     def reset(self, which: npt.NDArray[np.bool_] | None = None) -> None:
         """Begin an episode in every game, or in those that `which`, shape (N,), chooses."""
@@ -178,13 +186,29 @@ class Games(Closing):
     def observation(self, i: int) -> Observation:
         """Return game `i` as an RL-Glue agent would see it now."""
         body = np.zeros(BODY_SIZE, np.uint8)
-        size = _body(self.worlds[i : i + 1], self.levels[i : i + 1], body)
+        place = self.lanes["place"][i]
+        size = _body(self.worlds[i : i + 1], self.levels[place : place + 1], body)
         return Observation.from_body(body[:size].tobytes())
 
-    def _run(self, then: Callable[[], None] = nothing) -> None:
+    def _run(self, then: Callable[[], None] = nothing, levels: Levels | None = None) -> None:
         shown = (self.cells, self.reals, self.final_cells, self.final_reals)
-        games = (self.worlds, self.levels, self.lanes, self._setup, self._orders)
+        levels = self.levels if levels is None else levels
+        games = (self.worlds, levels, self.lanes, self._setup, self._orders)
         self._threads.run(_advance, *games, *shown, then=then)
+
+    def _make_levels(self) -> None:
+        """Make every level of the set, by beginning an episode on it in the first game."""
+        setup = self._setup.copy()
+        self._orders[0] = _BEGIN
+        self._setup["levels"], self._setup["shared"] = 1, False
+        for i in range(len(self.levels)):
+            self._setup["first_level"] = setup["first_level"] + i
+            self._run(levels=self.levels[i : i + 1])
+        self._setup[:] = setup
+        self._setup["shared"] = True
+        self.seed(0, 0)
+        self.cells[0] = 0
+        self.reals[0] = 0
 
     def _load(self) -> None:
         """Load the compiled rules, or compile them and say so."""
@@ -196,11 +220,13 @@ class Games(Closing):
 
 
 @jit
-def _begin(world: World, level: LevelMap, lane: Lane, setup: Setup) -> None:
+def _begin(world: World, levels: Levels, lane: Lane, setup: Setup) -> None:
     """Begin the next episode of a game, on the level that is its turn."""
     if setup.levels > 0:
-        draw = splitmix(lane.key + np.uint64(lane.episode))
-        number = setup.first_level + int(draw % np.uint64(setup.levels))
+        chosen = int(splitmix(lane.key + np.uint64(lane.episode)) % np.uint64(setup.levels))
+        number = setup.first_level + chosen
+        if setup.shared:
+            lane.place = chosen
         world.level_seed = level_seed(number)
         world.level_type = number % TYPES if setup.level_type < 0 else setup.level_type
         difficulty = number // TYPES % setup.difficulties
@@ -208,7 +234,7 @@ def _begin(world: World, level: LevelMap, lane: Lane, setup: Setup) -> None:
     lane.episode += 1
     lane.begun = True
     lane.over = False
-    begin(world, level)
+    begin(world, levels[lane.place])
     ordinary_reward(world)  # of the first check-in: noted as paid, although the agent does not receive it
     lane.info[0] = 0
     lane.info[1] = 0
@@ -266,8 +292,8 @@ def _advance(
                 if orders[i] == _LEAVE:
                     continue
                 world: World = worlds[i]
-                level: LevelMap = levels[i]
                 lane: Lane = lanes[i]
+                level: LevelMap = levels[lane.place]
                 begins = orders[i] == _BEGIN or (lane.over and setup.mode == NEXT_STEP)
                 if begins:
                     lane.reward = 0.0
@@ -284,7 +310,8 @@ def _advance(
                         lane.final_info[:] = lane.info
                         begins = True
                 if begins:
-                    _begin(world, level, lane, setup)
+                    _begin(world, levels, lane, setup)
+                    level = levels[lane.place]
                 # The observation of a terminal step is the one before it, as in the original.
                 if begins or not lane.terminated:
                     lane.size = write_view(world, level, setup.view_number, cells[i], reals[i])

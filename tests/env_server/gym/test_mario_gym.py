@@ -76,9 +76,12 @@ def test_check_env_finds_nothing_but_infinite_bounds(view: str) -> None:
 
 
 @pytest.mark.skipif(not hasattr(vector, "AutoresetMode"), reason="Gymnasium 1.0 has no modes to compare with")
+@pytest.mark.parametrize("levels", [{"levels": "train-200"}, {"num_levels": GAMES}], ids=["own", "shared"])
 @pytest.mark.parametrize("mode", MODES)
-def test_vector_environment_is_as_gymnasium_puts_single_ones_together(mode: str) -> None:
-    options: dict[str, Any] = {"levels": "train-200", "max_trial_steps": 90}
+def test_vector_environment_is_as_gymnasium_puts_single_ones_together(
+    mode: str, levels: dict[str, Any]
+) -> None:
+    options: dict[str, Any] = {"max_trial_steps": 90, **levels}
     ours = make_vec(autoreset_mode=mode, num_threads=2, max_episode_steps=60, **options)
     singles = [lambda: make(max_episode_steps=60, **options)] * GAMES
     theirs = vector.SyncVectorEnv(singles, autoreset_mode=vector.AutoresetMode(mode))
