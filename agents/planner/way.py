@@ -15,10 +15,12 @@ _WEIGHT: Final = 1.5
 def find_way(world: Any, level: Any, sims: int) -> tuple[list[int], int]:
     """Search for actions that reach the goal, whatever they cost.
 
+    In the first of two searches, a state is not visited again at another time.
+
     Args:
         world: the record of a game that has just begun; it is not changed.
         level: the record of its level, all columns of which are known.
-        sims: model steps at most; each takes 4 kB of memory.
+        sims: model steps of a search at most; each takes 4 kB of memory.
 
     Returns:
         The actions by number, none if no way was found, and the model steps.
@@ -29,17 +31,22 @@ def find_way(world: Any, level: Any, sims: int) -> tuple[list[int], int]:
     scratch, _ = model.make()
     settings: Any = np.zeros(1, SETTINGS)
     how = settings[0]
-    how["weight"], how["hard"], how["sims"] = _WEIGHT, True, sims
+    how["weight"], how["sims"] = _WEIGHT, sims
     how["end"] = how["columns"] = columns
-    plan = np.full(int(worlds["max_trial_steps"][0]) + 1, -1, np.int64)
-    with announce_compilation("the planner"):
-        room = make_room(sims, columns)
-        length = search(worlds, levels, scratch, scratch.view(np.uint8), *room, settings, plan)
-    way: list[int] = plan[:length].tolist()
-    for action in way:
-        model.step(worlds[0], levels[0], action)
-    if not worlds["win_timer"][0] > 0:
-        way = []
-    elif worlds["playing"][0]:
-        way.append(STAY)  # the game notices that it is won when it draws again
-    return way, int(how["used"])
+    plan = np.zeros(int(worlds["max_trial_steps"][0]) + 1, np.int64)
+    spent = 0
+    for hard in (True, False):
+        how["hard"] = hard
+        plan[:] = -1
+        with announce_compilation("the planner"):
+            room = make_room(sims, columns)
+            length = search(worlds, levels, scratch, scratch.view(np.uint8), *room, settings, plan)
+        spent += int(how["used"])
+        way: list[int] = plan[:length].tolist()
+        scratch[0] = worlds[0]
+        for action in way:
+            model.step(scratch[0], levels[0], action)
+        if scratch["win_timer"][0] > 0:
+            # The game notices that it is won when it draws again.
+            return way + [STAY] * int(scratch["playing"][0]), spent
+    return [], spent

@@ -1,0 +1,230 @@
+"""A search of a whole known level for the plan that earns the most.
+
+It goes through the level from left to right. States are in cells, by position, size and motion, roughly; of
+those in a cell, the best few are expanded. So a state competes only with those that can do about the same
+from there on: neither with those that are ahead, nor with those that are about to fall.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from agents.planner.search import model
+from agents.planner.tree import DESCRIBED, describe, meet
+from glue.compiled.jit import entry, jit
+from glue.compiled.records import Array, Int, Real, layout
+
+STEP_COST: Final = 0.01  # items
+
+_step = model.step
+_save = model.save
+_load = model.load
+
+_ACTIONS: Final = 12
+_LAST: Final = 9  # run right: all plans leave the same buttons pressed, which count in the next episode
+_STEPS_PER_STATE: Final = 300_000  # model steps for each state that a cell keeps, about
+_ROWS_PER_STATE: Final = 2_000  # worlds that wait to be expanded, at most
+_LONGEST: Final = 600  # steps
+_SLICE: Final = 8  # pixels
+_TILE: Final = 16
+_ROWS: Final = 15
+_FAST: Final = np.float32(6)  # pixels a tick
+_CELLS: Final = _ROWS * 3 * 3 * 2  # of a slice: row, size, speed, and whether Mario can jump
+
+
+class State:
+    """A state that a plan leads to."""
+
+    parent: Int  # -1 for the first
+    action: Int
+    depth: Int  # steps
+    worth: Real  # items, less what the steps cost
+    row: Int  # of its world, until it is expanded
+
+
+STATE: Final = layout(State)
+
+
+def plan_whole(worlds: Array, levels: Array, columns: int, sims: int) -> list[int]:
+    """Plan from a belief, shape (1,) each, to the goal; return the actions, none if no way was found.
+
+    Args:
+        worlds, levels: the belief; it is not changed.
+        columns: number of columns that are known.
+        sims: model steps at most; each takes about 50 bytes of memory.
+    """
+    kept = max(sims // _STEPS_PER_STATE, 2)
+    rows = kept * _ROWS_PER_STATE
+    slices = columns * _TILE // _SLICE
+    world = worlds.copy()
+    plan = np.full(_LONGEST + 1, -1, np.int64)
+    search_whole(
+        world,
+        levels,
+        world.view(np.uint8),
+        np.zeros((rows, model.row_size(columns)), np.uint8),
+        columns,
+        sims,
+        np.zeros(rows + sims // _ACTIONS + 1, STATE),
+        np.zeros((slices * _CELLS, kept), np.int32),
+        np.zeros(1 << (2 * sims).bit_length(), np.uint64),
+        plan,
+    )
+    return [int(action) for action in plan[plan >= 0]]
+
+
+@entry
+def search_whole(
+    worlds: Array,
+    levels: Array,
+    memory: npt.NDArray[np.uint8],
+    rows: npt.NDArray[np.uint8],
+    columns: int,
+    sims: int,
+    states: Array,
+    cells: npt.NDArray[np.int32],
+    table: npt.NDArray[np.uint64],
+    plan: npt.NDArray[np.int64],
+) -> None:
+    """Plan.
+
+    Args:
+        worlds, memory: the world to begin in, shape (1,), and its bytes; it is changed.
+        levels: the level, shape (1,).
+        rows: room for R worlds, shape (R, bytes).
+        columns: number of columns that are known.
+        sims: model steps at most.
+        states: all zeros, shape (R + sims / 12,).
+        cells: room for the numbers of the states in each cell, of which the first is the worst, shape
+            (slices * cells of a slice, K).
+        table: all zeros, a power of two above 2 * sims.
+        plan: -1 throughout; takes the actions.
+    """
+    level: Any = levels[0]
+    world: Any = worlds[0]
+    numbers = np.zeros(DESCRIBED + 3, np.int64)
+    sizes = np.zeros(len(cells), np.int64)
+    room = np.full(len(cells), cells.shape[1])  # states that may still be expanded in each cell
+    free = np.arange(len(rows))[::-1].copy()
+    spare = len(free) - 1  # rows that are free; the first state has the last
+    batch = np.zeros(_CELLS * cells.shape[1], np.int64)
+    _save(world, memory, rows[free[spare]], 0, columns)
+    states[0].parent = -1
+    states[0].row = free[spare]
+    count = 1
+    here = _cell_of(world, len(cells))
+    cells[here, 0] = 0
+    sizes[here] = 1
+    here //= _CELLS
+    used = 0
+    best, best_state = -1e18, -1
+    while here < len(cells) // _CELLS and used < sims:
+        found = 0
+        for cell in range(here * _CELLS, (here + 1) * _CELLS):
+            for i in range(sizes[cell]):
+                batch[found] = cells[cell, i]
+                found += 1
+            room[cell] -= sizes[cell]
+            sizes[cell] = 0
+        if found == 0:
+            here += 1
+            continue
+        following = here
+        order = np.argsort(-states[batch[:found]]["worth"])
+        for number in batch[order]:
+            state = states[number]
+            for action in range(_ACTIONS):
+                if state.depth >= _LONGEST or used >= sims:
+                    break
+                _load(world, memory, rows[state.row], 0, columns)
+                alive = _step(world, level, action)
+                used += 1
+                if world.win_timer > 0:
+                    if state.worth > best and action == _LAST:  # what the last step earns is not paid
+                        best, best_state = state.worth, number
+                    continue
+                if not alive or world.death_timer > 0 or world.actors[0].y > np.float32(239):
+                    continue
+                worth = world.coins + world.kills - STEP_COST * (state.depth + 1)
+                cell = _cell_of(world, len(cells))
+                is_full = sizes[cell] >= room[cell]
+                if room[cell] == 0 or (is_full and states[cells[cell, 0]].worth >= worth):
+                    continue
+                describe(world, numbers)
+                numbers[DESCRIBED] = world.fire
+                numbers[DESCRIBED + 1] = world.listed
+                numbers[DESCRIBED + 2] = world.change_timer
+                if meet(table, numbers):
+                    continue
+                if is_full:
+                    new = int(cells[cell, 0])
+                elif spare > 0:
+                    new = count
+                    count += 1
+                    spare -= 1
+                    states[new].row = free[spare]
+                else:
+                    continue
+                states[new].parent = number
+                states[new].action = action
+                states[new].depth = state.depth + 1
+                states[new].worth = worth
+                if is_full:
+                    _sink(cells[cell], sizes[cell], states)
+                else:
+                    _insert(cells[cell], sizes[cell], states, new)
+                    sizes[cell] += 1
+                _save(world, memory, rows[states[new].row], 0, columns)
+                following = min(following, cell // _CELLS)
+            free[spare] = state.row
+            spare += 1
+        here = following
+    if best_state >= 0:
+        plan[states[best_state].depth] = _LAST
+        while states[best_state].parent >= 0:
+            plan[states[best_state].depth - 1] = states[best_state].action
+            best_state = states[best_state].parent
+
+
+@jit
+def _cell_of(world: Any, cells: int) -> int:
+    mario = world.actors[0]
+    part = min(int(mario.x) // _SLICE, cells // _CELLS - 1)
+    row = min(max(int(mario.y) // _TILE, 0), _ROWS - 1)
+    size = int(world.large) + int(world.fire)
+    speed = 0 if mario.vx < np.float32(0) else (1 if mario.vx < _FAST else 2)
+    return int((((part * _ROWS + row) * 3 + size) * 3 + speed) * 2 + int(mario.grounded or world.may_jump))
+
+
+@jit
+def _insert(heap: npt.NDArray[np.int32], size: int, states: Array, new: int) -> None:
+    """Add a state to a heap of `size`, whose first is the worst."""
+    at = size
+    while at > 0:
+        above = (at - 1) // 2
+        if states[heap[above]].worth <= states[new].worth:
+            break
+        heap[at] = heap[above]
+        at = above
+    heap[at] = new
+
+
+@jit
+def _sink(heap: npt.NDArray[np.int32], size: int, states: Array) -> None:
+    """Restore the order of a heap of `size`, whose first state has become better."""
+    first = heap[0]
+    at = 0
+    while True:
+        below = 2 * at + 1
+        if below >= size:
+            break
+        if below + 1 < size and states[heap[below + 1]].worth < states[heap[below]].worth:
+            below += 1
+        if states[heap[below]].worth >= states[first].worth:
+            break
+        heap[at] = heap[below]
+        at = below
+    heap[at] = first
