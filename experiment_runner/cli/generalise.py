@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import shlex
 import sys
+import zlib
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import click
 
@@ -23,6 +25,8 @@ from glue.plugins.naming import complete_names
 from glue.wire.messages import Role
 
 _T = TypeVar("_T")
+_MOST_BYTES: Final = 2**28
+"""Size of a file of scores, at most; those of 16,032 levels take 5 MB."""
 
 
 @click.group("glue-generalise", invoke_without_command=True)
@@ -231,7 +235,8 @@ def verify(path: Path) -> int:
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
     required=True,
-    help="File of the certificates; those in it are kept, and the others added.",
+    help="File of the certificates; those in it are kept, and the others added. It is compressed if its name "
+    "ends in .gz.",
 )
 def certify_set(levels: str, out: Path) -> int:
     """Find a certificate for each level of a set: actions that reach the goal, planned with the level known.
@@ -245,7 +250,8 @@ def certify_set(levels: str, out: Path) -> int:
     def keep(document: Document) -> None:
         with reported(f"cannot write {out}"):
             written = out.with_name(out.name + ".part")
-            written.write_text(json.dumps(document, separators=(",", ":")) + "\n", encoding="utf-8")
+            text = json.dumps(document, separators=(",", ":")).encode() + b"\n"
+            written.write_bytes(gzip.compress(text, mtime=0) if out.suffix == ".gz" else text)
             written.replace(out)
 
     print(table([certify(levels, _read(out) if out.exists() else None, keep)]))
@@ -283,11 +289,15 @@ def _read(path: Path) -> dict[str, Any]:
         with Results.open(path) as results:
             return document(results, benchmark)
     try:
-        scores: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        with (gzip.open if path.suffix == ".gz" else open)(path, "rb") as file:
+            text = file.read(_MOST_BYTES + 1)
+        if len(text) > _MOST_BYTES:
+            raise ValueError(f"it is longer than {_MOST_BYTES} bytes")
+        scores: dict[str, Any] = json.loads(text)
         names = ("name", "trials")
         if not all(name in scores for name in names):
             raise ValueError(f"it has no {' or '.join(names)}")
-    except (OSError, ValueError) as error:
+    except (OSError, EOFError, zlib.error, ValueError) as error:
         raise ConfigError(f"{path} is not a result of glue-generalise: {error}") from None
     return scores
 

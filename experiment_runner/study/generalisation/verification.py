@@ -28,7 +28,7 @@ from experiment_runner.study.generalisation.summary import Document
 from glue.errors import ConfigError
 
 _TASK: Final = InfiniteMario().parameters
-_SIMS: Final = 300_000
+_SIMS: Final = 1_000_000
 """Model steps of the search for a certificate."""
 _MOST_ACTIONS: Final = 100_000
 _DIGITS: Final = "".join(ACTIONS)
