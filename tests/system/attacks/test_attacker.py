@@ -43,9 +43,10 @@ def test_calls_of_the_largest_size_that_are_not_read_have_a_bound_in_all(keyed: 
         while True:
             keys = CurveClient(Pair(public, secret), server) if keyed else None
             peer = ScriptedPeer(url, keys, session=session, receive_buffer=receive_buffer)
+            stack.enter_context(peer)
             with suppress(ConnectionError):  # on a busy machine, it took too long to join
                 peer.greet().join(role)
-                return stack.enter_context(peer)
+                return peer
 
     huge = Observation(chars=bytes(MAX_BODY - 16)).body
     with hub(*options) as (url, process), ExitStack() as stack:
@@ -53,7 +54,8 @@ def test_calls_of_the_largest_size_that_are_not_read_have_a_bound_in_all(keyed: 
             session = f"m{number}"
             join("agent", session, receive_buffer=4096)
             experiment = join("experiment", session)
-            experiment.say(Kind.RL_AGENT_START, 1, body=huge, session=session)
+            with suppress(OSError):  # it may be dropped
+                experiment.say(Kind.RL_AGENT_START, 1, body=huge, session=session)
         assert peak(process) <= MOST
 
 
