@@ -70,9 +70,28 @@ def test_every_promise_is_kept_and_every_situation_reached() -> None:
         assert [name for name in SITUATIONS if not total.reached[name]] == []
 
 
-@pytest.mark.parametrize("seed", [182, 331, 1622, 1690])
-def test_seed_that_has_found_a_fault_keeps_every_promise(seed: int) -> None:
-    assert simulate(seed).problems == []
+def faults_at(*faults: tuple[int, str, int]) -> list[Fault]:
+    return [Fault(at, kind, which, 0.0) for at, kind, which in faults]
+
+
+def test_the_hub_names_losses_again_to_an_experiment_that_missed_them() -> None:
+    faults = faults_at(
+        *((22, "twin", 0), (26, "close", 105), (33, "break", 1565), (39, "break", 1772), (39, "twin", 0)),
+        *((44, "break", 1308), (50, "twin", 0), (52, "close", 416), (62, "break", 1682), (63, "break", 102)),
+        *((75, "twin", 0), (75, "close", 1141), (82, "twin", 0), (91, "twin", 0), (111, "break", 0)),
+        *((118, "kill", 0), (120, "close", 0)),
+    )
+
+    assert simulate(6664, faults).problems == []
+
+
+def test_half_an_episode_does_not_begin_with_a_newcomer() -> None:
+    faults = faults_at(
+        *((24, "close", 0), (29, "break", 0), (29, "twin", 0), (39, "close", 0), (43, "twin", 0)),
+        *((58, "break", 0), (95, "kill", 41)),
+    )
+
+    assert simulate(13557, faults).problems == []
 
 
 def test_a_seed_is_always_the_same_run() -> None:
