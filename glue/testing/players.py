@@ -44,8 +44,9 @@ def check_environment(
 
     Raises:
         ContractBroken: the message names the rule that is broken, the call, and what it returned.
-        LocalProtocolError: `action` is needed.
+        LocalProtocolError: `action` is needed, or `factory` is an environment.
     """
+    _refuse_player(factory, "environment")
     _check(lambda: _EnvironmentPlayer(factory(), action, episodes, steps), seed)
 
 
@@ -72,9 +73,19 @@ def check_agent(
 
     Raises:
         ContractBroken: the message names the rule that is broken, the call, and what it returned.
-        LocalProtocolError: `observation` is needed.
+        LocalProtocolError: `observation` is needed, or `factory` is an agent.
     """
+    _refuse_player(factory, "agent")
     _check(lambda: _AgentPlayer(factory(), task_spec, observation, episodes, steps), seed)
+
+
+def _refuse_player(factory: object, role: str) -> None:
+    if not callable(factory):
+        name = type(factory).__name__
+        raise LocalProtocolError(
+            f"check_{role} makes several of your {role}s, so it needs the class, or a function that returns "
+            f"a new one: check_{role}({name}, ...) instead of an object of that class"
+        )
 
 
 Trace = list[tuple[str, object]]

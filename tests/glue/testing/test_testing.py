@@ -181,6 +181,13 @@ def test_private_task_spec_needs_a_partner(task_spec: str) -> None:
     check_agent(Wanderer, task_spec, observation=lambda generator: Observation(doubles=generator.random(2)))
 
 
+@pytest.mark.parametrize("check", [check_environment, lambda made: check_agent(made, TASK_SPEC)])
+@pytest.mark.parametrize("made", [Corridor(), Wanderer()])
+def test_an_object_in_place_of_its_class_is_refused(check: Callable[[Any], None], made: object) -> None:
+    with pytest.raises(LocalProtocolError, match=f"needs the class.*{type(made).__name__}"):
+        check(made)
+
+
 def test_numpy_numbers_are_numbers() -> None:
     class Numpy(Corridor):
         def env_step(self, action: Action) -> Any:
