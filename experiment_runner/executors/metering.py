@@ -47,6 +47,9 @@ class Meter:
         steps, reward: sums over the episodes before the first.
         saved: what `save` returned after the last of these; empty if there is none.
 
+    Attributes:
+        missing: why there are no metrics; empty unless the agent turned out to have none.
+
     Raises:
         ExperimentError: `saved` is damaged.
     """
@@ -61,7 +64,7 @@ class Meter:
         self._before = _load(saved)  # the parts before the episode under way
         self._parts = dict(self._before)
         self._readings: list[Reading] = []
-        self._offered = True
+        self.missing: str = ""
 
     @property
     def each_step(self) -> bool:
@@ -109,11 +112,11 @@ class Meter:
             self._readings.append(Reading(step, {**own, **metrics} if own else metrics))
 
     def _metrics(self) -> dict[str, float]:
-        if self._offered:
+        if not self.missing:
             try:
                 return self._glue.rl_agent_metrics()
-            except Unsupported:
-                self._offered = False
+            except Unsupported as error:
+                self.missing = str(error)
         return {}
 
     def _kept(self, number: int, metrics: dict[str, float]) -> dict[str, float]:

@@ -150,6 +150,7 @@ class _Trial:
         self._can_save: bool | None = None
         self._unsaved = ""  # the reason for which no checkpoint can be taken
         self._warned = False
+        self._told = False  # that the agent has no metrics
 
     def run(self) -> None:
         with self._interrupts.deferred():
@@ -178,7 +179,7 @@ class _Trial:
                     self._meter.begin()
                 result = self._episode(self._done + 1, self._steps, self._play)
                 answers = ask(self._glue, self._questions)
-                metrics = () if self._meter is None else self._meter.end(result)
+                metrics = self._readings(result)
             except PeerLost as error:
                 if self._can_save:
                     raise
@@ -200,6 +201,16 @@ class _Trial:
         return (
             self._glue.rl_episode(max_steps) if meter is None else play_metered(self._glue, max_steps, meter)
         )
+
+    def _readings(self, result: EpisodeResult) -> tuple[Reading, ...]:
+        """Return the readings of an episode's metrics; say once if the agent has none."""
+        if self._meter is None:
+            return ()
+        readings = self._meter.end(result)
+        if self._meter.missing and not self._told:
+            self._told = True
+            self._sink.event("unmetered", f"no metrics are recorded: {self._meter.missing}")
+        return readings
 
     def _void(self, error: PeerLost) -> None:
         self._sink.void(self._done + 1, str(error))

@@ -15,6 +15,7 @@ from env_server.toys import MinesEnvironment
 from experiment_runner.executors.interrupts import Interrupts
 from experiment_runner.executors.trial import Start, run_trial
 from experiment_runner.plan.ids import TrialId
+from experiment_runner.plan.metrics import MetricsPlan
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
 from glue.engine.experiment import Experiment
@@ -156,6 +157,13 @@ def test_player_that_cannot_save_is_replaced_and_the_trial_goes_on() -> None:
     assert kept.voids == [4]
     assert kept.events == ["replaced", "unsaved"]
     assert not kept.checkpoints
+
+
+def test_an_agent_without_metrics_is_named_once() -> None:
+    kept = Kept()
+    run_trial(local(RandomAgent(), mines()), SPEC, kept, checkpoint_every=10, metrics=MetricsPlan(7))
+    assert len(kept.results) == SPEC.episodes
+    assert kept.events == ["unmetered"]
 
 
 def test_episode_that_cannot_be_repeated_is_noted() -> None:
