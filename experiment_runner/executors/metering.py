@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
-import msgspec
-
 from experiment_runner.plan.metrics import ALL, MetricsPlan
+from experiment_runner.store.readings import Part, pack_parts, unpack_parts
 from experiment_runner.store.records import TOTAL_REWARD, EpisodeResult, Reading
 from glue.engine.experiment import Experiment
-from glue.errors import ExperimentError, GlueError, Unsupported
+from glue.errors import GlueError, Unsupported
 
 
 def play_metered(glue: Experiment, max_steps: int, meter: Meter) -> bool:
@@ -26,16 +23,6 @@ def play_metered(glue: Experiment, max_steps: int, meter: Meter) -> bool:
         if terminal is not None:
             return terminal
     return False
-
-
-class _Part(NamedTuple):
-    """The values of a metric that are not averaged yet, as there are too few: of their group, in the order of
-    the trial, the number, the sum of the values, and how many there are.
-    """
-
-    group: int
-    total: float
-    members: int
 
 
 class Meter:
@@ -61,7 +48,7 @@ class Meter:
         self._plan = plan
         self._steps = steps
         self._reward = reward
-        self._before = _load(saved)  # the parts before the episode under way
+        self._before = unpack_parts(saved)  # the parts before the episode under way
         self._parts = dict(self._before)
         self._readings: list[Reading] = []
         self.missing: str = ""
@@ -98,8 +85,8 @@ class Meter:
         return tuple(self._readings)
 
     def save(self) -> bytes:
-        """Return what later readings depend on, after an episode."""
-        return msgspec.msgpack.encode(self._before) if self._before else b""
+        """Return the means under way after an episode, on which later readings depend."""
+        return pack_parts(self._before)
 
     def _read(self, number: int, step: int, own: dict[str, float]) -> None:
         """Read the metrics for the `number`-th time, counted from 1, beside the trial's own."""
@@ -128,16 +115,9 @@ class Meter:
                 group = (number - 1) // every
                 part = self._parts.get(name)
                 total, count = (part.total, part.members) if part and part.group == group else (0.0, 0)
-                self._parts[name] = _Part(group, total + value, count + 1)
+                self._parts[name] = Part(group, total + value, count + 1)
                 value = (total + value) / (count + 1)
             if number % every == 0:
                 self._parts.pop(name, None)
                 kept[name] = value
         return kept
-
-
-def _load(saved: bytes) -> dict[str, _Part]:
-    try:
-        return msgspec.msgpack.decode(saved, type=dict[str, _Part]) if saved else {}
-    except msgspec.MsgspecError as error:
-        raise ExperimentError(f"the metrics of a checkpoint are damaged: {error}") from None

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import sqlite3
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from experiment_runner.store.records import Reading
+from glue.errors import ExperimentError
 
 _MOST_STEPS: Final = 2.0**53
 
@@ -33,6 +34,16 @@ class Metric(NamedTuple):
     episodes: npt.NDArray[np.float64]
     steps: npt.NDArray[np.float64]
     values: npt.NDArray[np.float64]
+
+
+class Part(NamedTuple):
+    """The values of a metric that are not averaged yet, as there are too few: of their group, in the order of
+    the trial, the number, the sum of the values, and how many there are.
+    """
+
+    group: int
+    total: float
+    members: int
 
 
 NO_METRIC: Final = Metric(np.empty(0), np.empty(0), np.empty(0))
@@ -87,6 +98,23 @@ def unpacked(rows: Iterable[tuple[str, bytes]]) -> dict[str, Metric]:
     return {name: _in_order(found[name]) for name in sorted(found)}
 
 
+def pack_parts(parts: Mapping[str, Part]) -> bytes:
+    """Return the parts of metrics by name, as a checkpoint keeps them."""
+    return msgspec.msgpack.encode(parts) if parts else b""
+
+
+def unpack_parts(saved: bytes) -> dict[str, Part]:
+    """Return the parts of metrics by name.
+
+    Raises:
+        ExperimentError: what a checkpoint kept is damaged.
+    """
+    try:
+        return msgspec.msgpack.decode(saved, type=dict[str, Part]) if saved else {}
+    except msgspec.MsgspecError as error:
+        raise ExperimentError(f"the metrics of a checkpoint are damaged: {error}") from None
+
+
 def _in_order(parts: Sequence[Metric]) -> Metric:
     if len(parts) == 1:
         return parts[0]
@@ -110,7 +138,7 @@ def pack_older(connection: sqlite3.Connection) -> None:
             (trial,),
         ).fetchall()
         values: dict[tuple[int, int], dict[str, float]] = defaultdict(dict)
-        parts: dict[str, tuple[int, float, int]] = {}
+        parts: dict[str, Part] = {}
         for name, group in itertools.groupby(rows, key=lambda row: row[0]):
             _average(name, group, checkpoints.get(trial, 0), values, parts)
         for episode, places in itertools.groupby(sorted(values), key=lambda at: at[0]):
@@ -124,8 +152,9 @@ def pack_older(connection: sqlite3.Connection) -> None:
                     "INSERT INTO readings VALUES (?, ?, ?, ?)", (trial, episode, keys[names], data)
                 )
         if parts:
-            saved = msgspec.msgpack.encode(parts)
-            connection.execute("UPDATE checkpoints SET metrics = ? WHERE trial = ?", (saved, trial))
+            connection.execute(
+                "UPDATE checkpoints SET metrics = ? WHERE trial = ?", (pack_parts(parts), trial)
+            )
 
 
 def _average(
@@ -133,7 +162,7 @@ def _average(
     rows: Iterable[Sequence[Any]],
     checkpoint: int,
     values: dict[tuple[int, int], dict[str, float]],
-    parts: dict[str, tuple[int, float, int]],
+    parts: dict[str, Part],
 ) -> None:
     """Add the values of a metric to `values`, by episode and step, and to `parts` what a checkpoint needs.
 
@@ -151,7 +180,7 @@ def _average(
             total, count = total + known, count + 1
             known = total / count
             if episode <= checkpoint:
-                parts[name] = (group, total, count)
+                parts[name] = Part(group, total, count)
         if number % every == 0:
             values[episode, step][name] = known
             if averaged and episode <= checkpoint:

@@ -49,7 +49,7 @@ HOMES: Mapping[str, Sequence[str]] = {
     "zmq": ["glue/client/libzmq.py"],
     "nacl": ["glue/wire/curve.py", "glue/keys/signing.py"],
     "msgpack": ["glue/wire/*", "experiment_runner/executors/job.py"],
-    "msgspec": ["experiment_runner/executors/job.py"],
+    "msgspec": ["experiment_runner/executors/job.py", "experiment_runner/store/readings.py"],
     "numba": ["glue/compiled/jit.py", "glue/compiled/threads.py"],
     "docker": ["experiment_runner/competition/containers.py"],
     "requests": ["experiment_runner/competition/containers.py"],

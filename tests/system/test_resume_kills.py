@@ -98,7 +98,7 @@ def wait_for_an_episode(directory: Path) -> None:
 @pytest.mark.parametrize("plan", PLANS)
 def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(plan: str, tmp_path: Path) -> None:
     undisturbed = start(*PLANS[plan], "--in-process", "--out", "undisturbed", cwd=tmp_path)
-    _, errors = undisturbed.communicate(timeout=size(60, 400))
+    _, errors = undisturbed.communicate(timeout=size(200, 400))
     assert undisturbed.returncode == 0, errors
     command = [*PLANS[plan], "--workers", 2, "--checkpoint-every", 20, "--out", "killed"]
     chance = random.Random(4)
@@ -130,14 +130,14 @@ def test_search_that_is_killed_comes_to_the_same_choice(tmp_path: Path) -> None:
     (tmp_path / "plan.toml").write_text(SEARCH)
     command = ("--plan", "plan.toml", "--in-process", "--workers", 2)
     undisturbed = start(*command, "--out", "undisturbed", cwd=tmp_path)
-    _, errors = undisturbed.communicate(timeout=60)
+    _, errors = undisturbed.communicate(timeout=200)
     assert undisturbed.returncode == 0, errors
     chance = random.Random(6)
     killed = 0
     while True:
         searching = start(*command, "--out", "killed", cwd=tmp_path)
         with contextlib.suppress(subprocess.TimeoutExpired):
-            _, errors = searching.communicate(timeout=chance.uniform(0.8, 2.5) if killed < KILLS else 60)
+            _, errors = searching.communicate(timeout=chance.uniform(0.8, 2.5) if killed < KILLS else 200)
             break
         kill_experiment(searching)
         killed += 1

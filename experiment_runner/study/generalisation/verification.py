@@ -83,7 +83,7 @@ def _difference(score: dict[str, Any], levels: LevelSet, noise: Noise) -> str:
 
 
 def _replay(levels: LevelSet, number: int, actions: str, noise: Noise | None = None) -> dict[str, Any]:
-    """Return what actions, given by their digits, earn on a level, up to the end of the episode."""
+    """Return the outcome of actions, given by their digits, on a level, up to the end of the episode."""
     game = Game(levels.level(_TASK, number))
     game.start()
     earned, steps = 0.0, 0
