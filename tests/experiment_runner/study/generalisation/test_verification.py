@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import gzip
 import json
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 from env_server.mario.level_sets import LEVEL_SETS, LevelSet
+from experiment_runner.cli import generalise as command
 from experiment_runner.cli.generalise import generalise
 from experiment_runner.study.generalisation.physics import outcomes, physics_table
 from experiment_runner.study.generalisation.players import ACTIONS, Noise, digit_of
@@ -80,6 +82,24 @@ def test_certificates_reach_the_goal_and_are_kept(tmp_path: Path) -> None:
     run = ["--agent", "run-right", "--set", "few", "--seed", "1", "--out", str(tmp_path / "run")]
     shown = CliRunner().invoke(generalise, [*run, "--certificates", str(out)], catch_exceptions=False)
     assert "goal, if solvable" in shown.stdout
+
+
+@pytest.mark.usefixtures("few")
+def test_compressed_certificates_are_read_and_a_bomb_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "certificates.json.gz"
+    done = CliRunner().invoke(generalise, ["certify", "few:1", "--out", str(out)], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    first = out.read_bytes()
+    assert CliRunner().invoke(generalise, ["verify", str(out)]).exit_code == 0
+    assert CliRunner().invoke(generalise, ["certify", "few:1", "--out", str(out)]).exit_code == 0
+    assert out.read_bytes() == first
+    monkeypatch.setattr(command, "_MOST_BYTES", 2**20)
+    out.write_bytes(gzip.compress(bytes(2**20 + 1)))
+    refused = CliRunner().invoke(generalise, ["verify", str(out)], standalone_mode=False)
+    assert isinstance(refused.exception, ConfigError)
+    assert "longer than" in str(refused.exception)
 
 
 def test_noise_replaces_the_given_share_of_actions_and_is_repeatable() -> None:
