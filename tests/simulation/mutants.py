@@ -98,7 +98,7 @@ MUTANTS: Final = (
     Mutant(
         "the hub forgets what a crowded connection did not take",
         "glue/hub/io/connection.py",
-        "            data = data[sent:]",
+        "            self._unsent += memoryview(data)[sent:]",
         "            return",
     ),
     Mutant(
