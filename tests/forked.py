@@ -91,6 +91,8 @@ def _main(command: Sequence[str], cwd: Path, env: Mapping[str, str], printed: Se
         redirect(stream.fileno(), path)
     os.environ.clear()
     os.environ.update(env)
+    # Python reads it only at its start.
+    sys.path[:0] = filter(None, env.get("PYTHONPATH", "").split(os.pathsep))
     os.chdir(cwd)
     sys.argv = [str(BIN / command[0]), *command[1:]]
     runpy.run_path(sys.argv[0], run_name="__main__")
