@@ -220,7 +220,7 @@ class PlannerAgent(MarioAgent):
         mario = self._scratch[0]["actors"][0]
         places = []
         for action in [*self._plan.tolist(), -1]:
-            places.append((float(mario["x"]) / 16, 16.5 - float(mario["y"]) / 16))
+            places.append((round(float(mario["x"]) / 16, 3), round(16.5 - float(mario["y"]) / 16, 3)))
             if action < 0 or not model.step(self._scratch[0], self._levels[0], action):
                 break
         return places

@@ -48,13 +48,13 @@ _SOLID: Final = "7#"
 _NAMES: Final = {"1": "ledge", "3": "ledge", "b": "brick", "?": "question", "$": "coin"}
 
 
-def draw(observation: Observation) -> Picture:
-    """Return a picture of an observation, shape (240, 320).
+def draw(observation: Observation, marks: Marks = ()) -> Picture:
+    """Return a picture of an observation and of marks, x and height in tiles; shape (240, 320).
 
     Raises:
         SimulatorError: it is not an observation of Infinite Mario.
     """
-    return _draw(outlined(read_scene(observation)))
+    return _draw(outlined(read_scene(observation)._replace(marks=marks)))
 
 
 def save_png(path: str | os.PathLike[str], observation: Observation, scale: int = 2) -> None:
@@ -163,7 +163,7 @@ def _draw(scene: Scene) -> Picture:
                 _paste(picture, tile(name), (scene.column + column) * _TILE - camera, row * _TILE)
     for x, height in scene.marks:
         left, top = round(x * _TILE) - camera, round(HEIGHT + _TILE - height * _TILE)
-        _paste(picture, _picture(MARK), left - len(MARK) // 2, top - len(MARK) // 2)
+        _paste(picture, mark(), left - len(MARK) // 2, top - len(MARK) // 2)
     for shown in reversed(scene.sprites):
         if shown.kind != _PLANT:
             _draw_sprite(picture, shown, camera)
@@ -259,6 +259,12 @@ def tile(name: str) -> Picture:
 def cloud() -> Picture:
     """Return the picture of a cloud."""
     return _picture(CLOUD)
+
+
+@cache
+def mark() -> Picture:
+    """Return the picture of a mark, whose middle is where it is."""
+    return _picture(MARK)
 
 
 def _picture(lines: tuple[str, ...]) -> Picture:

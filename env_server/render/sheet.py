@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from env_server.render.artwork import PALETTE, SPRITES, TILES
-from env_server.render.drawing import CLEAR, MOUNTAINS, SKY, WIDTH, Picture, cloud, pillow, sprite, tile
+from env_server.render.drawing import CLEAR, MOUNTAINS, SKY, WIDTH, Picture, cloud, mark, pillow, sprite, tile
 
 
 class Rectangle(NamedTuple):
@@ -26,7 +26,7 @@ class Rectangle(NamedTuple):
 
 
 def rectangles() -> dict[str, Rectangle]:
-    """Return where the parts are: `tile NAME`, `cloud`, and `sprite KIND right` or `left`, and `winged`."""
+    """Return where `cloud`, `mark`, `tile NAME`, and `sprite KIND right` or `left`, and `winged`, are."""
     return {name: rectangle for name, (rectangle, _) in _layout().items()}
 
 
@@ -63,7 +63,7 @@ def sheet_png() -> bytes:
 @cache
 def _layout() -> Mapping[str, tuple[Rectangle, Picture]]:
     """Return all parts and their rectangles: in rows, the tallest first."""
-    parts = {f"tile {name}": tile(name) for name in TILES} | {"cloud": cloud()}
+    parts = {f"tile {name}": tile(name) for name in TILES} | {"cloud": cloud(), "mark": mark()}
     for kind in SPRITES:
         for winged in (False, True):
             for to_the_left, side in ((False, "right"), (True, "left")):

@@ -31,9 +31,9 @@ export async function open(spec, file) {
     height: HEIGHT,
     pixelated: true,
     shows: isScene,
-    draw(context, observation) {
+    draw(context, observation, marks) {
       if (problem) throw problem;
-      drawScene(context, readScene(observation), { ...art, sheet });
+      drawScene(context, readScene(observation), marks, { ...art, sheet });
     },
     describe: (observation) => describe(readScene(observation)),
     words({ ints: [direction, jump, run] }) {
@@ -76,8 +76,8 @@ function describe(scene) {
     `; in sight: ${names.join(", ") || "nobody"}`;
 }
 
-/** Draw a scene; `art` has the `sheet`, the `places` in it, and `colors`. */
-function drawScene(context, scene, art) {
+/** Draw a scene, and marks at pairs of x and height; `art` has the `sheet`, the `places` in it, and `colors`. */
+function drawScene(context, scene, marks, art) {
   const rows = outlined(scene);
   const x = Math.max(scene.sprites[0].x - WIDTH / 2 / TILE, scene.column);
   const camera = roundHalfEven(Math.min(x, scene.column + COLUMNS - WIDTH / TILE) * TILE);
@@ -100,6 +100,11 @@ function drawScene(context, scene, art) {
         paste(`tile ${name}`, (scene.column + column) * TILE - camera, row * TILE);
       }
     }
+  }
+  const [, , wide, high] = art.places.mark;
+  for (const [x, height] of marks) {
+    paste("mark", roundHalfEven(x * TILE) - camera - Math.floor(wide / 2),
+      roundHalfEven(HEIGHT + TILE - height * TILE) - Math.floor(high / 2));
   }
   scene.sprites.filter(({ kind }) => kind !== PLANT).reverse().forEach(sprite);
 }

@@ -96,7 +96,7 @@ def test_plan_begins_where_mario_will_be() -> None:
     for _ in range(10):
         marks = json.loads(agent.agent_message("marks"))
         reward, observation, *_ = game.step(*action.ints.tolist())
-        assert marks[0] == pytest.approx([observation.doubles[0], observation.doubles[1] + 0.5])
+        assert marks[0] == pytest.approx([observation.doubles[0], observation.doubles[1] + 0.5], abs=0.001)
         assert len(marks) > 1
         action = agent.agent_step(reward, observation)
 

@@ -505,6 +505,7 @@ def test_marks_are_drawn_where_they_are(tmp_path: Path) -> None:
         if without != mark
     ]
     assert changed == [(3, 4), (3, 5)]
+    assert (draw(observation, marks) != draw(observation)).sum() == 13  # of a mark that is in sight
     save_gif(tmp_path / "a.gif", [observation], marks=[marks])
     with Image.open(tmp_path / "a.gif") as image:
         rows, columns = (np.asarray(image.convert("RGB")) != _colors(draw(observation))).any(-1).nonzero()

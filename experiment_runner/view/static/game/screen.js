@@ -6,6 +6,7 @@ import { inWords, textOf } from "./values.js";
 const MOST_ROWS = 600;
 const LINE = 22; // chars in a row of the table, and in a row of Mario's tiles
 const MOST_PIXELS = 4096; // of a drawing, in each direction
+const MOST_MARKS = 1000;
 const plain = new Intl.NumberFormat("en", { maximumFractionDigits: 4 });
 
 /** Return the drawings that installed environments offer for a task spec, and why others cannot be had. */
@@ -53,7 +54,7 @@ export class Screen {
     this.below = h("div", { class: "below" });
     this.element = h("div", { class: "screen" }, h("figure", {}, this._canvas, this._note), this.beside,
       this.below, this._numbers);
-    this._redraw = () => this._moment && this._draw(this._moment.observation);
+    this._redraw = () => this._moment && this._draw(this._moment);
     window.addEventListener("themechange", this._redraw);
   }
 
@@ -65,7 +66,7 @@ export class Screen {
   /** Show a moment: its `step`, `action` (or null), `observation`, `reward`, `total`, `ending` and `answers`. */
   show(moment) {
     this._moment = moment;
-    this._draw(moment.observation);
+    this._draw(moment);
     const { step, action, reward, total, ending, episode } = moment;
     setText(this._facts.episode, String(episode));
     setText(this._facts.step, String(step));
@@ -103,14 +104,14 @@ export class Screen {
     return this._drawings.find((one) => one.shows(observation));
   }
 
-  _draw(observation) {
+  _draw({ observation, answers }) {
     let note = ["There is no drawing of this environment: below are its numbers.", ...this._problems].join(" ");
     let drawn = false;
     const drawing = this._drawing(observation);
     if (drawing) {
       try {
         this._size(drawing.width, drawing.height, drawing.pixelated ? "pixels" : "");
-        drawing.draw(this._canvas.getContext("2d"), observation);
+        drawing.draw(this._canvas.getContext("2d"), observation, marksIn(answers ?? []));
         this._canvas.setAttribute("aria-label", drawing.describe(observation));
         [note, drawn] = ["", true];
       } catch (error) {
@@ -146,6 +147,17 @@ export class Screen {
     } else {
       rows.forEach(([, value], i) => setText(this._cells[i], value));
     }
+  }
+}
+
+/** Return the points that an agent wants drawn: its answer to the message "marks", if that is a JSON list of pairs of numbers. */
+function marksIn(answers) {
+  try {
+    const pairs = JSON.parse(answers.find(([message]) => message === "marks")[1]);
+    const isPair = (pair) => pair.length === 2 && pair.every(Number.isFinite);
+    return pairs.length <= MOST_MARKS && pairs.every(isPair) ? pairs : [];
+  } catch {
+    return []; // it has not answered, or with something else, which stands beside the picture
   }
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ selenium_keys = pytest.importorskip("selenium.webdriver").Keys
 STEPS = 60
 HOSTILE = "<script>alert(1)</script>"
 RIGHT, DOWN = [1, 1, 1], [1]
+MARKS = ((4.03, 3.5), (5.5, 6.25), (300.0, 2.0), (7.0, -4.0))  # in sight the first two
 LEVELS = {0: 33, 1: 19, 2: 28}  # a seed for each type, with which Mario gets far and meets many
 Pixels = npt.NDArray[np.uint8]
 
@@ -53,12 +55,20 @@ def play(
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
-    for name in ("mario", "toys"):
+    for name in ("mario", "planned", "toys"):
         make_run(folder / name).close()
     with TrajectoryWriter(folder / "mario/run.traj") as writer:
         for kind, seed in LEVELS.items():
             mario = InfiniteMario(level_seed=seed, level_type=kind, level_difficulty=3)
             play(writer, mario, "mario", RIGHT, STEPS)
+    with TrajectoryWriter(folder / "planned/run.traj") as writer:
+        mario = InfiniteMario(level_seed=33)
+        writer.run(Run("mario", {}, mario.env_init()))
+        writer.answer("marks", json.dumps(MARKS))
+        writer.start(mario.env_start())
+        writer.answer("marks", HOSTILE)
+        writer.step(Action(RIGHT), *mario.env_step(Action(RIGHT))[:3])
+        writer.cutoff()
     with TrajectoryWriter(folder / "toys/run.traj") as writer:
         play(writer, MinesEnvironment(), "mines", DOWN, 3)
         writer.run(Run("strange", {}, SPEC))
@@ -153,6 +163,22 @@ def test_every_kind_of_level_is_drawn_so_at_many_steps(
         assert float(shown["reward"].replace(",", "")) == pytest.approx(done.reward, abs=1e-4)
         assert float(shown["return"].replace(",", "")) == pytest.approx(total, abs=1e-4)
     assert shown["state"] == {"terminal": "terminal", "cutoff": "cut off"}[episode.ending.value]
+
+
+def test_the_plan_that_an_agent_answers_is_drawn(browser: Browser, ids: dict[str, str], folder: Path) -> None:
+    [episode] = TrajectoryReader(folder / "planned/run.traj")
+    colors = np.array(list(PALETTE.values()), np.uint8)
+    browser.go(f"game/{ids['planned']}/1")
+    is_at(browser, 0)
+    start, then = episode.start, episode.steps[0].observation
+    assert start is not None
+    assert then is not None
+    assert (draw(start, MARKS) != draw(start)).sum() > 13
+    np.testing.assert_array_equal(pixels(browser), colors[draw(start, MARKS)])
+    browser.press(selenium_keys.ARROW_RIGHT)  # to an answer that is no plan
+    is_at(browser, 1)
+    assert answers(browser) == {"marks": HOSTILE}
+    np.testing.assert_array_equal(pixels(browser), colors[draw(then)])
 
 
 def test_it_is_played_by_keys(browser: Browser, ids: dict[str, str]) -> None:
