@@ -57,7 +57,7 @@ class Block:
     """
 
     def __init__(self) -> None:
-        self.episode = 0
+        self.episode: int = 0
         self._numbers: dict[str, list[float]] = {}
 
     def add(self, episode: int, readings: Iterable[Reading]) -> None:
