@@ -94,6 +94,10 @@ def test_half_an_episode_does_not_begin_with_a_newcomer() -> None:
     assert simulate(13557, faults).problems == []
 
 
+def test_an_experiment_inside_gets_the_loop_though_the_clock_jumps() -> None:
+    assert simulate(26567).problems == []
+
+
 def test_a_seed_is_always_the_same_run() -> None:
     one, other = simulate(4, trace=True), simulate(4, trace=True)
 

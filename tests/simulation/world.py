@@ -5,6 +5,7 @@ answers. A program runs until it waits; then the world chooses who runs next."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from heapq import heappop, heappush
@@ -262,12 +263,14 @@ class _RLock:
         self._waiting: list[Any] = []
 
     def acquire(self, blocking: bool = True, timeout: float = -1) -> bool:
-        """Acquire it; `timeout` does not matter, as whoever has it gives it away when it is asked to."""
+        """Acquire it, if it is free now or within `timeout` seconds; -1 waits for ever."""
+        until = self._world.now + timeout if timeout >= 0 else math.inf
         while self._owner is not None:
-            if not blocking:
+            left = until - self._world.now
+            if not blocking or left <= 0:
                 return False
             self._waiting.append(getcurrent())
-            self._world.block()
+            self._world.block(None if left == math.inf else left)
         self._owner = getcurrent()
         return True
 
