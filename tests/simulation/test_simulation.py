@@ -98,6 +98,10 @@ def test_an_experiment_inside_gets_the_loop_though_the_clock_jumps() -> None:
     assert simulate(26567).problems == []
 
 
+def test_a_player_that_is_refused_in_one_session_is_lost_in_the_others() -> None:
+    assert simulate(35634).problems == []
+
+
 def test_a_seed_is_always_the_same_run() -> None:
     one, other = simulate(4, trace=True), simulate(4, trace=True)
 

@@ -3,6 +3,7 @@ reached."""
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -43,6 +44,8 @@ _CAUSES: Final = {
     "it used": "a session or connection was evicted",
     "is void": "a verb of a void episode",
 }
+
+_ROLE: Final = re.compile(r"\b(?:agent|environment)\b")
 
 _RECONNECT_SECONDS: Final = 1.2
 """Seconds that a connection may be missing after a break, with the longest delay before the next attempt."""
@@ -154,7 +157,8 @@ class Watch:
         cause = next((name for part, name in _CAUSES.items() if part in text), None)
         self.reached(f"void: {cause or text[:60]}")
         now = self._run.world.now
-        role = Role.AGENT if "agent" in text.split(":")[-1].split("(")[0][:40] else Role.ENVIRONMENT
+        lost = _ROLE.search(text)  # the first one: a reason for leaving may name others
+        role = Role(lost[0]) if lost else None
         timeout = self._run.timeout
         since = began - timeout - 10.0
         numbers = {
