@@ -7,17 +7,17 @@ proved of a command's start needs `tests.terminal.run_anew`.
 from __future__ import annotations
 
 import multiprocessing
+import multiprocessing.connection
 import os
 import runpy
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any, Final
-
-from glue.conform.hub.clients import is_awake
 
 BIN: Final = Path(sys.executable).parent
 
@@ -53,6 +53,54 @@ SERVER.set_forkserver_preload(
 )
 
 
+class Forked:
+    """A function in a forked process; its result is the exit code.
+
+    Threads may use several at a time. `multiprocessing` lets whoever starts a process look for the end of all
+    others: of two threads that read the same exit code, one would take it for 255.
+    """
+
+    _alone = threading.Lock()
+
+    def __init__(self, run: Callable[..., int], *arguments: Any, daemon: bool = True) -> None:
+        self._process: ForkServerProcess = SERVER.Process(target=_exit, args=(run, arguments), daemon=daemon)
+        with self._alone:
+            self._process.start()
+
+    @property
+    def pid(self) -> int:
+        """The number of the process."""
+        assert self._process.pid is not None
+        return self._process.pid
+
+    def wait(self, seconds: float | None = None) -> int | None:
+        """Return its exit code when it has ended, -N by signal N; None if `seconds` pass before."""
+        multiprocessing.connection.wait([self._process.sentinel], seconds)
+        with self._alone:
+            return self._process.exitcode
+
+    def kill(self) -> None:
+        with self._alone:
+            self._process.kill()
+        multiprocessing.connection.wait([self._process.sentinel])
+
+
+class Recorded(Forked):
+    """A function in a forked process, with what it prints."""
+
+    def __init__(self, run: Callable[..., int], *arguments: Any) -> None:
+        self._folder = tempfile.TemporaryDirectory()
+        self._printed = Path(self._folder.name) / "printed"
+        super().__init__(_record, self._printed, run, arguments)
+
+    def kill(self) -> None:
+        super().kill()
+        self._folder.cleanup()
+
+    def output(self) -> str:
+        return self._printed.read_text(errors="replace") if self._printed.exists() else ""
+
+
 def run(
     *command: str, cwd: Path, env: Mapping[str, str] | None = None, timeout: float = 120
 ) -> subprocess.CompletedProcess[str]:
@@ -60,23 +108,18 @@ def run(
     with tempfile.TemporaryDirectory() as folder:
         printed = [Path(folder) / name for name in ("stdout", "stderr")]
         process = start(*command, cwd=cwd, env=env, printed=printed)
-        process.join(timeout)
-        status = process.exitcode
+        status = process.wait(timeout)
         if status is None:
             process.kill()
-            process.join()
             raise subprocess.TimeoutExpired(command, timeout)
         return subprocess.CompletedProcess(command, status, *(path.read_text("utf-8") for path in printed))
 
 
-def start(
-    *command: str, cwd: Path, env: Mapping[str, str] | None = None, printed: Sequence[Path]
-) -> ForkServerProcess:
+def start(*command: str, cwd: Path, env: Mapping[str, str] | None = None, printed: Sequence[Path]) -> Forked:
     """Start one of our commands; its standard output and its errors are appended to two files."""
-    arguments = (command, cwd, dict(os.environ if env is None else env), printed)
-    process = SERVER.Process(target=_main, args=arguments)
-    process.start()
-    return process
+    environment = dict(os.environ if env is None else env)
+    # A daemon could start no processes.
+    return Forked(_main, command, cwd, environment, printed, daemon=False)
 
 
 def redirect(descriptor: int, path: Path) -> None:
@@ -86,7 +129,17 @@ def redirect(descriptor: int, path: Path) -> None:
     os.close(opened)
 
 
-def _main(command: Sequence[str], cwd: Path, env: Mapping[str, str], printed: Sequence[Path]) -> None:
+def _exit(run: Callable[..., int], arguments: tuple[Any, ...]) -> None:
+    raise SystemExit(run(*arguments))
+
+
+def _record(printed: Path, run: Callable[..., int], arguments: tuple[Any, ...]) -> int:
+    for descriptor in (1, 2):
+        redirect(descriptor, printed)
+    return run(*arguments)
+
+
+def _main(command: Sequence[str], cwd: Path, env: Mapping[str, str], printed: Sequence[Path]) -> int:
     for stream, path in zip((sys.stdout, sys.stderr), printed, strict=True):
         redirect(stream.fileno(), path)
     os.environ.clear()
@@ -96,42 +149,4 @@ def _main(command: Sequence[str], cwd: Path, env: Mapping[str, str], printed: Se
     os.chdir(cwd)
     sys.argv = [str(BIN / command[0]), *command[1:]]
     runpy.run_path(sys.argv[0], run_name="__main__")
-
-
-class Forked:
-    """A function in a process of its own; it returns the exit code."""
-
-    def __init__(self, run: Callable[..., int], *arguments: Any) -> None:
-        self._folder = tempfile.TemporaryDirectory()
-        self._printed = Path(self._folder.name) / "printed"
-        self._process: ForkServerProcess = SERVER.Process(
-            target=_run, args=(self._printed, run, arguments), daemon=True
-        )
-        self._process.start()
-
-    @property
-    def pid(self) -> int:
-        """The number of the process."""
-        assert self._process.pid is not None
-        return self._process.pid
-
-    def wait(self, seconds: float) -> int | None:
-        self._process.join(seconds)
-        return self._process.exitcode
-
-    def kill(self) -> None:
-        self._process.kill()
-        self._process.join()
-        self._folder.cleanup()
-
-    def output(self) -> str:
-        return self._printed.read_text(errors="replace") if self._printed.exists() else ""
-
-    def awake(self) -> bool | None:
-        return is_awake(self.pid)
-
-
-def _run(printed: Path, run: Callable[..., int], arguments: tuple[Any, ...]) -> None:
-    for descriptor in (1, 2):
-        redirect(descriptor, printed)
-    raise SystemExit(run(*arguments))
+    return 0

@@ -13,7 +13,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Final
 
@@ -48,15 +47,10 @@ def bash(text: str, cwd: Path, timeout: float) -> subprocess.CompletedProcess[st
 class _Forking(socketserver.StreamRequestHandler):
     """Runs a command for a process of `tests/scripted/asking.py`, and answers with its exit status."""
 
-    _alone = threading.Lock()  # each start looks whether earlier processes have ended, and may read it first
-
     def handle(self) -> None:
         asked = json.loads(self.rfile.readline())
         printed = [Path(f"/proc/{asked['pid']}/fd/{descriptor}") for descriptor in (1, 2)]
-        with self._alone:
-            process = start(*asked["command"], cwd=Path(asked["cwd"]), env=asked["env"], printed=printed)
-        wait([process.sentinel])
-        with self._alone:
-            status = process.exitcode
+        process = start(*asked["command"], cwd=Path(asked["cwd"]), env=asked["env"], printed=printed)
+        status = process.wait()
         assert status is not None
         self.wfile.write(b"%d\n" % (status if status >= 0 else 128 - status))

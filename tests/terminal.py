@@ -63,20 +63,17 @@ class Terminal:
         return next((match for line in self.lines if (match := re.search(pattern, line))), None)
 
     def send_signal(self, number: signal.Signals) -> None:
-        assert self.process.pid is not None
         os.kill(self.process.pid, number)
 
     def end(self) -> int:
         """Wait for the command to end by itself; return its status."""
-        self.process.join(120)
-        status = self.process.exitcode
+        status = self.process.wait(120)
         assert status is not None, self.lines
         self._reader.join()
         return status
 
     def close(self) -> None:
         self.process.kill()
-        self.process.join()
         self._reader.join()
         self._folder.cleanup()
 

@@ -11,7 +11,7 @@ from glue.client.experiment import connect
 from glue.engine.local import local
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
-from tests.forked import Forked
+from tests.forked import Recorded
 from tests.scripted.peer import TIMEOUT
 from tests.scripted.process import main
 from tests.system.conformance import SCENARIOS, Seen
@@ -30,7 +30,7 @@ def hub(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     with Hub(HubConfig(bind=(url,))).in_background() as hub:
         (endpoint,) = hub.endpoints
         programs = "tests.system.conformance"
-        players = [Forked(main, role, endpoint, f"{programs}:{role}s") for role in ("agent", "environment")]
+        players = [Recorded(main, role, endpoint, f"{programs}:{role}s") for role in ("agent", "environment")]
         yield endpoint
     for player in players:
         player.wait(TIMEOUT)

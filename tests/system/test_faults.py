@@ -27,7 +27,7 @@ from glue.errors import HubClosed, PeerLost
 from glue.hub.config import HubConfig
 from glue.hub.io.server import Hub
 from glue.types import Action, Step
-from tests.forked import Forked
+from tests.forked import Recorded
 from tests.players import ChainAgent, ChainEnvironment, ScriptedAgent, ScriptedEnvironment
 from tests.proof import size
 from tests.scripted.peer import TIMEOUT
@@ -108,7 +108,7 @@ class Processes:
 
     def __init__(self, hub: str, role: str, player: str) -> None:
         self._arguments = (role, hub, player, "libzmq" if _ends.processes else "plain")
-        self._started: list[Forked] = []
+        self._started: list[Recorded] = []
 
     def __enter__(self) -> Processes:
         self.start()
@@ -120,14 +120,14 @@ class Processes:
 
     def start(self) -> None:
         """Start another."""
-        self._started.append(Forked(main, *self._arguments))
+        self._started.append(Recorded(main, *self._arguments))
 
     def signal(self, number: int) -> None:
         """Send the latest a signal."""
         os.kill(self.latest.pid, number)
 
     @property
-    def latest(self) -> Forked:
+    def latest(self) -> Recorded:
         """The process started last."""
         return self._started[-1]
 

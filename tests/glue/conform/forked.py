@@ -5,27 +5,34 @@ from __future__ import annotations
 from typing import cast
 
 from glue import AgentLike, EnvironmentLike, serve_agent, serve_environment
-from glue.conform.hub.clients import Start
+from glue.conform.hub.clients import Start, is_awake
 from glue.conform.hub.mirror import run_mirror
 from glue.errors import GlueError
 from glue.wire.messages import Role
-from tests.forked import Forked
+from tests.forked import Recorded
 from tests.glue.conform.wrong import run
+
+
+class Judged(Recorded):
+    """A client to judge: a function in a process of its own."""
+
+    def awake(self) -> bool | None:
+        return is_awake(self.pid)
 
 
 def wrong(role: Role, fault: str) -> Start:
     """Return a function that starts a client with a fault, or with none."""
-    return lambda hub, session: Forked(run, str(role), hub, session, fault)
+    return lambda hub, session: Judged(run, str(role), hub, session, fault)
 
 
 def mirror(role: Role, libzmq: bool) -> Start:
     """Return a function that starts our own mirror."""
-    return lambda hub, session: Forked(_mirror, role, hub, session, libzmq)
+    return lambda hub, session: Judged(_mirror, role, hub, session, libzmq)
 
 
 def served(player: AgentLike | EnvironmentLike) -> Start:
     """Return a function that starts a player of ours that is not the mirror."""
-    return lambda hub, session: Forked(_serve, player, hub, session)
+    return lambda hub, session: Judged(_serve, player, hub, session)
 
 
 def _serve(player: AgentLike | EnvironmentLike, hub: str, session: str) -> int:

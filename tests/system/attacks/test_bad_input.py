@@ -27,7 +27,7 @@ from glue.hub.io.server import Hub
 from glue.types import Action, Observation
 from glue.wire.limits import MAX_BODY, MAX_HEADER
 from glue.wire.messages import ErrorCode, Kind
-from tests.forked import Forked
+from tests.forked import Recorded
 from tests.players import ChainAgent, ChainEnvironment
 from tests.scripted.curve import METADATA, command
 from tests.scripted.peer import ABORT, GREETING, READY, TIMEOUT, ScriptedPeer, framed, hello_scalars
@@ -52,7 +52,7 @@ class HealthySession:
         self._stop = False
         self._failure: Exception | None = None
         players = (("agent", "ChainAgent"), ("environment", "ChainEnvironment"))
-        self._players = [Forked(main, role, url, f"tests.players:{player}") for role, player in players]
+        self._players = [Recorded(main, role, url, f"tests.players:{player}") for role, player in players]
         self._glue = connect(url, log=quiet)
         self._thread = threading.Thread(target=self._play)
         self._thread.start()
