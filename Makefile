@@ -69,8 +69,9 @@ test: $(READY)
 pytest: compile
 	$(BIN)/python -m pytest $(PARALLEL)
 
+# The full sizes take minutes each, several times as long on a slow machine.
 proof: compile
-	GLUE_PROOF=full $(BIN)/python -m pytest -m proof $(PARALLEL)
+	GLUE_PROOF=full $(BIN)/python -m pytest -m proof --timeout=1200 $(PARALLEL)
 
 # A few tests fail here, as coverage imports modules and writes files of its own: the report follows all the same.
 coverage: compile
