@@ -35,6 +35,7 @@ class Meter:
         saved: what `save` returned after the last of these; empty if there is none.
 
     Attributes:
+        each_step: whether it reads during episodes.
         missing: why there are no metrics; empty unless the agent turned out to have none.
 
     Raises:
@@ -51,12 +52,8 @@ class Meter:
         self._before = unpack_parts(saved)  # the parts before the episode under way
         self._parts = dict(self._before)
         self._readings: list[Reading] = []
+        self.each_step: bool = plan.every > 0
         self.missing: str = ""
-
-    @property
-    def each_step(self) -> bool:
-        """Whether it reads during episodes."""
-        return self._plan.every > 0
 
     def begin(self) -> None:
         """Note that an episode begins; what was read in one that became void is forgotten."""
@@ -90,21 +87,16 @@ class Meter:
 
     def _read(self, number: int, step: int, own: dict[str, float]) -> None:
         """Read the metrics for the `number`-th time, counted from 1, beside the trial's own."""
-        metrics = self._metrics()
+        try:
+            metrics = {} if self.missing else self._glue.rl_agent_metrics()
+        except Unsupported as error:
+            metrics, self.missing = {}, str(error)
         if TOTAL_REWARD in metrics:
             raise GlueError(f"the agent has a metric {TOTAL_REWARD!r}, which is the name of the trial's own")
         if self._plan.keep:
             metrics = self._kept(number, metrics)
         if own or metrics:
             self._readings.append(Reading(step, {**own, **metrics} if own else metrics))
-
-    def _metrics(self) -> dict[str, float]:
-        if not self.missing:
-            try:
-                return self._glue.rl_agent_metrics()
-            except Unsupported as error:
-                self.missing = str(error)
-        return {}
 
     def _kept(self, number: int, metrics: dict[str, float]) -> dict[str, float]:
         """Return the values that are kept, or the means in their places."""

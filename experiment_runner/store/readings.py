@@ -58,17 +58,17 @@ class Block:
 
     def __init__(self) -> None:
         self.episode: int = 0
-        self._numbers: dict[str, list[float]] = {}
+        self._numbers: dict[tuple[str, ...], list[float]] = defaultdict(list)
 
     def add(self, episode: int, readings: Iterable[Reading]) -> None:
         """Add the readings of the next episode."""
         self.episode = episode
         for step, values in readings:
-            self._numbers.setdefault("\n".join(values), []).extend((episode, step, *values.values()))
+            self._numbers[tuple(values)].extend((episode, step, *values.values()))
 
     def data(self) -> dict[str, bytes]:
         """Return the data by the names, a line each."""
-        return {names: np.array(row, "<f8").tobytes() for names, row in self._numbers.items()}
+        return {"\n".join(names): np.array(row, "<f8").tobytes() for names, row in self._numbers.items()}
 
 
 def unpacked(rows: Iterable[tuple[str, bytes]]) -> dict[str, Metric]:

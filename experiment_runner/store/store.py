@@ -16,6 +16,7 @@ from __future__ import annotations
 import contextlib
 import json
 import time
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -154,7 +155,7 @@ class Store(Results):
         episodes: list[tuple[object, ...]] = []
         answered: list[tuple[object, ...]] = []
         saved: list[tuple[object, ...]] = []
-        blocks: dict[tuple[int, int], Block] = {}  # none goes on beyond a checkpoint
+        blocks: dict[tuple[int, int], Block] = defaultdict(Block)  # none goes on beyond a checkpoint
         for trial_id, result, checkpoint, answers, readings in records:
             key, number = self._key(trial_id), result.episode
             expected = done.get(trial_id, self._done[trial_id]) + 1
@@ -166,7 +167,7 @@ class Store(Results):
             episodes.append((key, *result))
             answered += [(key, number, *answer) for answer in answers]
             if readings:
-                blocks.setdefault((key, len(saved)), Block()).add(number, readings)
+                blocks[key, len(saved)].add(number, readings)
             if checkpoint is not None:
                 saved.append(_checkpoint_row(key, number, checkpoint))
         read = [

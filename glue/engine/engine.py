@@ -101,14 +101,15 @@ class Engine:
             raise LocalProtocolError(
                 f"{verb.name} was called while {self.verb.name} is still being carried out"
             )
-        if verb not in _VERBS:
+        run = _VERBS.get(verb)
+        if run is None:
             raise LocalProtocolError(f"{verb.name} is not a verb of an experiment")
         if self._void is not None and verb in EPISODE_VERBS:
             raise PeerLost(f"the episode is void: {self._void}; start another")
         self.verb = verb
-        self._running = _VERBS[verb](self, scalars, body)
+        self._running = running = run(self, scalars, body)
         try:
-            instruction = next(self._running)
+            instruction = next(running)
         except StopIteration as stop:
             return self._reply(stop.value)
         return self._asking(instruction)
@@ -134,7 +135,7 @@ class Engine:
     def _reply(self, reply: Reply) -> Instruction:
         verb = self.verb
         assert verb is not None
-        self.abort()
+        self._running = self.asked = self.verb = self.awaiting = None
         return _instruction(Instruction, (verb, *reply))
 
     def _asking(self, instruction: Instruction) -> Instruction:
