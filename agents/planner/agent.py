@@ -110,6 +110,7 @@ class PlannerAgent(MarioAgent):
     def _reset(self) -> None:
         """Forget every level."""
         self._worlds, self._levels = model.make(max_trial_steps=_NO_LIMIT)
+        self._before = self._worlds.copy()  # the last action
         self._seen[0] = 0
         self._assume(self._constants)
         self._route.forget()
@@ -152,9 +153,20 @@ class PlannerAgent(MarioAgent):
         self._steps += 1
         if self._horizons:
             self._horizons.compare(self._levels[0], self._body)
+        if not model.finds(self._worlds[0], self._body):
+            self._reconsider()
         is_exact = bool(model.correct(self._worlds[0], self._levels[0], self._seen, self._body))
         self._predicted += is_exact
         return is_exact
+
+    def _reconsider(self) -> None:
+        """Let the last action be one that explains where Mario is: it was not the one that was chosen."""
+        for action in range(len(_ACTIONS)):
+            self._scratch[:] = self._before
+            model.step(self._scratch[0], self._levels[0], action)
+            if model.finds(self._scratch[0], self._body):
+                self._worlds[:] = self._scratch
+                return
 
     def agent_save(self) -> bytes:
         """Return the known part of the level as bytes."""
@@ -248,6 +260,7 @@ class PlannerAgent(MarioAgent):
         self._plan[:-1] = self._plan[1:]
         if self._horizons:
             self._horizons.step(self._worlds, self._levels[0], action)
+        self._before[:] = self._worlds
         model.step(self._worlds[0], self._levels[0], action)
         return _ACTIONS[action]
 

@@ -91,6 +91,11 @@ class LearningPlannerAgent(PlannerAgent):
         self._identify()
         return self._act()
 
+    def _reconsider(self) -> None:
+        """Doubt the last action only once the constants are known: until then, they are the reason."""
+        if self._physics.settled:
+            super()._reconsider()
+
     def agent_end(self, reward: float) -> None:
         """Learn what the end of an episode is rewarded with."""
         super().agent_end(reward)

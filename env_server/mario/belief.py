@@ -93,6 +93,14 @@ def predicts(world: World, level: LevelMap, body: Bytes) -> bool:
 
 
 @entry
+def finds(world: World, body: Bytes) -> bool:
+    """Return whether Mario is, to the last bit, where an observation shows him."""
+    reals = body.view(np.float64)[PREFIX_SIZE // 8 :]
+    mario = world.actors[0]
+    return bool(mario.x == _single(reals[0]) and mario.y == _height(reals[1]))
+
+
+@entry
 def correct(world: World, level: LevelMap, seen: npt.NDArray[np.int64], body: Bytes) -> bool:
     """Put right what an observation shows otherwise; return whether nothing had to be, new columns apart.
 
@@ -209,11 +217,16 @@ def _single(real: float) -> np.float32:
 
 
 @jit
+def _height(real: float) -> np.float32:
+    return np.float32((16.0 - real) * 16.0)
+
+
+@jit
 def _correct_mario(
     world: World, level: LevelMap, numbers: npt.NDArray[np.int32], reals: npt.NDArray[np.float64]
 ) -> None:
     mario = world.actors[0]
-    x, y = _single(reals[0]), np.float32((16.0 - reals[1]) * 16.0)
+    x, y = _single(reals[0]), _height(reals[1])
     dx = np.float32(reals[2] * 16.0 / 5.0)
     dy = np.float32(-reals[3] * 16.0 / 5.0)
     large, fire = bool(numbers[1] >= 10), bool(numbers[1] == 11)
@@ -262,7 +275,7 @@ def _correct_actors(
     slots = np.zeros(count, np.int64)
     for i in range(count):
         kind = numbers[2 * i]
-        x, y = _single(reals[4 * i]), np.float32((16.0 - reals[4 * i + 1]) * 16.0)
+        x, y = _single(reals[4 * i]), _height(reals[4 * i + 1])
         best, nearest = 0, np.float32(48)
         for j in range(world.listed):
             slot = world.order[j]
@@ -283,7 +296,7 @@ def _correct_actors(
         actor.queued = False
     for i in range(count):
         kind, winged = numbers[2 * i], numbers[2 * i + 1] != 0
-        x, y = _single(reals[4 * i]), np.float32((16.0 - reals[4 * i + 1]) * 16.0)
+        x, y = _single(reals[4 * i]), _height(reals[4 * i + 1])
         dx = np.float32(reals[4 * i + 2] * 16.0 / 5.0)
         dy = np.float32(-reals[4 * i + 3] * 16.0 / 5.0)
         is_new = slots[i] == 0

@@ -6,6 +6,7 @@ right of it. All functions but `make` and `row_size` are compiled, for compiled 
 
     start, correct  begin an episode with its first observation; put right what the next show otherwise
     predicts        compare a belief with an observation
+    finds           compare Mario's place, and nothing else
     rewind          begin an episode on the level as it is believed to be, without an observation
     place           put Mario, and nothing else, where an observation shows him
     step            carry out an action
@@ -24,7 +25,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from env_server.mario.belief import correct, place, predicts, start
+from env_server.mario.belief import correct, finds, place, predicts, start
 from env_server.mario.observation import BODY_SIZE
 from env_server.mario.parameters import resolve
 from env_server.mario.sim.state import COLUMNS, FREE, LEVEL, WORLD, LevelMap, Levels, World, Worlds
@@ -41,6 +42,7 @@ __all__ = [
     "change",
     "constants",
     "correct",
+    "finds",
     "load",
     "make",
     "place",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 from collections.abc import Iterator
 
 import pytest
@@ -62,6 +63,21 @@ def test_more_time_for_each_step_is_more_model_steps() -> None:
         return used
 
     assert sims(0.0001) < sims(0.05)
+
+
+def test_replaced_actions_are_recognised() -> None:
+    agent, chance = made(), random.Random(1)
+    for level in range(6):
+        game = Game(LEVEL_SETS["train-200"].level(TASK, level))
+        action, ended = agent.agent_start(game.start()), False
+        while not ended:
+            buttons = action.ints.tolist()
+            if chance.random() < 0.2:
+                buttons = [chance.randint(-1, 1), chance.randint(0, 1), chance.randint(0, 1)]
+            reward, observation, ended, *_ = game.step(*buttons)
+            action = agent.agent_step(reward, observation)
+    found = json.loads(agent.agent_message("predictions"))
+    assert found["exact"] > 0.85 * found["steps"]
 
 
 def test_bonus_earns_more_than_the_goal_alone() -> None:
