@@ -147,13 +147,13 @@ def _model_steps() -> Table:
     seen = np.frombuffer(mario.env_start().body, np.uint8)
     body[: len(seen)] = seen
     worlds, levels = model.make()
-    model.start(worlds[0], levels[0], np.zeros(1, np.int64), body)
+    model.start(worlds, levels, np.zeros(1, np.int64), body)
     begun = worlds.copy()
     rows = np.zeros((2, model.row_size(_WINDOW)), np.uint8)
 
     def measure() -> float:
         worlds[:] = begun
-        model.save(worlds[0], worlds.view(np.uint8), rows[0], 0, _WINDOW)
+        model.save(worlds, worlds.view(np.uint8), rows[0], 0, _WINDOW)
         began = time.perf_counter()
         _step_with_copies(worlds, levels, worlds.view(np.uint8), rows, _STEPS)
         return (time.perf_counter() - began) / _STEPS * 1e6
@@ -173,9 +173,9 @@ def _step_with_copies(worlds: Array, levels: Array, memory: Bytes, rows: Bytes, 
     alive = 0
     for i in range(steps):
         at = i % _PATH
-        model_load(worlds[0], memory, rows[min(at, 1)], 0, _WINDOW)
-        alive += model_step(worlds[0], levels[0], 11 if i % 7 < 4 else 9)
-        model_save(worlds[0], memory, rows[1], 0, _WINDOW)
+        model_load(worlds, memory, rows[min(at, 1)], 0, _WINDOW)
+        alive += model_step(worlds, levels, 11 if i % 7 < 4 else 9)
+        model_save(worlds, memory, rows[1], 0, _WINDOW)
     return alive
 
 

@@ -110,7 +110,7 @@ class PlannerAgent(MarioAgent):
     def _reset(self) -> None:
         """Forget every level."""
         self._worlds, self._levels = model.make(max_trial_steps=_NO_LIMIT)
-        self._before = self._worlds.copy()  # the last action
+        self._before = self._worlds.view(np.uint8).copy()  # the world before the last action
         self._seen[0] = 0
         self._assume(self._constants)
         self._route.forget()
@@ -123,7 +123,7 @@ class PlannerAgent(MarioAgent):
 
     def _assume(self, constants: npt.NDArray[np.float64]) -> None:
         """Predict and plan with these values of `model.CONSTANTS` from now on."""
-        model.change(self._worlds[0], constants)
+        model.change(self._worlds, constants)
 
     def agent_start(self, observation: Observation) -> Action:
         self._read(observation)
@@ -132,7 +132,7 @@ class PlannerAgent(MarioAgent):
 
     def _begin(self) -> None:
         """Begin an episode with the observation that was read."""
-        belief = self._worlds[0], self._levels[0], self._seen, self._body
+        belief = self._worlds, self._levels, self._seen, self._body
         if model.start(*belief):  # another level than the one that is remembered
             self._seen[0] = 0
             self._route.forget()
@@ -152,20 +152,20 @@ class PlannerAgent(MarioAgent):
         self._read(observation)
         self._steps += 1
         if self._horizons:
-            self._horizons.compare(self._levels[0], self._body)
-        if not model.finds(self._worlds[0], self._body):
+            self._horizons.compare(self._levels, self._body)
+        if not model.finds(self._worlds, self._body):
             self._reconsider()
-        is_exact = bool(model.correct(self._worlds[0], self._levels[0], self._seen, self._body))
+        is_exact = bool(model.correct(self._worlds, self._levels, self._seen, self._body))
         self._predicted += is_exact
         return is_exact
 
     def _reconsider(self) -> None:
         """Let the last action be one that explains where Mario is: it was not the one that was chosen."""
         for action in range(len(_ACTIONS)):
-            self._scratch[:] = self._before
-            model.step(self._scratch[0], self._levels[0], action)
-            if model.finds(self._scratch[0], self._body):
-                self._worlds[:] = self._scratch
+            self._memory[:] = self._before
+            model.step(self._scratch, self._levels, action)
+            if model.finds(self._scratch, self._body):
+                self._worlds.view(np.uint8)[:] = self._memory
                 return
 
     def agent_save(self) -> bytes:
@@ -233,7 +233,7 @@ class PlannerAgent(MarioAgent):
         places = []
         for action in [*self._plan.tolist(), -1]:
             places.append((round(float(mario["x"]) / 16, 3), round(16.5 - float(mario["y"]) / 16, 3)))
-            if action < 0 or not model.step(self._scratch[0], self._levels[0], action):
+            if action < 0 or not model.step(self._scratch, self._levels, action):
                 break
         return places
 
@@ -259,9 +259,9 @@ class PlannerAgent(MarioAgent):
         self._route.note(action, reward)
         self._plan[:-1] = self._plan[1:]
         if self._horizons:
-            self._horizons.step(self._worlds, self._levels[0], action)
-        self._before[:] = self._worlds
-        model.step(self._worlds[0], self._levels[0], action)
+            self._horizons.step(self._worlds, self._levels, action)
+        self._before[:] = self._worlds.view(np.uint8)
+        model.step(self._worlds, self._levels, action)
         return _ACTIONS[action]
 
     def _chosen(self, action: int) -> int:

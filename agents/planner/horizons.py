@@ -27,20 +27,20 @@ class Horizons:
         """Begin an episode: nothing has been predicted."""
         self._steps = 0
 
-    def step(self, worlds: Array, level: object, action: int) -> None:
+    def step(self, worlds: Array, levels: Array, action: int) -> None:
         """Predict from the belief `worlds`, shape (1,), before an action, and from those before it."""
         self._worlds[self._steps % _LONGEST].view(np.uint8)[:] = worlds.view(np.uint8)
         self._steps += 1
         for world in self._worlds[: self._steps]:
-            model.step(world[0], level, action)
+            model.step(world, levels, action)
 
-    def compare(self, level: object, body: npt.NDArray[np.uint8]) -> None:
+    def compare(self, levels: Array, body: npt.NDArray[np.uint8]) -> None:
         """Compare the predictions of an observation with it."""
         for ahead in _AHEAD:
             if ahead <= self._steps:
                 world = self._worlds[(self._steps - ahead) % _LONGEST]
                 self._compared[ahead] += 1
-                self._exact[ahead] += model.predicts(world[0], level, body)
+                self._exact[ahead] += model.predicts(world, levels, body)
 
     def shares(self) -> dict[str, float]:
         """Return the share of exact predictions by the steps that they look ahead."""

@@ -117,7 +117,7 @@ class LearningPlannerAgent(PlannerAgent):
         if self._physics.after(self._levels, self._body):
             self._assume(self._physics.constants)
             self._physics.replay(self._worlds)
-            model.correct(self._worlds[0], self._levels[0], self._seen, self._body)
+            model.correct(self._worlds, self._levels, self._seen, self._body)
         worth = self._bonus * np.maximum(self._rewards.values[1:], 0.0)
         how = self._settings[0]
         how["coin"], how["kill"] = worth

@@ -227,15 +227,14 @@ def replay(
         errors: takes the errors in pixels, shape (end - begin, 4).
     """
     world = worlds[0]
-    level = levels[0]
     memory[:] = roots[root % len(roots)]
-    _change(world, constants)
+    _change(worlds, constants)
     for step in range(root, end):
         i = step % len(roots)
         if actions[i] == _START:
-            _rewind(world, level)
+            _rewind(worlds, levels)
         else:
-            _step(world, level, actions[i])
+            _step(worlds, levels, actions[i])
         mario = world.actors[0]
         x, y = mario.x, mario.y
         dx, dy = mario.x - mario.old_x, mario.y - mario.old_y
@@ -245,4 +244,4 @@ def replay(
             errors[step - begin, 1] = y - 16.0 * (16.0 - reals[1])
             errors[step - begin, 2] = dx - reals[2] * 16.0 / 5.0
             errors[step - begin, 3] = dy + reals[3] * 16.0 / 5.0
-        _place(world, level, bodies[i])
+        _place(worlds, levels, bodies[i])

@@ -109,7 +109,7 @@ class Route:
         world = self._world[0]
         self._world.view(np.uint8)[:] = worlds.view(np.uint8)
         for step, action in enumerate(plan):
-            alive = model.step(world, levels[0], action)
+            alive = model.step(self._world, levels, action)
             if world["win_timer"] > 0:
                 return float(world["coins"] + world["kills"]) - STEP_COST * step
             if not alive:

@@ -102,7 +102,7 @@ def search(
     large = int(world.large) + int(world.fire)
     root_x = float(world.actors[0].x)
     goal = min(16.0 * min(how.end, first + how.columns) - 8.0, 16.0 * level.exit_x + 1.0)
-    _save(world, memory, rows[0], first, how.columns)
+    _save(scratch, memory, rows[0], first, how.columns)
     nodes[0].parent = -1
     nodes[0].action = -1
     nodes[0].depth = 0
@@ -117,12 +117,12 @@ def search(
     for i in range(len(plan)):
         if plan[i] < 0 or count >= len(nodes):
             break
-        _load(world, memory, rows[node], first, how.columns)
-        alive = _step(world, level, plan[i])
+        _load(scratch, memory, rows[node], first, how.columns)
+        alive = _step(scratch, levels, plan[i])
         used += 1
         if not _add(world, level, alive, how, nodes, count, node, plan[i], earned, large, goal):
             break
-        _save(world, memory, rows[count], first, how.columns)
+        _save(scratch, memory, rows[count], first, how.columns)
         size = push(nodes, heap, size, count)
         node = count
         count += 1
@@ -139,8 +139,8 @@ def search(
                 how.safe = True
                 break
             if not how.anytime:
-                _load(world, memory, rows[node], first, how.columns)
-                safe, steps = _is_safe(world, level, 16.0 * how.end)
+                _load(scratch, memory, rows[node], first, how.columns)
+                safe, steps = _is_safe(scratch, levels, 16.0 * how.end)
                 used += steps
                 if safe:
                     best = node
@@ -150,8 +150,8 @@ def search(
         for k in range(len(actions)):
             if count >= len(nodes):
                 break
-            _load(world, memory, rows[node], first, how.columns)
-            alive = _step(world, level, actions[k])
+            _load(scratch, memory, rows[node], first, how.columns)
+            alive = _step(scratch, levels, actions[k])
             used += 1
             if not _add(world, level, alive, how, nodes, count, node, actions[k], earned, large, goal):
                 continue
@@ -159,11 +159,11 @@ def search(
                 table, numbers, world, 0 if how.hard else nodes[count].depth // 2
             ):
                 continue
-            _save(world, memory, rows[count], first, how.columns)
+            _save(scratch, memory, rows[count], first, how.columns)
             size = push(nodes, heap, size, count)
             count += 1
     if best < 0:
-        best, steps = _best_leaf(world, level, memory, rows, nodes, heap, count, first, how)
+        best, steps = _best_leaf(scratch, levels, memory, rows, nodes, heap, count, first, how)
         used += steps
         how.safe = best > 0
     if best < 0:
@@ -225,8 +225,9 @@ def _was_met(table: npt.NDArray[np.uint64], numbers: npt.NDArray[np.int64], worl
 
 
 @jit
-def _is_safe(world: Any, level: Any, end: float) -> tuple[bool, int]:
+def _is_safe(scratch: Any, levels: Any, end: float) -> tuple[bool, int]:
     """Brake and wait; return whether Mario then stands on what was seen, alive, and after how many steps."""
+    world = scratch[0]
     for steps in range(_BRAKING):
         mario = world.actors[0]
         if world.win_timer > 0:
@@ -238,7 +239,7 @@ def _is_safe(world: Any, level: Any, end: float) -> tuple[bool, int]:
             action = _LEFT
         elif mario.vx < -_FAST:
             action = _RIGHT
-        alive = _step(world, level, action)
+        alive = _step(scratch, levels, action)
         if (not alive and world.win_timer == 0) or world.death_timer > 0:
             return False, steps + 1
     mario = world.actors[0]
@@ -247,8 +248,8 @@ def _is_safe(world: Any, level: Any, end: float) -> tuple[bool, int]:
 
 @jit
 def _best_leaf(
-    world: Any,
-    level: Any,
+    scratch: Any,
+    levels: Any,
     memory: npt.NDArray[np.uint8],
     rows: npt.NDArray[np.uint8],
     nodes: Array,
@@ -269,8 +270,8 @@ def _best_leaf(
             break
         node = pop(nodes, heap, size)
         size -= 1
-        _load(world, memory, rows[node], first, how.columns)
-        safe, steps = _is_safe(world, level, 16.0 * how.end)
+        _load(scratch, memory, rows[node], first, how.columns)
+        safe, steps = _is_safe(scratch, levels, 16.0 * how.end)
         used += steps
         if safe:
             return node, used

@@ -45,7 +45,7 @@ def find_way(world: Any, level: Any, sims: int) -> tuple[list[int], int]:
         way: list[int] = plan[:length].tolist()
         scratch[0] = worlds[0]
         for action in way:
-            model.step(scratch[0], levels[0], action)
+            model.step(scratch, levels, action)
         if scratch["win_timer"][0] > 0:
             # The game notices that it is won when it draws again.
             return way + [STAY] * int(scratch["playing"][0]), spent

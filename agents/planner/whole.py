@@ -103,7 +103,6 @@ def search_whole(
         table: all zeros, a power of two above 2 * sims.
         plan: -1 throughout; takes the actions.
     """
-    level: Any = levels[0]
     world: Any = worlds[0]
     numbers = np.zeros(DESCRIBED + 3, np.int64)
     sizes = np.zeros(len(cells), np.int64)
@@ -111,7 +110,7 @@ def search_whole(
     free = np.arange(len(rows))[::-1].copy()
     spare = len(free) - 1  # rows that are free; the first state has the last
     batch = np.zeros(_CELLS * cells.shape[1], np.int64)
-    _save(world, memory, rows[free[spare]], 0, columns)
+    _save(worlds, memory, rows[free[spare]], 0, columns)
     states[0].parent = -1
     states[0].row = free[spare]
     count = 1
@@ -139,8 +138,8 @@ def search_whole(
             for action in range(_ACTIONS):
                 if state.depth >= _LONGEST or used >= sims:
                     break
-                _load(world, memory, rows[state.row], 0, columns)
-                alive = _step(world, level, action)
+                _load(worlds, memory, rows[state.row], 0, columns)
+                alive = _step(worlds, levels, action)
                 used += 1
                 if world.win_timer > 0:
                     if state.worth > best and action == _LAST:  # what the last step earns is not paid
@@ -177,7 +176,7 @@ def search_whole(
                 else:
                     _insert(cells[cell], sizes[cell], states, new)
                     sizes[cell] += 1
-                _save(world, memory, rows[states[new].row], 0, columns)
+                _save(worlds, memory, rows[states[new].row], 0, columns)
                 following = min(following, cell // _CELLS)
             free[spare] = state.row
             spare += 1

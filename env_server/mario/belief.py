@@ -1,6 +1,6 @@
 """An agent's belief about a game of Infinite Mario of which it receives only observations.
 
-See `env_server.mario.model`, which is what agents use.
+See `env_server.mario.model`, which agents use, and which explains the arguments.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from env_server.mario.sim.state import (
 )
 from env_server.mario.sim.step import rewind
 from env_server.mario.sim.tiles import CHANGED, behavior_at, set_tile, tile_at, write_cells
-from glue.compiled.jit import entry, jit
+from glue.compiled.jit import jit
 from glue.types import PREFIX_SIZE
 
 _FAR: Final = 2**20
@@ -62,15 +62,9 @@ _BRICK: Final = ord("b")
 Bytes = npt.NDArray[np.uint8]
 
 
-@entry
+@jit
 def start(world: World, level: LevelMap, seen: npt.NDArray[np.int64], body: Bytes) -> int:
-    """Begin an episode with its first observation; return how many tiles differ from those seen before.
-
-    Args:
-        world, level: the belief. The level keeps what it holds of the columns before `seen[0]`.
-        seen: shape (1,): how many columns of the level have been seen.
-        body: the observation as the body of an abstract type, and room up to BODY_SIZE bytes.
-    """
+    """Begin an episode with its first observation; return how many tiles differ from those seen before."""
     if seen[0] == 0:
         level.exit_x = _FAR
         level.spawns[:] = 0
@@ -83,7 +77,7 @@ def start(world: World, level: LevelMap, seen: npt.NDArray[np.int64], body: Byte
     return tiles
 
 
-@entry
+@jit
 def predicts(world: World, level: LevelMap, body: Bytes) -> bool:
     """Return whether Mario and all others are, to the last bit, as an observation shows them."""
     ours = np.empty(BODY_SIZE, np.uint8)
@@ -92,7 +86,7 @@ def predicts(world: World, level: LevelMap, body: Bytes) -> bool:
     return _same(ours, body, PREFIX_SIZE + 8 * words[1] + 4 * words[0])
 
 
-@entry
+@jit
 def finds(world: World, body: Bytes) -> bool:
     """Return whether Mario is, to the last bit, where an observation shows him."""
     reals = body.view(np.float64)[PREFIX_SIZE // 8 :]
@@ -100,12 +94,9 @@ def finds(world: World, body: Bytes) -> bool:
     return bool(mario.x == _single(reals[0]) and mario.y == _height(reals[1]))
 
 
-@entry
+@jit
 def correct(world: World, level: LevelMap, seen: npt.NDArray[np.int64], body: Bytes) -> bool:
-    """Put right what an observation shows otherwise; return whether nothing had to be, new columns apart.
-
-    Args: as for `start`.
-    """
+    """Put right what an observation shows otherwise; return whether nothing had to be, new columns apart."""
     words = body.view(np.int32)
     count = words[1] // 4
     is_same = predicts(world, level, body)
@@ -118,7 +109,7 @@ def correct(world: World, level: LevelMap, seen: npt.NDArray[np.int64], body: By
     return is_same and tiles == 0
 
 
-@entry
+@jit
 def place(world: World, level: LevelMap, body: Bytes) -> None:
     """Put Mario where an observation shows him; everything else stays as it was predicted."""
     words = body.view(np.int32)

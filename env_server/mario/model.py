@@ -1,8 +1,9 @@
 """Infinite Mario as a model: the game's own rules, stepped from what an agent has seen of a game.
 
-This module's name stands in the entry-point group `glue.models`, where agents find it. A belief is a record
-of `WORLD` and one of `LEVEL`, as a game is. Its level holds what was seen so far, and level ground to the
-right of it. All functions but `make` and `row_size` are compiled, for compiled code and for Python.
+This module's name stands in the entry-point group `glue.models`, where agents find it. A belief is a world
+and a level, as a game is: arrays of one record, since Python passes an array to compiled code in a tenth of
+the time that a record takes. Its level holds what was seen so far, and level ground to the right of it. All
+functions but `make` and `row_size` are compiled, for compiled code and for Python.
 
     start, correct  begin an episode with its first observation; put right what the next show otherwise
     predicts        compare a belief with an observation
@@ -25,11 +26,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from env_server.mario.belief import correct, finds, place, predicts, start
+from env_server.mario import belief
 from env_server.mario.observation import BODY_SIZE
 from env_server.mario.parameters import resolve
-from env_server.mario.sim.state import COLUMNS, FREE, LEVEL, WORLD, LevelMap, Levels, World, Worlds
-from env_server.mario.sim.step import act, rewind
+from env_server.mario.sim import step as rules
+from env_server.mario.sim.state import COLUMNS, FREE, LEVEL, WORLD, Levels, Worlds
 from glue.compiled.jit import entry, jit
 
 __all__ = [
@@ -93,8 +94,54 @@ def constants(**parameters: float) -> Reals:
 
 
 @entry
-def change(world: World, values: Reals) -> None:
+def start(worlds: Worlds, levels: Levels, seen: npt.NDArray[np.int64], body: Bytes) -> int:
+    """Begin an episode with its first observation; return how many tiles differ from those seen before.
+
+    Args:
+        worlds, levels: the belief. The level keeps what it holds of the columns before `seen[0]`.
+        seen: shape (1,): how many columns of the level have been seen.
+        body: the observation as the body of an abstract type, and room up to BODY_SIZE bytes.
+    """
+    return belief.start(worlds[0], levels[0], seen, body)
+
+
+@entry
+def predicts(worlds: Worlds, levels: Levels, body: Bytes) -> bool:
+    """Return whether Mario and all others are, to the last bit, as an observation shows them."""
+    return belief.predicts(worlds[0], levels[0], body)
+
+
+@entry
+def finds(worlds: Worlds, body: Bytes) -> bool:
+    """Return whether Mario is, to the last bit, where an observation shows him."""
+    return belief.finds(worlds[0], body)
+
+
+@entry
+def correct(worlds: Worlds, levels: Levels, seen: npt.NDArray[np.int64], body: Bytes) -> bool:
+    """Put right what an observation shows otherwise; return whether nothing had to be, new columns apart.
+
+    Args: as for `start`.
+    """
+    return belief.correct(worlds[0], levels[0], seen, body)
+
+
+@entry
+def place(worlds: Worlds, levels: Levels, body: Bytes) -> None:
+    """Put Mario where an observation shows him; everything else stays as it was predicted."""
+    belief.place(worlds[0], levels[0], body)
+
+
+@entry
+def rewind(worlds: Worlds, levels: Levels) -> None:
+    """Begin an episode on the level as it is."""
+    rules.rewind(worlds[0], levels[0])
+
+
+@entry
+def change(worlds: Worlds, values: Reals) -> None:
     """Let the values of `CONSTANTS`, shape (6,), hold in a world."""
+    world = worlds[0]
     world.speed_walk = values[0]
     world.speed_run = values[1]
     world.speed_jump = values[2]
@@ -104,9 +151,9 @@ def change(world: World, values: Reals) -> None:
 
 
 @entry
-def step(world: World, level: LevelMap, action: int) -> bool:
+def step(worlds: Worlds, levels: Levels, action: int) -> bool:
     """Carry out an action, by its number; return False if the episode ended."""
-    return act(world, level, action // 4 - 1, action // 2 % 2, action % 2)
+    return rules.act(worlds[0], levels[0], action // 4 - 1, action // 2 % 2, action % 2)
 
 
 def row_size(columns: int) -> int:
@@ -115,16 +162,17 @@ def row_size(columns: int) -> int:
 
 
 @entry
-def save(world: World, memory: Bytes, row: Bytes, first: int, columns: int) -> None:
+def save(worlds: Worlds, memory: Bytes, row: Bytes, first: int, columns: int) -> None:
     """Copy a world to `row`.
 
     Args:
-        world: the world.
+        worlds: the world.
         memory: its bytes, shape (WORLD.itemsize,).
         row: at least `row_size(columns)` bytes, the first at a multiple of 8.
         first, columns: the columns that play may have changed since the first of the worlds that are loaded
             in turns. The same in every call for these.
     """
+    world = worlds[0]
     _copy(memory, _NUMBERS_AT, row, 0, _NUMBERS)
     listed = min(world.listed, _KEPT)
     carrying = 0
@@ -144,8 +192,9 @@ def save(world: World, memory: Bytes, row: Bytes, first: int, columns: int) -> N
 
 
 @entry
-def load(world: World, memory: Bytes, row: Bytes, first: int, columns: int) -> None:
+def load(worlds: Worlds, memory: Bytes, row: Bytes, first: int, columns: int) -> None:
     """Copy a world back from `row`. Args: as for `save`."""
+    world = worlds[0]
     for i in range(world.listed):
         world.actors[world.order[i]].kind = FREE
     _copy(row, 0, memory, _NUMBERS_AT, _NUMBERS)

@@ -19,7 +19,7 @@ from env_server.mario.sim.state import (
     LevelMap,
     World,
 )
-from glue.compiled.jit import entry, jit
+from glue.compiled.jit import jit
 
 _ZERO: Final = np.float32(0)
 _VIEW: Final = 320  # pixels
@@ -39,7 +39,7 @@ def begin(world: World, level: LevelMap) -> None:
     world.started = True
 
 
-@entry
+@jit
 def rewind(world: World, level: LevelMap) -> None:
     """Begin an episode on the level as it is."""
     clear(world)
