@@ -98,7 +98,7 @@ def learn(levels: str, seed: int, steps: int, out: str) -> None:
     envs = gymnasium.make_vec(
         "env_server.gym:glue/InfiniteMario-v0",
         num_envs=GAMES,
-        levels=levels,
+        **({"num_levels": int(levels)} if levels.isdigit() else {"levels": levels}),
         action="discrete",
         autoreset_mode="SameStep",
         copy=False,
@@ -261,7 +261,7 @@ if __name__ == "__main__":
     parser: argparse.ArgumentParser = argparse.ArgumentParser(
         description="Learn Infinite Mario by proximal policy optimisation."
     )
-    parser.add_argument("--levels", default="train-200")
+    parser.add_argument("--levels", default="train-200", help="a set, or a number: levels 0 to N - 1")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--steps", type=int, default=5_000_000)
     parser.add_argument("--out", default="ppo.npz")

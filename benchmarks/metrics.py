@@ -22,8 +22,8 @@ from experiment_runner.report.progress import Progress
 from experiment_runner.store.store import Store
 
 _LEARNED: Final = 3000  # episodes, after which they are short
-_MEASURED: Final = 1000
-_REPEATS: Final = 15
+_MEASURED: Final = 500
+_REPEATS: Final = 61
 _PLAN: Final = Plan(
     episodes=_LEARNED,
     max_steps=500,
