@@ -94,7 +94,6 @@ def wait_for_an_episode(directory: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.proof
-@pytest.mark.timeout(size(300, 1200))
 @pytest.mark.parametrize("plan", PLANS)
 def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(plan: str, tmp_path: Path) -> None:
     undisturbed = start(*PLANS[plan], "--in-process", "--out", "undisturbed", cwd=tmp_path)

@@ -42,7 +42,6 @@ def test_agents_find_the_model_by_the_name_of_its_environment() -> None:
 
 
 @pytest.mark.proof
-@pytest.mark.timeout(1200)
 def test_model_that_knows_everything_is_the_game() -> None:
     """Every step is taken from a row of bytes and saved to another, as a search does."""
     rng = np.random.default_rng(1)
