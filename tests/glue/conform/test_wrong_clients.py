@@ -33,13 +33,17 @@ CONSEQUENCES: Mapping[str, frozenset[str]] = {
 """Rules that a fault breaks beside its own, when a client is judged by all: their scenes meet it, too."""
 
 
-def misjudged(role: Role, fault: str) -> list[str]:
+HASTE = 4.0
+PATIENCE = 30.0
+"""Seconds to wait for a client: a wrong one is mostly waited for in vain, so the first time not for long."""
+
+
+def misjudged(role: Role, fault: str, wait: float) -> list[str]:
     """Judge a client; return each verdict that its fault does not account for, and each that it lacks."""
     rule = FAULTS[role].get(fault)
     broken = {rule, *CONSEQUENCES.get(fault, ())}
     some = None if rule is None else {rule, *COMMON}
-    # A client that does nothing is waited for in vain: long enough for a busy machine, not longer.
-    verdicts = judge(role, wrong(role, fault), wait=4, only=size(some, None))
+    verdicts = judge(role, wrong(role, fault), wait=wait, only=size(some, None))
     failed = [verdict for verdict in verdicts if verdict.outcome is Outcome.FAILED]
     # What rests on the broken rule need not be judged, everything else is.
     unjudged = [
@@ -63,8 +67,11 @@ def misjudged(role: Role, fault: str) -> list[str]:
 def test_a_fault_breaks_its_own_rule_and_no_other(role: Role) -> None:
     faults = ("", *ODDITIES, *FAULTS[role])
     with ThreadPoolExecutor(10) as pool:  # they mostly wait
-        found = dict(zip(faults, pool.map(partial(misjudged, role), faults), strict=True))
-    assert {fault or "no fault": wrongly for fault, wrongly in found.items() if wrongly} == {}
+        hasty = dict(zip(faults, pool.map(partial(misjudged, role, wait=HASTE), faults), strict=True))
+    # On a busy machine a right answer can come late: surprising verdicts are passed again, patiently.
+    surprising = [fault for fault, wrongly in hasty.items() if wrongly]
+    patient = {fault: misjudged(role, fault, PATIENCE) for fault in surprising}
+    assert {fault or "no fault": wrongly for fault, wrongly in patient.items() if wrongly} == {}
 
 
 def test_there_are_many_faults_and_each_rule_is_broken_by_one() -> None:
