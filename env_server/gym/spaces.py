@@ -14,7 +14,6 @@ from env_server.mario.many.views import (
     COLUMNS,
     DOUBLES,
     INTS,
-    MARIO,
     PLANE_COUNT,
     RAW_ACTORS,
     RAW_CHARS,
@@ -25,6 +24,7 @@ from env_server.mario.many.views import (
 )
 from env_server.mario.observation import COLUMNS_SHOWN, ROWS_SHOWN
 from env_server.mario.sim.state import ACTORS
+from env_server.mario.sim.tiles import SHOWN_MARIO
 from glue.errors import ConfigError, SimulatorError
 
 _WINDOW: Final = (ROWS_SHOWN, COLUMNS_SHOWN)
@@ -36,7 +36,7 @@ def observation_space(view: str) -> spaces.Space[Any]:
     """Return the space of a view of one game."""
     if view == "tiles":
         return spaces.Dict(
-            tiles=spaces.Box(0, MARIO, _WINDOW, np.uint8),
+            tiles=spaces.Box(0, SHOWN_MARIO, _WINDOW, np.uint8),
             sprites=spaces.Box(-np.inf, np.inf, (SPRITES, COLUMNS), np.float32),
         )
     if view == "planes":

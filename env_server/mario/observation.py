@@ -23,9 +23,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from env_server.mario.sim import tiles as tile
 from env_server.mario.sim.state import ACTORS, PLANT, ROWS, TICKS_PER_ACTION, Actor, LevelMap, World
-from env_server.mario.sim.tiles import CHANGED
+from env_server.mario.sim.tiles import LOOK, SHOWN_GOAL, SHOWN_MARIO, cells_at
 from glue.compiled.jit import jit
 from glue.types import PREFIX_SIZE
 
@@ -36,27 +35,17 @@ BODY_SIZE: Final = PREFIX_SIZE + 8 * 4 * ACTORS + 4 * (1 + 2 * ACTORS) + _CHARS 
 """More bytes than any observation takes; a multiple of 8."""
 
 _NEWLINE: Final = ord("\n")
-_MARIO: Final = ord("M")
-_GOAL: Final = ord("!")
+_GOAL: Final = sum(SHOWN_GOAL << 4 * row for row in range(ROWS))
+_BOTTOM: Final = -1 << 4 * ROWS  # the row below the level, which looks like its last
+_EVEN_ROWS: Final = 0x0F0F0F0F0F0F0F0F
 
+Place = tuple[float, float, float, float]
+"""Where an actor is and how fast, as in the doubles of an observation."""
 
-def _char_of(code: int) -> int:
-    if code == tile.COIN:
-        return ord("$")
-    if code in (tile.BRICK, tile.BRICK_WITH_COIN):
-        return ord("b")
-    if code in (tile.QUESTION_WITH_COIN, tile.QUESTION_WITH_POWER_UP):
-        return ord("?")
-    if code - code % 2 in (tile.PIPE_MOUTH, tile.PIPE_SHAFT):
-        return ord("|")
-    behavior = int(tile.BEHAVIOR[code])
-    digit = 7 if behavior & tile.STOPS_ALL else behavior & tile.STOPS_FALL
-    if behavior & tile.STOPS_RISE and digit != 7:
-        digit += 2
-    return ord(str(digit)) if digit else ord(" ")
-
-
-CHAR_OF: Final = np.array([_char_of(code) for code in range(256)], np.uint8)
+_CHAR_OF_LOOK: Final = np.frombuffer(b" 1237b?|$!M", np.uint8)
+"""Shape (11,): the character for each number that stands for a cell."""
+CHAR_OF: Final = _CHAR_OF_LOOK[LOOK]
+"""Shape (256,): the character for each tile code."""
 
 
 @jit
@@ -82,16 +71,19 @@ def encode(world: World, level: LevelMap, body: npt.NDArray[np.uint8]) -> int:
     mario = world.actors[0]
     numbers[1] = kind_of_mario(world)
     numbers[2] = 0
-    encode_place(world, mario, reals)
+    _write_place(world, mario, reals)
     for i in range(world.listed):
         actor = world.actors[world.order[i]]
         numbers[3 + 2 * i] = actor.kind
         numbers[4 + 2 * i] = actor.kind <= PLANT and actor.winged
-        encode_place(world, actor, reals[4 + 4 * i :])
-    chars = body[end_of_ints:]
-    encode_tiles(world, level, CHAR_OF, _GOAL, _MARIO, COLUMNS_SHOWN + 1, chars)
-    for row in range(ROWS_SHOWN):
-        chars[row * (COLUMNS_SHOWN + 1) + COLUMNS_SHOWN] = _NEWLINE
+        _write_place(world, actor, reals[4 + 4 * i :])
+    chars = body[end_of_ints : end_of_ints + _CHARS]
+    encode_tiles(world, level, chars)
+    for row in range(ROWS_SHOWN - 1, -1, -1):  # from the last, as each moves to make room for newlines
+        end = row * (COLUMNS_SHOWN + 1) + COLUMNS_SHOWN
+        chars[end] = _NEWLINE
+        for j in range(1, COLUMNS_SHOWN + 1):
+            chars[end - j] = _CHAR_OF_LOOK[chars[end - j - row]]
     return end_of_ints + _CHARS
 
 
@@ -104,57 +96,43 @@ def kind_of_mario(world: World) -> int:
 
 
 @jit
-def encode_place(world: World, actor: Actor, reals: npt.NDArray[np.float64]) -> None:
-    """Write where an actor is and how fast, as the doubles of an observation, shape (4,)."""
-    dx = actor.x - actor.old_x
-    dy = actor.y - actor.old_y
-    ticks = np.float32(TICKS_PER_ACTION)
-    reals[0] = np.float64(actor.x) / 16.0
-    reals[1] = 16.0 - np.float64(actor.y) / 16.0
-    if world.velocity_of_jar:
-        reals[2] = dx / ticks
-        reals[3] = -dy / ticks
-    else:
-        reals[2] = ticks * dx / np.float32(16)
-        reals[3] = -ticks * dy / np.float32(16)
+def _write_place(world: World, actor: Actor, reals: npt.NDArray[np.float64]) -> None:
+    reals[0], reals[1], reals[2], reals[3] = place_of(world, actor)
 
 
 @jit
-def encode_tiles(
-    world: World,
-    level: LevelMap,
-    codes: npt.NDArray[np.uint8],
-    goal: int,
-    mario: int,
-    stride: int,
-    cells: npt.NDArray[np.uint8],
-) -> None:
-    """Write the window of tiles, 16 rows from the top down.
+def place_of(world: World, actor: Actor) -> Place:
+    """Return where an actor is and how fast, as the doubles of an observation."""
+    x = np.float64(actor.x) / 16.0
+    y = 16.0 - np.float64(actor.y) / 16.0
+    dx = actor.x - actor.old_x
+    dy = actor.y - actor.old_y
+    ticks = np.float32(TICKS_PER_ACTION)
+    if world.velocity_of_jar:
+        return x, y, np.float64(dx / ticks), np.float64(-dy / ticks)
+    return x, y, np.float64(ticks * dx / np.float32(16)), np.float64(-ticks * dy / np.float32(16))
+
+
+@jit
+def encode_tiles(world: World, level: LevelMap, cells: npt.NDArray[np.uint8]) -> None:
+    """Write how the window of tiles looks, 16 rows from the top down: 0 to SHOWN_MARIO for each cell.
 
     Args:
         world, level: the game.
-        codes: what to write for each tile code, shape (256,).
-        goal, mario: what to write for the column of the goal, and where Mario is.
-        stride: distance between two rows of `cells`, at least 21.
-        cells: shape (16 * stride,).
+        cells: shape (16 * 21,).
     """
-    first_column = world.drawn_camera // 16
+    first = world.drawn_camera // 16
+    exit_x = level.exit_x
     for j in range(COLUMNS_SHOWN):
-        column = min(first_column + j, level.columns - 1)
-        if column == level.exit_x:
-            for row in range(ROWS_SHOWN):
-                cells[row * stride + j] = goal
-            continue
-        for row in range(ROWS):
-            cells[row * stride + j] = codes[level.tiles[column, row]]
-        changed = world.changed[column]
-        if changed:  # rarely, so the loop above has no branch
-            for row in range(ROWS):
-                if changed >> row & 1:
-                    cells[row * stride + j] = codes[CHANGED[level.tiles[column, row]]]
-        cells[ROWS * stride + j] = cells[(ROWS - 1) * stride + j]
+        looks = _GOAL if first + j == exit_x else cells_at(world, level, first + j)
+        looks |= looks << 4 & _BOTTOM
+        even = looks & _EVEN_ROWS
+        odd = looks >> 4 & _EVEN_ROWS
+        for pair in range(ROWS_SHOWN // 2):
+            cells[2 * pair * COLUMNS_SHOWN + j] = even >> 8 * pair & 15
+            cells[(2 * pair + 1) * COLUMNS_SHOWN + j] = odd >> 8 * pair & 15
     actor = world.actors[0]
-    j = int(np.float64(actor.x) / 16.0) - first_column
+    j = int(np.float64(actor.x) / 16.0) - first
     row = 15 - int(16.0 - np.float64(actor.y) / 16.0)
     if 0 <= j < COLUMNS_SHOWN and 0 <= row < ROWS_SHOWN:
-        cells[row * stride + j] = mario
+        cells[row * COLUMNS_SHOWN + j] = SHOWN_MARIO

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from env_server.mario.observation import COLUMNS_SHOWN, ROWS_SHOWN, encode_place, kind_of_mario
+from env_server.mario.observation import COLUMNS_SHOWN, ROWS_SHOWN, Place, kind_of_mario, place_of
 from env_server.mario.sim.state import PLANT, World
 from env_server.render.artwork import PALETTE, SPRITES, TILES
 from glue.compiled.jit import jit
@@ -88,8 +88,7 @@ def draw_pixels(world: World, tiles: npt.NDArray[np.uint8], pixels: npt.NDArray[
         tiles: its tiles as in the view of that name, shape (336,).
         pixels: shape (64 * 64 * 3,).
     """
-    place = np.empty(4)
-    encode_place(world, world.actors[0], place)
+    place = place_of(world, world.actors[0])
     column = world.drawn_camera // 16
     left = int(np.floor((place[0] - column - _BESIDE) * _TILE))
     left = min(max(left, 0), _SPARE * _TILE)  # pixels of the window left of the picture
@@ -97,11 +96,11 @@ def draw_pixels(world: World, tiles: npt.NDArray[np.uint8], pixels: npt.NDArray[
     left += column * _TILE
     for i in range(world.listed - 1, -1, -1):
         actor = world.actors[world.order[i]]
-        encode_place(world, actor, place)
+        place = place_of(world, actor)
         _draw_sprite(actor.kind, place, left, pixels)
         if actor.kind <= PLANT and actor.winged:
             _draw_wing(place, left, pixels)
-    encode_place(world, world.actors[0], place)
+    place = place_of(world, world.actors[0])
     _draw_sprite(kind_of_mario(world), place, left, pixels)
 
 
@@ -127,7 +126,7 @@ def _draw_tiles(tiles: npt.NDArray[np.uint8], left: int, pixels: npt.NDArray[np.
 
 
 @jit
-def _draw_sprite(kind: int, place: npt.NDArray[np.float64], left: int, pixels: npt.NDArray[np.uint8]) -> None:
+def _draw_sprite(kind: int, place: Place, left: int, pixels: npt.NDArray[np.uint8]) -> None:
     """Draw a sprite with its feet at `place`: x, height, velocity."""
     top = int(np.floor((ROWS_SHOWN - place[1]) * _TILE)) - _ROOM
     first = int(np.floor(place[0] * _TILE)) - _TILE // 2 - left
@@ -142,7 +141,7 @@ def _draw_sprite(kind: int, place: npt.NDArray[np.float64], left: int, pixels: n
 
 
 @jit
-def _draw_wing(place: npt.NDArray[np.float64], left: int, pixels: npt.NDArray[np.uint8]) -> None:
+def _draw_wing(place: Place, left: int, pixels: npt.NDArray[np.uint8]) -> None:
     """Draw the wing of a sprite as one white pixel beside its shoulder."""
     y = int(np.floor((ROWS_SHOWN - place[1]) * _TILE)) - _TILE
     x = int(np.floor(place[0] * _TILE)) - left - (_TILE // 2 if place[2] >= 0 else 1 - _TILE // 2)

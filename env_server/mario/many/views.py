@@ -26,15 +26,15 @@ import numpy.typing as npt
 from env_server.mario.many.pixels import SIZE, draw_pixels
 from env_server.mario.observation import (
     BODY_SIZE,
-    CHAR_OF,
     COLUMNS_SHOWN,
     ROWS_SHOWN,
     encode,
-    encode_place,
     encode_tiles,
     kind_of_mario,
+    place_of,
 )
 from env_server.mario.sim.state import ACTORS, PLANT, Actor, LevelMap, World
+from env_server.mario.sim.tiles import SHOWN_MARIO
 from glue.compiled.jit import jit
 from glue.types import PREFIX_SIZE
 
@@ -47,10 +47,8 @@ BODY: Final = 4
 CELLS: Final = ROWS_SHOWN * COLUMNS_SHOWN
 SPRITES: Final = 16
 COLUMNS: Final = 7
-GOAL: Final = 9
-MARIO: Final = 10
 _KINDS: Final = 9
-_WINGED: Final = MARIO + _KINDS
+_WINGED: Final = SHOWN_MARIO + _KINDS
 _LARGE: Final = _WINGED + 1
 _FIRE: Final = _LARGE + 1
 PLANE_COUNT: Final = _FIRE + 1
@@ -63,9 +61,6 @@ RAW_INTS: Final = 8 * DOUBLES
 RAW_ACTORS: Final = RAW_INTS + 4 * INTS
 RAW_CHARS: Final = RAW_ACTORS + 4
 _RAW_SIZE: Final = RAW_CHARS + CHARS
-
-_CODE_OF_CHAR: Final = {" ": 0, "1": 1, "2": 2, "3": 3, "7": 4, "b": 5, "?": 6, "|": 7, "$": 8}
-_CODES: Final = np.array([_CODE_OF_CHAR[chr(char)] for char in CHAR_OF], np.uint8)
 
 
 class View(NamedTuple):
@@ -94,13 +89,13 @@ def write_view(world: World, level: LevelMap, view: int, cells: Cells, reals: Re
     if view == BODY:
         return encode(world, level, cells)
     if view == TILES:
-        encode_tiles(world, level, _CODES, GOAL, MARIO, COLUMNS_SHOWN, cells)
+        encode_tiles(world, level, cells)
         _write_sprites(world, reals)
     elif view == PLANES:
         _write_planes(world, level, cells)
     elif view == PIXELS:
         tiles = np.empty(CELLS, np.uint8)
-        encode_tiles(world, level, _CODES, GOAL, MARIO, COLUMNS_SHOWN, tiles)
+        encode_tiles(world, level, tiles)
         draw_pixels(world, tiles, cells)
     else:
         _write_raw(world, level, cells)
@@ -109,48 +104,41 @@ def write_view(world: World, level: LevelMap, view: int, cells: Cells, reals: Re
 
 @jit
 def _write_sprites(world: World, reals: Reals) -> None:
-    mario = world.actors[0]
-    place = np.empty(4)
-    near = np.empty(SPRITES - 1, np.int64)
-    far = np.empty(SPRITES - 1)
-    found = 0
-    for i in range(world.listed):
-        actor = world.actors[world.order[i]]
-        dx = np.float64(actor.x) - np.float64(mario.x)
-        dy = np.float64(actor.y) - np.float64(mario.y)
-        distance = dx * dx + dy * dy
-        # The others are few: put each in its place among those before it.
-        j = min(found, SPRITES - 1)
-        while j > 0 and far[j - 1] > distance:
-            if j < SPRITES - 1:
-                far[j] = far[j - 1]
-                near[j] = near[j - 1]
-            j -= 1
-        if j < SPRITES - 1:
-            far[j] = distance
-            near[j] = world.order[i]
-            found = min(found + 1, SPRITES - 1)
     reals[:] = np.float32(0)
-    encode_place(world, mario, place)
-    x, y = place[0], place[1]
-    _write_sprite(place, kind_of_mario(world), False, np.floor(x), np.floor(y), reals)
-    for j in range(found):
-        actor = world.actors[near[j]]
-        encode_place(world, actor, place)
-        _write_sprite(place, actor.kind, _is_winged(actor), x, y, reals[COLUMNS * (j + 1) :])
+    mario = world.actors[0]
+    x, y, vx, vy = place_of(world, mario)
+    _write_sprite(reals, kind_of_mario(world), False, x - np.floor(x), y - np.floor(y), vx, vy)
+    # The others are few: look for the next one through all of them, of equally far ones the first.
+    last, last_far = -1, -1.0
+    for j in range(1, SPRITES):
+        found, found_far = -1, np.inf
+        for i in range(world.listed):
+            actor = world.actors[world.order[i]]
+            dx = np.float64(actor.x) - np.float64(mario.x)
+            dy = np.float64(actor.y) - np.float64(mario.y)
+            far = dx * dx + dy * dy
+            if (far > last_far or (far == last_far and i > last)) and far < found_far:
+                found, found_far = i, far
+        if found < 0:
+            return
+        actor = world.actors[world.order[found]]
+        its_x, its_y, vx, vy = place_of(world, actor)
+        row = reals[COLUMNS * j : COLUMNS * (j + 1)]
+        _write_sprite(row, actor.kind, _is_winged(actor), its_x - x, its_y - y, vx, vy)
+        last, last_far = found, found_far
 
 
 @jit
 def _write_sprite(
-    place: npt.NDArray[np.float64], kind: int, winged: bool, x: float, y: float, reals: Reals
+    row: Reals, kind: int, winged: bool, x: float, y: float, velocity_x: float, velocity_y: float
 ) -> None:
-    reals[0] = 1
-    reals[1] = kind
-    reals[2] = winged
-    reals[3] = place[0] - x
-    reals[4] = place[1] - y
-    reals[5] = place[2]
-    reals[6] = place[3]
+    row[0] = 1
+    row[1] = kind
+    row[2] = winged
+    row[3] = x
+    row[4] = y
+    row[5] = velocity_x
+    row[6] = velocity_y
 
 
 @jit
@@ -161,22 +149,21 @@ def _is_winged(actor: Actor) -> bool:
 @jit
 def _write_planes(world: World, level: LevelMap, cells: Cells) -> None:
     tiles = np.empty(CELLS, np.uint8)
-    encode_tiles(world, level, _CODES, GOAL, MARIO, COLUMNS_SHOWN, tiles)
+    encode_tiles(world, level, tiles)
     cells[: _LARGE * CELLS] = 0
     cells[_LARGE * CELLS : _FIRE * CELLS] = world.large
     cells[_FIRE * CELLS :] = world.fire
     for cell in range(CELLS):
         if tiles[cell] > 0:
             cells[(tiles[cell] - 1) * CELLS + cell] = 1
-    place = np.empty(4)
     for i in range(world.listed):
         actor = world.actors[world.order[i]]
-        encode_place(world, actor, place)
-        row = ROWS_SHOWN - 1 - int(np.floor(place[1]))
-        column = int(np.floor(place[0])) - world.drawn_camera // 16
+        x, y, _, _ = place_of(world, actor)
+        row = ROWS_SHOWN - 1 - int(np.floor(y))
+        column = int(np.floor(x)) - world.drawn_camera // 16
         if 0 <= row < ROWS_SHOWN and 0 <= column < COLUMNS_SHOWN:
             cell = row * COLUMNS_SHOWN + column
-            cells[(MARIO + actor.kind - 1) * CELLS + cell] = 1
+            cells[(SHOWN_MARIO + actor.kind - 1) * CELLS + cell] = 1
             if _is_winged(actor):
                 cells[_WINGED * CELLS + cell] = 1
 

@@ -70,21 +70,21 @@ def _substep_sideways(world: World, level: LevelMap, actor: Actor, dx: np.float3
         | (0 if is_own else row_bit(feet))
     )
     cells = cells_at(world, level, column)
-    walls = cells >> WALLS & probes
+    walls = cells & probes * WALLS
     blocked = walls != 0
     if actor.kind == MARIO:
-        world.wall_slide = not is_own and head >= 0 and walls == probes
-        if cells >> COINS & probes:
+        world.wall_slide = not is_own and head >= 0 and walls == probes * WALLS
+        if cells & probes * COINS:
             for row in (head, middle, feet):
                 if not (is_own and row == feet):
                     take_coin(world, level, column, row)
     elif actor.kind == SHELL and blocked:
         for row in (head, middle, feet):
-            if walls & row_bit(row) and not (is_own and row == feet):
+            if walls & row_bit(row) * WALLS and not (is_own and row == feet):
                 hit_block(world, level, column, row, True)
     elif actor.kind == RED_KOOPA and actor.grounded:  # it turns around at a cliff
         below = int(actor.y / _TILE + _ONE)
-        blocked = blocked or cells >> FLOORS & row_bit(below) == 0
+        blocked = blocked or cells & row_bit(below) * FLOORS == 0
     if not blocked:
         actor.x += dx
         return False
@@ -107,9 +107,9 @@ def _substep_up(world: World, level: LevelMap, actor: Actor, dy: np.float32) -> 
         if is_own_row and column == own_column:
             continue
         cells = cells_at(world, level, column)
-        if actor.kind == MARIO and cells >> COINS & row_bit(row):
+        if actor.kind == MARIO and cells & row_bit(row) * COINS:
             take_coin(world, level, column, row)
-        if cells >> CEILINGS & row_bit(row):
+        if cells & row_bit(row) * CEILINGS:
             if actor.kind == MARIO:
                 world.jump_count = 0
                 hit_block(world, level, column, row, world.large)
@@ -128,8 +128,8 @@ def _substep_down(world: World, level: LevelMap, actor: Actor, dy: np.float32) -
     below = tile_of(actor.y + dy + _ONE)
     own_column = tile_of(actor.x)
     own_row = tile_of(actor.y)
-    at_feet = row_bit(feet) << WALLS
-    at_ground = row_bit(below) << FLOORS
+    at_feet = row_bit(feet) * WALLS
+    at_ground = row_bit(below) * FLOORS
     probes = at_feet | at_ground
     own_probes = (0 if feet == own_row else at_feet) | (0 if below == own_row else at_ground)
     left_cells = cells_at(world, level, left)
@@ -138,7 +138,7 @@ def _substep_down(world: World, level: LevelMap, actor: Actor, dy: np.float32) -
         left_cells & (own_probes if left == own_column else probes)
         | right_cells & (own_probes if right == own_column else probes)
     ) != 0
-    if actor.kind == MARIO and (left_cells | right_cells) >> COINS & (row_bit(feet) | row_bit(below)):
+    if actor.kind == MARIO and (left_cells | right_cells) & (row_bit(feet) | row_bit(below)) * COINS:
         blocked = _fall_onto_coins(world, level, actor, dy)
     if not blocked:
         actor.y += dy
@@ -158,6 +158,6 @@ def _fall_onto_coins(world: World, level: LevelMap, mario: Actor, dy: np.float32
         if column == tile_of(mario.x) and row == tile_of(mario.y):
             continue
         take_coin(world, level, column, row)
-        if cells_at(world, level, column) >> (WALLS if probe < 2 else FLOORS) & row_bit(row):
+        if cells_at(world, level, column) & row_bit(row) * (WALLS if probe < 2 else FLOORS):
             return True
     return False

@@ -96,7 +96,7 @@ class LevelMap:
     exit_x: Int  # the column that Mario must pass
     exit_y: Int  # the row of the ground there
     tiles: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]  # write them with `set_tile`
-    cells: Annotated[npt.NDArray[np.int64], np.int64, (COLUMNS,)]  # what they do: see `cells_at`
+    cells: Annotated[npt.NDArray[np.int64], np.int64, (COLUMNS,)]  # four bits for each row: see `cells_at`
     bumpable: Annotated[npt.NDArray[np.uint16], np.uint16, (COLUMNS,)]  # a bit for each row, as in `changed`
     spawns: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]
 

@@ -59,26 +59,40 @@ BEHAVIOR: Final = np.array(
 CHANGED: Final = np.where(BEHAVIOR & BUMPABLE, USED_BLOCK, EMPTY).astype(np.uint8)
 """Shape (256,): the tile that each changes to in play: hit blocks are used, bricks break, coins are taken."""
 
-WALLS: Final = 0
-FLOORS: Final = ROWS
-CEILINGS: Final = 2 * ROWS
-COINS: Final = 3 * ROWS
-"""Where the bits of the rows begin in the cells of a column: those that stop every motion, those that stop
-falling, those that stop rising, and those that hold a loose coin."""
+# How observations show a cell: 0 nothing, 1 stops only falling, 2 stops only rising, 3 both, and these.
+SHOWN_SOLID: Final = 4
+SHOWN_BRICK: Final = 5
+SHOWN_QUESTION: Final = 6
+SHOWN_PIPE: Final = 7
+SHOWN_COIN: Final = 8
+SHOWN_GOAL: Final = 9
+SHOWN_MARIO: Final = 10
 
-_SOLID: Final = 1 << WALLS | 1 << FLOORS | 1 << CEILINGS
-_ANY: Final = _SOLID | 1 << COINS
+FLOORS: Final = 0b101
+CEILINGS: Final = 0b110
+WALLS: Final = 0b100
+COINS: Final = 0b1000
+"""Bits of these numbers: what stops falling, rising or every motion has some of them, as a coin has."""
 
 
-def _cell(behavior: int) -> int:
-    """Return the bits of row 0 for a tile of this behaviour."""
+def _look(code: int) -> int:
+    """Return how observations show a tile code."""
+    if code == COIN:
+        return SHOWN_COIN
+    if code in (BRICK, BRICK_WITH_COIN):
+        return SHOWN_BRICK
+    if code in (QUESTION_WITH_COIN, QUESTION_WITH_POWER_UP):
+        return SHOWN_QUESTION
+    if code - code % 2 in (PIPE_MOUTH, PIPE_SHAFT):
+        return SHOWN_PIPE
+    behavior = int(BEHAVIOR[code])
     if behavior & STOPS_ALL:
-        return _SOLID
-    falls, rises, coin = behavior & STOPS_FALL != 0, behavior & STOPS_RISE != 0, behavior & PICKUP != 0
-    return falls << FLOORS | rises << CEILINGS | coin << COINS
+        return SHOWN_SOLID
+    return (behavior & STOPS_FALL != 0) + 2 * (behavior & STOPS_RISE != 0)
 
 
-_CELL: Final = np.array([_cell(int(behavior)) for behavior in BEHAVIOR], np.int64)
+LOOK: Final = np.array([_look(code) for code in range(256)], np.uint8)
+"""Shape (256,): how observations show each tile code, 0 to SHOWN_COIN."""
 
 
 @jit
@@ -108,19 +122,29 @@ def behavior_at(world: World, level: LevelMap, column: int, row: int) -> int:
 
 @jit
 def row_bit(row: int) -> int:
-    """Return the bit of a row, to be shifted by WALLS to COINS. Rows go on as in `tile_at`."""
-    return 1 << min(row, ROWS - 1) if row >= 0 else 0
+    """Return the lowest bit of a row's cell, for FLOORS to COINS. Rows go on as in `tile_at`."""
+    return 1 << 4 * min(row, ROWS - 1) if row >= 0 else 0
 
 
 @jit
 def cells_at(world: World, level: LevelMap, column: int) -> int:
-    """Return the cells of a column now, in bits from WALLS to COINS on. Columns go on as in `tile_at`."""
+    """Return how the cells of a column look now, four bits for each row. Columns go on as in `tile_at`."""
     column = min(max(column, 0), level.columns - 1)
     cells = int(level.cells[column])
     changed = int(world.changed[column])
     if changed:  # hit blocks are solid, everything else is gone
-        cells = cells & ~(changed * _ANY) | (changed & int(level.bumpable[column])) * _SOLID
+        used = _spread(changed & int(level.bumpable[column]))
+        cells = cells & ~(_spread(changed) * 15) | used * SHOWN_SOLID
     return cells
+
+
+@jit
+def _spread(bits: int) -> int:
+    """Return the bits of the rows, each as the lowest of its cell's four."""
+    bits = (bits | bits << 24) & 0x000000FF000000FF
+    bits = (bits | bits << 12) & 0x000F000F000F000F
+    bits = (bits | bits << 6) & 0x0303030303030303
+    return (bits | bits << 3) & 0x1111111111111111
 
 
 @jit
@@ -130,7 +154,7 @@ def write_cells(level: LevelMap, column: int) -> None:
     bumpable = 0
     for row in range(ROWS):
         code = level.tiles[column, row]
-        cells |= _CELL[code] << row
+        cells |= int(LOOK[code]) << 4 * row
         bumpable |= int(BEHAVIOR[code] & BUMPABLE != 0) << row
     level.cells[column] = cells
     level.bumpable[column] = bumpable

@@ -155,11 +155,11 @@ def test_cells_of_a_level_say_what_its_tiles_do_also_where_play_has_changed_them
     tiles = np.where(changed, CHANGED[made.tiles[: made.columns]], made.tiles[: made.columns])
     assert changed.any()
     cells = np.array([cells_at(world, made, column) for column in range(made.columns)])
-    for lane, bits in {
+    for lanes, bits in {
         WALLS: STOPS_ALL,
         FLOORS: STOPS_ALL | STOPS_FALL,
         CEILINGS: STOPS_ALL | STOPS_RISE,
         COINS: PICKUP,
     }.items():
-        does = cells[:, np.newaxis] >> (lane + np.arange(ROWS)) & 1 == 1
+        does = cells[:, np.newaxis] >> 4 * np.arange(ROWS) & lanes != 0
         assert np.array_equal(does, BEHAVIOR[tiles] & bits != 0)

@@ -11,7 +11,7 @@ from env_server.mario.observation import BODY_SIZE, encode
 from env_server.mario.parameters import resolve
 from env_server.mario.sim import state
 from env_server.mario.sim.state import Actor, LevelMap, World
-from env_server.mario.sim.tiles import COIN, EMPTY
+from env_server.mario.sim.tiles import COIN, EMPTY, set_tile
 from glue.types import Observation
 
 
@@ -27,7 +27,8 @@ def level(game: Game) -> LevelMap:
     """An empty level with a floor in its lowest row."""
     level = game.level_map
     level.tiles[:] = EMPTY
-    level.tiles[:, 14] = 129
+    for column in range(level.columns):
+        set_tile(level, column, 14, 129)
     return level
 
 
@@ -74,7 +75,7 @@ def test_screen_is_sixteen_rows_of_21_with_the_lowest_repeated(world: World, lev
     ],
 )
 def test_tile_is_shown_by_what_it_does(world: World, level: LevelMap, code: int, char: str) -> None:
-    level.tiles[10, 4] = code
+    set_tile(level, 10, 4, code)
     assert rows(world, level)[4][10] == char
 
 
@@ -97,7 +98,7 @@ def test_mario_is_shown_in_the_row_of_his_feet(
 
 
 def test_columns_start_at_the_drawn_camera_and_the_last_one_goes_on(world: World, level: LevelMap) -> None:
-    level.tiles[49, 2] = COIN
+    set_tile(level, 49, 2, COIN)
     world.drawn_camera = 16 * 30 + 15
     level.exit_x = 0
     assert seen(world, level).ints[0] == 30
