@@ -68,6 +68,7 @@ def start(world: World, level: LevelMap, seen: npt.NDArray[np.int64], body: Byte
     if seen[0] == 0:
         level.exit_x = _FAR
         level.spawns[:] = 0
+        level.spawning[:] = 0
     for column in range(seen[0]):  # a saved level is its tiles and spawn points
         write_cells(level, column)
     world.changed[:] = 0
@@ -370,6 +371,7 @@ def _remember(world: World, level: LevelMap, actor: Actor, dx: np.float32, dy: n
     if actor.kind == PLANT:
         if row < ROWS and actor.row < ROWS:
             level.spawns[column, actor.row] = PLANT
+            write_cells(level, column)
     elif actor.kind < PLANT:
         ticks = _spawned_ago(actor.x, dx)
         if ticks == 0:
@@ -385,6 +387,7 @@ def _remember(world: World, level: LevelMap, actor: Actor, dx: np.float32, dy: n
                 row += 1
         if 0 <= column < COLUMNS and 0 <= row < ROWS:
             level.spawns[column, row] = actor.kind + (SPAWN_WINGED if actor.winged else 0)
+            write_cells(level, column)
             actor.column = column
             actor.row = row
     elif actor.kind in (MUSHROOM, FLOWER) and dy == np.float32(-1):

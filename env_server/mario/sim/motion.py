@@ -26,10 +26,41 @@ _REACH: Final = np.float32(_HALF_WIDTH)
 @jit
 def move_sideways(world: World, level: LevelMap, actor: Actor, amount: np.float32) -> bool:
     """Move by `amount` pixels or up to an obstacle, which clears `vx`; return whether there was one."""
+    head = tile_of(actor.y - np.float32(actor.height))
+    middle = tile_of(actor.y - np.float32(actor.height // 2))
+    feet = tile_of(actor.y)
+    others = (0 if head == feet else row_bit(head)) | (0 if middle == feet else row_bit(middle))
+    side = 1 if amount > _ZERO else -1
+    reach = np.float32(side * _HALF_WIDTH)
     while amount != _ZERO:
         dx = _substep(amount)
-        if _substep_sideways(world, level, actor, dx):
+        column = tile_of(actor.x + dx + reach)
+        is_own = column == tile_of(actor.x)
+        probes = others if is_own else others | row_bit(feet)
+        cells = cells_at(world, level, column)
+        walls = cells & probes * WALLS
+        blocked = walls != 0
+        if actor.kind == MARIO:
+            world.wall_slide = not is_own and head >= 0 and walls == probes * WALLS
+            if cells & probes * COINS:
+                for row in (head, middle, feet):
+                    if not (is_own and row == feet):
+                        take_coin(world, level, column, row)
+        elif actor.kind == SHELL and blocked:
+            for row in (head, middle, feet):
+                if walls & row_bit(row) * WALLS and not (is_own and row == feet):
+                    hit_block(world, level, column, row, True)
+        elif actor.kind == RED_KOOPA and actor.grounded:  # it turns around at a cliff
+            below = int(actor.y / _TILE + _ONE)
+            blocked = blocked or cells & row_bit(below) * FLOORS == 0
+        if blocked:
+            if side < 0:
+                actor.x = np.float32(int((actor.x + reach) / _TILE) * 16 + _HALF_WIDTH)
+            else:
+                actor.x = np.float32(int((actor.x + reach) / _TILE + _ONE) * 16 - _HALF_WIDTH - 1)
+            actor.vx = _ZERO
             return True
+        actor.x += dx
         amount -= dx
     return False
 
@@ -53,47 +84,6 @@ def _substep(amount: np.float32) -> np.float32:
     if amount > _SUBSTEP:
         return _SUBSTEP
     return -_SUBSTEP if amount < -_SUBSTEP else amount
-
-
-@jit
-def _substep_sideways(world: World, level: LevelMap, actor: Actor, dx: np.float32) -> bool:
-    side = 1 if dx > _ZERO else -1
-    reach = np.float32(side * _HALF_WIDTH)
-    column = tile_of(actor.x + dx + reach)
-    head = tile_of(actor.y - np.float32(actor.height))
-    middle = tile_of(actor.y - np.float32(actor.height // 2))
-    feet = tile_of(actor.y)
-    is_own = column == tile_of(actor.x)
-    probes = (
-        (0 if is_own and head == feet else row_bit(head))
-        | (0 if is_own and middle == feet else row_bit(middle))
-        | (0 if is_own else row_bit(feet))
-    )
-    cells = cells_at(world, level, column)
-    walls = cells & probes * WALLS
-    blocked = walls != 0
-    if actor.kind == MARIO:
-        world.wall_slide = not is_own and head >= 0 and walls == probes * WALLS
-        if cells & probes * COINS:
-            for row in (head, middle, feet):
-                if not (is_own and row == feet):
-                    take_coin(world, level, column, row)
-    elif actor.kind == SHELL and blocked:
-        for row in (head, middle, feet):
-            if walls & row_bit(row) * WALLS and not (is_own and row == feet):
-                hit_block(world, level, column, row, True)
-    elif actor.kind == RED_KOOPA and actor.grounded:  # it turns around at a cliff
-        below = int(actor.y / _TILE + _ONE)
-        blocked = blocked or cells & row_bit(below) * FLOORS == 0
-    if not blocked:
-        actor.x += dx
-        return False
-    if side < 0:
-        actor.x = np.float32(int((actor.x + reach) / _TILE) * 16 + _HALF_WIDTH)
-    else:
-        actor.x = np.float32(int((actor.x + reach) / _TILE + _ONE) * 16 - _HALF_WIDTH - 1)
-    actor.vx = _ZERO
-    return True
 
 
 @jit

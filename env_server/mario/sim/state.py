@@ -98,7 +98,8 @@ class LevelMap:
     tiles: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]  # write them with `set_tile`
     cells: Annotated[npt.NDArray[np.int64], np.int64, (COLUMNS,)]  # four bits for each row: see `cells_at`
     bumpable: Annotated[npt.NDArray[np.uint16], np.uint16, (COLUMNS,)]  # a bit for each row, as in `changed`
-    spawns: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]
+    spawns: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]  # then call `write_cells`
+    spawning: Annotated[npt.NDArray[np.uint16], np.uint16, (COLUMNS,)]  # a bit for each row that has one
 
 
 class World:

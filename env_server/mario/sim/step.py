@@ -14,7 +14,6 @@ from env_server.mario.sim.state import (
     FIREBALL,
     FREE,
     MARIO,
-    ROWS,
     TICKS_PER_ACTION,
     LevelMap,
     World,
@@ -211,15 +210,13 @@ def _spawn(world: World, level: LevelMap) -> None:
     for column in range(max(first, 0), min(last, level.columns - 1) + 1):
         if world.scanned_from <= column <= world.scanned_to:
             continue
-        some = 0
-        for row in range(ROWS):  # most columns have none, which takes no branch to find
-            some |= level.spawns[column, row]
-        if some == 0:
-            continue
-        for row in range(ROWS):
-            lives = level.spawns[column, row] != 0 and not world.dead[column] >> row & 1
-            if lives and not _has_enemy(world, column, row):
+        alive = int(level.spawning[column]) & ~int(world.dead[column])
+        row = 0
+        while alive:
+            if alive & 1 and not _has_enemy(world, column, row):
                 add_enemy(world, level, column, row, _towards(world, column))
+            alive >>= 1
+            row += 1
     world.scanned_from = first
     world.scanned_to = last
 

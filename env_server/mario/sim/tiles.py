@@ -149,15 +149,18 @@ def _spread(bits: int) -> int:
 
 @jit
 def write_cells(level: LevelMap, column: int) -> None:
-    """Write the cells of a column again, after its tiles were written."""
+    """Write what a level keeps of a column in bits, after its tiles and spawn points were written."""
     cells = 0
     bumpable = 0
+    spawning = 0
     for row in range(ROWS):
         code = level.tiles[column, row]
         cells |= int(LOOK[code]) << 4 * row
         bumpable |= int(BEHAVIOR[code] & BUMPABLE != 0) << row
+        spawning |= int(level.spawns[column, row] != 0) << row
     level.cells[column] = cells
     level.bumpable[column] = bumpable
+    level.spawning[column] = spawning
 
 
 @jit

@@ -37,6 +37,7 @@ from env_server.mario.sim.tiles import (
     USED_BLOCK,
     set_tile,
     tile_at,
+    write_cells,
 )
 
 _HEIGHTS = {FIREBALL: 8}
@@ -54,8 +55,9 @@ def level(game: Game) -> LevelMap:
     """Nothing at all; the goal is out of reach."""
     level = game.level_map
     level.tiles[:] = EMPTY
-    level.cells[:] = level.bumpable[:] = 0
     level.spawns[:] = 0
+    for column in range(level.columns):
+        write_cells(level, column)
     level.exit_x = 1000
     return level
 
@@ -349,6 +351,7 @@ def test_enemy_comes_in_facing_mario(world: World, level: LevelMap, column: int,
     move(world.actors[0], 104, 200)
     world.scanned_to = -1
     level.spawns[column, 3] = GOOMBA
+    write_cells(level, column)
     tick(world, level)
     goomba = world.actors[int(world.order[0])]
     assert state(goomba, "kind", "facing") == (GOOMBA, facing)
