@@ -68,8 +68,7 @@ def start(world: World, level: LevelMap, seen: npt.NDArray[np.int64], body: Byte
     if seen[0] == 0:
         level.exit_x = _FAR
         level.spawns[:] = 0
-        level.spawning[:] = 0
-    for column in range(seen[0]):  # a saved level is its tiles and spawn points
+    for column in range(COLUMNS):  # a saved level is its tiles and spawn points
         write_cells(level, column)
     world.changed[:] = 0
     tiles = read_tiles(world, level, seen, body)

@@ -10,6 +10,7 @@ from env_server.mario.environment import InfiniteMario
 from env_server.mario.game import Game
 from env_server.mario.level_sets import LEVEL_SETS
 from env_server.mario.observation import encode
+from env_server.mario.sim.state import GOOMBA, ROWS
 from glue.errors import ConfigError
 from glue.plugins.models import find_model
 from glue.types import Observation
@@ -78,12 +79,16 @@ def test_a_level_of_which_tiles_and_spawn_points_were_saved_is_whole_again_at_th
     for one in (belief, loaded):
         one.read(first)
         model.start(one.worlds, one.levels, one.seen, one.body)
+        belief.levels["spawns"][0, 4, 9] = GOOMBA
         loaded.seen[:] = belief.seen
         for name in ("tiles", "spawns"):
             loaded.levels[name] = belief.levels[name]
     cells, end = belief.levels["cells"][0], int(belief.seen[0])
     assert cells[:end].any()
     assert np.array_equal(loaded.levels["cells"][0, :end], cells[:end])
+    spawning = (loaded.levels["spawns"][0] != 0) @ (1 << np.arange(ROWS))
+    assert spawning[4] == 1 << 9
+    assert np.array_equal(loaded.levels["spawning"][0], spawning)
 
 
 def test_belief_follows_what_it_sees() -> None:
