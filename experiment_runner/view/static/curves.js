@@ -141,6 +141,8 @@ export function mount(element, { query }) {
 
   function draw() {
     if (!data) return;
+    const place = readout.textContent ? places[cursor] : Infinity;
+    const focused = [...legend.children].findIndex((item) => item.contains(document.activeElement));
     reset.disabled = !state.span;
     if (!measures.options.length) measures.replaceChildren(...data.measures.map((name) => h("option", { value: name }, name)));
     measures.value = data.measure;
@@ -149,11 +151,14 @@ export function mount(element, { query }) {
     plot = data.drawing ? drawing(data.drawing.svg) : null;
     box.hidden = !plot;
     box.replaceChildren(...[plot].filter(Boolean));
-    setText(readout, "");
+    const next = places.findIndex((other) => other >= place);
+    if (plot && next >= 0) read(next); // whoever reads goes on reading while the runs grow
+    else setText(readout, "");
     legend.replaceChildren(...data.curves.map((curve, i) =>
       h("li", {}, h("button", { type: "button", class: "quiet", onfocus: () => highlight(i), onmouseenter: () => highlight(i),
         onblur: () => highlight(-1), onmouseleave: () => highlight(-1) }, drawing(curve.sample), " ",
       h("span", { "aria-hidden": "true" }, MARKS[i % MARKS.length]), " ", curve.label, ` (${count(curve.trials)} trials)`))));
+    legend.children[focused]?.querySelector("button").focus();
     const what = `running mean of ${count(data.window)} ${state.over}, with 95 % bootstrap bands`;
     setText(note, data.curves.length
       ? `${what}${state.span ? "; a part" : ""}. Drag to zoom; point at a curve, or at its name, for its single trials. The tables below hold the same numbers.`

@@ -96,8 +96,12 @@ def test_pointing_at_a_curve_shows_its_numbers_and_its_single_trials(
     assert ink(browser) != plain
     browser.find(".plot").send_keys("\ue011")  # Home
     browser.shows(f"episode {first['at'][0]:,.0f}: ")
-    readout = browser.find(".readout").text
-    assert f"{NAME} {score(first['mean'][0])} ({score(first['low'][0])} to " in readout
+    shown = f"{NAME} {score(first['mean'][0])} ({score(first['low'][0])} to "
+    browser.shows(shown)
+    plain = ink(browser)
+    browser.run("document.querySelector('.controls fieldset:nth-of-type(3) button:last-of-type').click()")
+    browser.wait(lambda: ink(browser) != plain, "another drawing")
+    assert shown in browser.find(".readout").text  # also in the drawing that has replaced the first
     browser.find(".plot").send_keys("\ue010")  # End
     browser.shows(f"episode {first['at'][-1]:,.0f}: ")
 
