@@ -16,12 +16,13 @@ from __future__ import annotations
 import argparse
 import time
 from collections import deque
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import torch
 from torch import nn
 
+from agents.mario.views import tiles_and_sprites
 from glue import Action, ConfigError, Observation, Option
 from glue.roles import Agent
 
@@ -224,7 +225,7 @@ class PpoAgent(Agent):
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
         with torch.no_grad():
-            preferences, _ = self._policy(torch.from_numpy(features(*view(observation))))
+            preferences, _ = self._policy(torch.from_numpy(features(*tiles_and_sprites(observation))))
         chances = preferences[0].double().softmax(0).numpy()
         self._entropy -= float(chances @ np.log(chances.clip(1e-300)))
         self._actions += 1
@@ -237,24 +238,6 @@ class PpoAgent(Agent):
 
     def agent_message(self, message: str) -> str:
         return "I play what ppo.py has learned"
-
-
-CODES = np.zeros(256, np.uint8)
-CODES[list(b" 1237b?|$!M")] = np.arange(11)
-
-
-def view(observation: Observation) -> tuple[np.ndarray, np.ndarray]:
-    """Return the tiles (1, 16, 21) and sprites (1, 16, 7) of docs/gymnasium.md for an observation."""
-    tiles = CODES[np.frombuffer(observation.chars, np.uint8)].reshape(1, 16, 22)[:, :, :21]
-    places, kinds = observation.doubles.reshape(-1, 4), observation.ints[1:].reshape(-1, 2)
-    rows: Any = np.column_stack([np.ones(len(kinds)), kinds, places])
-    rows[0, 3:5] -= np.floor(rows[0, 3:5])
-    rows[1:, 3:5] -= places[0, :2]
-    nearest = np.argsort(np.hypot(rows[1:, 3], rows[1:, 4]), kind="stable")
-    rows[1:] = rows[1:][nearest]
-    sprites = np.zeros((1, 16, 7), np.float32)
-    sprites[0, : len(rows)] = rows[:16]
-    return tiles, sprites
 
 
 if __name__ == "__main__":

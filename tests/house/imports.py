@@ -54,8 +54,9 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "env_server/replay": ("env_server/mario", "env_server/render", "glue/trajectory"),
     "env_server/datasets": ("glue/gym", "glue/trajectory"),
     "env_server/cli": ("env_server/datasets", "env_server/replay"),
-    "agents": ("glue/__init__", "glue/compiled"),
     "agents/mario": ("glue/compiled", "glue/taskspec"),
+    "agents/imitation": ("agents/mario",),
+    "agents": ("agents/mario", "glue/__init__", "glue/compiled"),
     "agents/mohan2010": ("agents", "agents/mario"),
     "agents/soar": ("agents/mario",),
     "agents/planner": ("agents/mario", "glue/compiled", "glue/plugins"),
@@ -81,8 +82,9 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     # The studies, and they alone, know Mario and the agents of the paper.
     "experiment_runner/study": (),
     "experiment_runner/study/generalisation": (
+        "agents/imitation",
         "agents/planner",
-        "env_server/mario",
+        "env_server/mario/many",
         "experiment_runner/executors",
     ),
     "experiment_runner/study/paper": ("agents/mohan2010", "agents/soar", "experiment_runner/report"),

@@ -67,7 +67,7 @@ HOMES: Mapping[str, Sequence[str]] = {
     "ray": ["experiment_runner/executors/*"],
     "gymnasium": ["glue/gym/*", "env_server/gym/*", "env_server/datasets/*", "agents/ppo.py"],
     "stable_baselines3": ["glue/gym/sb3.py"],
-    "torch": ["agents/ppo.py"],
+    "torch": ["agents/ppo.py", "experiment_runner/study/generalisation/imitation.py"],
     "starlette": ["experiment_runner/view/*"],
     "uvicorn": ["experiment_runner/view/server.py", "experiment_runner/view/connections.py"],
 }

@@ -23,6 +23,7 @@ FLAGS: Mapping[str, str] = {
     "experiment_runner/plan/provenance.py": ANOTHER,
     "experiment_runner/view/starting.py": ANOTHER,
     "experiment_runner/slurm/batch.py": "calls SLURM's commands",
+    "experiment_runner/study/generalisation/imitation.py": PROGRAM,
     "glue/conform/hub/mirror.py": PROGRAM,
     "glue/plugins/naming.py": "is a part of the command line that several packages share",
 }

@@ -1,0 +1,3 @@
+"""A network that imitates a search."""
+
+from agents.imitation.agent import ImitationAgent as ImitationAgent

@@ -1,0 +1,104 @@
+"""The agent that imitates a search: a small network, in NumPy, over what is seen now.
+
+`python -m experiment_runner.study.generalisation.imitation` makes its file.
+"""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from agents.imitation.features import FEATURES, NONE, RECENT, Reals, features
+from agents.mario.agent import MarioAgent
+from agents.mario.views import tiles_and_sprites
+from glue.errors import ConfigError
+from glue.options import Option
+from glue.types import Action, Observation
+
+LAYERS: Final = 3
+_ACTIONS: Final = [Action(ints=[number // 4 - 1, number // 2 % 2, number % 2]) for number in range(NONE)]
+
+
+class ImitationAgent(MarioAgent):
+    """Takes the action that its network expects to cost the fewest steps.
+
+    Args:
+        policy: the file of the network.
+
+    Raises:
+        ConfigError: the file is missing, or holds no such network.
+    """
+
+    name: ClassVar[str] = "imitation"
+
+    def __init__(self, *, policy: Annotated[str, Option("file of the network")] = "") -> None:
+        super().__init__(None)
+        self._network = load(policy)
+        self._reset()
+
+    def _reset(self) -> None:
+        self._recent = np.full((1, RECENT), NONE, np.int64)
+
+    def agent_start(self, observation: Observation) -> Action:
+        self._recent[:] = NONE
+        return self._act(observation)
+
+    def agent_step(self, reward: float, observation: Observation) -> Action:
+        return self._act(observation)
+
+    def _act(self, observation: Observation) -> Action:
+        seen = features(*tiles_and_sprites(observation), self._recent)
+        action = int(costs(self._network, seen)[0].argmin())
+        self._recent[:, 1:] = self._recent[:, :-1].copy()
+        self._recent[:, 0] = action
+        return _ACTIONS[action]
+
+
+Network = Mapping[str, Reals]
+"""The weights (inputs, outputs) and biases (outputs,) of each layer: `weight0`, `bias0`, and so on."""
+
+
+def costs(network: Network, seen: Reals) -> Reals:
+    """Return how many steps more than the best each action is expected to cost, shape (N, 12)."""
+    for layer in range(LAYERS):
+        seen = seen @ network[f"weight{layer}"] + network[f"bias{layer}"]
+        if layer < LAYERS - 1:
+            seen = np.maximum(seen, 0)
+    return seen
+
+
+def load(path: str) -> Network:
+    """Read a network.
+
+    Raises:
+        ConfigError: the file is missing, or holds no such network.
+    """
+    network = {}
+    try:
+        with np.load(path, allow_pickle=False) as saved:
+            for layer in range(LAYERS):
+                for name in (f"weight{layer}", f"bias{layer}"):
+                    network[name] = _checked(saved[name])
+        width = FEATURES
+        for layer in range(LAYERS):
+            weight, bias = network[f"weight{layer}"], network[f"bias{layer}"]
+            if weight.shape != (width, len(bias)):
+                raise ValueError(f"layer {layer} has weights {weight.shape}, not {(width, len(bias))}")
+            width = len(bias)
+        if width != NONE:
+            raise ValueError(f"it has {width} outputs, not {NONE}")
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise ConfigError(
+            f"policy is not the file of a network for the agent imitation: {path!r}: {error}"
+        ) from None
+    return network
+
+
+def _checked(array: npt.NDArray[np.float32]) -> Reals:
+    if array.dtype not in (np.float16, np.float32) or not np.isfinite(array).all():
+        raise ValueError("its numbers are not finite single or half precision")
+    return array.astype(np.float32)

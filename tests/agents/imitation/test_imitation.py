@@ -1,0 +1,114 @@
+"""The agent of a network: what it sees, what it plays, and files that are no network."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from agents.imitation import ImitationAgent
+from agents.imitation.agent import costs, load
+from agents.imitation.features import FEATURES, RECENT, features
+from agents.mario.views import tiles_and_sprites
+from env_server.mario import InfiniteMario
+from env_server.mario.level_sets import LEVEL_SETS
+from env_server.mario.many.games import SAME_STEP, Games
+from env_server.mario.many.views import VIEWS
+from glue import local
+from glue.errors import ConfigError
+from glue.testing import check_agent
+from tests.agents.mohan2010.test_paper_agents import screen
+
+Arrays = dict[str, npt.NDArray[Any]]
+
+
+def arrays() -> Arrays:
+    """A network of random weights, in half precision, as the file has them."""
+    random = np.random.default_rng(0)
+    widths = (FEATURES, 16, 8, 12)
+    sizes = {f"weight{i}": widths[i : i + 2] for i in range(3)} | {
+        f"bias{i}": widths[i + 1 : i + 2] for i in range(3)
+    }
+    return {name: random.normal(size=size).astype(np.float16) for name, size in sizes.items()}
+
+
+@pytest.fixture
+def policy(tmp_path: Path) -> Path:
+    saved: dict[str, Any] = arrays()
+    np.savez(tmp_path / "network.npz", **saved)
+    return tmp_path / "network.npz"
+
+
+def test_an_observation_is_seen_as_the_view_of_learners_shows_it() -> None:
+    task, random = InfiniteMario().parameters, np.random.default_rng(1)
+    games = Games([LEVEL_SETS["train-200"].level(task, 9)], VIEWS["tiles"], SAME_STEP)
+    games.seed(0, 0)
+    games.reset()
+    others = 0
+    for _ in range(400):
+        tiles, sprites = games.cells.reshape(1, 16, 21), games.reals.reshape(1, 16, 7)
+        if not games.lanes["over"][0]:
+            ours = tiles_and_sprites(games.observation(0))
+            assert np.array_equal(ours[0], tiles)
+            np.testing.assert_allclose(ours[1], sprites, rtol=1e-6, atol=1e-6)
+            others = max(others, int(sprites[0, :, 0].sum()))
+        games.step(random.integers(4, 12, (1, 1)), np.array([12]))
+    assert others > 2
+
+
+def test_the_network_is_what_its_file_says(policy: Path) -> None:
+    task = InfiniteMario().parameters
+    games = Games([task], VIEWS["tiles"], SAME_STEP)
+    games.seed(0, 0)
+    games.reset()
+    seen = features(
+        games.cells.reshape(1, 16, 21), games.reals.reshape(1, 16, 7), np.zeros((1, RECENT), np.int64)
+    )
+    expected = seen
+    for i in range(3):
+        expected = expected @ arrays()[f"weight{i}"].astype(np.float32) + arrays()[f"bias{i}"]
+        expected = expected if i == 2 else np.maximum(expected, 0)
+    assert np.allclose(costs(load(str(policy)), seen), expected, rtol=1e-5)
+
+
+def test_the_agent_keeps_the_contract_and_plays_the_same_again(policy: Path) -> None:
+    check_agent(lambda: ImitationAgent(policy=str(policy)), InfiniteMario().env_init(), observation=screen)
+    returns = []
+    for _ in range(2):
+        with local(ImitationAgent(policy=str(policy)), InfiniteMario(level_seed=3)) as glue:
+            glue.rl_init()
+            glue.rl_episode(100)
+            returns.append((glue.rl_return(), glue.rl_num_steps()))
+    assert returns[0] == returns[1]
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda saved: saved.pop("bias1"),
+        lambda saved: saved.update(weight0=saved["weight0"][1:]),
+        lambda saved: saved.update(weight1=saved["weight1"].astype(np.float64)),
+        lambda saved: saved.update(bias2=saved["bias2"] * np.float16(np.nan)),
+        lambda saved: saved.update(bias2=np.array([None] * 12)),
+        lambda saved: saved.update(weight2=saved["weight2"][:, :5], bias2=saved["bias2"][:5]),
+    ],
+)
+def test_a_file_that_is_no_network_is_refused(tmp_path: Path, spoil: Callable[[Arrays], object]) -> None:
+    saved: dict[str, Any] = arrays()
+    spoil(saved)
+    np.savez(tmp_path / "network.npz", **saved)
+    with pytest.raises(ConfigError, match="network"):
+        ImitationAgent(policy=str(tmp_path / "network.npz"))
+
+
+@pytest.mark.parametrize("content", [None, b"", b"no archive"])
+def test_a_missing_or_damaged_file_is_refused(tmp_path: Path, content: bytes | None) -> None:
+    path = tmp_path / "network.npz"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(ConfigError, match="policy"):
+        ImitationAgent(policy=str(path))
