@@ -25,7 +25,7 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from agents.imitation.agent import LAYERS, Network, costs
+from agents.imitation.agent import LAYERS, Network, costs, save
 from agents.imitation.features import FEATURES, NONE, RECENT, Reals, features
 from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import LevelSet
@@ -151,13 +151,14 @@ class Learner:
 
 
 def learn(levels: int, seed: int, count: int, out: str) -> None:
-    """Learn from `count` states on so many levels, print how it goes, and save the network to `out`."""
+    """Learn from `count` states on so many levels, print how it goes, and save each network to `out`."""
     player, learner, states = Player(levels, seed), Learner(seed), States()
     network, began = None, time.perf_counter()
     while states.count < count:
         player.play(network, states, _ROUND)
         error = learner.train(states, _BATCHES)
         network = learner.network()
+        save(network, out)
         goals = player.won / max(player.ended, 1)
         seconds = time.perf_counter() - began
         print(
@@ -165,9 +166,8 @@ def learn(levels: int, seed: int, count: int, out: str) -> None:
             flush=True,
         )
     error = learner.train(states, _PASSES * states.count // _BATCH, _LAST_RATE)
+    save(learner.network(), out)
     print(f"the end: error {error:.3f}, {time.perf_counter() - began:.0f} s", flush=True)
-    halves: dict[str, Any] = {name: array.astype(np.float16) for name, array in learner.network().items()}
-    np.savez_compressed(out, **halves)
 
 
 if __name__ == "__main__":

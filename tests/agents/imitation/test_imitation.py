@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 
 from agents.imitation import ImitationAgent
-from agents.imitation.agent import costs, load
+from agents.imitation.agent import costs, load, save
 from agents.imitation.features import FEATURES, RECENT, features
 from agents.mario.views import tiles_and_sprites
 from env_server.mario import InfiniteMario
@@ -38,8 +38,7 @@ def arrays() -> Arrays:
 
 @pytest.fixture
 def policy(tmp_path: Path) -> Path:
-    saved: dict[str, Any] = arrays()
-    np.savez(tmp_path / "network.npz", **saved)
+    save(arrays(), str(tmp_path / "network.npz"))
     return tmp_path / "network.npz"
 
 
