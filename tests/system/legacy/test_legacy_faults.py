@@ -408,7 +408,7 @@ def test_a_second_of_a_role_is_turned_away_and_the_first_stays(rig: Rig, role: I
 
 def test_a_second_agent_is_turned_away_before_the_run_begins_as_well(rig: Rig) -> None:
     rig.agent(MirrorAgent())
-    rig.settle()
+    rig.log.wait_for("joined")
     assert ending(join(rig, Id.AGENT_CONNECTION)) == TERMINATE
     rig.environment(FiveStepEnvironment())
     glue = rig.experiment()
@@ -615,6 +615,7 @@ def test_a_hub_that_ends_says_goodbye_to_originals_that_wait(rig: Rig) -> None:
     rig.agent(MirrorAgent())
     rig.environment(FiveStepEnvironment())
     glue = rig.experiment()
+    rig.log.wait_for("joined", times=2)
     rig.settle()
     rig.hub.stop("enough")
     rig.join()
