@@ -56,7 +56,7 @@ class States:
     def __init__(self) -> None:
         self._seen: list[npt.NDArray[np.float16]] = []
         self._prices: list[Reals] = []
-        self.count = 0
+        self.count: int = 0
 
     def add(self, seen: Reals, prices: Reals) -> None:
         """Add some states."""
@@ -84,7 +84,8 @@ class Player:
         self._games.reset()
         self._teacher = Teacher(self._games)
         self._recent = np.full((_GAMES, RECENT), NONE, np.int64)
-        self.ended = self.won = 0
+        self.ended: int = 0
+        self.won: int = 0
 
     def play(self, network: Network | None, states: States, count: int) -> None:
         """Play until so many states have been added; without a network, the teacher plays."""

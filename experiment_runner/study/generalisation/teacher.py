@@ -49,7 +49,7 @@ class Teacher:
         how = self._settings[0]
         how["sims"], how["weight"], how["size_cost"] = _SIMS, _WEIGHT, 6.0
         self._plan = np.full(_PLAN, -1, np.int64)
-        self.plans = np.full((len(games), _PLAN), -1, np.int64)
+        self.plans: npt.NDArray[np.int64] = np.full((len(games), _PLAN), -1, np.int64)
 
     def prices(self, which: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
         """Return the price of each action in some games, in steps, shape (len(which), 12)."""
