@@ -72,7 +72,8 @@ FLOORS: Final = 0b101
 CEILINGS: Final = 0b110
 WALLS: Final = 0b100
 COINS: Final = 0b1000
-"""Bits of these numbers: what stops falling, rising or every motion has some of them, as a coin has."""
+"""Masks of these numbers: a cell that stops falling, rising or every motion, or that holds a coin, has a bit
+of the mask."""
 
 
 def _look(code: int) -> int:
