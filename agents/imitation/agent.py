@@ -12,7 +12,8 @@ from typing import Annotated, Any, ClassVar, Final
 import numpy as np
 import numpy.typing as npt
 
-from agents.imitation.features import FEATURES, NONE, RECENT, Reals, features
+from agents.imitation.features import FEATURES, NONE, RECENT, Reals, features, remember
+from agents.mario.actions import ACTIONS, NUM_ACTIONS
 from agents.mario.agent import MarioAgent
 from agents.mario.views import tiles_and_sprites
 from glue.errors import ConfigError
@@ -20,7 +21,6 @@ from glue.options import Option
 from glue.types import Action, Observation
 
 LAYERS: Final = 3
-_ACTIONS: Final = [Action(ints=[number // 4 - 1, number // 2 % 2, number % 2]) for number in range(NONE)]
 
 
 class ImitationAgent(MarioAgent):
@@ -53,9 +53,8 @@ class ImitationAgent(MarioAgent):
     def _act(self, observation: Observation) -> Action:
         seen = features(*tiles_and_sprites(observation), self._recent)
         action = int(costs(self._network, seen)[0].argmin())
-        self._recent[:, 1:] = self._recent[:, :-1].copy()
-        self._recent[:, 0] = action
-        return _ACTIONS[action]
+        remember(self._recent, action)
+        return ACTIONS[action]
 
 
 Network = Mapping[str, Reals]
@@ -83,20 +82,18 @@ def load(path: str) -> Network:
     Raises:
         ConfigError: the file is missing, or holds no such network.
     """
-    network = {}
+    network: dict[str, Reals] = {}
     try:
         with np.load(path, allow_pickle=False) as saved:
+            width = FEATURES
             for layer in range(LAYERS):
-                for name in (f"weight{layer}", f"bias{layer}"):
-                    network[name] = _checked(saved[name])
-        width = FEATURES
-        for layer in range(LAYERS):
-            weight, bias = network[f"weight{layer}"], network[f"bias{layer}"]
-            if weight.shape != (width, len(bias)):
-                raise ValueError(f"layer {layer} has weights {weight.shape}, not {(width, len(bias))}")
-            width = len(bias)
-        if width != NONE:
-            raise ValueError(f"it has {width} outputs, not {NONE}")
+                weight, bias = _checked(saved[f"weight{layer}"]), _checked(saved[f"bias{layer}"])
+                if weight.shape != (width, len(bias)):
+                    raise ValueError(f"layer {layer} has weights {weight.shape}, not {(width, len(bias))}")
+                network |= {f"weight{layer}": weight, f"bias{layer}": bias}
+                width = len(bias)
+        if width != NUM_ACTIONS:
+            raise ValueError(f"it has {width} outputs, not {NUM_ACTIONS}")
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise ConfigError(
             f"policy is not the file of a network for the agent imitation: {path!r}: {error}"

@@ -7,11 +7,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from agents.mario.actions import NUM_ACTIONS
 from agents.mario.views import MARIO
 
 RECENT: Final = 5
 """How many of the last actions are seen: they tell how long the buttons have been held."""
-NONE: Final = 12
+NONE: Final = NUM_ACTIONS
 """The number of an action that is not there, at the beginning of an episode."""
 
 _ACROSS: Final = np.arange(-3, 12)  # columns and rows from Mario
@@ -24,7 +25,7 @@ _KINDS: Final = np.arange(1, 10)
 _SOLID, _LEDGE, _GOAL = (
     np.isin(np.arange(11), some).astype(np.float32) for some in ([2, 4, 5, 6, 7], [1, 3], [9])
 )
-_ACTIONS: Final = np.eye(NONE + 1, NONE, dtype=np.float32)
+_ACTIONS: Final = np.eye(NUM_ACTIONS + 1, NUM_ACTIONS, dtype=np.float32)
 _NEAR: Final = 0.2  # 1 / tiles
 
 Reals = npt.NDArray[np.float32]
@@ -64,6 +65,12 @@ def features(tiles: npt.NDArray[np.uint8], sprites: Reals, recent: npt.NDArray[n
         _ACTIONS[recent],
     ]
     return np.concatenate([np.asarray(part, np.float32).reshape(count, -1) for part in parts], 1)
+
+
+def remember(recent: npt.NDArray[np.int64], actions: npt.NDArray[np.int64] | int) -> None:
+    """Let `actions`, one for each of N games, be the newest in `recent`, shape (N, RECENT)."""
+    recent[:, 1:] = recent[:, :-1].copy()
+    recent[:, 0] = actions
 
 
 FEATURES: Final = features(

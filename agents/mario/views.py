@@ -10,8 +10,6 @@ import numpy.typing as npt
 from agents.mario.observation import COLUMNS, ROWS, decode
 from glue.types import Observation
 
-SPRITES: Final = 16
-FIELDS: Final = 7
 MARIO: Final = 10
 """The number of the tile where Mario is."""
 
@@ -33,6 +31,6 @@ def tiles_and_sprites(observation: Observation) -> tuple[npt.NDArray[np.uint8], 
     rows[1:, 3:5] -= places[0, :2]
     nearest = np.argsort(np.hypot(rows[1:, 3], rows[1:, 4]), kind="stable")
     rows[1:] = rows[1:][nearest]
-    sprites = np.zeros((1, SPRITES, FIELDS), np.float32)
-    sprites[0, : len(rows)] = rows[:SPRITES]
+    sprites = np.zeros((1, 16, 7), np.float32)
+    sprites[0, : len(rows)] = rows[:16]
     return tiles, sprites

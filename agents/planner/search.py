@@ -17,7 +17,7 @@ _step = model.step
 _save = model.save
 _load = model.load
 
-_BEFORE: Final = 24  # columns to the left of Mario that may change during a search
+BEFORE: Final = 24  # columns to the left of Mario that may change during a search
 
 # Actions by number, 4 * (direction + 1) + 2 * jump + run, in the order in which they are tried.
 _AHEAD: Final = np.array([11, 9, 10, 8, 6, 4, 2, 0], np.int64)
@@ -94,7 +94,7 @@ def search(
     how: Any = settings[0]
     level: Any = levels[0]
     world: Any = scratch[0]
-    first = max(0, min(int(worlds[0].actors[0].x) // 16 - _BEFORE, len(level.tiles) - how.columns))
+    first = max(0, min(int(worlds[0].actors[0].x) // 16 - BEFORE, len(level.tiles) - how.columns))
     forget(table)
     # The root.
     memory[:] = worlds.view(np.uint8)

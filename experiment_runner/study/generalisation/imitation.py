@@ -26,7 +26,8 @@ import torch
 from torch import nn
 
 from agents.imitation.agent import LAYERS, Network, costs, save
-from agents.imitation.features import FEATURES, NONE, RECENT, Reals, features
+from agents.imitation.features import FEATURES, NONE, RECENT, Reals, features, remember
+from agents.mario.actions import NUM_ACTIONS
 from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import LevelSet
 from env_server.mario.many.games import SAME_STEP, Games
@@ -104,11 +105,10 @@ class Player:
         actions = np.zeros(_GAMES, np.int64) if network is None else costs(network, seen).argmin(1)
         actions[priced[taught]] = self._teacher.plans[priced[taught], 0].clip(0)
         at_random = random.random(_GAMES) < (_FIRST_RANDOM if network is None else _RANDOM)
-        actions[at_random] = random.integers(NONE, size=int(at_random.sum()))
+        actions[at_random] = random.integers(NUM_ACTIONS, size=int(at_random.sum()))
         self._teacher.follow(actions)
-        games.step(actions[:, None], np.array([NONE]))
-        self._recent[:, 1:] = self._recent[:, :-1].copy()
-        self._recent[:, 0] = actions
+        games.step(actions[:, None], np.array([NUM_ACTIONS]))
+        remember(self._recent, actions)
         over = games.lanes["terminated"].astype(bool) | games.lanes["truncated"].astype(bool)
         self._recent[over] = NONE
         self._teacher.plans[over] = -1
@@ -123,7 +123,7 @@ class Learner:
         torch.manual_seed(seed)
         torch.set_num_threads(1)
         self._chance = torch.Generator().manual_seed(seed)
-        widths = (FEATURES, *_WIDTHS, NONE)
+        widths = (FEATURES, *_WIDTHS, NUM_ACTIONS)
         layers: list[Any] = []
         for layer in range(LAYERS):
             layers += [nn.Linear(widths[layer], widths[layer + 1]), nn.ReLU()]

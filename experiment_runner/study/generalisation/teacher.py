@@ -11,27 +11,25 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from agents.planner.search import SETTINGS, make_room, model, search
+from agents.mario.actions import NUM_ACTIONS
+from agents.planner.search import BEFORE, SETTINGS, make_room, model, search
 from agents.planner.tree import stride
 from env_server.mario.many.games import Games
 from glue.compiled.jit import entry
 from glue.compiled.records import Array
 
-ACTIONS: Final = 12
 _LEFT: Final = 4  # the first actions go left
 _SIMS: Final = 200  # model steps to price an action
 _WEIGHT: Final = 3.0
 _AHEAD: Final = 12  # columns
 _WINDOW: Final = 60  # columns that may change during a search
-_BEFORE: Final = 24  # of them to the left of Mario
 _PLAN: Final = 64
 DEATH: Final = 40.0  # steps
 _UNSAFE: Final = 25.0  # steps for a plan after which he cannot stop,
 _SHORT: Final = 10.0  # and for one that does not come far enough
 _LOSS_OF_SIZE: Final = 2.0
 _BACK: Final = 5.0  # steps more than the best for going left, where going on is possible
-_POSSIBLE: Final = 12.0
-
+_POSSIBLE: Final = 12.0  # steps: whatever costs less is a way to go on
 _UNKNOWN: Final = -1.0
 
 _step = model.step
@@ -54,11 +52,23 @@ class Teacher:
     def prices(self, which: npt.NDArray[np.int64]) -> npt.NDArray[np.float32]:
         """Return the price of each action in some games, in steps, shape (len(which), 12)."""
         games = self._games
-        found = np.full((len(which), ACTIONS), _UNKNOWN, np.float32)
-        memory = self._scratch.view(np.uint8)
-        search_in = (self._scratch, memory, *self._room, self._settings, self._plan)
+        found = np.full((len(which), NUM_ACTIONS), _UNKNOWN, np.float32)
+        room = self._room
         _price(
-            which, games.worlds, games.levels, games.lanes["place"], self._copy, *search_in, self.plans, found
+            which,
+            games.worlds,
+            games.levels,
+            games.lanes["place"],
+            self._copy,
+            self._scratch,
+            room.rows,
+            room.nodes,
+            room.heap,
+            room.table,
+            self._settings,
+            self._plan,
+            self.plans,
+            found,
         )
         best = np.where(found == _UNKNOWN, np.inf, found).min(1, keepdims=True)
         return np.where(found == _UNKNOWN, best + _BACK, found).astype(np.float32)
@@ -78,7 +88,6 @@ def _price(
     place: npt.NDArray[np.int64],
     copy: Any,
     scratch: Any,
-    memory: npt.NDArray[np.uint8],
     rows: npt.NDArray[np.uint8],
     nodes: Array,
     heap: npt.NDArray[np.int64],
@@ -90,6 +99,7 @@ def _price(
 ) -> None:
     """Write the prices of all actions in some games, and the plan that begins with the cheapest."""
     how: Any = settings[0]
+    memory = scratch.view(np.uint8)
     best_plan = np.empty(_PLAN, np.int64)
     for i in range(len(which)):
         game = which[i]
@@ -98,7 +108,8 @@ def _price(
         line = min(int(world.actors[0].x) // 16 + _AHEAD, int(level[0].columns))
         goal = min(16.0 * line - 8.0, 16.0 * level[0].exit_x + 1.0)
         best = np.float32(np.inf)
-        for action in range(ACTIONS - 1, -1, -1):
+        best_plan[:] = -1
+        for action in range(NUM_ACTIONS - 1, -1, -1):
             expected = plans[game, 0] == action
             if action < _LEFT and not expected and best < _POSSIBLE:
                 continue
@@ -111,7 +122,7 @@ def _price(
                 if not alive or after.death_timer > 0 or after.actors[0].y > np.float32(239):
                     found[i, action] = DEATH
                     continue
-                first = max(0, int(after.actors[0].x) // 16 - _BEFORE)
+                first = max(0, int(after.actors[0].x) // 16 - BEFORE)
                 how.columns = min(_WINDOW, line - first)
                 how.end = level[0].columns
                 if expected:
@@ -139,4 +150,4 @@ def _price(
                 best = np.float32(price)
                 best_plan[0] = action
                 best_plan[1:] = plan[:-1]
-        plans[game] = best_plan if best < np.inf else np.full(_PLAN, -1, np.int64)
+        plans[game] = best_plan
