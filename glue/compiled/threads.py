@@ -22,6 +22,7 @@ of a worker that does not get a core, and does not wait for it.
 from __future__ import annotations
 
 import ctypes
+import sys
 import weakref
 from collections.abc import Callable, Generator, Sequence
 from itertools import pairwise
@@ -55,7 +56,7 @@ _DONE: Final = 4
 RELEASED: Final = 5
 """In the caller's row: workers released in this turn."""
 _PIECE: Final = 6
-"""In the caller's row: items in a piece."""
+"""In the caller's row: items in a piece, if there is anybody to share with."""
 _ENDING: Final = 7
 """In the caller's row: whether the workers are to leave their loops."""
 _SEMAPHORES: Final = 8
@@ -70,11 +71,14 @@ _SPINS: Final = 60_000
 _SPINS_IN_A_ROW: Final = 2_000
 """Spins, about 10 microseconds, before yielding the core: the awaited thread may need it."""
 
-_TRIAL: Final = 0.02
-"""Seconds of a trial with all threads, and of one with the caller only."""
+_TRIAL: Final = 0.005
+"""Seconds of a trial with all threads, and of one with the caller only,"""
+_CALLS: Final = 3
+"""and calls, if they are long."""
 _REST: Final = 0.4
-"""Seconds until the next trials; twice as many each time if their result is the same."""
+"""Seconds for which the caller then works alone; twice as many after each trial that ends so again."""
 _LONGEST_REST: Final = 6.4
+_ALWAYS: Final = sys.maxsize
 _WORTH: Final = 0.9
 """Share of the time of the caller alone that threads together may take: trials are short."""
 
@@ -97,7 +101,7 @@ class Threads:
     """A number of threads that share `count` items; the calling thread is one of them.
 
     They work together while that is clearly faster than the calling thread without the others, which trials
-    decide.
+    decide. Between trials, the calling thread without the others is as fast as a `Threads` of one.
     Where threads cannot wait for each other in compiled code, the calling thread does all the work.
     """
 
@@ -106,7 +110,9 @@ class Threads:
         self._workers: list[Thread] = []
         self._errors: list[BaseException] = []
         self._choices = _choices()
-        self._together = next(self._choices)
+        self._together, self._alone = next(self._choices)
+        if len(self._gate) == 1:
+            self._alone = _ALWAYS
 
     def run(self, function: Callable[..., None], *shared: Any, then: Callable[[], None] = nothing) -> None:
         """Call `function(gate, worker, *shared)` in the threads, and `then` when every item is done.
@@ -118,7 +124,8 @@ class Threads:
                 longer where another core has written.
         """
         gate = self._gate
-        if len(gate) == 1:
+        if self._alone:
+            self._alone -= 1
             function(gate, CALLER, *shared)
             then()
             return
@@ -131,7 +138,9 @@ class Threads:
         if self._errors:
             raise self._errors[0]
         then()
-        self._together = self._choices.send(clock.monotonic() - began)
+        seconds = clock.monotonic() - began
+        gate[CALLER, RELEASED] = 0
+        self._together, self._alone = self._choices.send(seconds)
 
     def close(self) -> None:
         """End the workers; the calling thread does the work of later calls."""
@@ -139,7 +148,7 @@ class Threads:
             self._leave()
             for worker in self._workers:
                 worker.join()
-        self._gate = _gate(1, int(self._gate[-1, _LAST]))
+        self._gate, self._alone = _gate(1, int(self._gate[-1, _LAST])), _ALWAYS
         self._workers.clear()
 
     def _start(self, function: Callable[..., None], shared: Sequence[Any]) -> None:
@@ -159,7 +168,7 @@ def _gate(threads: int, count: int) -> Gate:
         threads = 1
     gate = np.zeros((threads, _WORDS), np.int64)
     gate[:, _FIRST : _LAST + 1] = [*pairwise(count * thread // threads for thread in range(threads + 1))]
-    gate[CALLER, _PIECE] = max(1, -(-count // threads // (_PIECES if threads > 1 else 1)))
+    gate[CALLER, _PIECE] = max(1, -(-count // threads // _PIECES))
     for row in gate[1:]:
         row[_GO], row[_DONE] = row.ctypes.data + 8 * np.array([_SEMAPHORES, _SEMAPHORES + 4])
         if any(library.sem_init(ctypes.c_void_p(int(row[one])), 0, 0) for one in (_GO, _DONE)):
@@ -185,24 +194,30 @@ def _work(
         ctypes.CDLL(None).sem_post(ctypes.c_void_p(int(gate[worker, _DONE])))
 
 
-def _choices() -> Generator[bool, float, None]:
-    """Yield whether the threads work together in the next call; receive the seconds that the call took."""
-    rest, before = _REST, False
+def _choices() -> Generator[tuple[bool, int], float, None]:
+    """Yield whether the threads work together in the next timed call, and the number of calls before it.
+
+    The calling thread makes those without the others. Receive the seconds that the timed call took.
+    """
+    rest = _REST
     while True:
-        yield True  # wakes the workers
-        together = yield from _timed(True, _TRIAL)
-        alone = yield from _timed(False, _TRIAL)
-        pays = together < _WORTH * alone
-        rest = min(2 * rest, _LONGEST_REST) if pays == before else _REST
-        before = pays
-        yield from _timed(before, rest)
+        yield True, 0  # wakes the workers
+        together = yield from _timed(True)
+        alone = yield from _timed(False)
+        if together < _WORTH * alone:
+            rest = _REST
+            while together < _WORTH * alone:
+                together = yield from _timed(True)
+        else:
+            yield False, int(rest / alone)
+            rest = min(2 * rest, _LONGEST_REST)
 
 
-def _timed(together: bool, seconds: float) -> Generator[bool, float, float]:
-    """Repeat a choice for a time; return the mean seconds of a call."""
+def _timed(together: bool) -> Generator[tuple[bool, int], float, float]:
+    """Repeat a choice as long as a trial takes; return the mean seconds of a call."""
     spent, calls = 0.0, 0
-    while spent < seconds:
-        spent += yield together
+    while spent < _TRIAL or calls < _CALLS:
+        spent += yield together, 0
         calls += 1
     return spent / calls
 
@@ -223,7 +238,7 @@ def begin_turn(gate: Gate, worker: int) -> bool:
 @jit
 def claim(gate: Gate, worker: int) -> tuple[int, int]:
     """Return the first item and the end of a piece for this thread: (0, 0) if all items are claimed."""
-    piece = gate[CALLER, _PIECE]
+    piece = gate[CALLER, _PIECE] if gate[CALLER, RELEASED] else gate[-1, _LAST]
     for k in range(len(gate)):
         share = (worker + k) % len(gate)
         last = gate[share, _LAST]
