@@ -43,7 +43,7 @@ def run() -> list[Table]:
         size = next(iter(SIZES))
         for role in ("environment", "agent"):
             stack.enter_context(serving(role, size, hub))
-        glue = stack.enter_context(connect(hub, "0", log=lambda line: None))
+        glue = stack.enter_context(connect(hub, "0"))
         glue.rl_init()
 
         def undisturbed() -> float:

@@ -102,7 +102,7 @@ def _playing(programs: dict[str, Sequence[str]], transport: str) -> Iterator[tup
             for command in programs.values()
         ]
         try:
-            with hub.in_background(), connect(url, log=lambda line: None) as glue:
+            with hub.in_background(), connect(url) as glue:
                 glue.rl_init(1)
                 yield glue, [player.pid for player in players]
         finally:

@@ -222,30 +222,30 @@ def _players(
             players = [context.Process(target=serve, args=(hub,)) for serve in (environment, agent)]
             for player in players:
                 player.start()
-            with connect(hub, log=_ignore) as glue:
+            with connect(hub) as glue:
                 yield glue, [player.pid for player in players if player.pid is not None]
         for player in players:
             player.join()
 
 
 def _serve_cartpole(hub: str) -> None:
-    serve_environment(make("gymnasium:CartPole-v1"), hub, log=_ignore)
+    serve_environment(make("gymnasium:CartPole-v1"), hub)
 
 
 def _serve_random(hub: str) -> None:
-    serve_agent(make_agent("random"), hub, log=_ignore)
+    serve_agent(make_agent("random"), hub)
 
 
 def _serve_mario(games: int, hub: str) -> None:
-    serve_environment(make_batch("mario", partial(make, "mario"), games), hub, log=_ignore)
+    serve_environment(make_batch("mario", partial(make, "mario"), games), hub)
 
 
 def _serve_games(games: int, hub: str) -> None:
-    serve_environment(_Still(games), hub, log=_ignore)
+    serve_environment(_Still(games), hub)
 
 
 def _serve_vector(hub: str) -> None:
-    serve_agent(_Vector(), hub, log=_ignore)
+    serve_agent(_Vector(), hub)
 
 
 class _Still(Environment):
@@ -293,7 +293,3 @@ class _Vector(Agent):
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
         return self.agent_start(observation)
-
-
-def _ignore(line: str) -> None:
-    pass

@@ -32,7 +32,7 @@ def serving(url: str, *players: Players) -> Iterator[None]:
 def _serve(player: Any, url: str) -> None:
     one = next(iter(player.values())) if isinstance(player, Mapping) else player
     serve: Any = serve_agent if hasattr(one, "agent_start") else serve_environment
-    serve(player, url, log=lambda line: None)
+    serve(player, url)
 
 
 @contextmanager
@@ -46,5 +46,5 @@ def hub_with(*players: Players, bind: str = "tcp://127.0.0.1:*") -> Iterator[str
 @contextmanager
 def over_the_hub(agent: AgentLike, environment: EnvironmentLike) -> Iterator[Experiment]:
     """Yield an experiment with these players; between any two of the three is a hub."""
-    with hub_with(agent, environment) as address, connect(address, log=lambda line: None) as glue:
+    with hub_with(agent, environment) as address, connect(address) as glue:
         yield glue

@@ -176,7 +176,7 @@ class _Playing:
                 lambda result: self._send(Recorded(result, None)),
             )
             stack.enter_context(hub.in_background())
-            glue = connect_over(InsideTransport(hub), session, log=_ignore, on_notice=self._notice)
+            glue = connect_over(InsideTransport(hub), session, on_notice=self._notice)
             stack.enter_context(glue)
             running = starter.start(match.entrant, match.limits, launch)
             stack.callback(running.stop)
@@ -249,10 +249,6 @@ def _one_line(text: str) -> str:
     line = " ".join(text.split())
     printable = "".join(char if char.isprintable() else "?" for char in line)
     return printable if len(printable) <= _MAX_REASON else printable[: _MAX_REASON - 3] + "..."
-
-
-def _ignore(line: str) -> None:
-    pass
 
 
 def main() -> None:

@@ -16,6 +16,7 @@ from types import FrameType
 from typing import Any, Final, NoReturn
 
 from experiment_runner.meeting.rewards import FiniteRewards
+from glue.client.link import LOG
 from glue.client.players import serve_agent, serve_environment
 from glue.console import leave_printing_to_others, say
 from glue.errors import GlueError, PeerFailed
@@ -80,11 +81,12 @@ def main() -> None:
 def _serve(role: Role, player: Any, settings: Mapping[str, Any]) -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # from now on there is something to clean up
     leave_printing_to_others()
+    LOG.disabled = True  # our parent says what there is to say
     if role is Role.AGENT:
-        serve_agent(player, **settings["place"], log=_ignore)
+        serve_agent(player, **settings["place"])
     else:
         checked = player if settings["any_reward"] else FiniteRewards(player)
-        serve_environment(checked, **settings["place"], log=_ignore)
+        serve_environment(checked, **settings["place"])
 
 
 def _fail(error: GlueError) -> NoReturn:
@@ -94,10 +96,6 @@ def _fail(error: GlueError) -> NoReturn:
 
 def _end(number: int, frame: FrameType | None) -> NoReturn:
     os._exit(_TERMINATED)
-
-
-def _ignore(line: str) -> None:
-    pass
 
 
 if __name__ == "__main__":

@@ -231,7 +231,7 @@ class _OverHub:
         self._hints = hints
         session = options.session
         if transport is not None:
-            glue = connect_over(transport, session, log=self._say, on_notice=self._notice)
+            glue = connect_over(transport, session, on_notice=self._notice)
         else:
             glue = connect(
                 url,
@@ -239,7 +239,6 @@ class _OverHub:
                 key=options.key,
                 hub_key=options.hub_key,
                 wait=options.wait,
-                log=self._say,
                 on_notice=self._notice,
             )
         stack.enter_context(glue)
@@ -293,7 +292,9 @@ class _OverHub:
     def _notice(self, event: Event, role: Role, name: str) -> None:
         """Show or record that a player joined or was lost."""
         outside = role in self._expected
-        if event is not Event.JOINED or (self._note is None and outside):
+        if event is Event.SLOW:
+            self._say(f"{role} {name}")
+        elif event is not Event.JOINED or (self._note is None and outside):
             self._say(f"{role} {name} {event}")
         elif self._note is not None and outside:
             label, opens, program = name.removesuffix(")").rpartition(" (")  # as the hub writes it

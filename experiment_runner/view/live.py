@@ -91,9 +91,7 @@ class _Watch:
             self.over.wait(_LOOK_SECONDS)
 
     def _watch(self, trial: str, live: LiveSession) -> None:
-        with observe(
-            live.hub, live.session, name="glue-view", wait=_WAIT_SECONDS, log=lambda line: None
-        ) as observer:
+        with observe(live.hub, live.session, name="glue-view", wait=_WAIT_SECONDS) as observer:
             self._put("trial", trial)
             self._answers = {}
             self._put("answers", None)

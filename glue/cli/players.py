@@ -7,6 +7,7 @@ of each are the parameters of its constructor (see `glue.options`) and the optio
 from __future__ import annotations
 
 import inspect
+import logging
 import shlex
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
@@ -19,7 +20,6 @@ from click.shell_completion import CompletionItem
 
 from glue import __version__
 from glue.cli.shared import HUB_KEY_SETTINGS, KEY_SETTINGS, WAIT_VARIABLE, reporting
-from glue.console import say
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
 from glue.options import Parameter, Value, parameters
 from glue.plugins.loading import construct, find, names, summaries, without_seed
@@ -115,6 +115,7 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
         _batch: int | None = None,
         **options: Value | None,
     ) -> None:
+        from glue.client.link import LOG
         from glue.client.players import serve_agent, serve_environment
         from glue.plugins.batched import make_batch
 
@@ -126,12 +127,13 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
         }
         if added:
             players = {one: extra.apply(player, added) for one, player in players.items()}
-        log = _ignore if _quiet else say
+        if _quiet:
+            LOG.setLevel(logging.ERROR)
         if (warning := without_seed(role, name, factory)) is not None:
-            log(warning)
+            LOG.warning("%s", warning)
         serve = serve_agent if role is Role.AGENT else serve_environment
-        reason = serve(players, _hub, key=_key, hub_key=_hub_key, wait=_wait, log=log)
-        log(f"the hub said goodbye: {reason}")
+        reason = serve(players, _hub, key=_key, hub_key=_hub_key, wait=_wait)
+        LOG.info("the hub said goodbye: %s", reason)
 
     # The parameters are listed as options.
     summary = inspect.cleandoc(factory.__doc__ or f"The {role} {name}.").partition("\n\nArgs:")[0]
@@ -186,10 +188,6 @@ def _examples(role: Role, name: str, known: Mapping[str, Parameter]) -> str:
     )
     given = "" if option is None else f" --{flag}-option {option}"
     return f"  {command} {name} --hub {DEFAULT_HUB}\n  glue-experiment --{flag} {name}{given} --episodes 100"
-
-
-def _ignore(line: str) -> None:
-    pass
 
 
 def _option(parameter: Parameter) -> click.Option:

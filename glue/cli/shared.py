@@ -8,6 +8,7 @@ and completion answer at once.
 from __future__ import annotations
 
 import errno
+import logging
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -101,6 +102,19 @@ def _prepare(command: click.Command) -> None:
             _prepare(each)
 
 
+class _Printer(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        say(record.getMessage())
+
+
+def _print_log() -> None:
+    """Print what clients of a hub log."""
+    log = logging.getLogger("glue.client")
+    log.addHandler(_Printer())
+    log.setLevel(logging.INFO)
+    log.propagate = False
+
+
 def run(command: click.Command) -> NoReturn:
     """Run `command` with the program's arguments, and exit with a code of docs/commands.md.
 
@@ -108,6 +122,7 @@ def run(command: click.Command) -> NoReturn:
     glue-experiment, unless it declares another one.
     """
     handle_signals()
+    _print_log()
     _prepare(command)
     prefix = (command.name or "").upper().replace("-", "_")
     try:

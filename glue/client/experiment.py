@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from glue.client.bodies import READ, write
-from glue.client.link import Link, Log
+from glue.client.link import LOG, Link
 from glue.client.target import Target, find_target
 from glue.client.transport import Transport
-from glue.console import say
 from glue.engine.experiment import Experiment
 from glue.errors import GlueError, HubClosed, LocalProtocolError, PeerFailed, PeerLost, Unsupported
 from glue.hub.config import DEFAULT_SESSION
@@ -30,7 +29,7 @@ WAIT_SECONDS: Final = 10.0
 """Seconds to wait for a hub by default."""
 
 OnNotice = Callable[[Event, Role, str], None]
-"""Takes an event, the role and the name of a player."""
+"""Takes an event, the role and the name of a player; of one that is slow, with the reason behind it."""
 
 
 def connect(
@@ -42,7 +41,6 @@ def connect(
     name: str = "experiment",
     wait: float | None = WAIT_SECONDS,
     context: Context | None = None,
-    log: Log = say,
     on_notice: OnNotice | None = None,
 ) -> RemoteExperiment:
     """Return an experiment of `session` at `hub`, once the hub has let it in.
@@ -56,8 +54,8 @@ def connect(
         name: name of this program in messages of the hub.
         wait: seconds to wait for the hub to answer before raising HubUnreachable; None waits for ever.
         context: the ZeroMQ context, if the connection is to be libzmq's.
-        log: receives lines for people; by default they go to standard error.
-        on_notice: called when a player joins, is lost or returns, with the event, its role and its name.
+        on_notice: called when a player joins, is lost, returns or is slow, with the event, its role and its
+            name; the reason follows the name of one that is slow. Without it, that is logged.
 
     Raises:
         ConfigError: an address, a key or a session name is malformed, or the host's name does not resolve.
@@ -65,7 +63,7 @@ def connect(
         Refused: the hub does not let it in.
     """
     target = find_target(hub, session, key, hub_key)
-    return RemoteExperiment(target, name, wait, context, log, on_notice)
+    return RemoteExperiment(target, name, wait, context, on_notice)
 
 
 def connect_over(
@@ -73,7 +71,6 @@ def connect_over(
     session: str = DEFAULT_SESSION,
     *,
     name: str = "experiment",
-    log: Log = say,
     on_notice: OnNotice | None = None,
 ) -> RemoteExperiment:
     """Return an experiment of `session` over a connection that is open, once the hub has let it in.
@@ -82,14 +79,13 @@ def connect_over(
         transport: the connection, such as `glue.hub.io.inside.InsideTransport`.
         session: name of the session.
         name: as for `connect`.
-        log: as for `connect`.
         on_notice: as for `connect`.
 
     Raises:
         ConfigError: the session name is malformed.
         Refused: the hub does not let it in.
     """
-    return RemoteExperiment(Target("inside", session), name, None, None, log, on_notice, transport)
+    return RemoteExperiment(Target("inside", session), name, None, None, on_notice, transport)
 
 
 class RemoteExperiment(Experiment):
@@ -101,12 +97,10 @@ class RemoteExperiment(Experiment):
         name: str,
         wait: float | None,
         context: Context | None,
-        log: Log,
         on_notice: OnNotice | None,
         transport: Transport | None = None,
     ) -> None:
         self._session = session = target.session
-        self._log = log
         self._on_notice = on_notice
         self._seq = 0
         self._answered = False  # whether the hub has answered a request since it last called us unknown
@@ -117,7 +111,7 @@ class RemoteExperiment(Experiment):
         self._given_up: str | None = None
         self._outcome: Mapping[Kind, tuple[Value, ...]] = {}
         names = {session: (name, (OUTCOME,))}
-        self._link = Link(Role.EXPERIMENT, target.hub, names, wait, context, log, transport, target.key)
+        self._link = Link(Role.EXPERIMENT, target.hub, names, wait, context, transport, target.key)
         self._closed = False
         try:
             while not self._link.ready(session):
@@ -176,12 +170,12 @@ class RemoteExperiment(Experiment):
 
     def _notice(self, message: Message) -> None:
         event, role, name = map(str, message.scalars)
-        if event == Event.SLOW:
-            self._log(f"{role} {name}")
-            return
-        if event not in _PRESENCE or role not in _PLAYERS:
+        if event not in _EVENTS or role not in _PLAYERS:
             return  # of a newer hub
-        if event == Event.LOST:
+        if event == Event.SLOW:
+            if self._on_notice is None:
+                LOG.warning("%s %s", role, name)
+        elif event == Event.LOST:
             self._players.discard(Role(role))
             self._loss = f"the {role} {name} was lost between two verbs, and another is in its place"
         else:
@@ -254,7 +248,7 @@ class RemoteExperiment(Experiment):
             raise PeerLost(loss)
 
 
-_PRESENCE: Final = frozenset({Event.JOINED, Event.LOST, Event.RETURNED})
+_EVENTS: Final = frozenset(Event)
 _PLAYERS: Final = frozenset({Role.AGENT, Role.ENVIRONMENT})
 
 _MAX_SENDS: Final = 8

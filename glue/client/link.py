@@ -6,8 +6,9 @@ over the latest connection, nothing that it sends there counts: the hub may be a
 
 from __future__ import annotations
 
+import logging
 import platform
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
 from glue.client.target import OwnKey
@@ -24,7 +25,8 @@ from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
 
-Log = Callable[[str], None]
+LOG: Final = logging.getLogger("glue.client")
+"""Whether a hub is there, and which sessions a player is in."""
 
 _CALLS: Final = frozenset(CALLS)
 
@@ -42,7 +44,6 @@ class Link:
         names: for each session, the name to show to people, and the capabilities offered.
         wait: seconds after which a hub that has not welcomed it is given up; None waits forever.
         context: the ZeroMQ context, if the connection is to be libzmq's.
-        log: receives lines for people.
         transport: the connection, if there is one already; `hub` is then only shown to people.
         key: by which the hub knows the program, if it does.
 
@@ -57,7 +58,6 @@ class Link:
         names: Mapping[str, tuple[str, tuple[str, ...]]],
         wait: float | None,
         context: Context | None,
-        log: Log,
         transport: Transport | None = None,
         key: OwnKey | None = None,
     ) -> None:
@@ -67,7 +67,6 @@ class Link:
         self._hub = hub
         self._names = {check_session(session): name for session, name in names.items()}
         self._wait = wait
-        self._log = log
         self._instance = chance.random_bytes(INSTANCE_SIZE)
         self._max_body = MAX_BODY
         self._heartbeat, self._timeout = _HEARTBEAT, _TIMEOUT
@@ -145,7 +144,7 @@ class Link:
         self._heard = True
         if self._silent:
             self._silent = False
-            self._log(f"the hub at {self._hub} is there")
+            LOG.info("the hub at %s is there", self._hub)
 
     def _control(self, message: Message) -> Message | None:
         kind, session, _, scalars, _ = message
@@ -208,9 +207,10 @@ class Link:
         quiet = now - self._received
         if not self._silent and quiet >= (self._timeout if self._welcomed else self._heartbeat):
             self._silent = True
-            self._log(
-                f"no hub answers at {self._hub} yet; waiting for one "
-                f"(start glue-hub, or glue-experiment, which has a hub of its own)"
+            LOG.warning(
+                "no hub answers at %s yet; waiting for one "
+                "(start glue-hub, or glue-experiment, which has a hub of its own)",
+                self._hub,
             )
         if self._transport.connected:
             for session in self._welcomed:

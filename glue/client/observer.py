@@ -17,10 +17,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from glue.client.link import Link, Log
+from glue.client.link import Link
 from glue.client.target import Target, find_target
 from glue.closing import Closing
-from glue.console import say
 from glue.types import Action, Observation, body_size
 from glue.wire.messages import Kind, Message, Role
 
@@ -72,7 +71,6 @@ def observe(
     hub_key: str | Path | None = None,
     name: str = "observer",
     wait: float | None = 10.0,
-    log: Log = say,
 ) -> Observer:
     """Return an observer of `session` at `hub`, once the hub has let it in.
 
@@ -83,7 +81,6 @@ def observe(
         hub_key: the hub's public key, or a file that holds it; needed with `key`.
         name: name of this program in the log of the hub.
         wait: seconds to wait for the hub to answer before raising HubUnreachable; None waits for ever.
-        log: receives lines for people.
 
     Raises:
         ConfigError: an address, a key or a session name is malformed, or the host's name does not resolve.
@@ -91,7 +88,7 @@ def observe(
         Refused: the hub does not let it in: there is no such session, it has as many observers as it may
             have, or this address or key is not for observers.
     """
-    return Observer(find_target(hub, session, key, hub_key), name, wait, log)
+    return Observer(find_target(hub, session, key, hub_key), name, wait)
 
 
 class Observer(Closing):
@@ -101,7 +98,7 @@ class Observer(Closing):
         missed: number of moments that were not requested, or not read in time, as far as is known.
     """
 
-    def __init__(self, target: Target, name: str, wait: float | None, log: Log) -> None:
+    def __init__(self, target: Target, name: str, wait: float | None) -> None:
         self.missed: int = 0
         self._session = target.session
         self._number = 0
@@ -112,7 +109,6 @@ class Observer(Closing):
             {target.session: (name, ())},
             wait,
             None,
-            log,
             key=target.key,
         )
         try:

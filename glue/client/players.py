@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from glue.client.answers import ServedPlayer
-from glue.client.link import Link, Log
+from glue.client.link import LOG, Link
 from glue.client.target import Target, find_target
-from glue.console import reporting, say, show_failure
+from glue.console import reporting, show_failure
 from glue.doors import threads
 from glue.errors import GlueError, HubClosed, PeerFailed, Refused
 from glue.roles import AgentLike, EnvironmentLike
@@ -43,7 +43,6 @@ def serve_agent(
     hub_key: str | Path | None = None,
     wait: float | None = None,
     context: Context | None = None,
-    log: Log = say,
     stop: threads.Event | None = None,
 ) -> str:
     """Let `agent` take part in a session until the hub says goodbye; return the hub's reason.
@@ -58,7 +57,6 @@ def serve_agent(
         hub_key: the hub's public key, or a file that holds it; needed with `key`.
         wait: seconds after which a hub that has not answered is given up; None waits forever.
         context: the ZeroMQ context, if the connection is to be libzmq's.
-        log: receives lines for people; by default they go to standard error.
         stop: once it is set, the player leaves, after the call that it carries out or within a heartbeat.
 
     Raises:
@@ -69,7 +67,7 @@ def serve_agent(
     """
     target = find_target(hub, session, key, hub_key)
     agents = agent if isinstance(agent, Mapping) else {target.session: agent}
-    return _serve(Role.AGENT, agents, target, wait, context, log, stop)
+    return _serve(Role.AGENT, agents, target, wait, context, stop)
 
 
 def serve_environment(
@@ -81,13 +79,12 @@ def serve_environment(
     hub_key: str | Path | None = None,
     wait: float | None = None,
     context: Context | None = None,
-    log: Log = say,
     stop: threads.Event | None = None,
 ) -> str:
     """Let `environment` take part in a session; arguments and errors are those of `serve_agent`."""
     target = find_target(hub, session, key, hub_key)
     environments = environment if isinstance(environment, Mapping) else {target.session: environment}
-    return _serve(Role.ENVIRONMENT, environments, target, wait, context, log, stop)
+    return _serve(Role.ENVIRONMENT, environments, target, wait, context, stop)
 
 
 def _serve(
@@ -96,12 +93,11 @@ def _serve(
     target: Target,
     wait: float | None,
     context: Context | None,
-    log: Log,
     stop: threads.Event | None,
 ) -> str:
     served = {session: ServedPlayer(role, player) for session, player in players.items()}
     names = {session: (player.name, player.capabilities) for session, player in served.items()}
-    link = Link(role, target.hub, names, wait, context, log, key=target.key)
+    link = Link(role, target.hub, names, wait, context, key=target.key)
     reason = "interrupted"
     message: Message | None = None
 
@@ -131,7 +127,7 @@ def _serve(
                         raise PeerFailed(f"{role} {player.name} raised in {what}: {text}") from error
                 elif message.kind is Kind.WELCOME and not message.scalars[1]:
                     player.forget()
-                    log(f"{role} {player.name} is in session {message.session!r} at {target.hub}")
+                    LOG.info("%s %s is in session %r at %s", role, player.name, message.session, target.hub)
         reason = "stopped"
         return reason
     except HubClosed as goodbye:

@@ -51,11 +51,11 @@ def connect(hub: str = DEFAULT_HUB, session: str = DEFAULT_SESSION, *, wait: flo
         HubUnreachable: no hub has answered in that time.
         ConfigError: the task spec does not say what actions are.
     """
-    glue = remote.connect(hub, session, name="gymnasium", wait=wait, log=_ignore)
+    glue = remote.connect(hub, session, name="gymnasium", wait=wait)
     stand_in = threads.Thread(
         target=serve_agent,
         args=(_StandIn(), hub, session),
-        kwargs={"wait": wait, "log": _ignore},
+        kwargs={"wait": wait},
         name="stand-in agent",
         daemon=True,
     )
@@ -167,7 +167,3 @@ class _StandIn(Agent):
 def _reader(space: SpaceLike, stated: bool) -> Callable[[Observation], Any]:
     """Return a function that turns observations into values of their space."""
     return Codec(space).unpack if stated else arrays_of
-
-
-def _ignore(line: str) -> None:
-    pass

@@ -69,7 +69,7 @@ def bind(request: pytest.FixtureRequest) -> Iterator[str]:
 
 
 def joined(url: str) -> Experiment:
-    return connect(url, log=lambda line: None)
+    return connect(url)
 
 
 def test_agent_plays_mario_as_the_one_in_python(language: Language, bind: str, in_mario: Expected) -> None:

@@ -144,7 +144,7 @@ def test_first_agent_in_python_walks(tmp_path: Path) -> None:
 
 def walks(start: Sequence[str]) -> None:
     """Check that an agent walks to the end, reports a refusal, and passes the kit without a mirror."""
-    with hub() as url, program(start, url), connect(url, log=lambda line: None) as glue:
+    with hub() as url, program(start, url), connect(url) as glue:
         glue.rl_agent_message("are you there?")
         second = subprocess.run(
             start, env={**os.environ, "GLUE_HUB": url}, capture_output=True, text=True, timeout=SECONDS
@@ -162,7 +162,7 @@ def walks(start: Sequence[str]) -> None:
         hub() as url,
         serving(SkeletonEnvironment(), url),
         program(start, url),
-        connect(url, log=lambda line: None) as glue,
+        connect(url) as glue,
     ):
         glue.rl_init()
         assert glue.rl_episode()

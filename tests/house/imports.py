@@ -55,8 +55,8 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "env_server/datasets": ("glue/gym", "glue/trajectory"),
     "env_server/cli": ("env_server/datasets", "env_server/replay"),
     "agents/mario": ("glue/compiled", "glue/taskspec"),
-    "agents/imitation": ("agents/mario",),
-    "agents": ("agents/mario", "glue/__init__", "glue/compiled"),
+    "agents/network": ("agents/mario",),
+    "agents": ("agents/network", "glue/compiled"),
     "agents/mohan2010": ("agents", "agents/mario"),
     "agents/soar": ("agents/mario",),
     "agents/planner": ("agents/mario", "glue/compiled", "glue/plugins"),
@@ -82,7 +82,7 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     # The studies, and they alone, know Mario and the agents of the paper.
     "experiment_runner/study": (),
     "experiment_runner/study/generalisation": (
-        "agents/imitation",
+        "agents/network",
         "agents/planner",
         "env_server/mario/many",
         "experiment_runner/executors",

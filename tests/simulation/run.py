@@ -203,7 +203,7 @@ class Run:
         with hub, hub.in_background():
             from glue.client.experiment import connect_over
 
-            with connect_over(InsideTransport(hub, here, session.name), session.name, log=_ignore) as glue:
+            with connect_over(InsideTransport(hub, here, session.name), session.name) as glue:
                 while not session.over:
                     self._play(glue, session)
 
@@ -214,7 +214,7 @@ class Run:
     def _experiment(self, session: Session) -> None:
         while not session.over:
             try:
-                with connect(URL, session.name, wait=None, log=_ignore, **self._key()) as glue:
+                with connect(URL, session.name, wait=None, **self._key()) as glue:
                     while not session.over:
                         self._play(glue, session)
             except Refused as error:
@@ -269,9 +269,9 @@ class Run:
         while True:
             try:
                 if role is Role.AGENT:
-                    serve_agent(players, URL, wait=None, log=_ignore, **self._key())
+                    serve_agent(players, URL, wait=None, **self._key())
                 else:
-                    serve_environment(players, URL, wait=None, log=_ignore, **self._key())
+                    serve_environment(players, URL, wait=None, **self._key())
                 self.watch.reached("player: the hub said goodbye")
             except Refused as error:
                 self.watch.reached(f"player refused: {_code(error)}")
@@ -281,7 +281,7 @@ class Run:
 
     def _observe(self, session: str) -> None:
         try:
-            with observe(URL, session, wait=5.0, log=_ignore, **self._key()) as observer:
+            with observe(URL, session, wait=5.0, **self._key()) as observer:
                 for _ in range(20):
                     observer.want(3)
                     if observer.receive() is not None:
@@ -522,10 +522,6 @@ class Run:
             )
             return True
         return False
-
-
-def _ignore(line: str) -> None:
-    """Take a line for people."""
 
 
 def _code(error: Exception) -> str:

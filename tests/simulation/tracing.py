@@ -20,7 +20,7 @@ from glue.roles import Agent, Environment
 from glue.types import Action, Observation, Step
 from glue.wire.messages import Kind, Message, Role
 from tests.simulation.faults import Fault
-from tests.simulation.run import URL, Run, _ignore
+from tests.simulation.run import URL, Run
 from tests.simulation.world import Process, replacing
 
 KINDS: Final = ("break", "break", "close", "kill", "dribble", "late", "silence")
@@ -104,7 +104,7 @@ class _TracedRun(Run):
         return known[role, instance]
 
     def _experiment(self, session: Any) -> None:
-        with connect(URL, session.name, wait=None, log=_ignore) as glue:
+        with connect(URL, session.name, wait=None) as glue:
             glue.rl_init()
             self.tracing = True
             self.calls = self.watch.calls

@@ -85,7 +85,7 @@ def test_todays_hub_answers_the_first_peers_to_the_byte() -> None:
 
 def run_verbs(url: str) -> None:
     """Call the verbs of the recorded experiment."""
-    with connect(url, log=lambda line: None) as glue:
+    with connect(url) as glue:
         glue.wait_for_players(lambda missing: None)
         glue.rl_init(seed=7)
         glue.rl_start()
@@ -138,8 +138,8 @@ def test_todays_peers_answer_the_first_hub_to_the_byte() -> None:
 def start(role: str, url: str) -> threading.Thread:
     """Let a peer of today play the role."""
     programs: dict[str, Callable[[], object]] = {
-        "agent": lambda: serve_agent(SeededAgent(), url, log=lambda line: None),
-        "environment": lambda: serve_environment(SeededEnvironment(), url, log=lambda line: None),
+        "agent": lambda: serve_agent(SeededAgent(), url),
+        "environment": lambda: serve_environment(SeededEnvironment(), url),
         "experiment": lambda: run_verbs(url),
     }
     thread = threading.Thread(target=programs[role], daemon=True)

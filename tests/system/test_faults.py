@@ -63,10 +63,6 @@ def ends(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> End
     return chosen
 
 
-def quiet(line: str) -> None:
-    """Log nothing."""
-
-
 @contextmanager
 def connect(hub: str, **named: Any) -> Iterator[RemoteExperiment]:
     """Connect an experiment that logs nothing."""
@@ -75,7 +71,7 @@ def connect(hub: str, **named: Any) -> Iterator[RemoteExperiment]:
         if _ends.threads and _ends.processes:
             context = zmq.Context()
             ending.callback(context.destroy, 0)
-        yield ending.enter_context(experiment.connect(hub, **named, context=context, log=quiet))
+        yield ending.enter_context(experiment.connect(hub, **named, context=context))
 
 
 @contextmanager
@@ -85,7 +81,7 @@ def serving(hub: str, player: Any, session: str = "default") -> Iterator[None]:
     context: Context | None = zmq.Context() if _ends.threads else None
 
     def program() -> None:
-        serve(player, hub, session, context=context, log=quiet)
+        serve(player, hub, session, context=context)
 
     thread = threading.Thread(target=program)
     thread.start()

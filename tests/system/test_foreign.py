@@ -104,7 +104,7 @@ def table_for(
         running(agent(through(url))),
         serving(url, environment),
         hub.in_background(),
-        connect(url, log=lambda line: None) as glue,
+        connect(url) as glue,
     ):
         yield glue
 
@@ -168,7 +168,7 @@ def test_agent_forgets_another_hub_although_welcomes_of_the_next_are_lost(agent:
         glue.rl_init()
         assert glue.rl_episode()
         thief.lead_to(url, lose=2)
-        with connect(url, log=lambda line: None) as other:
+        with connect(url) as other:
             other.rl_init()
             assert other.rl_episode()
             assert thief.lost

@@ -1,9 +1,8 @@
-"""Imitation of a search, by a network that sees what an agent sees: the file of the agent `imitation`.
+"""Imitation of a search, by a network that sees what an agent sees: a file of the agent `network`.
 
     pip install 'glue-rl[torch]'
     python -m experiment_runner.study.generalisation.imitation --seed 1 --states 1000000 --out imitation.npz
-    glue-generalise --set test-1000 --agent agents.imitation:ImitationAgent \\
-        --agent-option policy=imitation.npz
+    glue-generalise --set test-1000 --agent network --agent-option policy=imitation.npz
 
 A teacher that knows the level prices every action, and the network learns how much more than the cheapest
 each costs: the mean, as a mistake that kills one time in five is worth avoiding. The states are those that
@@ -25,9 +24,9 @@ import numpy.typing as npt
 import torch
 from torch import nn
 
-from agents.imitation.agent import LAYERS, Network, costs, save
-from agents.imitation.features import FEATURES, NONE, RECENT, Reals, features, remember
 from agents.mario.actions import NUM_ACTIONS
+from agents.network.features import FEATURES, NONE, RECENT, Reals, features, remember
+from agents.network.weights import LAYERS, Network, preferences, save
 from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import LevelSet
 from env_server.mario.many.games import SAME_STEP, Games
@@ -42,7 +41,7 @@ _TAUGHT: Final = 0.15  # of those, in which the teacher acts
 _RANDOM: Final = 0.03  # of the actions, and in the first round, in which the teacher acts in all states,
 _FIRST_RANDOM: Final = 0.15
 
-_WIDTHS: Final = (512, 256)
+_WIDTHS: Final = (256, 128)
 _BATCH: Final = 1024
 _BATCHES: Final = 400  # after each round
 _PASSES: Final = 8  # through all states after the last, while the rate falls
@@ -102,7 +101,7 @@ class Player:
         prices = self._teacher.prices(priced)
         states.add(seen[priced], prices)
         taught = random.random(len(priced)) < (1.0 if network is None else _TAUGHT)
-        actions = np.zeros(_GAMES, np.int64) if network is None else costs(network, seen).argmin(1)
+        actions = np.zeros(_GAMES, np.int64) if network is None else preferences(network, seen).argmax(1)
         actions[priced[taught]] = self._teacher.plans[priced[taught], 0].clip(0)
         at_random = random.random(_GAMES) < (_FIRST_RANDOM if network is None else _RANDOM)
         actions[at_random] = random.integers(NUM_ACTIONS, size=int(at_random.sum()))
@@ -145,10 +144,12 @@ class Learner:
         return total / batches
 
     def network(self) -> dict[str, Reals]:
-        """Return the weights as the agent has them."""
-        linear = list(self._layers)[::2]
+        """Return the weights as the agent has them: it prefers what costs less."""
+        linear: list[Any] = list(self._layers)[::2]
         weights = {f"weight{i}": one.weight.detach().numpy().T.copy() for i, one in enumerate(linear)}
-        return weights | {f"bias{i}": one.bias.detach().numpy().copy() for i, one in enumerate(linear)}
+        weights |= {f"bias{i}": one.bias.detach().numpy().copy() for i, one in enumerate(linear)}
+        last = LAYERS - 1
+        return weights | {name: -weights[name] for name in (f"weight{last}", f"bias{last}")}
 
 
 def learn(levels: int, seed: int, count: int, out: str) -> None:

@@ -20,7 +20,7 @@ from glue.engine.experiment import Experiment
 from glue.errors import GlueError, HubClosed, PeerFailed, PeerLost, Unsupported
 from glue.roles import Agent, Environment
 from glue.types import CUT_OFF, AbstractType, Action, Observation, Step
-from glue.wire.messages import THREE_ROLES, ErrorCode, Role
+from glue.wire.messages import THREE_ROLES, ErrorCode, Event, Role
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
@@ -229,7 +229,8 @@ def run_mirror(role: Role, hub: str, session: str, context: Context | None = Non
     notices: list[str] = []
 
     def keep(event: str, role: str, name: str) -> None:
-        notices.append(f"{event} {role} {name}")
+        if event != Event.SLOW:
+            notices.append(f"{event} {role} {name}")
 
     try:
         if role is Role.AGENT:

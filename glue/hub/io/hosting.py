@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from glue.client.experiment import connect_over
-from glue.console import say
 from glue.engine.experiment import Experiment
 from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
@@ -50,5 +49,5 @@ def host(
         raise ConfigError("give an agent or an environment; if both join from outside, use glue.connect")
     with Hub(HubConfig(bind=(bind,))) as hub:
         transport = InsideTransport(hub, players, session)
-        with hub.in_background(), connect_over(transport, session, log=say) as experiment:
+        with hub.in_background(), connect_over(transport, session) as experiment:
             yield experiment

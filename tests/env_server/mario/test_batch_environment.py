@@ -167,7 +167,7 @@ def test_the_command_serves_many_games_as_one() -> None:
         arguments = ["mario", *options, "--batch", "3", "--hub", hub, "--quiet"]
         serving = Thread(target=glue_env.main, args=(arguments,), kwargs={"standalone_mode": False})
         serving.start()
-        with connect(hub, log=lambda line: None) as glue:
+        with connect(hub) as glue:
             assert read_batch_task_spec(glue.rl_init())[0] == 3
             glue.rl_episode(max_steps=5)
     serving.join()

@@ -76,7 +76,7 @@ class _Thread:
         if self._agent is None:
             return
         with suppress(GlueError):
-            serve_agent(self._agent, self._launch.hub, self._launch.session, log=lambda line: None)
+            serve_agent(self._agent, self._launch.hub, self._launch.session)
 
     def wait(self, seconds: float) -> bool:
         self._thread.join(min(seconds, 0.05))

@@ -126,12 +126,12 @@ def as_another(url: str, folder: Path) -> None:
 
 def without_a_key(url: str, folder: Path) -> None:
     with suppress(GlueError):
-        serve_agent(Walker(), url, "carol", wait=5.0, log=lambda line: None)
+        serve_agent(Walker(), url, "carol", wait=5.0)
 
 
 def join(url: str, key: Path, session: str) -> None:
     hub_key = key.parent / "keys" / "hub.key"
-    serve_agent(Walker(), url, session, key=key, hub_key=hub_key, wait=5.0, log=lambda line: None)
+    serve_agent(Walker(), url, session, key=key, hub_key=hub_key, wait=5.0)
 
 
 @pytest.mark.parametrize("program", [None, with_another_key, as_another, without_a_key])

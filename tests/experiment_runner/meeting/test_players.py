@@ -65,7 +65,7 @@ def test_stranger_cannot_take_the_seat_of_a_player_that_is_named() -> None:
         if found := re.search(r"glue-agent hierarchical --hub (\S+)", line):
             hub.append(found[1])
             with pytest.raises(Refused):
-                serve_environment(MinesEnvironment(), found[1], log=lambda line: None)
+                serve_environment(MinesEnvironment(), found[1])
             raise Heard
 
     spec = TrialSpec(TrialId("remote/mines/0"), None, RoleSpec("mines"), episodes=1, max_steps=0, seed=1)
@@ -146,7 +146,7 @@ def test_hint_is_given_again_when_a_player_from_outside_is_lost() -> None:
 
     def leave_after_a_step(url: str) -> None:
         with contextlib.suppress(KeyboardInterrupt):
-            serve_agent(Leaving(), url, log=lambda line: None)
+            serve_agent(Leaving(), url)
 
     spec = TrialSpec(
         TrialId("remote/skeleton/0"), None, RoleSpec("skeleton"), episodes=1, max_steps=9, seed=1

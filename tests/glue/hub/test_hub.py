@@ -224,9 +224,8 @@ class Compiling(ScriptedEnvironment):
         return super().env_init()
 
 
-def test_the_hub_and_the_experiment_are_told_that_a_player_compiles() -> None:
+def test_the_hub_and_the_experiment_are_told_that_a_player_compiles(caplog: pytest.LogCaptureFixture) -> None:
     logged: list[str] = []
-    shown: list[str] = []
     listening = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)), log=logged.append)
     with listening.in_background():
         (url,) = listening.endpoints
@@ -236,10 +235,10 @@ def test_the_hub_and_the_experiment_are_told_that_a_player_compiles() -> None:
         )
         for player in players:
             player.start()
-        with connect(url, log=shown.append, wait=TIMEOUT) as glue:
+        with connect(url, wait=TIMEOUT) as glue:
             glue.rl_init()
     for player in players:
         player.join(TIMEOUT)
     told = "environment Compiling: compiling its rules"
-    assert told in shown
+    assert told in caplog.messages
     assert any(told in line for line in logged)

@@ -39,9 +39,9 @@ def said(*options: str, program: str = PROGRAM) -> list[str]:
     with running("-c", program, "--bind", "tcp://127.0.0.1:*", "--heartbeat", "0.05", *options) as hub:
         assert hub.stderr is not None
         url = hub.stderr.readline().split()[-1]
-        with connect(url, "s", log=lambda line: None) as glue:
+        with connect(url, "s") as glue:
             assert glue.rl_num_episodes() == 0
-        with connect(url, "s", log=lambda line: None):
+        with connect(url, "s"):
             pass  # once it has joined, the hub knows that the first has left
         hub.terminate()
         _, rest = hub.communicate(timeout=TIMEOUT)
@@ -91,7 +91,7 @@ def test_a_hub_whose_full_log_is_not_read_can_be_stopped(number: signal.Signals)
             with suppress(BlockingIOError):  # full
                 while True:
                     os.write(end, b"x")
-            with connect(url, log=lambda line: None) as glue:
+            with connect(url) as glue:
                 assert glue.rl_num_episodes() == 0  # joining is logged
             hub.send_signal(number)
             assert hub.wait(TIMEOUT) == 128 + number

@@ -41,7 +41,7 @@ def serve(role: Role, player: Any, url: str) -> threading.Thread:
 
     def run() -> None:
         with contextlib.suppress(GlueError, KeyboardInterrupt):
-            (serve_agent if role is Role.AGENT else serve_environment)(player, url, log=lambda line: None)
+            (serve_agent if role is Role.AGENT else serve_environment)(player, url)
 
     thread = threading.Thread(target=run)
     thread.start()

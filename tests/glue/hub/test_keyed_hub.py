@@ -44,10 +44,6 @@ def folder(tmp_path: Path) -> KeyFolder:
     return made
 
 
-def ignore(line: str) -> None:
-    """Say nothing."""
-
-
 class Log:
     """A hub's log, of which one can wait for a line."""
 
@@ -76,9 +72,7 @@ def secret(folder: KeyFolder, name: str) -> Path:
 
 
 def join(hub: Hub, folder: KeyFolder, name: str, session: str = "a") -> RemoteExperiment:
-    return connect(
-        hub.endpoints[0], session, key=secret(folder, name), hub_key=folder.hub_key, wait=TIMEOUT, log=ignore
-    )
+    return connect(hub.endpoints[0], session, key=secret(folder, name), hub_key=folder.hub_key, wait=TIMEOUT)
 
 
 @contextmanager
@@ -90,7 +84,7 @@ def players(hub: Hub, folder: KeyFolder) -> Iterator[None]:
     def serve_one(serve: Callable[..., object], player: object, name: str) -> None:
         keys = {"key": secret(folder, name), "hub_key": folder.hub_key}
         with suppress(GlueError):
-            serve(player, hub.endpoints[0], "a", **keys, log=ignore, stop=stop)
+            serve(player, hub.endpoints[0], "a", **keys, stop=stop)
 
     threads = [
         threading.Thread(target=serve_one, args=(serve_agent, ScriptedAgent(), "agent")),
@@ -178,7 +172,6 @@ def test_handshakes_that_are_cut_are_tried_again_however_often(folder: KeyFolder
             hub_key=folder.hub_key,
             wait=TIMEOUT,
             context=context if libzmq else None,
-            log=ignore,
         ) as glue:
             assert proxy.accepted > len(CUTS)
             proxy.cut(*CUTS)
@@ -208,9 +201,7 @@ def test_a_hub_without_keys_is_an_error_for_who_has_one(folder: KeyFolder) -> No
 
 def test_no_hub_is_waited_for_as_without_keys(folder: KeyFolder) -> None:
     with pytest.raises(HubUnreachable):
-        connect(
-            "tcp://127.0.0.1:1", key=secret(folder, "agent"), hub_key=folder.hub_key, wait=0.2, log=ignore
-        )
+        connect("tcp://127.0.0.1:1", key=secret(folder, "agent"), hub_key=folder.hub_key, wait=0.2)
 
 
 def test_key_and_hub_key_go_together(folder: KeyFolder) -> None:

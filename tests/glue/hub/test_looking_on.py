@@ -23,10 +23,6 @@ from tests.scripted.peer import ScriptedPeer
 WAIT = 20.0
 
 
-def quiet(line: str) -> None:
-    """Say nothing."""
-
-
 def wanted(hub: Hub) -> int:
     """How many moments the observers of the session want; 0 until the hub has heard of it."""
     observers = hub.switchboard._sessions["default"].observers
@@ -48,7 +44,7 @@ def playing(environment: ScriptedEnvironment) -> Iterator[tuple[Hub, Experiment]
     with (
         serving(url, ScriptedAgent(), environment),
         hub.in_background(),
-        connect(url, wait=WAIT, log=quiet) as glue,
+        connect(url, wait=WAIT) as glue,
     ):
         glue.wait_for_players(lambda missing: None)
         yield hub, glue
@@ -58,7 +54,7 @@ def test_an_observer_sees_what_is_played_and_what_the_agent_answers() -> None:
     environment = ScriptedEnvironment(length=3)
     with playing(environment) as (hub, glue):
         glue.rl_init()
-        with observe(hub.endpoints[0], wait=WAIT, log=quiet) as observer:
+        with observe(hub.endpoints[0], wait=WAIT) as observer:
             observer.want(100)
             assert isinstance(observer.receive(), TaskSpecSeen)
             while not wanted(hub):
@@ -82,12 +78,12 @@ def test_an_observer_sees_what_is_played_and_what_the_agent_answers() -> None:
 
 def test_where_only_who_takes_part_may_connect_an_observer_is_refused() -> None:
     with playing(ScriptedEnvironment()) as (hub, _), pytest.raises(Refused, match="no observer of session"):
-        observe(hub.endpoints[1], wait=WAIT, log=quiet)
+        observe(hub.endpoints[1], wait=WAIT)
 
 
 def test_an_observer_is_told_when_the_session_is_over() -> None:
     with playing(ScriptedEnvironment()) as (hub, _):
-        observer = observe(hub.endpoints[0], wait=WAIT, log=quiet)
+        observer = observe(hub.endpoints[0], wait=WAIT)
     with observer, pytest.raises(HubClosed):
         list(observer)
 

@@ -29,7 +29,6 @@ from tests.players import ChainAgent, ChainEnvironment
 from tests.scripted.peer import TIMEOUT
 from tests.scripted.process import running
 from tests.system.attacks.attacker import HONEST
-from tests.system.attacks.test_bad_input import quiet
 
 LIMIT: Final = 64
 """Megabytes that the hub may keep."""
@@ -48,7 +47,7 @@ from tests.players import ChainAgent, ChainEnvironment
 role, url, key, hub_key, *sessions = sys.argv[1:]
 serve, make = (serve_agent, ChainAgent) if role == "agent" else (serve_environment, ChainEnvironment)
 players = {name: make() for name in sessions}
-serve(players, url, key=key or None, hub_key=hub_key or None, log=lambda line: None)
+serve(players, url, key=key or None, hub_key=hub_key or None)
 """
 
 
@@ -84,7 +83,7 @@ class Honest:
         self._stop = threading.Event()
         self._twin = local(ChainAgent(), ChainEnvironment())
         self._twin.rl_init()
-        self._glue = connect(url, session, log=quiet, **keys)
+        self._glue = connect(url, session, **keys)
         self._thread = threading.Thread(target=self._play, daemon=True)
         self._thread.start()
 

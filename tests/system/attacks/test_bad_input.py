@@ -38,10 +38,6 @@ ROOM = 150
 """Megabytes that the hub may grow by in one test: some of the largest bodies, not hundreds."""
 
 
-def quiet(line: str) -> None:
-    """Log nothing."""
-
-
 class HealthySession:
     """An agent and an environment in processes of their own, and an experiment in a thread: all play on."""
 
@@ -53,7 +49,7 @@ class HealthySession:
         self._failure: Exception | None = None
         players = (("agent", "ChainAgent"), ("environment", "ChainEnvironment"))
         self._players = [Recorded(main, role, url, f"tests.players:{player}") for role, player in players]
-        self._glue = connect(url, log=quiet)
+        self._glue = connect(url)
         self._thread = threading.Thread(target=self._play)
         self._thread.start()
 
@@ -492,7 +488,7 @@ def test_a_hub_whose_log_nobody_reads_goes_on() -> None:
     with running("-c", program, "--bind", "tcp://127.0.0.1:*") as process:
         assert process.stderr is not None
         url = process.stderr.readline().split()[-1]
-        with connect(url, "s", log=quiet) as glue, ScriptedPeer(url).greet() as refused:
+        with connect(url, "s") as glue, ScriptedPeer(url).greet() as refused:
             refused.join("agent", session="so that it may stay")
             for _ in range(3000):
                 refused.hello("experiment", session="s")

@@ -36,10 +36,6 @@ EPISODES = 30
 NOBODY = 65534
 
 
-def quiet(line: str) -> None:
-    """Say nothing."""
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> KeyFolder:
     return KeyFolder(tmp_path)
@@ -50,12 +46,12 @@ def play(hub: str, between: Callable[[int], None], **keys: Any) -> tuple[list[tu
 
     def serve(serve_one: Callable[..., str], player: object) -> None:
         with suppress(GlueError):
-            serve_one(player, hub, log=quiet, **keys)
+            serve_one(player, hub, **keys)
 
     for pair in ((serve_agent, make_agent("sarsa")), (serve_environment, make("mines"))):
         threading.Thread(target=serve, args=pair, daemon=True).start()
     results = []
-    with connect(hub, log=quiet, **keys) as glue:
+    with connect(hub, **keys) as glue:
         glue.rl_init(seed=7)
         for number in range(EPISODES):
             between(number)
@@ -296,10 +292,10 @@ def test_an_experiment_with_keys_lets_only_them_in(tmp_path: Path) -> None:
         url = line.partition("--hub ")[2].split()[0]
         refusal = "may join at this address of the hub, or with this key"
         with pytest.raises(GlueError, match=refusal):
-            serve_agent(make_agent("random"), url, key=erin, hub_key=keys.hub_key, log=quiet)
+            serve_agent(make_agent("random"), url, key=erin, hub_key=keys.hub_key)
         with pytest.raises(GlueError, match=refusal):
-            serve_environment(make("mines"), url, key=carol, hub_key=keys.hub_key, log=quiet)
-        reason = serve_agent(make_agent("random"), url, key=carol, hub_key=keys.hub_key, log=quiet)
+            serve_environment(make("mines"), url, key=carol, hub_key=keys.hub_key)
+        reason = serve_agent(make_agent("random"), url, key=carol, hub_key=keys.hub_key)
         assert reason == "the experiment is over"
         output, _ = process.communicate(timeout=TIMEOUT)
     assert process.returncode == 0

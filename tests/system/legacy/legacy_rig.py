@@ -104,7 +104,7 @@ class Rig:
 
     def native(self, session: str = "default") -> RemoteExperiment:
         """Connect as an experiment of ours."""
-        return connect(self.url, session, context=self._context, log=self.log)
+        return connect(self.url, session, context=self._context)
 
     def disguised(self, style: Style = C, session: str = "default") -> DisguisedExperiment:
         """Connect as an original experiment with the verbs of ours."""
@@ -125,13 +125,13 @@ class Rig:
 
     def native_agent(self, agent: Agent, session: str = "default") -> None:
         """Let an agent of ours play, in a thread."""
-        url, context, log = self.url, self._context, self.log
-        self._start(lambda: serve_agent(agent, url, session, context=context, log=log))
+        url, context = self.url, self._context
+        self._start(lambda: serve_agent(agent, url, session, context=context))
 
     def native_environment(self, environment: Environment, session: str = "default") -> None:
         """Let an environment of ours play, in a thread."""
-        url, context, log = self.url, self._context, self.log
-        self._start(lambda: serve_environment(environment, url, session, context=context, log=log))
+        url, context = self.url, self._context
+        self._start(lambda: serve_environment(environment, url, session, context=context))
 
     def _start(self, program: Callable[[], object]) -> None:
         def run() -> None:

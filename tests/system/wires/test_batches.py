@@ -62,7 +62,7 @@ def test_answers_sent_together_have_the_same_returns(
 
 
 def over(hub: Hub, number: int, episodes: int) -> list[tuple[float, int]]:
-    with connect(hub.endpoints[0], str(number), log=lambda line: None) as glue:
+    with connect(hub.endpoints[0], str(number)) as glue:
         return outcomes(glue, episodes)
 
 

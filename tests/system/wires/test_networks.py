@@ -88,7 +88,7 @@ def run(
 def serve(hosts: Networks, environment: ChainEnvironment, hub: str) -> None:
     """Serve an environment at the near host."""
     with hosts.near():
-        serve_environment(environment, hub, log=lambda line: None)
+        serve_environment(environment, hub)
 
 
 def play(glue: Experiment) -> list[float]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.imitation.agent import costs, load
+from agents.network.weights import load, preferences
 
 pytest.importorskip("torch", reason="needs the extra torch", exc_type=ImportError)
 
@@ -24,5 +24,5 @@ def test_one_round_teaches_what_is_cheap(tmp_path: Path) -> None:
     states = States()
     Player(levels=1000, seed=2).play(network, states, 3000)
     seen, prices = (part.numpy() for part in states.gathered())
-    chosen = costs(network, seen.astype(np.float32)).argmin(1)
+    chosen = preferences(network, seen.astype(np.float32)).argmax(1)
     assert prices[np.arange(len(chosen)), chosen].mean() < prices.mean() / 2

@@ -1,68 +1,26 @@
-"""The agent that imitates a search: a small network, in NumPy, over what is seen now.
-
-`python -m experiment_runner.study.generalisation.imitation` makes its file.
-"""
+"""The network: layers of weights in NumPy, and the file that holds them."""
 
 from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from agents.imitation.features import FEATURES, NONE, RECENT, Reals, features, remember
-from agents.mario.actions import ACTIONS, NUM_ACTIONS
-from agents.mario.agent import MarioAgent
-from agents.mario.views import tiles_and_sprites
+from agents.mario.actions import NUM_ACTIONS
+from agents.network.features import FEATURES, Reals
 from glue.errors import ConfigError
-from glue.options import Option
-from glue.types import Action, Observation
 
 LAYERS: Final = 3
-
-
-class ImitationAgent(MarioAgent):
-    """Takes the action that its network expects to cost the fewest steps.
-
-    Args:
-        policy: the file of the network.
-
-    Raises:
-        ConfigError: the file is missing, or holds no such network.
-    """
-
-    name: ClassVar[str] = "imitation"
-
-    def __init__(self, *, policy: Annotated[str, Option("file of the network")] = "") -> None:
-        super().__init__(None)
-        self._network = load(policy)
-        self._reset()
-
-    def _reset(self) -> None:
-        self._recent = np.full((1, RECENT), NONE, np.int64)
-
-    def agent_start(self, observation: Observation) -> Action:
-        self._recent[:] = NONE
-        return self._act(observation)
-
-    def agent_step(self, reward: float, observation: Observation) -> Action:
-        return self._act(observation)
-
-    def _act(self, observation: Observation) -> Action:
-        seen = features(*tiles_and_sprites(observation), self._recent)
-        action = int(costs(self._network, seen)[0].argmin())
-        remember(self._recent, action)
-        return ACTIONS[action]
-
 
 Network = Mapping[str, Reals]
 """The weights (inputs, outputs) and biases (outputs,) of each layer: `weight0`, `bias0`, and so on."""
 
 
-def costs(network: Network, seen: Reals) -> Reals:
-    """Return how many steps more than the best each action is expected to cost, shape (N, 12)."""
+def preferences(network: Network, seen: Reals) -> Reals:
+    """Return the preference of each action, shape (N, 12), for what is seen, shape (N, FEATURES)."""
     for layer in range(LAYERS):
         seen = seen @ network[f"weight{layer}"] + network[f"bias{layer}"]
         if layer < LAYERS - 1:
@@ -96,7 +54,7 @@ def load(path: str) -> Network:
             raise ValueError(f"it has {width} outputs, not {NUM_ACTIONS}")
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise ConfigError(
-            f"policy is not the file of a network for the agent imitation: {path!r}: {error}"
+            f"policy is not the file of a network for the agent network: {path!r}: {error}"
         ) from None
     return network
 

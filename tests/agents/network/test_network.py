@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from agents.imitation import ImitationAgent
-from agents.imitation.agent import costs, load, save
-from agents.imitation.features import FEATURES, RECENT, features
 from agents.mario.views import tiles_and_sprites
+from agents.network import NetworkAgent
+from agents.network.features import FEATURES, RECENT, features
+from agents.network.weights import load, preferences, save
 from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import LEVEL_SETS
 from env_server.mario.many.games import SAME_STEP, Games
@@ -71,14 +71,14 @@ def test_the_network_is_what_its_file_says(policy: Path) -> None:
     for i in range(3):
         expected = expected @ arrays()[f"weight{i}"].astype(np.float32) + arrays()[f"bias{i}"]
         expected = expected if i == 2 else np.maximum(expected, 0)
-    assert np.allclose(costs(load(str(policy)), seen), expected, rtol=1e-5)
+    assert np.allclose(preferences(load(str(policy)), seen), expected, rtol=1e-5)
 
 
 def test_the_agent_keeps_the_contract_and_plays_the_same_again(policy: Path) -> None:
-    check_agent(lambda: ImitationAgent(policy=str(policy)), InfiniteMario().env_init(), observation=screen)
+    check_agent(lambda: NetworkAgent(policy=str(policy)), InfiniteMario().env_init(), observation=screen)
     returns = []
     for _ in range(2):
-        with local(ImitationAgent(policy=str(policy)), InfiniteMario(level_seed=3)) as glue:
+        with local(NetworkAgent(policy=str(policy)), InfiniteMario(level_seed=3)) as glue:
             glue.rl_init()
             glue.rl_episode(100)
             returns.append((glue.rl_return(), glue.rl_num_steps()))
@@ -101,7 +101,7 @@ def test_a_file_that_is_no_network_is_refused(tmp_path: Path, spoil: Callable[[A
     spoil(saved)
     np.savez(tmp_path / "network.npz", **saved)
     with pytest.raises(ConfigError, match="network"):
-        ImitationAgent(policy=str(tmp_path / "network.npz"))
+        NetworkAgent(policy=str(tmp_path / "network.npz"))
 
 
 @pytest.mark.parametrize("content", [None, b"", b"no archive"])
@@ -110,4 +110,4 @@ def test_a_missing_or_damaged_file_is_refused(tmp_path: Path, content: bytes | N
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(ConfigError, match="policy"):
-        ImitationAgent(policy=str(path))
+        NetworkAgent(policy=str(path))

@@ -1,3 +1,0 @@
-"""A network that imitates a search."""
-
-from agents.imitation.agent import ImitationAgent as ImitationAgent

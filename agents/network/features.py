@@ -1,0 +1,108 @@
+"""The inputs of a network: the tiles around Mario, the nearest sprites, himself, and his last actions."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from agents.mario.actions import NUM_ACTIONS
+from agents.mario.views import MARIO
+from glue.compiled.jit import entry
+
+Reals = npt.NDArray[np.float32]
+
+RECENT: Final = 5
+"""How many of the last actions are seen: they tell how long the buttons have been held."""
+NONE: Final = NUM_ACTIONS
+"""The number of an action that is not there, at the beginning of an episode."""
+
+_ROWS: Final = 16  # of tiles in view
+_COLUMNS: Final = 21
+_MIDDLE: Final = 10  # Mario's column when he cannot be seen: above the screen
+_HEIGHT: Final = 16  # rows around Mario, so many of them above him
+_ABOVE: Final = 9
+_WIDTH: Final = 15  # columns around Mario, so many of them behind him
+_BEHIND: Final = 3
+_LOWEST: Final = 14  # rows below it are a pit, or show the lowest row again
+_GOAL_ROW: Final = 1  # the goal's column is shown in all rows
+_OTHERS: Final = 6
+_KINDS: Final = 9
+_NUMBERS: Final = 4  # of a sprite: place and velocity
+_LARGE: Final = 10  # Mario's kinds
+_WITH_FIRE: Final = 11
+_NEAR: Final = np.float32(0.2)  # 1 / tiles
+
+_SOLID: Final = np.isin(np.arange(11), [2, 4, 5, 6, 7])
+_LEDGE: Final = np.isin(np.arange(11), [1, 3])
+_GOAL: Final = 9
+
+_AT_LEDGES: Final = _HEIGHT * _WIDTH
+_AT_GOAL: Final = 2 * _AT_LEDGES
+_AT_ROW: Final = _AT_GOAL + _WIDTH
+_AT_PITS: Final = _AT_ROW + _ROWS
+_AT_KINDS: Final = _AT_PITS + _HEIGHT
+_AT_FLAGS: Final = _AT_KINDS + _OTHERS * _KINDS  # present, winged
+_AT_OTHERS: Final = _AT_FLAGS + _OTHERS * 2
+_AT_MARIO: Final = _AT_OTHERS + _OTHERS * _NUMBERS
+_AT_ACTIONS: Final = _AT_MARIO + 2 + _NUMBERS
+
+FEATURES: Final = _AT_ACTIONS + RECENT * NUM_ACTIONS
+"""The number of inputs."""
+
+
+def features(tiles: npt.NDArray[np.uint8], sprites: Reals, recent: npt.NDArray[np.int64]) -> Reals:
+    """Return the network's input, shape (N, FEATURES).
+
+    Args:
+        tiles, sprites: the view `tiles` of N games, shapes (N, 16, 21) and (N, 16, 7).
+        recent: the numbers of the last actions, the newest first, shape (N, RECENT).
+    """
+    seen = np.zeros((len(tiles), FEATURES), np.float32)
+    _write(tiles, sprites, recent, seen)
+    return seen
+
+
+@entry
+def _write(tiles: npt.NDArray[np.uint8], sprites: Reals, recent: npt.NDArray[np.int64], seen: Reals) -> None:
+    """Write the inputs of N games into zeros."""
+    for game in range(len(tiles)):
+        to = seen[game]
+        row, column = 0, _MIDDLE
+        for cell in range(_ROWS * _COLUMNS):
+            if tiles[game, cell // _COLUMNS, cell % _COLUMNS] == MARIO:
+                row, column = cell // _COLUMNS, cell % _COLUMNS
+                break
+        to[_AT_ROW + row] = 1
+        for i in range(_HEIGHT):
+            from_row = row + i - _ABOVE
+            to[_AT_PITS + i] = from_row > _LOWEST
+            for j in range(_WIDTH if 0 <= from_row < _ROWS else 0):
+                tile = tiles[game, from_row, min(max(column + j - _BEHIND, 0), _COLUMNS - 1)]
+                to[i * _WIDTH + j] = _SOLID[tile]
+                to[_AT_LEDGES + i * _WIDTH + j] = _LEDGE[tile]
+        for j in range(_WIDTH):
+            tile = tiles[game, _GOAL_ROW, min(max(column + j - _BEHIND, 0), _COLUMNS - 1)]
+            to[_AT_GOAL + j] = tile == _GOAL
+        for j in range(_OTHERS):
+            sprite = sprites[game, 1 + j]
+            if 1 <= sprite[1] <= _KINDS:
+                to[_AT_KINDS + j * _KINDS + int(sprite[1]) - 1] = 1
+            to[_AT_FLAGS + 2 * j] = sprite[0]
+            to[_AT_FLAGS + 2 * j + 1] = sprite[2]
+            for k in range(_NUMBERS):
+                to[_AT_OTHERS + j * _NUMBERS + k] = sprite[3 + k] * _NEAR
+        mario = sprites[game, 0]
+        to[_AT_MARIO] = mario[1] == _LARGE
+        to[_AT_MARIO + 1] = mario[1] == _WITH_FIRE
+        to[_AT_MARIO + 2 : _AT_ACTIONS] = mario[3:]
+        for j in range(RECENT):
+            if recent[game, j] != NONE:
+                to[_AT_ACTIONS + j * NUM_ACTIONS + recent[game, j]] = 1
+
+
+def remember(recent: npt.NDArray[np.int64], actions: npt.NDArray[np.int64] | int) -> None:
+    """Let `actions`, one for each of N games, be the newest in `recent`, shape (N, RECENT)."""
+    recent[:, 1:] = recent[:, :-1].copy()
+    recent[:, 0] = actions
