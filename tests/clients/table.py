@@ -59,9 +59,7 @@ def program(
 def serving(player: Agent | Environment, url: str, session: str = "default") -> Iterator[None]:
     """Serve a player of ours in a thread, which ends with the hub."""
     serve = serve_agent if hasattr(player, "agent_init") else serve_environment
-    thread = threading.Thread(
-        target=serve, args=(player, url, session), kwargs={"log": lambda line: None}, daemon=True
-    )
+    thread = threading.Thread(target=serve, args=(player, url, session), daemon=True)
     thread.start()
     yield
 

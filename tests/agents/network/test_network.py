@@ -74,15 +74,46 @@ def test_the_network_is_what_its_file_says(policy: Path) -> None:
     assert np.allclose(preferences(load(str(policy)), seen), expected, rtol=1e-5)
 
 
-def test_the_agent_keeps_the_contract_and_plays_the_same_again(policy: Path) -> None:
-    check_agent(lambda: NetworkAgent(policy=str(policy)), InfiniteMario().env_init(), observation=screen)
-    returns = []
-    for _ in range(2):
-        with local(NetworkAgent(policy=str(policy)), InfiniteMario(level_seed=3)) as glue:
-            glue.rl_init()
-            glue.rl_episode(100)
-            returns.append((glue.rl_return(), glue.rl_num_steps()))
-    assert returns[0] == returns[1]
+@pytest.mark.parametrize("greedy", [False, True])
+def test_the_agent_keeps_the_contract(policy: Path, greedy: bool) -> None:
+    check_agent(
+        lambda: NetworkAgent(policy=str(policy), greedy=greedy),
+        InfiniteMario().env_init(),
+        observation=screen,
+    )
+
+
+def actions(agent: NetworkAgent, seed: int) -> list[tuple[int, ...]]:
+    """What it does in an episode that begins the same each time."""
+    with local(agent, InfiniteMario(level_seed=3)) as glue:
+        glue.rl_init(seed)
+        glue.rl_start()
+        return [tuple(glue.rl_step().action.ints) for _ in range(40)]
+
+
+def test_actions_are_drawn_with_the_seed_or_taken_without_it(tmp_path: Path) -> None:
+    undecided = str(tmp_path / "undecided.npz")
+    save({name: array / 100 for name, array in arrays().items()}, undecided)
+    drawing, greedy = NetworkAgent(policy=undecided), NetworkAgent(policy=undecided, greedy=True)
+    assert actions(drawing, 1) == actions(drawing, 1) != actions(drawing, 2)
+    assert actions(greedy, 1) == actions(greedy, 2)
+
+
+def test_the_policy_that_comes_with_the_package_reaches_goals_that_it_has_not_seen() -> None:
+    task, agent, levels = InfiniteMario().parameters, NetworkAgent(), LEVEL_SETS["test-1000"]
+    won = 0
+    for number in levels.numbers[:30]:
+        level = levels.level(task, number)
+        mario = InfiniteMario(
+            level_seed=level.level_seed,
+            level_type=level.level_type,
+            level_difficulty=level.level_difficulty,
+        )
+        with local(agent, mario) as glue:
+            glue.rl_init(1)
+            glue.rl_episode(2000)
+            won += glue.rl_return() > 50  # the goal counts 100
+    assert won >= 10
 
 
 @pytest.mark.parametrize(

@@ -197,7 +197,7 @@ def keyed_hub(folder: KeyFolder, log: Path) -> Iterator[tuple[subprocess.Popen[b
 @contextmanager
 def honest_session(url: str, folder: KeyFolder, key: Path) -> Iterator[Honest]:
     """A session of three peers with keys that plays while the body runs."""
-    place = {"key": key, "hub_key": folder.hub_key, "log": lambda line: None}
+    place = {"key": key, "hub_key": folder.hub_key}
     ended = threading.Event()
 
     def serve(serve_one: Callable[..., str], player: object) -> None:
