@@ -19,15 +19,15 @@ from glue.options import Option
 from glue.saves import pack_generator, unpack_generator
 from glue.types import Action, Observation
 
-SHIPPED: Final = str(Path(__file__).with_name("policy.npz"))
+_SHIPPED: Final = str(Path(__file__).with_name("policy.npz"))
 
 
 class NetworkAgent(MarioAgent):
-    """Draws its actions from the softmax of its network's preferences. It learns nothing while it plays.
+    """A network that has learned to play before: each action is drawn from the softmax of its preferences.
 
     Args:
-        policy: the file of the network; by default the one that comes with the package, of which
-            docs/generalisation.md tells how it has learned.
+        policy: the file of the network; by default the installed one, whose learning docs/generalisation.md
+            describes.
         greedy: whether to take the preferred action instead.
 
     Raises:
@@ -39,11 +39,11 @@ class NetworkAgent(MarioAgent):
     def __init__(
         self,
         *,
-        policy: Annotated[str, Option("file of the network")] = SHIPPED,
+        policy: Annotated[str, Option("file of the network, instead of the one that is installed")] = "",
         greedy: Annotated[bool, Option("take the preferred action, instead of drawing one")] = False,
     ) -> None:
         super().__init__(None)
-        self._network = load(policy)
+        self._network = load(policy or _SHIPPED)
         self._greedy = greedy
         self._reset()
 

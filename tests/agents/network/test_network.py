@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 
 from agents.mario.views import tiles_and_sprites
-from agents.network import NetworkAgent
+from agents.network.agent import NetworkAgent
 from agents.network.features import FEATURES, RECENT, features
 from agents.network.weights import load, preferences, save
 from env_server.mario import InfiniteMario
@@ -84,7 +84,7 @@ def test_the_agent_keeps_the_contract(policy: Path, greedy: bool) -> None:
 
 
 def actions(agent: NetworkAgent, seed: int) -> list[tuple[int, ...]]:
-    """What it does in an episode that begins the same each time."""
+    """Return its actions in an episode that begins the same each time."""
     with local(agent, InfiniteMario(level_seed=3)) as glue:
         glue.rl_init(seed)
         glue.rl_start()
