@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -121,17 +122,28 @@ class Options:
         }
 
 
+def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str]) -> str | None:
+    """Return the name of the player that was given, if any; click alone takes the last of several."""
+    if len(names) > 1:
+        raise click.BadParameter(f"give one; a plan compares {' and '.join(names)} (--plan)", ctx, option)
+    return names[0] if names else None
+
+
 @click.command("glue-experiment", cls=GroupedCommand, groups=_GROUPS)
 @click.option(
     "--env",
     "environment",
     metavar="NAME",
+    multiple=True,
+    callback=_only_one,
     shell_complete=complete_names(Role.ENVIRONMENT),
     help="Environment; without it, one joins from outside.",
 )
 @click.option(
     "--agent",
     metavar="NAME",
+    multiple=True,
+    callback=_only_one,
     shell_complete=complete_names(Role.AGENT),
     help="Agent; without it, one joins from outside.",
 )

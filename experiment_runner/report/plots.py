@@ -90,6 +90,8 @@ def learning_curves(
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
     """
     window = fitting_window(window, (values.shape[1] for values in curves.values()))
+    if not any(np.isfinite(values).any() for values in curves.values()):
+        raise ExperimentError(f"there is nothing to draw: no episode has a value of {label}")
     found = {name: over_episodes(values, window, rng) for name, values in curves.items()}
     return _curves(found, window, "episode", label, curves.values(), tolerance)
 

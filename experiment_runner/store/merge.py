@@ -96,6 +96,8 @@ def _longest(sources: Sequence[_Source]) -> _Source:
     trial_id = longest.record.spec.id
     episodes = longest.run.episodes(trial_id)
     for other in sources:
+        if other is longest:
+            continue
         for ours, theirs in zip(episodes, other.run.episodes(trial_id), strict=False):
             if not ours.repeats(theirs):
                 raise ExperimentError(

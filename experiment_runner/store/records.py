@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -29,10 +30,15 @@ class EpisodeResult(NamedTuple):
     def repeats(self, other: EpisodeResult) -> bool:
         """Compare the repeatable measures with those of another execution of the episode."""
         return self.episode == other.episode and all(
-            getattr(self, field) == getattr(other, field)
+            _agree(getattr(self, field), getattr(other, field))
             for field, measure in zip(self._fields[1:], MEASURES.values(), strict=True)
             if measure.repeatable
         )
+
+
+def _agree(one: float, other: float) -> bool:
+    """Compare two values of a measure; NaN is an unknown one, as in rows older than the measure."""
+    return one == other or math.isnan(one) or math.isnan(other)
 
 
 class EndedEpisode(NamedTuple):

@@ -149,6 +149,12 @@ def test_help_fits_on_a_screen_and_all_options_are_in_its_longer_form() -> None:
     assert {"--env", "--episodes", "--plan"} <= {word for word in common.split() if word in flags}
 
 
+def test_two_agents_are_refused_and_sent_to_a_plan() -> None:
+    result = invoke("--env", "mines", "--agent", "random", "--agent", "sarsa")
+    assert isinstance(result.exception, click.BadParameter)
+    assert "random and sarsa (--plan)" in result.exception.message
+
+
 def test_breakpoint_in_a_process_of_its_own_says_where_it_works() -> None:
     Path("mine.py").write_text(STOPPING)
     run = ("--env", "mines", "--agent", "mine.py:Mine", "--episodes", "1", "--max-steps", "9")

@@ -101,6 +101,11 @@ def test_curve_shorter_than_the_window_is_left_out() -> None:
     assert legend_of(figure) == ["slow", "quick"]
 
 
+def test_curves_without_a_value_are_an_error() -> None:
+    with pytest.raises(ExperimentError, match="explored"):
+        learning_curves({"a": np.full((2, 100), np.nan)}, rng(), label="explored")
+
+
 def test_single_trial_is_drawn_without_a_band() -> None:
     figure = learning_curves({"one": learner(10, trials=1)}, rng())
     assert "over 1 trial," in figure.get_suptitle()

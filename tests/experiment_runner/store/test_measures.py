@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import sqlite3
 import subprocess
 import sys
@@ -48,6 +49,14 @@ with Store.open(Path(sys.argv[1])) as store:
 def test_every_measure_is_a_field_of_an_episode_in_the_order_of_the_table() -> None:
     columns = [measure.sql.partition(" ")[0] for measure in MEASURES.values()]
     assert list(EpisodeResult._fields) == ["episode", *columns]
+
+
+def test_an_unknown_value_of_a_measure_repeats_any_other() -> None:
+    known, unknown = EpisodeResult(1, 2.0, 7, True, 0.1), EpisodeResult(1, math.nan, 7, True, 0.3)
+    assert known.repeats(unknown)
+    assert unknown.repeats(unknown)
+    assert not known.repeats(EpisodeResult(1, 3.0, 7, True, 0.1))
+    assert not unknown.repeats(EpisodeResult(1, math.nan, 8, True, 0.3))
 
 
 def test_measure_added_in_two_places_is_stored_exported_and_read(tmp_path: Path) -> None:
