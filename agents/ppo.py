@@ -33,7 +33,8 @@ CLIP, ENTROPY, VALUE = 0.2, 0.002, 0.5
 RATE = 4e-4
 SCALE = 0.02  # of rewards, so that values are about 1
 GOAL = 10  # instead of 100
-DEATHS = -10, -80  # instead of -10, in the first update and from half of them on: first move, then live
+DEATHS = -10, -80  # instead of -10, in the first update and after all of these: first move, then live
+HARDENING = 6104  # updates, 100 million steps
 PROGRESS = 0.004  # for each tile to the right; with the goal alone there is nothing to climb
 VALUES_ONLY = 30  # updates in which a network to begin with stays as it is, until values can be trusted
 
@@ -105,7 +106,7 @@ def learn(levels: str, seed: int, steps: int, start: str, out: str) -> None:
     updates = -(-steps // (GAMES * LENGTH))
     for update in range(updates):
         optimizer.param_groups[0]["lr"] = RATE * (1 - update / updates)
-        death = np.interp(2 * update / updates, (0, 1), DEATHS)
+        death = np.interp(update / HARDENING, (0, 1), DEATHS)
         actions, chances, values = [], [], []
         for t in range(LENGTH + 1):
             seen[t] = features(shown["tiles"], shown["sprites"], recent)
