@@ -122,6 +122,10 @@ class Options:
         }
 
 
+class _Name(click.types.StringParamType):
+    envvar_list_splitter = "\n"  # a path to a file may have blanks
+
+
 def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str]) -> str | None:
     """Return the name of the player that was given, if any; click alone takes the last of several."""
     if len(names) > 1:
@@ -135,6 +139,7 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     "environment",
     metavar="NAME",
     multiple=True,
+    type=_Name(),
     callback=_only_one,
     shell_complete=complete_names(Role.ENVIRONMENT),
     help="Environment; without it, one joins from outside.",
@@ -143,6 +148,7 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
     "--agent",
     metavar="NAME",
     multiple=True,
+    type=_Name(),
     callback=_only_one,
     shell_complete=complete_names(Role.AGENT),
     help="Agent; without it, one joins from outside.",
