@@ -107,6 +107,10 @@ def _one(gymnasium: Any) -> Callable[[], object]:
 
 
 def _vector(gymnasium: Any) -> Table:
+    # First: what is in memory when it forks its processes is copied, page by page, when it is used again.
+    envs = gymnasium.make_vec(_ID, num_envs=8, vectorization_mode="async")
+    envs.reset(seed=_SEED)
+    pids = [process.pid for process in envs.unwrapped.processes]
     works: dict[str, tuple[Callable[[], object], int, str, list[int]]] = {}
     """By case: what to do, how many steps that is, what it is compared with, and the other processes."""
     for games in (64, 1024):
@@ -118,9 +122,6 @@ def _vector(gymnasium: Any) -> Table:
             against = bare if one == name else f"make_vec, {games} games, {one}"
             works[f"make_vec, {games} games, {name}"] = _many(gymnasium, games, **options), whole, against, []
     works["gymnasium.make, one game"] = _one(gymnasium), _STEPS // 8, "", []
-    envs = gymnasium.make_vec(_ID, num_envs=8, vectorization_mode="async")
-    envs.reset(seed=_SEED)
-    pids = [process.pid for process in envs.unwrapped.processes]
     works["AsyncVectorEnv over 8 single games"] = partial(_play, envs.step, _actions(8), 250), 2000, "", pids
     with other_environments() as others:
         works |= {name: (ask, steps, "", [pid]) for name, (ask, steps, pid) in others.items()}

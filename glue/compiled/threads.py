@@ -72,7 +72,7 @@ _SPINS_IN_A_ROW: Final = 2_000
 """Spins, about 10 microseconds, before yielding the core: the awaited thread may need it."""
 
 _TRIAL: Final = 0.005
-"""Seconds of a trial with all threads, and of one with the caller only,"""
+"""Seconds of a trial with all threads, of one with the caller only, and of a second one with all,"""
 _CALLS: Final = 3
 """and calls, if they are long."""
 _REST: Final = 0.4
@@ -202,8 +202,9 @@ def _choices() -> Generator[tuple[bool, int], float, None]:
     rest = _REST
     while True:
         yield True, 0  # wakes the workers
-        together = yield from _timed(True)
+        first = yield from _timed(True)  # memory that was not used before takes long
         alone = yield from _timed(False)
+        together = min(first, (yield from _timed(True)))
         if together < _WORTH * alone:
             rest = _REST
             while together < _WORTH * alone:
