@@ -93,7 +93,7 @@ def actions(agent: NetworkAgent, seed: int) -> list[tuple[int, ...]]:
 
 def test_actions_are_drawn_with_the_seed_or_taken_without_it(tmp_path: Path) -> None:
     undecided = str(tmp_path / "undecided.npz")
-    save({name: array / 100 for name, array in arrays().items()}, undecided)
+    save({name: array.astype(np.float32) / np.float32(100) for name, array in arrays().items()}, undecided)
     drawing, greedy = NetworkAgent(policy=undecided), NetworkAgent(policy=undecided, greedy=True)
     assert actions(drawing, 1) == actions(drawing, 1) != actions(drawing, 2)
     assert actions(greedy, 1) == actions(greedy, 2)
