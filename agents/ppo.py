@@ -4,7 +4,7 @@
     python -m agents.ppo --levels 100000 --seed 1 --steps 5000000 --out runs/ppo-1.npz
     glue-generalise --agent network --agent-option policy=runs/ppo-1.npz
 
-It learns from `gymnasium.make_vec` with SAME_STEP autoreset, on one thread, from nothing or beginning with a
+It learns from `gymnasium.make_vec` with SAME_STEP autoreset, on one thread, from scratch or from the
 network of a file (`--start`). The agent `network` plays what it has learned, in NumPy, anywhere.
 
 Source: Schulman et al. (2017), Proximal policy optimization algorithms; Schulman et al. (2016),
@@ -23,9 +23,9 @@ from torch import nn
 
 from agents.mario.actions import NUM_ACTIONS
 from agents.network.features import FEATURES, NONE, RECENT, features, remember
-from agents.network.weights import load, save
+from agents.network.weights import WIDTHS, load, of_linear, save
+from glue.errors import ConfigError, GlueError
 
-WIDTHS = (256, 128)
 GAMES, LENGTH = 256, 64  # steps of each game between two updates
 BATCH, EPOCHS = 2048, 1
 GAMMA, LAMBDA = 0.995, 0.95
@@ -36,7 +36,7 @@ GOAL = 10  # instead of 100
 DEATHS = -10, -80  # instead of -10, in the first update and after all of these: first move, then live
 HARDENING = 6104  # updates, 100 million steps
 PROGRESS = 0.004  # for each tile to the right; with the goal alone there is nothing to climb
-VALUES_ONLY = 30  # updates in which a network to begin with stays as it is, until values can be trusted
+VALUES_ONLY = 30  # first updates, which leave an initial network as it is: its values are not known yet
 
 
 class Policy(nn.Module):  # type: ignore[misc]
@@ -63,19 +63,23 @@ class Policy(nn.Module):  # type: ignore[misc]
         return [self.body[0], self.body[2], self.actor]
 
     def start_from(self, path: str) -> None:
-        """Become the network of a file, of the same widths."""
+        """Become the network of a file.
+
+        Raises:
+            ConfigError: the file is missing, or holds no network of the same widths.
+        """
         network = load(path)
         for i, layer in enumerate(self.layers()):
+            if network[f"bias{i}"].shape != layer.bias.shape:
+                raise ConfigError(
+                    f"{path}: layer {i} has {len(network[f'bias{i}'])} units, not {len(layer.bias)}"
+                )
             weights = {"weight": network[f"weight{i}"].T.copy(), "bias": network[f"bias{i}"]}
             layer.load_state_dict({name: torch.from_numpy(value) for name, value in weights.items()})
 
     def save(self, path: str) -> None:
         """Write the network that plays."""
-        network = {}
-        for i, layer in enumerate(self.layers()):
-            network[f"weight{i}"] = layer.weight.detach().numpy().T
-            network[f"bias{i}"] = layer.bias.detach().numpy()
-        save(network, path)
+        save(of_linear(self.layers()), path)
 
 
 def learn(levels: str, seed: int, steps: int, start: str, out: str) -> None:
@@ -198,7 +202,10 @@ if __name__ == "__main__":
     parser.add_argument("--levels", default="100000", help="a set, or a number: levels 0 to N - 1")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--steps", type=int, default=5_000_000)
-    parser.add_argument("--start", default="", help="file of a network to begin with")
+    parser.add_argument("--start", default="", help="file of an initial network")
     parser.add_argument("--out", default="ppo.npz")
     given: argparse.Namespace = parser.parse_args()
-    learn(given.levels, given.seed, given.steps, given.start, given.out)
+    try:
+        learn(given.levels, given.seed, given.steps, given.start, given.out)
+    except GlueError as error:
+        parser.error(str(error))

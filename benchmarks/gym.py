@@ -107,7 +107,7 @@ def _one(gymnasium: Any) -> Callable[[], object]:
 
 
 def _vector(gymnasium: Any) -> Table:
-    # First: what is in memory when it forks its processes is copied, page by page, when it is used again.
+    # It forks before there are games: each of their pages would be copied at its next use.
     envs = gymnasium.make_vec(_ID, num_envs=8, vectorization_mode="async")
     envs.reset(seed=_SEED)
     pids = [process.pid for process in envs.unwrapped.processes]

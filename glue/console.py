@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 import traceback
 from collections.abc import Callable, Iterator
@@ -11,6 +12,9 @@ from typing import Final
 
 _CALLERS: Final = frozenset({"glue", "experiment_runner"})
 """Packages that call the code of users."""
+
+LOG: Final = logging.getLogger("glue.client")
+"""Log of the clients of a hub: whether one is there, and which sessions a player is in."""
 
 
 def say(line: str) -> None:

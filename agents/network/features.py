@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from agents.mario.actions import NUM_ACTIONS
+from agents.mario.observation import COLUMNS, ROWS
 from agents.mario.views import MARIO
 from glue.compiled.jit import entry
 
@@ -18,8 +19,6 @@ RECENT: Final = 5
 NONE: Final = NUM_ACTIONS
 """The number of an action that is not there, at the beginning of an episode."""
 
-_ROWS: Final = 16  # of tiles in view
-_COLUMNS: Final = 21
 _MIDDLE: Final = 10  # Mario's column when he cannot be seen: above the screen
 _HEIGHT: Final = 16  # rows around Mario, so many of them above him
 _ABOVE: Final = 9
@@ -41,7 +40,7 @@ _GOAL: Final = 9
 _AT_LEDGES: Final = _HEIGHT * _WIDTH
 _AT_GOAL: Final = 2 * _AT_LEDGES
 _AT_ROW: Final = _AT_GOAL + _WIDTH
-_AT_PITS: Final = _AT_ROW + _ROWS
+_AT_PITS: Final = _AT_ROW + ROWS
 _AT_KINDS: Final = _AT_PITS + _HEIGHT
 _AT_FLAGS: Final = _AT_KINDS + _OTHERS * _KINDS  # present, winged
 _AT_OTHERS: Final = _AT_FLAGS + _OTHERS * 2
@@ -70,20 +69,20 @@ def _write(tiles: npt.NDArray[np.uint8], sprites: Reals, recent: npt.NDArray[np.
     for game in range(len(tiles)):
         to = seen[game]
         row, column = 0, _MIDDLE
-        for cell in range(_ROWS * _COLUMNS):
-            if tiles[game, cell // _COLUMNS, cell % _COLUMNS] == MARIO:
-                row, column = cell // _COLUMNS, cell % _COLUMNS
+        for cell in range(ROWS * COLUMNS):
+            if tiles[game, cell // COLUMNS, cell % COLUMNS] == MARIO:
+                row, column = cell // COLUMNS, cell % COLUMNS
                 break
         to[_AT_ROW + row] = 1
         for i in range(_HEIGHT):
             from_row = row + i - _ABOVE
             to[_AT_PITS + i] = from_row > _LOWEST
-            for j in range(_WIDTH if 0 <= from_row < _ROWS else 0):
-                tile = tiles[game, from_row, min(max(column + j - _BEHIND, 0), _COLUMNS - 1)]
+            for j in range(_WIDTH if 0 <= from_row < ROWS else 0):
+                tile = tiles[game, from_row, min(max(column + j - _BEHIND, 0), COLUMNS - 1)]
                 to[i * _WIDTH + j] = _SOLID[tile]
                 to[_AT_LEDGES + i * _WIDTH + j] = _LEDGE[tile]
         for j in range(_WIDTH):
-            tile = tiles[game, _GOAL_ROW, min(max(column + j - _BEHIND, 0), _COLUMNS - 1)]
+            tile = tiles[game, _GOAL_ROW, min(max(column + j - _BEHIND, 0), COLUMNS - 1)]
             to[_AT_GOAL + j] = tile == _GOAL
         for j in range(_OTHERS):
             sprite = sprites[game, 1 + j]

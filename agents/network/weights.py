@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -13,7 +13,9 @@ from agents.mario.actions import NUM_ACTIONS
 from agents.network.features import FEATURES, Reals
 from glue.errors import ConfigError
 
-LAYERS: Final = 3
+WIDTHS: Final = (256, 128)
+"""Widths of the hidden layers of a network that learns."""
+LAYERS: Final = len(WIDTHS) + 1
 
 Network = Mapping[str, Reals]
 """The weights (inputs, outputs) and biases (outputs,) of each layer: `weight0`, `bias0`, and so on."""
@@ -26,6 +28,12 @@ def preferences(network: Network, seen: Reals) -> Reals:
         if layer < LAYERS - 1:
             seen = np.maximum(seen, 0)
     return seen
+
+
+def of_linear(layers: Sequence[Any]) -> dict[str, Reals]:
+    """Return a copy of the weights and biases of torch's linear layers."""
+    weights = {f"weight{i}": layer.weight.detach().numpy().T.copy() for i, layer in enumerate(layers)}
+    return weights | {f"bias{i}": layer.bias.detach().numpy().copy() for i, layer in enumerate(layers)}
 
 
 def save(network: Network, path: str) -> None:

@@ -16,9 +16,8 @@ from types import FrameType
 from typing import Any, Final, NoReturn
 
 from experiment_runner.meeting.rewards import FiniteRewards
-from glue.client.link import LOG
 from glue.client.players import serve_agent, serve_environment
-from glue.console import leave_printing_to_others, say
+from glue.console import LOG, leave_printing_to_others, say
 from glue.errors import GlueError, PeerFailed
 from glue.options import Value
 from glue.plugins.loading import construct, find

@@ -20,6 +20,7 @@ from click.shell_completion import CompletionItem
 
 from glue import __version__
 from glue.cli.shared import HUB_KEY_SETTINGS, KEY_SETTINGS, WAIT_VARIABLE, reporting
+from glue.console import LOG
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
 from glue.options import Parameter, Value, parameters
 from glue.plugins.loading import construct, find, names, summaries, without_seed
@@ -115,7 +116,6 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
         _batch: int | None = None,
         **options: Value | None,
     ) -> None:
-        from glue.client.link import LOG
         from glue.client.players import serve_agent, serve_environment
         from glue.plugins.batched import make_batch
 

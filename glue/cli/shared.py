@@ -19,7 +19,7 @@ from typing import Any, Final, NoReturn, TypeVar
 import click
 
 from glue.cli.entry import EXIT_INTERRUPTED, EXIT_TERMINATED, Terminated, handle_signals, is_stuck
-from glue.console import say
+from glue.console import LOG, say
 from glue.errors import ConfigError, GlueError
 from glue.hub.config import HUB_KEY_VARIABLE, KEY_VARIABLE
 
@@ -109,10 +109,9 @@ class _Printer(logging.Handler):
 
 def _print_log() -> None:
     """Print what clients of a hub log."""
-    log = logging.getLogger("glue.client")
-    log.addHandler(_Printer())
-    log.setLevel(logging.INFO)
-    log.propagate = False
+    LOG.addHandler(_Printer())
+    LOG.setLevel(logging.INFO)
+    LOG.propagate = False
 
 
 def run(command: click.Command) -> NoReturn:

@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from glue.client.bodies import READ, write
-from glue.client.link import LOG, Link
+from glue.client.link import Link
 from glue.client.target import Target, find_target
 from glue.client.transport import Transport
+from glue.console import LOG
 from glue.engine.experiment import Experiment
 from glue.errors import GlueError, HubClosed, LocalProtocolError, PeerFailed, PeerLost, Unsupported
 from glue.hub.config import DEFAULT_SESSION

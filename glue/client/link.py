@@ -6,13 +6,13 @@ over the latest connection, nothing that it sends there counts: the hub may be a
 
 from __future__ import annotations
 
-import logging
 import platform
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
 from glue.client.target import OwnKey
 from glue.client.transport import Transport, open_transport
+from glue.console import LOG
 from glue.doors import chance, clock
 from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolError, Refused
 from glue.hub.config import check_session
@@ -24,9 +24,6 @@ from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message
 
 if TYPE_CHECKING:
     from glue.client.libzmq import Context
-
-LOG: Final = logging.getLogger("glue.client")
-"""Whether a hub is there, and which sessions a player is in."""
 
 _CALLS: Final = frozenset(CALLS)
 

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from glue.client.answers import ServedPlayer
-from glue.client.link import LOG, Link
+from glue.client.link import Link
 from glue.client.target import Target, find_target
-from glue.console import reporting, show_failure
+from glue.console import LOG, reporting, show_failure
 from glue.doors import threads
 from glue.errors import GlueError, HubClosed, PeerFailed, Refused
 from glue.roles import AgentLike, EnvironmentLike

@@ -90,7 +90,7 @@ class _PartLibrary(JITCodeLibrary):
     """Intermediate code: a part is optimised and made machine code within the entries that call it only.
 
     Machine code and wrappers of each part, with all that it calls, would take nearly half of the time, and
-    optimising them there another third. Entries are no slower without that; the planner's search is faster.
+    optimising each part by itself another third. Entries are no slower without that.
     """
 
     @property

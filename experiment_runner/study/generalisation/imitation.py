@@ -26,7 +26,7 @@ from torch import nn
 
 from agents.mario.actions import NUM_ACTIONS
 from agents.network.features import FEATURES, NONE, RECENT, Reals, features, remember
-from agents.network.weights import LAYERS, Network, preferences, save
+from agents.network.weights import LAYERS, WIDTHS, Network, of_linear, preferences, save
 from env_server.mario import InfiniteMario
 from env_server.mario.level_sets import LevelSet
 from env_server.mario.many.games import SAME_STEP, Games
@@ -41,7 +41,6 @@ _TAUGHT: Final = 0.15  # of those, in which the teacher acts
 _RANDOM: Final = 0.03  # of the actions, and in the first round, in which the teacher acts in all states,
 _FIRST_RANDOM: Final = 0.15
 
-_WIDTHS: Final = (256, 128)
 _BATCH: Final = 1024
 _BATCHES: Final = 400  # after each round
 _PASSES: Final = 8  # through all states after the last, while the rate falls
@@ -122,7 +121,7 @@ class Learner:
         torch.manual_seed(seed)
         torch.set_num_threads(1)
         self._chance = torch.Generator().manual_seed(seed)
-        widths = (FEATURES, *_WIDTHS, NUM_ACTIONS)
+        widths = (FEATURES, *WIDTHS, NUM_ACTIONS)
         layers: list[Any] = []
         for layer in range(LAYERS):
             layers += [nn.Linear(widths[layer], widths[layer + 1]), nn.ReLU()]
@@ -145,10 +144,7 @@ class Learner:
 
     def network(self) -> dict[str, Reals]:
         """Return the weights as the agent has them: it prefers what costs less."""
-        linear: list[Any] = list(self._layers)[::2]
-        weights = {f"weight{i}": one.weight.detach().numpy().T.copy() for i, one in enumerate(linear)}
-        weights |= {f"bias{i}": one.bias.detach().numpy().copy() for i, one in enumerate(linear)}
-        last = LAYERS - 1
+        weights, last = of_linear(list(self._layers)[::2]), LAYERS - 1
         return weights | {name: -weights[name] for name in (f"weight{last}", f"bias{last}")}
 
 

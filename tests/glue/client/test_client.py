@@ -16,8 +16,8 @@ import pytest
 import zmq
 
 from glue.client.experiment import RemoteExperiment, connect
-from glue.client.link import LOG
 from glue.client.players import serve_agent, serve_environment
+from glue.console import LOG
 from glue.errors import (
     ConfigError,
     GlueError,
