@@ -114,6 +114,25 @@ def test_threads_work_together_only_where_trials_show_that_it_pays(
     assert set(together[50:]) == {pays}
 
 
+def test_threads_that_become_slow_are_left_within_two_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A turn takes the caller alone 2 ms, and threads together 1 ms at first and 4 ms later."""
+    now, together = [0.0], [False]
+    monkeypatch.setattr(clock, "monotonic", lambda: now[0])
+
+    def timed(gate: Gate, worker: int, numbers: Numbers) -> None:
+        if worker == CALLER:
+            together.append(bool(gate[CALLER, RELEASED]))
+            now[0] += (0.001 if len(together) < 100 else 0.004) if together[-1] else 0.002
+        mark(gate, worker, numbers)
+
+    threads, numbers = Threads(2, COUNT), np.zeros(COUNT, np.int64)
+    for _ in range(150):
+        threads.run(timed, numbers)
+    threads.close()
+    assert set(together[50:100]) == {True}
+    assert set(together[125:]) == {False}
+
+
 def test_threads_that_nobody_closes_end_when_they_are_forgotten() -> None:
     before = set(threading.enumerate())
     threads = Threads(3, COUNT)
