@@ -17,6 +17,17 @@ LOG: Final = logging.getLogger("glue.client")
 """Log of the clients of a hub: whether one is there, and which sessions a player is in."""
 
 
+@contextmanager
+def errors_only() -> Iterator[None]:
+    """Log only errors of clients, within a `with` statement."""
+    level = LOG.level
+    LOG.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        LOG.setLevel(level)
+
+
 def say(line: str) -> None:
     """Print a line to standard error, at once and in one piece: several threads may print."""
     print(f"{line}\n", end="", file=sys.stderr, flush=True)

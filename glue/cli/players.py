@@ -7,10 +7,10 @@ of each are the parameters of its constructor (see `glue.options`) and the optio
 from __future__ import annotations
 
 import inspect
-import logging
 import shlex
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
@@ -20,7 +20,7 @@ from click.shell_completion import CompletionItem
 
 from glue import __version__
 from glue.cli.shared import HUB_KEY_SETTINGS, KEY_SETTINGS, WAIT_VARIABLE, reporting
-from glue.console import LOG
+from glue.console import LOG, errors_only
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HUB_VARIABLE, SESSION_VARIABLE
 from glue.options import Parameter, Value, parameters
 from glue.plugins.loading import construct, find, names, summaries, without_seed
@@ -127,13 +127,12 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
         }
         if added:
             players = {one: extra.apply(player, added) for one, player in players.items()}
-        if _quiet:
-            LOG.setLevel(logging.ERROR)
-        if (warning := without_seed(role, name, factory)) is not None:
-            LOG.warning("%s", warning)
         serve = serve_agent if role is Role.AGENT else serve_environment
-        reason = serve(players, _hub, key=_key, hub_key=_hub_key, wait=_wait)
-        LOG.info("the hub said goodbye: %s", reason)
+        with errors_only() if _quiet else nullcontext():
+            if (warning := without_seed(role, name, factory)) is not None:
+                LOG.warning("%s", warning)
+            reason = serve(players, _hub, key=_key, hub_key=_hub_key, wait=_wait)
+            LOG.info("the hub said goodbye: %s", reason)
 
     # The parameters are listed as options.
     summary = inspect.cleandoc(factory.__doc__ or f"The {role} {name}.").partition("\n\nArgs:")[0]

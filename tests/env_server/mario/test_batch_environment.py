@@ -14,6 +14,7 @@ from env_server.mario.environment import InfiniteMario
 from env_server.mario.many.environment import InfiniteMarioBatch
 from glue import Action, Observation, connect, make
 from glue.batches import Ragged, pack_actions, read_batch_task_spec, unpack_batch
+from glue.console import LOG
 from glue.errors import ConfigError, GlueError, RemoteProtocolError, SimulatorError
 from glue.options import parameters
 from glue.plugins.batched import BatchedEnvironments, make_batch
@@ -158,7 +159,7 @@ class Runner(ActingInAll):
 
 
 def test_the_command_serves_many_games_as_one() -> None:
-    agent = Runner()
+    agent, level = Runner(), LOG.level
     alone = make("mario", **LIVELY)
     alone.env_init()
     expected = [alone.env_start(), *(alone.env_step(Action([1, 0, 1]))[1] for _ in range(4))]
@@ -171,5 +172,6 @@ def test_the_command_serves_many_games_as_one() -> None:
             assert read_batch_task_spec(glue.rl_init())[0] == 3
             glue.rl_episode(max_steps=5)
     serving.join()
+    assert LOG.level == level  # --quiet ends with the command
     shown = [unpack_batch(Observation.from_body(body)).observations for body in agent.shown]
     assert [one.values(Observation) for one in shown] == [[one] * 3 for one in expected]

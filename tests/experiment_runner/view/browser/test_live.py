@@ -167,7 +167,7 @@ def test_a_browser_that_is_slow_misses_moments_and_nobody_waits_for_it(
     def newest() -> int:
         return int(browser.run("return document.querySelector('.numbers tbody td')?.textContent ?? '0'"))
 
-    with playing("--env", "broad.py:Broad", "--out", "runs/a", cwd=tmp_path):
+    with playing("--out", "runs/a", env="broad.py:Broad", cwd=tmp_path):
         run = started(page, page.stream("topic=runs"))
         browser.go(f"game/{run}")
         browser.wait(newest, "a moment")

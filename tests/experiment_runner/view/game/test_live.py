@@ -19,7 +19,7 @@ from glue.types import Action, Observation, body_size
 from tests.experiment_runner.view.pages import Page, Stream, glue_view
 from tests.terminal import Terminal
 
-ENDLESS = ("glue-experiment", "--env", "mines", "--agent", "random", "--episodes", "1000000")
+ENDLESS = ("glue-experiment", "--agent", "random", "--episodes", "1000000")
 
 
 @pytest.fixture
@@ -29,9 +29,9 @@ def page(tmp_path: Path) -> Iterator[Page]:
 
 
 @contextlib.contextmanager
-def playing(*options: str, cwd: Path) -> Iterator[None]:
+def playing(*options: str, env: str = "mines", cwd: Path) -> Iterator[None]:
     """Run an experiment until the context ends, and then press Ctrl-C."""
-    with contextlib.closing(Terminal(*ENDLESS, *options, cwd=cwd)) as running:
+    with contextlib.closing(Terminal(*ENDLESS, "--env", env, *options, cwd=cwd)) as running:
         yield
         running.send_signal(signal.SIGINT)
         assert running.end() == 130
@@ -86,7 +86,7 @@ def test_a_page_sees_what_is_played_and_the_run_does_not_change(page: Page, tmp_
 
 
 def test_a_run_that_was_killed_is_not_shown_as_going_on(page: Page, tmp_path: Path) -> None:
-    with contextlib.closing(Terminal(*ENDLESS, "--out", "a", cwd=tmp_path)) as running:
+    with contextlib.closing(Terminal(*ENDLESS, "--env", "mines", "--out", "a", cwd=tmp_path)) as running:
         topic = f"live:{started(page, page.stream('topic=runs'))}"
         stream, known = page.stream(f"topic={topic}"), dict[str, Any]()
         until(stream, topic, "moment", known)
