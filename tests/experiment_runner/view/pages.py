@@ -67,10 +67,12 @@ class Page:
             return Answer(response.status, found, response.read())
 
     def run_id(self, name: str) -> str:
-        """Return the id of the run whose directory has a name."""
+        """Return the id of the run whose directory has a name, once the page has found it."""
         with contextlib.closing(self.stream("topic=runs")) as stream:
-            (found,) = (run["id"] for run in stream.next()["runs"].values() if Path(run["path"]).name == name)
-        return str(found)
+            while True:
+                for run in (stream.next().get("runs") or {}).values():
+                    if run and Path(run["path"]).name == name:
+                        return str(run["id"])
 
     def stream(self, query: str, headers: Mapping[str, str] | None = None) -> Stream:
         """Open a stream of events."""
