@@ -40,7 +40,11 @@ THREE_ROLES: Final = (Role.AGENT, Role.ENVIRONMENT, Role.EXPERIMENT)
 
 
 class Kind(IntEnum):
-    """The kind of a message; its number on the wire."""
+    """The kind of a message; its number on the wire.
+
+    Below 64 are the numbers of RL-Glue's own calls; 64 to 79 are of messages about connections and observers,
+    80 to 89 of further calls to players, and 90 to 99 of further calls of experiments.
+    """
 
     AGENT_INIT = 4
     AGENT_START = 5

@@ -157,7 +157,7 @@ def saved(browser: Browser, view: str, button: str, file: Path) -> bytes:
     """Return the file that a button of a view saves."""
     browser.save_into(file.parent)
     browser.go(view)
-    browser.find(".plot svg")
+    browser.has_table("Results, by setting")  # with it the page scrolls, and the plot becomes narrower
     browser.button(button).click()
     wait_until(file.exists, file.name)
     return file.read_bytes()
