@@ -58,7 +58,7 @@ class RandomAgent(Agent):
         self._draws = Draws(self._space, unpack_generator(data, self.name))
 
     def _act(self) -> Action:
-        return Action._wrap(self._draws.draw())  # it need not be checked
+        return Action._wrap(self._draws.draw())  # drawn within the bounds: no check is needed
 
 
 class SkeletonAgent(RandomAgent):

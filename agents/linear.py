@@ -1,4 +1,4 @@
-"""Linear SARSA(lambda) over tile coding, for tasks of a few numbers observed and one int as action.
+"""Linear SARSA(lambda) over tile coding, for tasks with a few observed numbers and one int as action.
 
 Several grids, each shifted by a fraction of a cell, cover the observation; a value is the sum of the weights
 of the cells that the observation lies in. Sutton and Barto, 9.5.4 and 12.7; replacing traces.
@@ -21,17 +21,17 @@ from glue.taskspec import Space, parse_task_spec
 from glue.types import Action, Observation
 
 _WEIGHTS: Final = 2**20
-"""Weights, shared by all cells: where there are more cells, some share one."""
+"""Number of weights; if there are more cells, some share a weight."""
 _MAX_ACTIONS: Final = 1000
 _MAX_NUMBERS: Final = 16
 _LEAST_TRACE: Final = 0.01
-"""A smaller trace is dropped."""
+"""Smaller traces are dropped."""
 
 
 class LinearAgent(Agent):
-    """Linear SARSA over tile coding: for up to 16 numbers observed, as in CartPole, and one int as action.
+    """Linear SARSA over tile coding, for up to 16 observed numbers, as in CartPole, and one int as action.
 
-    A number without bounds is squashed to (-1, 1) by its arc tangent. The discount is the task spec's.
+    A number without bounds is squashed to (0, 1) by its arc tangent. The discount is the task spec's.
     """
 
     name = "linear"
@@ -116,10 +116,10 @@ class LinearAgent(Agent):
         return pack(Saved(self.name, self._shape(), {}, arrays))
 
     def agent_load(self, data: bytes) -> None:
-        """Continue from what `agent_save` returned.
+        """Continue from a state that `agent_save` returned.
 
         Raises:
-            SaveError: it is damaged, or of another task or other grids.
+            SaveError: `data` is damaged, or of another task or other grids.
         """
         saved = unpack(data, self.name, self._shape())
         used = saved.array("used", np.int64, low=0, high=_WEIGHTS - 1)
@@ -164,7 +164,7 @@ class LinearAgent(Agent):
         for tiling in range(tilings):
             cell = tiling
             for i, place in enumerate(places):
-                # Shifts of 1, 3, 5... parts for the numbers: those of Sutton and Barto.
+                # The numbers are shifted by 1, 3, 5... parts, as in Sutton and Barto.
                 cell = cell * (tiles + 2) + int(place + tiling * (2 * i + 1) % tilings / tilings)
             cells.append(cell * self._num_actions)
         return cells
@@ -188,7 +188,7 @@ class LinearAgent(Agent):
 
 
 def _scales(space: Space) -> list[tuple[float, float]]:
-    """Return the minimum of each number and 1 / its range; (0, 0) where it has no bounds to speak of."""
+    """Return the minimum of each number and 1 / its range; (0, 0) for a practically unbounded number."""
     found = []
     for ranges in (space.ints, space.doubles):
         for range_ in ranges:

@@ -1,11 +1,11 @@
-"""Proximal policy optimisation on many games of Infinite Mario at once: one file, to read and to change.
+"""Proximal policy optimisation on many games of Infinite Mario at once: one file to read and to change.
 
     pip install 'glue-rl[gym,torch]'
     python -m agents.ppo --levels 100000 --seed 1 --steps 5000000 --out runs/ppo-1.npz
     glue-generalise --agent network --agent-option policy=runs/ppo-1.npz
 
 It learns from `gymnasium.make_vec` with SAME_STEP autoreset, on one thread, from scratch or from the
-network of a file (`--start`). The agent `network` plays what it has learned, in NumPy, anywhere.
+network of a file (`--start`). The agent `network` plays the learned policy, in NumPy, anywhere.
 
 Source: Schulman et al. (2017), Proximal policy optimization algorithms; Schulman et al. (2016),
 High-dimensional continuous control using generalized advantage estimation.
@@ -33,14 +33,14 @@ CLIP, ENTROPY, VALUE = 0.2, 0.002, 0.5
 RATE = 4e-4
 SCALE = 0.02  # of rewards, so that values are about 1
 GOAL = 10  # instead of 100
-DEATHS = -10, -80  # instead of -10, in the first update and after all of these: first move, then live
+DEATHS = -10, -80  # instead of -10, in the first update and after HARDENING: first move, then survive
 HARDENING = 6104  # updates, 100 million steps
-PROGRESS = 0.004  # for each tile to the right; with the goal alone there is nothing to climb
-VALUES_ONLY = 30  # first updates, which leave an initial network as it is: its values are not known yet
+PROGRESS = 0.004  # for each tile to the right; a reward only at the goal would give no direction
+VALUES_ONLY = 30  # first updates, which leave an initial network unchanged: its values are not known yet
 
 
 class Policy(nn.Module):  # type: ignore[misc]
-    """Preferences for the 12 actions, and the value of what is seen."""
+    """Preferences for the 12 actions, and the value of the inputs."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -63,7 +63,7 @@ class Policy(nn.Module):  # type: ignore[misc]
         return [self.body[0], self.body[2], self.actor]
 
     def start_from(self, path: str) -> None:
-        """Become the network of a file.
+        """Load the network of a file.
 
         Raises:
             ConfigError: the file is missing, or holds no network of the same widths.
@@ -83,7 +83,7 @@ class Policy(nn.Module):  # type: ignore[misc]
 
 
 def learn(levels: str, seed: int, steps: int, start: str, out: str) -> None:
-    """Learn for `steps` steps on a set of levels; save the policy to `out` and print how it goes."""
+    """Learn for `steps` steps on a set of levels; save the policy to `out` and print the progress."""
     import gymnasium
 
     torch.set_num_threads(1)
@@ -167,7 +167,7 @@ def _improve(
     over: np.ndarray,
     values_only: bool,
 ) -> None:
-    """Change the policy by what was seen, shape (LENGTH, GAMES, FEATURES), and the results."""
+    """Update the policy by the inputs `seen`, shape (LENGTH, GAMES, FEATURES), and the results."""
     advantages, later = np.empty_like(rewards), np.zeros(GAMES, np.float32)
     for t in reversed(range(LENGTH)):
         goes_on = 1 - over[t]

@@ -29,7 +29,7 @@ _MAX_PROBES: Final = 64
 
 
 class Entry:
-    """One place of a value table: free when the key is 0."""
+    """One slot of a value table, free when the key is 0."""
 
     key: Word
     value: Real
@@ -57,7 +57,7 @@ class Learner:
 
 
 class Taken:
-    """The features of the action whose value is to be updated next."""
+    """The features of the action whose value is updated next."""
 
     count: Int
     keys: Annotated[Keys, np.uint64, MAX_FEATURES]
@@ -115,7 +115,7 @@ def has_room(learner: Learner, table: Array, count: int) -> bool:
 
 @jit
 def _place(table: Array, key: np.uint64) -> int:
-    """Return where `key` is in the table, or the free place where it belongs."""
+    """Return the slot of `key` in the table, or the free slot where it belongs."""
     last = np.uint64(len(table) - 1)
     place = key & last
     while table[place].key != key and table[place].key != _FREE:
@@ -139,7 +139,7 @@ def _fill(table: Array, keys: Keys, values: Values) -> bool:
 
 
 def table_of(keys: Keys, values: Values, size: int = _SMALLEST) -> Array:
-    """Return a table of at least `size` places, at most a quarter of them taken, with these values.
+    """Return a table of at least `size` slots, at most a quarter of them taken, with these values.
 
     Raises:
         SaveError: too many keys collide. Those of a learner are hashes and do not; those of a forged save

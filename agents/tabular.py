@@ -1,7 +1,7 @@
-"""SARSA(0) on a plain table, for tasks of one int observed and one int as action. Sutton and Barto, 6.4.
+"""SARSA(0) on a plain table, for tasks with one observed int and one int as action. Sutton and Barto, 6.4.
 
-A step reads and changes a handful of numbers, which plain Python does in a tenth of the time that NumPy takes
-to be called for each.
+A step reads and changes a handful of numbers, which plain Python does in a tenth of the time that calling
+NumPy for each would take.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _Learned = tuple[np.random.Generator, tuple[int, int], npt.NDArray[np.float64]]
 class SarsaAgent(Agent):
     """Tabular SARSA with epsilon-greedy choice, ties broken at random.
 
-    Any task will do whose task spec bounds one int of observation and one int of action. The discount is
+    It plays any task whose task spec bounds one int of observation and one int of action. The discount is
     the task spec's.
     """
 
@@ -56,7 +56,7 @@ class SarsaAgent(Agent):
         self._first_action = 0
         self._num_states = 1
         self._num_actions = 1
-        self._values = array("d", (0.0,))  # of each state in turn, those of its actions
+        self._values = array("d", (0.0,))  # those of each state's actions, state by state
         self._state = 0
         self._choice = 0
         self._errors = 0.0  # sum of the absolute TD errors of the episode

@@ -1,6 +1,6 @@
-"""`python -m benchmarks [--write] [NAME ...]`: measure everything, or what is named.
+"""`python -m benchmarks [--write] [NAME ...]`: measure everything, or the named parts.
 
-Everything is written to docs/performance.md; what is named is printed, and written with `--write`.
+Everything is written to docs/performance.md; named parts are printed, and written with `--write`.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from benchmarks.page import FILE, ORDER, beside_other_work, merged, section
 
 _PARTS = tuple(name for name in ORDER if name != "notes")
 _ELSEWHERE = ("gym", "soar")
-"""What other pages have the numbers of."""
+"""Parts whose numbers are on other pages."""
 _BY_NAME = ("clients", "memory", "view")
-"""Those that are only measured when they are named: they take long, or have to be built first."""
+"""Parts that are measured only when named: they take long, or have to be built first."""
 _WRITE = "--write"
 
 
 def main(arguments: list[str]) -> None:
-    """Measure what `arguments` name, or everything."""
+    """Measure the parts named in `arguments`, or everything."""
     names = [argument for argument in arguments if argument != _WRITE]
     known = _PARTS if _WRITE in arguments else (*_PARTS, *_ELSEWHERE)
     if unknown := set(names) - set(known):

@@ -68,7 +68,7 @@ def _together(agent: Agent) -> Callable[[], float]:
 
 
 def _play(glue: Experiment, episodes: int) -> int:
-    """Return how many steps the episodes took."""
+    """Play episodes; return the number of their steps."""
     steps = 0
     for _ in range(episodes):
         glue.rl_episode()
@@ -77,7 +77,7 @@ def _play(glue: Experiment, episodes: int) -> int:
 
 
 def _alone(agent: Agent) -> Callable[[], float]:
-    """Step an agent that has learned over one episode's observations, whatever it does."""
+    """Return a measure that steps a trained agent over one episode's observations, ignoring its actions."""
     seen: list[tuple[float, Observation]] = []
 
     def measure() -> float:
@@ -95,7 +95,7 @@ def _alone(agent: Agent) -> Callable[[], float]:
 
 
 def _record(agent: Agent, seen: list[tuple[float, Observation]]) -> None:
-    """Fill in the rewards and observations of an episode of the agent's."""
+    """Play an episode with the agent; fill in its rewards and observations."""
     environment = InfiniteMario()
     environment.env_init()
     action = agent.agent_start(environment.env_start())
@@ -107,7 +107,7 @@ def _record(agent: Agent, seen: list[tuple[float, Observation]]) -> None:
 
 
 def _trial() -> Table:
-    """Run a trial in a process of its own, whose memory is nobody else's."""
+    """Run a trial in a process of its own, to measure only its memory."""
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         parts = pool.apply(_run_trial)
     rows = [
@@ -127,7 +127,7 @@ def _run_trial() -> list[tuple[float, str, float]]:
     parts = []
     with local(HierarchicalAgent(), InfiniteMario()) as glue:
         glue.rl_init(seed=1)
-        _play(glue, 1)  # What is compiled or read from disk is not part of the trial.
+        _play(glue, 1)  # Compiling, or reading from disk, is not part of the trial.
         glue.rl_init(seed=1)
         began = time.perf_counter()
         for _ in range(_PARTS):

@@ -1,4 +1,4 @@
-"""Steps per second of a session while other connections do what they should not."""
+"""Steps per second of a session while other connections misbehave."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _READY: Final = b"\x04\x1c\x05READY\x0bSocket-Type\x00\x00\x00\x06DEALER"
 _MALFORMED: Final = zmtp.encode([b"nonsense"])
 _ENDLESS: Final = b"\x01\x00"
 _CHUNK: Final = 1000
-"""Messages that are sent by one system call."""
+"""Number of messages sent by one system call."""
 
 _CASES: Final = {
     "malformed messages": ("malformed", (1, 6, 60)),
@@ -37,7 +37,7 @@ _CASES: Final = {
 
 
 def run() -> list[Table]:
-    """Measure a session undisturbed and beside each attack."""
+    """Measure a session undisturbed and under each attack."""
     with ExitStack() as stack:
         hub = stack.enter_context(_hub())
         size = next(iter(SIZES))
@@ -91,7 +91,7 @@ def _hub() -> Iterator[str]:
         "--bind",
         "tcp://127.0.0.1:*",
     ]
-    # Its log is read by nobody, so that a hub that waits for that would stand still.
+    # Nobody reads its log, so a hub that waits for a reader would stand still.
     process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
     try:
@@ -104,7 +104,7 @@ def _hub() -> Iterator[str]:
 
 @contextmanager
 def _attacker(attack: str, url: str, number: int) -> Iterator[subprocess.Popen[bytes]]:
-    """An attacker that is stopped, ready to go on."""
+    """Start an attacker that is stopped, ready to continue."""
     process = subprocess.Popen([sys.executable, "-m", "benchmarks.attacks", attack, url, str(number)])
     try:
         os.waitid(os.P_PID, process.pid, os.WSTOPPED)
@@ -125,9 +125,9 @@ def _running(attacker: subprocess.Popen[bytes]) -> Iterator[None]:
 
 
 def _attack(attack: str, url: str, number: int) -> None:
-    """Do it forever, over `number` connections; stop before the first time.
+    """Attack forever, over `number` connections; stop the process before the first attack.
 
-    It waits as long as the hub takes nothing from it: not its own use of the processor is measured.
+    It waits while the hub takes nothing from it, so that its own use of the processor is not measured.
     """
     host, _, port = url.removeprefix("tcp://").rpartition(":")
     address = (host, int(port))

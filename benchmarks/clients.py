@@ -21,7 +21,7 @@ _ROOT = Path(__file__).parent.parent
 _CLIENTS = _ROOT / "clients"
 _STEPS = 4000
 _WARM_UP = 12_000
-"""Steps before the first measurement: V8 takes some 8,000 to compile a client, which is slow before."""
+"""Steps before the first measurement: a client is slow until V8 has compiled it, after some 8,000."""
 _LATER = 50_000
 _PROGRAMS = str(_ROOT / "tests" / "clients" / "python_programs.py")
 _JAVA_PATH = f"{_CLIENTS / 'java/build/glue-rl.jar'}:{_CLIENTS / 'java/build/examples'}"
@@ -43,7 +43,7 @@ _LANGUAGES: dict[str, dict[str, Sequence[str]]] = {
 
 
 def run() -> list[Table]:
-    """Return the table, of the languages whose examples have been built."""
+    """Return the table of the languages whose examples have been built."""
     built = {name: programs for name, programs in _LANGUAGES.items() if _is_built(programs["random"])}
     missing = [name for name in _LANGUAGES if name not in built]
     if missing:
@@ -116,13 +116,13 @@ def _rate(glue: Experiment, pids: Sequence[int]) -> Rate:
 
 
 def _play(glue: Experiment, steps: int) -> None:
-    """Play episodes until there were at least so many steps."""
+    """Play episodes of at least `steps` steps in all."""
     while steps > 0:
         glue.rl_episode(steps)
         steps -= glue.rl_num_steps()
 
 
 def _resident(pid: int) -> float:
-    """Return the megabytes that a process has in memory."""
+    """Return the resident memory of a process in megabytes."""
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6

@@ -1,4 +1,4 @@
-"""Verifying a competition: recorded steps played again per second, and how large a record is."""
+"""Verifying a competition: recorded steps replayed per second, and the size of a record."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def run() -> list[Table]:
 
 
 def _record(spec: TrialSpec, path: Path, act: Callable[[int], np.ndarray]) -> Path:
-    """Play `_STEPS` steps, and write them down as a competition does."""
+    """Play `_STEPS` steps, and record them as a competition does."""
     replay, task_spec = replay_of(spec)
     pieces: list[bytes] = []
     writer = ActionWriter(pieces.append)
@@ -75,7 +75,7 @@ def _record(spec: TrialSpec, path: Path, act: Callable[[int], np.ndarray]) -> Pa
 
 def _replaying(spec: TrialSpec, path: Path) -> Callable[[], float]:
     def measure() -> float:
-        began = time.process_time()  # whatever else the machine does
+        began = time.process_time()  # CPU time, regardless of other work
         replay_trial(spec, path)
         return _STEPS / (time.process_time() - began)
 

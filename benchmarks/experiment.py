@@ -19,7 +19,7 @@ from experiment_runner.store.results import Results
 from glue.wire.messages import Role
 
 _RUNS: Final = (("random", 100, REPEATS), ("hierarchical", 300, 1), ("random", 5000, 1))
-"""Agent, episodes, and how often; what takes long is run once. The second is what `make demo` does."""
+"""Agent, episodes and repeats; long runs are made only once. The second is that of `make demo`."""
 
 _COMMAND: Final = ("-m", "experiment_runner.cli.experiment", "--env", "mario", "--json")
 _PROGRAMS: Final = {
@@ -37,7 +37,7 @@ class _Outcome(NamedTuple):
 
     seconds           from the command to its end
     steps_per_second  while episodes ran
-    bare              the same of three processes that do nothing but play, just before and after
+    bare              the same of three processes that only play, just before and after
     memory            bytes of each process, resident; (samples, 3)
     """
 
@@ -68,7 +68,7 @@ def run() -> list[Table]:
 
 
 def _column(outcomes: list[_Outcome]) -> dict[str, str]:
-    """Return what was measured, by its name."""
+    """Return the measurements by name."""
 
     def middle(values: list[float]) -> str:
         return count(statistics.median(values))
@@ -106,7 +106,7 @@ def _measure(agent: str, episodes: int) -> _Outcome:
 
 
 def _run(agent: str, episodes: int) -> _Outcome:
-    """Run the command; `bare` is left open."""
+    """Run the command; `bare` is not measured yet."""
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "lines"
         options = ["--agent", agent, "--episodes", str(episodes), "--out", f"{folder}/run"]
@@ -116,7 +116,7 @@ def _run(agent: str, episodes: int) -> _Outcome:
         with output.open("w") as lines, subprocess.Popen(command, stdout=lines) as process:
             pids: list[int] = []
             while process.poll() is None:
-                if not pids and output.stat().st_size:  # an episode is finished: all three are there
+                if not pids and output.stat().st_size:  # an episode is finished: all three processes exist
                     pids = [_find(process.pid, program) for program in _PROGRAMS.values()]
                 sample = [_resident(pid) for pid in pids]
                 if sample and all(sample):
@@ -136,7 +136,7 @@ def _wall_time(directory: Path) -> float:
 
 
 def _find(experiment: int, program: tuple[str, ...]) -> int:
-    """Return which of the experiment and its children has these words on its command line."""
+    """Return the process with these words on its command line: the experiment or one of its children."""
     for entry in Path("/proc").glob("[0-9]*"):
         try:
             parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])

@@ -1,4 +1,4 @@
-"""Gymnasium: Infinite Mario alone and many at once, served environments, and batches over the wire."""
+"""Gymnasium: Infinite Mario single and vectorized, served environments, and batches over the wire."""
 
 from __future__ import annotations
 
@@ -50,14 +50,14 @@ _INTS, _DOUBLES, _CHARS = 23, 44, 352  # an observation of Mario with ten sprite
 
 
 def run() -> list[Table]:
-    """Measure everything of this module."""
+    """Measure everything in this module."""
     import gymnasium
 
     return [_vector(gymnasium), _served(gymnasium), _batches()]
 
 
 def _actions(games: int) -> list[Any]:
-    """Return actions that run to the right and jump now and then, as MultiDiscrete has them."""
+    """Return actions that run to the right and jump now and then, in the form of MultiDiscrete."""
     generator = np.random.default_rng(_SEED)
     shape = (50, games)
     parts = (
@@ -107,12 +107,12 @@ def _one(gymnasium: Any) -> Callable[[], object]:
 
 
 def _vector(gymnasium: Any) -> Table:
-    # It forks before there are games: each of their pages would be copied at its next use.
+    # It forks before there are games; otherwise each of their pages would be copied at its next use.
     envs = gymnasium.make_vec(_ID, num_envs=8, vectorization_mode="async")
     envs.reset(seed=_SEED)
     pids = [process.pid for process in envs.unwrapped.processes]
     works: dict[str, tuple[Callable[[], object], int, str, list[int]]] = {}
-    """By case: what to do, how many steps that is, what it is compared with, and the other processes."""
+    """By case: the work, its number of steps, the case to compare it with, and the other processes."""
     for games in (64, 1024):
         whole = _STEPS // games * games
         bare = f"bare batch, {games} games, one thread"
@@ -157,7 +157,7 @@ _OPTIONS: dict[str, dict[str, Any]] = {
 
 
 def _served(gymnasium: Any) -> Table:
-    """Measure CartPole alone, and served to an agent in another process."""
+    """Measure CartPole on its own, and served to an agent in another process."""
     env = gymnasium.make("CartPole-v1")
 
     def alone(steps: int) -> None:
@@ -192,7 +192,7 @@ def _served(gymnasium: Any) -> Table:
 
 
 def _batches() -> Table:
-    """Measure many games in one session, environment and agent in two processes beside the hub's."""
+    """Measure many games in one session, with environment and agent in two processes besides the hub's."""
     rows = []
     for games in (64, 256):
         for name, serve in (("glue-env mario --batch", _serve_mario), ("no rules at all", _serve_games)):
@@ -277,7 +277,7 @@ class _Still(Environment):
 
 
 class _Vector(Agent):
-    """Runs to the right in all games and jumps now and then, whatever it sees."""
+    """Runs to the right in all games and jumps now and then, regardless of its observations."""
 
     def agent_batch(self) -> int:
         return 0

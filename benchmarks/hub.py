@@ -1,4 +1,4 @@
-"""Steps per second of three programs, beside the original and what others use."""
+"""Steps per second of three programs, compared with the original and with other libraries."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def run() -> list[Table]:
 
 
 def _three_programs() -> list[Table]:
-    """Measure Mario-sized steps of three programs, beside all that they can be compared with."""
+    """Measure Mario-sized steps of three programs, and everything to compare them with."""
     size = len(SIZES[_MARIO].body)
     measures: dict[str, AbstractContextManager[Measure]] = {}
     for verb, name in _VERBS.items():
@@ -65,7 +65,7 @@ def _three_programs() -> list[Table]:
 
 
 def _ratios(results: dict[str, Rate]) -> Table:
-    """Return how programs compare within one run."""
+    """Return the ratios of programs within one run."""
     ipc, tcp, step = (
         results[f"three Python processes, {name}"]
         for name in ("ipc, RL_EPISODE", "tcp, RL_EPISODE", "ipc, RL_STEP")
@@ -147,7 +147,7 @@ def _in_process(size: str) -> Iterator[Measure]:
 
 @contextmanager
 def three_processes() -> Iterator[Measure]:
-    """Give a measure of steps per second of three processes that do nothing but play, over ipc."""
+    """Yield a measure of steps per second of three processes that only play, over ipc."""
     with _three(_MARIO, "ipc", "episode") as measure:
         yield measure
 
@@ -163,7 +163,7 @@ def _three(size: str, transport: str, verb: str) -> Iterator[Measure]:
 
 @contextmanager
 def _with_keys(size: str, verb: str) -> Iterator[Measure]:
-    """Give a measure like that of `_three`, over tcp, agent and environment with keys, by libzmq."""
+    """Yield a measure like that of `_three`, over tcp, with agent and environment using keys in libzmq."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         own, theirs = new_pair(), new_pair()
@@ -194,7 +194,7 @@ def _original(
 
 @contextmanager
 def listening(transport: str) -> Iterator[Hub]:
-    """Give a hub of this process, with an address of that transport."""
+    """Yield a hub of this process, with an address of `transport`."""
     with tempfile.TemporaryDirectory() as folder:
         address = f"ipc://{folder}/hub" if transport == "ipc" else "tcp://127.0.0.1:*"
         with Hub(HubConfig(bind=(address,), max_sessions=2048)).in_background() as hub:

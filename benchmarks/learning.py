@@ -1,4 +1,4 @@
-"""Stable-Baselines3's PPO learns a level of Infinite Mario: how many steps it takes, as table and picture.
+"""Steps that Stable-Baselines3's PPO takes to learn a level of Infinite Mario, as a table and a picture.
 
     pip install 'glue-rl[sb3,plot]'
     python -m benchmarks.learning --picture docs/images/sb3-level-121.png

@@ -1,4 +1,4 @@
-"""Steps per second of original programs through the gateway, beside the same over our own protocol."""
+"""Steps per second of original programs through the gateway, compared with our own protocol."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def _all_original(size: str) -> Iterator[Callable[[], float]]:
 
 @contextmanager
 def _gateway(size: str) -> Iterator[tuple[str, int]]:
-    """Give the URL, and the port, of a hub at which an original agent and environment are about to join."""
+    """Yield the URL and the port of a hub that an original agent and environment are about to join."""
     hub = Hub(HubConfig(bind=(_ADDRESS,)))
     (port,) = Gateway(hub, [LegacyPort(0, _SESSION)]).ports
     with hub.in_background():

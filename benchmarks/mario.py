@@ -1,4 +1,4 @@
-"""Infinite Mario: steps per second alone, through `glue.local` and in batches; start-up time."""
+"""Infinite Mario: steps per second directly, through `glue.local` and in batches; start-up time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from glue.engine.local import local
 from glue.roles import Agent
 from glue.types import Action, Observation
 
-# To run right and jump in four steps of every seven takes Mario through this level to its goal.
+# Running right and jumping in four of every seven steps takes Mario through this level to its goal.
 _LEVEL_SEED = 3
 _BUTTONS = [(1, int(i % 7 < 4), 1) for i in range(7)]
 _ACTIONS = [Action(ints=buttons) for buttons in _BUTTONS]
@@ -113,7 +113,7 @@ def _batched(games: int) -> Callable[[], float]:
                 for action in cycle(actions):
                     steps += games
                     ended = batch.step(action)[1]
-                    if ended[0]:  # and so have all: they do the same
+                    if ended[0]:  # and so have all, as they do the same
                         batch.start()
                         break
             return steps / (time.perf_counter() - began)

@@ -1,4 +1,4 @@
-"""What every measurement shares: repeats, medians, CPU time, tables."""
+"""The common parts of all measurements: repeats, medians, CPU time, tables."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ class Table:
 
 
 class Rate(NamedTuple):
-    """How fast something was: `per_second`, and `cpu`, the microseconds of all its processes for each."""
+    """A rate: items `per_second`, and `cpu`, the CPU time of all processes for an item in microseconds."""
 
     per_second: float
     cpu: float
 
 
 def rate(work: Callable[[], object], number: int, pids: Collection[int] = ()) -> Rate:
-    """Return how fast `work`, done by this process and by `pids`, does `number` things."""
+    """Return the rate at which `work`, done by this process and by `pids`, handles `number` items."""
     pids = {os.getpid(), *pids}
     used, began = _cpu_seconds(pids), time.perf_counter()
     work()
@@ -61,7 +61,7 @@ _T = TypeVar("_T")
 def interleaved(measures: Sequence[Callable[[], _T]], repeats: int = REPEATS) -> list[list[_T]]:
     """Return the results of each measure, all of them repeated in turn.
 
-    In turn, so that whatever else the machine does affects all alike, and their ratios hold.
+    In turn, so that other work on the machine affects all alike, and their ratios hold.
     """
     results: list[list[_T]] = [[] for _ in measures]
     for _ in range(repeats):

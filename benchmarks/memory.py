@@ -1,4 +1,4 @@
-"""Memory of hub and players over ten million steps, in half an hour: what is kept for a step would show."""
+"""Memory of hub and players over ten million steps, in half an hour: anything kept for a step would show."""
 
 from __future__ import annotations
 

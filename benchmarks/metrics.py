@@ -67,7 +67,7 @@ def run() -> list[Table]:
 
 
 def _seconds(learned: Path, directory: Path, metrics: MetricsPlan | None) -> float:
-    """Return the CPU time of the episodes after those that were learned from."""
+    """Return the CPU time of the episodes after the learning episodes."""
     shutil.copytree(learned, directory)
     with Store.open(directory) as store:
         store.extend(replace(_PLAN, episodes=_LEARNED + _MEASURED).expand())

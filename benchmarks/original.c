@@ -3,7 +3,7 @@
  *     cc -O2 -o original original.c
  *     original agent|environment|experiment PORT INTS DOUBLES CHARS
  *
- * They speak the original's binary format (docs/legacy.md) as its C codec does, two sends a frame included, so that
+ * They speak the original's binary format (docs/legacy.md) as its C codec does, with two sends per frame, so that
  * the same programs measure the original server and the gateway. The experiment reads lines `step N` or `episode N`
  * and answers each with the seconds that N steps took.
  */

@@ -32,7 +32,7 @@ compiler = shutil.which("cc")
 
 @contextmanager
 def original_server() -> Iterator[tuple[int, list[int]]]:
-    """Run the original server; give its port and its process."""
+    """Run the original server; yield its port and its process."""
     assert SERVER is not None
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]
@@ -46,7 +46,7 @@ def original_server() -> Iterator[tuple[int, list[int]]]:
 
 @contextmanager
 def through_the_gateway() -> Iterator[tuple[int, list[int]]]:
-    """Run a hub with a port for original programs, in this process; give the port."""
+    """Run a hub with a port for original programs, in this process; yield the port."""
     hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
     (port,) = Gateway(hub, [LegacyPort(0)]).ports
     with hub.in_background():
@@ -57,14 +57,14 @@ def through_the_gateway() -> Iterator[tuple[int, list[int]]]:
 def original_programs(
     port: int, servers: list[int], observation: Observation, verb: str, steps: int
 ) -> Iterator[Callable[[], Rate]]:
-    """Give a measure of steps per second of three C programs at a server's port.
+    """Yield a measure of steps per second of three C programs at a server's port.
 
     Args:
-        port: the server's.
-        servers: its processes, if they are not this one.
-        observation: what the environment shows.
+        port: the server's port.
+        servers: the server's processes, except this one.
+        observation: the environment's observation.
         verb: `episode` or `step`.
-        steps: of each measurement.
+        steps: number of steps of each measurement.
     """
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory())

@@ -1,9 +1,9 @@
-"""Environments of other projects, each in an interpreter that has it; GLUE_OTHERS names more of these.
+"""Environments of other projects, each in an interpreter that has it; GLUE_OTHERS names more interpreters.
 
     GLUE_OTHERS=/one/bin/python:/two/bin/python python -m benchmarks gym
 
-Started as a program, with the name of a case, this file knows nothing of ours: for each line that it reads it
-makes a number of steps, and answers with a line.
+Started as a program, with the name of a case, this file imports nothing of ours: for each line that it reads,
+it makes a number of steps and answers with a line.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ _CASES: dict[str, tuple[str, Callable[[], tuple[Callable[[], None], int]]]] = {
     "EnvPool's Pong-v5, 64 games, one thread": ("envpool", lambda: _envpool("Pong-v5", 64, 20)),
     "gym-super-mario-bros": ("gym_super_mario_bros", lambda: _super_mario(300)),
 }
-"""By name: the package that is needed, and what makes a number of steps."""
+"""By name: the required package, and a function that returns the work and its number of steps."""
 
 
 @contextmanager
 def other_environments() -> Iterator[dict[str, tuple[Callable[[], None], int, int]]]:
-    """Give the cases whose package some interpreter has: what to do, how many steps that is, and where."""
+    """Yield the cases whose package some interpreter has: the work, its number of steps, and the process."""
     interpreters = [sys.executable, *filter(None, os.environ.get("GLUE_OTHERS", "").split(":"))]
     started: list[subprocess.Popen[str]] = []
     found: dict[str, tuple[Callable[[], None], int, int]] = {}
@@ -81,7 +81,7 @@ def other_environments() -> Iterator[dict[str, tuple[Callable[[], None], int, in
 
 
 def _has(interpreter: str, package: str) -> bool:
-    """Return whether an interpreter has a package; it is not imported, which may take long."""
+    """Return whether an interpreter has a package, without importing it, which may take long."""
     look = f"import importlib.util, sys; sys.exit(importlib.util.find_spec({package!r}) is None)"
     return subprocess.run([interpreter, "-c", look], check=False).returncode == 0
 
@@ -107,7 +107,7 @@ def _read(process: subprocess.Popen[str]) -> str:
 def _serve(name: str) -> None:
     play, steps = _CASES[name][1]()
     answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what others print is no answer
+    os.dup2(2, 1)  # the output of other packages is no answer
     print(steps, file=answers, flush=True)
     for _ in sys.stdin:
         play()

@@ -1,4 +1,4 @@
-"""docs/performance.md: a head, then what each part has measured, and notes."""
+"""docs/performance.md: a head, then the measurements of each part, and notes."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ _MARK: Final = re.compile(r"^<!-- (\w+) -->\n", re.MULTILINE)
 
 
 def beside_other_work(measure: Callable[[], list[Table]]) -> tuple[list[Table], float]:
-    """Return what was measured, and the share of the processors' time that other processes had meanwhile."""
+    """Return the measurements, and the share of the processors' time that other processes had meanwhile."""
     began, busy, own = time.monotonic(), _busy_seconds(), sum(os.times()[:4])
     tables = measure()
     took, cpus = time.monotonic() - began, os.cpu_count() or 1
@@ -49,7 +49,7 @@ def beside_other_work(measure: Callable[[], list[Table]]) -> tuple[list[Table], 
 
 
 def section(name: str, tables: Iterable[Table], others: float) -> str:
-    """Return the section of a part, which says beside how much other work it was measured."""
+    """Return the section of a part, which states the share of other work during its measurement."""
     source = (
         f"Measured by `python -m benchmarks {name}`; other work had {100 * others:.0f} % of the processors."
     )
@@ -57,9 +57,9 @@ def section(name: str, tables: Iterable[Table], others: float) -> str:
 
 
 def merged(page: str, sections: Mapping[str, str]) -> str:
-    """Return `page` with `sections` in the place of those of the same names.
+    """Return `page` with `sections` in place of its sections of the same names.
 
-    What was measured on another machine, or with other versions, does not stay beside them.
+    Sections measured on another machine, or with other versions, are dropped.
     """
     before, kept = sections_of(page)
     there = {**(kept if before == head() else {}), **sections, "notes": NOTES.read_text("utf-8") + "\n"}
@@ -73,7 +73,7 @@ def sections_of(page: str) -> tuple[str, dict[str, str]]:
 
 
 def head() -> str:
-    """Return what the page begins with: the machine, and how to read the numbers."""
+    """Return the beginning of the page: the machine, and how to read the numbers."""
     return (
         "# Performance\n\n"
         "Written by `make bench`; repeat it on your own machine. `python -m benchmarks --write NAME` "
@@ -91,7 +91,7 @@ def head() -> str:
 
 
 def _busy_seconds() -> float:
-    """Return how long the processors have worked since the machine was started, all of them together."""
+    """Return the busy time of all processors together since the machine was started, in seconds."""
     user, nice, system, _, _, irq, softirq, *_ = map(
         int, Path("/proc/stat").read_text().split("\n")[0].split()[1:]
     )

@@ -1,4 +1,4 @@
-"""What people would pick instead: Gymnasium's AsyncVectorEnv and dm_env_rpc (extra `bench`).
+"""The likely alternatives: Gymnasium's AsyncVectorEnv and dm_env_rpc (extra `bench`).
 
 Each steps an environment in another process, with observations of Mario's size and without an agent: one
 round trip a step, where three programs on a hub need two.
@@ -18,11 +18,11 @@ import numpy as np
 from benchmarks.measure import Rate, rate
 
 _STEPS = 2000
-_NUMBERS = 44 + 23 + 44  # as many 8-byte numbers as an observation of Mario has bytes
+_NUMBERS = 44 + 23 + 44  # 8-byte numbers in place of an observation of Mario
 
 
 def installed(package: str) -> bool:
-    """Return whether a package is there to be measured."""
+    """Return whether a package is installed."""
     return importlib.util.find_spec(package) is not None
 
 
@@ -44,7 +44,7 @@ def _still() -> Any:
 
 @contextmanager
 def async_vector_env() -> Iterator[Callable[[], Rate]]:
-    """Give a measure of steps per second of one environment in Gymnasium's AsyncVectorEnv."""
+    """Yield a measure of steps per second of one environment in Gymnasium's AsyncVectorEnv."""
     from gymnasium.vector import AsyncVectorEnv
 
     environments = AsyncVectorEnv([_still])
@@ -64,7 +64,7 @@ def async_vector_env() -> Iterator[Callable[[], Rate]]:
 
 @contextmanager
 def dm_env_rpc_stream() -> Iterator[Callable[[], Rate]]:
-    """Give a measure of steps per second over dm_env_rpc's stream of gRPC messages."""
+    """Yield a measure of steps per second over dm_env_rpc's stream of gRPC messages."""
     from dm_env_rpc.v1 import connection, dm_env_rpc_pb2, tensor_utils
 
     command = [sys.executable, "-m", "benchmarks.peers"]

@@ -59,7 +59,7 @@ class Still(Agent):
 def serving(
     role: str, size: str, url: str, sessions: range = range(1), variables: Mapping[str, str] = os.environ
 ) -> Iterator[int]:
-    """Serve agents or environments of `sessions` from a process of their own, whose number is given."""
+    """Serve agents or environments of `sessions` from a process of their own; yield its id."""
     command = [sys.executable, "-m", "benchmarks.players", role, size, url]
     command += [str(sessions.start), str(sessions.stop)]
     process = subprocess.Popen(command, stderr=subprocess.DEVNULL, env=dict(variables))

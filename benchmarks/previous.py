@@ -1,7 +1,7 @@
-"""The previous version, measured beside this one.
+"""The previous version, measured for comparison with this one.
 
-GLUE_PREVIOUS names a folder with a checkout of it, with an environment in `.venv` to run it with; without it,
-nothing is measured.
+GLUE_PREVIOUS names a folder with a checkout of that version and its virtual environment in `.venv`; if it is
+not set, nothing is measured.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ with _many_sessions(int(sys.argv[1])) as measure:
 
 @contextmanager
 def previous_sessions(number: int) -> Iterator[Callable[[], Rate]]:
-    """Give a measure of steps per second of many sessions on one hub of the previous version."""
+    """Yield a measure of steps per second of many sessions on one hub of the previous version."""
     assert CHECKOUT is not None
     command = [str(CHECKOUT / ".venv/bin/python"), "-c", _MEASURE, str(number)]
     with subprocess.Popen(

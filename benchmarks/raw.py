@@ -1,6 +1,6 @@
 """Round trips without RL-Glue: plain sockets and pyzmq DEALER/ROUTER, with the bytes of one step.
 
-One end is a process of its own, as the players of an experiment are.
+One end is a separate process, like the players of an experiment.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _COUNT = 5000
 
 @contextmanager
 def zmq_round_trips(transport: str, size: int, reply_size: int) -> Iterator[Callable[[], Rate]]:
-    """Give a measure of round trips per second between a ROUTER here and a DEALER elsewhere."""
+    """Yield a measure of round trips per second between a ROUTER here and a DEALER in another process."""
     with (
         zmq.Context() as context,
         tempfile.TemporaryDirectory() as folder,
@@ -43,7 +43,7 @@ def zmq_round_trips(transport: str, size: int, reply_size: int) -> Iterator[Call
 
 @contextmanager
 def socket_round_trips(transport: str, size: int, reply_size: int) -> Iterator[Callable[[], Rate]]:
-    """Give a measure of round trips per second over one plain connection, `ipc` or `tcp`."""
+    """Yield a measure of round trips per second over one plain connection, `ipc` or `tcp`."""
     with tempfile.TemporaryDirectory() as folder, _listening(transport, folder) as server:
         name = server.getsockname()
         address = name if transport == "ipc" else f"{name[0]}:{name[1]}"

@@ -1,4 +1,4 @@
-"""Steps per second of many sessions on one hub, beside the previous version."""
+"""Steps per second of many sessions on one hub, compared with the previous version."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _COMPARED = 64
 _EACH = 100
 """Steps of an episode."""
 _TOTAL = 51_200
-"""Steps of a measurement, of all sessions together: a short one has a quiet moment."""
+"""Steps of a measurement, of all sessions together: a short one may fall into a quiet period."""
 _EPISODES = 3
-"""Of each session at least: one would measure how many experiments begin and end."""
+"""Minimum episodes of each session: a single one would measure the start and end of many experiments."""
 _SMALL, _ = SIZES
 
 
@@ -31,7 +31,7 @@ def run() -> list[Table]:
     rows = []
     with ExitStack() as stack:
         measures, memories = [], []
-        stack.enter_context(_many_sessions(1))  # what a process needs once is not a session's
+        stack.enter_context(_many_sessions(1))  # one-time needs of a process do not count as a session's
         for number in _SESSIONS:
             before = _resident()
             measures.append(stack.enter_context(_many_sessions(number)))

@@ -1,4 +1,4 @@
-"""What pages that are open cost a run, and one that looks on at a game: steps per second with and without."""
+"""The cost of open pages to a run, and of a page that shows a game: steps per second with and without."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from glue.errors import ExperimentError
 
 _PAGES: Final = 20
 _SECONDS: Final = 6.0
-"""Of each measurement."""
+"""Duration of each measurement."""
 _SETTLE_SECONDS: Final = 1.0
 _REFRESH_SECONDS: Final = 2.0
-"""As static/curves.js has it."""
+"""Interval between fetches, as in static/curves.js."""
 _GAME_SECONDS: Final = 8.0
 _GAME_TURNS: Final = 11
-"""Steps are counted when an episode ends, so that a short measurement is 2 % wrong for that alone."""
+"""Number of turns: steps are counted when an episode ends, which makes a short measurement 2 % wrong."""
 _COMMAND: Final = ("--env", "mario", "--agent", "random", "--episodes", "1000000", "--out", "runs/run")
 
 
@@ -58,7 +58,7 @@ def _pages() -> Table:
 
 
 def _game() -> Table:
-    """Measure a run at a hub: without a server, with one whose pages show no game, and with one that does."""
+    """Measure a run at a hub: without a server, with a server but no page, and with a page of the game."""
     rates: list[tuple[float, float, float]] = []
     with _running() as folder:
         directory = folder / "runs" / "run"
@@ -88,7 +88,7 @@ def _game() -> Table:
 
 @contextmanager
 def _running(*options: str) -> Iterator[Path]:
-    """Yield a folder in which a run goes on."""
+    """Yield a folder with a run in progress."""
     with tempfile.TemporaryDirectory() as made:
         command = [sys.executable, "-m", "experiment_runner.cli.experiment", *_COMMAND, *options]
         quiet = subprocess.DEVNULL
@@ -116,7 +116,7 @@ def _measure(folder: Path) -> tuple[list[float], list[float], int]:
 def _has_begun(directory: Path) -> bool:
     try:
         return _steps(directory) > 0
-    except ExperimentError:  # it is still being made
+    except ExperimentError:  # the run is still being created
         return False
 
 
@@ -135,7 +135,7 @@ def _steps(directory: Path) -> int:
 
 @contextmanager
 def _served(folder: Path) -> Iterator[tuple[int, str]]:
-    """A `glue-view`: its port, and the cookie that opens it."""
+    """Start a `glue-view`; yield its port, and the cookie that opens it."""
     command = [sys.executable, "-m", "experiment_runner.cli.view", "--port", "0", "--no-browser"]
     with subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, text=True) as process:
         try:
@@ -161,8 +161,8 @@ def _run_id(port: int, cookie: str) -> str:
 
 
 class _Page:
-    """A page of the run's curves: what static/stream.js and static/curves.js ask for, and as often; or a page
-    of its game."""
+    """A page of the run's curves, with the requests of static/stream.js and static/curves.js at their rate,
+    or a page of its game."""
 
     def __init__(self, port: int, cookie: str, topic: str = "runs") -> None:
         self._port = port
@@ -175,7 +175,7 @@ class _Page:
         self._thread.start()
 
     def close(self) -> int:
-        """End it; return how often it has fetched the curves."""
+        """Close the page; return the number of times that it has fetched the curves."""
         with suppress(OSError):
             self._stream.sock.shutdown(2)
         self._thread.join()

@@ -50,7 +50,7 @@ class SkeletonEnvironment(Environment):
         return pack(Saved("skeleton", {}, {}, {}))  # nothing outlives an episode
 
     def env_load(self, data: bytes) -> None:
-        if data:  # empty: saved by a version that had nothing to say
+        if data:  # empty: saved by an earlier version, which stored nothing
             unpack(data, "skeleton", {})
 
 
@@ -72,7 +72,7 @@ class MinesEnvironment(Environment):
     """A grid of 6 by 18 fields: reach the goal, step on no mine.
 
     The observation is the field, row by row (0..107); actions 0..3 go up, down, left, right, and a step
-    into the wall stays. The goal ends the episode with +10, a mine with -100; any other step costs 1.
+    into a wall does not move. The goal ends the episode with +10, a mine with -100; any other step costs 1.
     """
 
     def __init__(

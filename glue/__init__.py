@@ -1,8 +1,8 @@
-"""RL-Glue over ZeroMQ and msgpack: what agents, environments and experiments are written against.
+"""RL-Glue over ZeroMQ and msgpack: the library for writing agents, environments and experiments.
 
     from glue import Action, serve_agent
 
-The public names, listed in `glue.api`, are imported when the first of them is used, so that `import glue`
+The public names, listed in `glue.api`, are imported when one is first used, so that `import glue`
 costs nothing.
 """
 

@@ -1,4 +1,4 @@
-"""The public names of `glue`, each listed once; `glue/__init__.py` imports this module at their first use."""
+"""The public names of `glue`, each listed once; `glue/__init__.py` imports this module when needed."""
 
 from glue import taskspec as taskspec
 from glue.client.experiment import connect as connect

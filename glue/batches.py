@@ -1,9 +1,9 @@
 """Many environments in one session: observations, rewards and terminals of N games in one message.
 
-A batch is carried by an ordinary abstract type; docs/protocol.md has its layout, byte for byte. Environment
-and agent both offer the capability `batch`: see `BatchEnvironment` and `BatchAgent` in `glue.roles`. A game
-that is over begins its next episode at once, and shows the first observation of it. Of a game that was cut
-off, the last observation is in the batch as well, behind all others.
+An ordinary abstract type carries a batch; docs/protocol.md has its layout, byte for byte. Environment and
+agent both offer the capability `batch`: see `BatchEnvironment` and `BatchAgent` in `glue.roles`. A game that
+is over begins its next episode at once, and shows its first observation. For a game that was cut off, the
+last observation is in the batch as well, after all others.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from glue.types import CUT_OFF, PREFIX_SIZE, AbstractType, Action, Observation
 
 _VERSION: Final = "VERSION RL-Glue-Batch-1 "
 _HEAD: Final = re.compile(rf"{_VERSION}0*([1-9][0-9]{{0,8}})(?: |$)")
-"""More games would not fit into a message."""
+"""The start of a batch's task spec. N has at most 9 digits: more games would not fit into a message."""
 
 _COUNTS: Final = 3
 _PREFIX: Final = struct.Struct("<4I")
@@ -29,14 +29,14 @@ _INT: Final = np.dtype("<i4")
 _DOUBLE: Final = np.dtype("<f8")
 _CHAR: Final = np.dtype(np.uint8)
 _UNSIGNED: Final = np.dtype("<u4")
-"""Read so, a negative number is larger than any that is allowed: one comparison sees both limits."""
+"""The type that makes a negative number larger than any allowed one, so one comparison checks both limits."""
 
 _NO_REWARDS: Final = np.empty(0, _DOUBLE)
 _NO_TERMINALS: Final = np.empty(0, _INT)
 
 
 class Ragged(NamedTuple):
-    """Values of several games, one after the other: M of them, of which game `i` has `counts[i]`.
+    """Values of several games, one after the other: M of them, of which value `i` has `counts[i]`.
 
     Attributes:
         counts: ints, doubles and chars of each value, shape (M, 3), int32.
@@ -52,7 +52,7 @@ class Ragged(NamedTuple):
 
     @classmethod
     def of(cls, values: Sequence[AbstractType]) -> Ragged:
-        """Return `values` side by side."""
+        """Return `values`, concatenated."""
         counts = np.array([value.counts for value in values], np.int32).reshape(-1, _COUNTS)
         chars = np.frombuffer(b"".join([value.chars for value in values]), _CHAR)
         ints = [np.empty(0, np.int32), *(value.ints for value in values)]
@@ -75,7 +75,7 @@ class Batch(NamedTuple):
     Attributes:
         rewards: shape (N,), float64; zeros at the start.
         terminals: shape (N,), int32: 0, 1 for an end, 2 (CUT_OFF) for a cut-off.
-        observations: N observations, of the next episode where one has ended or was cut off; then the last
+        observations: N observations, each of the next episode if one has ended or was cut off; then the last
             observation of each game that was cut off, in the order of the games.
     """
 
@@ -85,7 +85,7 @@ class Batch(NamedTuple):
 
 
 def batch_task_spec(games: int, task_spec: str) -> str:
-    """Return the task spec of `games` games that each have the given one."""
+    """Return the task spec of `games` games, each with the given one."""
     return f"{_VERSION}{games} {task_spec}"
 
 
@@ -93,7 +93,7 @@ def read_batch_task_spec(text: str) -> tuple[int, str]:
     """Return the number of games, and the task spec of each.
 
     Raises:
-        RemoteProtocolError: it is not the task spec of a batch.
+        RemoteProtocolError: `text` is not the task spec of a batch.
     """
     head = _HEAD.match(text)
     if head is None:
@@ -111,7 +111,7 @@ def unpack_batch(observation: Observation) -> Batch:
     """Return the batch that an observation carries; its arrays are read-only views.
 
     Raises:
-        RemoteProtocolError: it carries none.
+        RemoteProtocolError: the observation carries no batch.
     """
     ints, doubles = observation.ints, observation.doubles
     games = int(ints[0]) if len(ints) else 0
@@ -127,7 +127,7 @@ def unpack_batch(observation: Observation) -> Batch:
 
 
 def pack_actions(actions: Ragged) -> Action:
-    """Return the actions of N games as one."""
+    """Return the actions of N games as one action."""
     return Action.from_body(_join(len(actions.counts), _NO_REWARDS, _NO_TERMINALS, actions))
 
 
@@ -135,7 +135,7 @@ def unpack_actions(action: Action, games: int) -> Ragged:
     """Return the actions of `games` games that an action carries; its arrays are read-only views.
 
     Raises:
-        RemoteProtocolError: it does not carry that many.
+        RemoteProtocolError: the action does not carry that many.
     """
     ints = action.ints
     if not len(ints) or ints[0] != games:
@@ -164,14 +164,14 @@ def _join(
 
 
 def _row(numbers: npt.NDArray[Any], dtype: np.dtype[Any]) -> memoryview:
-    """Return the bytes of an array, which is copied only if it has other numbers or gaps."""
+    """Return the bytes of an array, copied only if its type differs or it is not contiguous."""
     return np.ascontiguousarray(numbers, dtype).data
 
 
 def _split(
     ints: npt.NDArray[np.int32], doubles: npt.NDArray[np.float64], whole: AbstractType, values: int
 ) -> Ragged:
-    """Return `values` values, whose counts begin `ints`, and whose chars are those of `whole`."""
+    """Return `values` values: their counts come first in `ints`, and their chars are those of `whole`."""
     size = _COUNTS * values
     if len(ints) < size:
         raise RemoteProtocolError(f"a batch of {values} values has {size} counts; {len(ints)} ints are left")

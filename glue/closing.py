@@ -14,7 +14,7 @@ class Closing(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Release what is held."""
+        """Release the resources held."""
 
     def __enter__(self) -> Self:
         return self

@@ -1,4 +1,4 @@
-"""Lines for people: printed to standard error, so that standard output carries results alone."""
+"""Lines for people, printed to standard error so that standard output carries only results."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from contextvars import ContextVar
 from typing import Final
 
 _CALLERS: Final = frozenset({"glue", "experiment_runner"})
-"""Packages that call the code of users."""
+"""Packages that call users' code."""
 
 LOG: Final = logging.getLogger("glue.client")
-"""Log of the clients of a hub: whether one is there, and which sessions a player is in."""
+"""Log of a hub's clients: whether the hub can be reached, and which sessions a player is in."""
 
 
 @contextmanager
@@ -29,7 +29,7 @@ def errors_only() -> Iterator[None]:
 
 
 def say(line: str) -> None:
-    """Print a line to standard error, at once and in one piece: several threads may print."""
+    """Print a line to standard error, at once and in one piece, because several threads may print."""
     print(f"{line}\n", end="", file=sys.stderr, flush=True)
 
 
@@ -42,7 +42,7 @@ _printed_by_others: Final[ContextVar[bool]] = ContextVar("printed_by_others", de
 
 @contextmanager
 def reporting(report: _Report) -> Iterator[None]:
-    """Pass lines of `say_why_slow` on to `report`, too, within a `with` statement and in this thread."""
+    """Also pass lines of `say_why_slow` to `report`, within a `with` statement and in this thread."""
     token = _report.set(report)
     try:
         yield
@@ -51,12 +51,12 @@ def reporting(report: _Report) -> Iterator[None]:
 
 
 def leave_printing_to_others() -> None:
-    """Do not print reported lines, in this thread: whoever waits prints them on the same terminal."""
+    """Do not print reported lines in this thread: the waiting program prints them on the same terminal."""
     _printed_by_others.set(True)
 
 
 def say_why_slow(line: str) -> None:
-    """Print a line that says why an answer will take long, and report it to whoever waits."""
+    """Print a line that says why an answer will take long, and report it to the waiting program."""
     report = _report.get()
     if report is None or not _printed_by_others.get():
         say(line)

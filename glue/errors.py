@@ -56,7 +56,7 @@ class PeerLost(GlueError):
 
 
 class PeerFailed(GlueError):
-    """An agent or environment raised an exception, or broke the protocol; the run cannot go on."""
+    """An agent or environment raised an exception, or broke the protocol; the run cannot continue."""
 
 
 class Unsupported(GlueError):

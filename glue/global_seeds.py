@@ -1,6 +1,6 @@
 """Python's and NumPy's global generators, seeded for a player that takes no seed of its own.
 
-Nothing in this project draws from them. A user's agent or environment may, and is repeatable then.
+Nothing in this project draws from them. A user's agent or environment may, and is then repeatable.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def globals_restored() -> Iterator[None]:
 
 
 def take_seeds(player: Any) -> None:
-    """Give an agent or environment that has no `agent_seed` or `env_seed` one that seeds the generators."""
+    """Give an agent or environment without `agent_seed` or `env_seed` a method that seeds the generators."""
     for prefix in ("agent", "env"):
         if callable(getattr(player, f"{prefix}_start", None)) and not hasattr(player, f"{prefix}_seed"):
             try:

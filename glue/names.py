@@ -1,4 +1,4 @@
-"""Notice packages of other distributions that are called as ours are: see `glue_rl`."""
+"""Detect packages of other distributions that have the names of ours; see `glue_rl`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _HOME: Final = os.path.dirname(os.path.dirname(os.path.realpath(__file__)))
 
 
 def others(folders: Iterable[str]) -> dict[str, str]:
-    """Return the file of the first package in `folders` with a name of ours, by name, if it is not ours."""
+    """Return the file of the first foreign package in `folders` with a name of ours, for each such name."""
     found: dict[str, str] = {}
     for folder in folders:
         if os.path.realpath(folder) == _HOME:

@@ -7,7 +7,7 @@ are given where it is declared:
     class Walk:
         def __init__(self, *, length: Annotated[int, Option("number of states", low=2)] = 21): ...
 
-Classes with many options that others derive from list them once, as a dataclass:
+Base classes with many options list them once, as a dataclass:
 
     class Walk:
         @dataclass(kw_only=True)
@@ -89,7 +89,7 @@ class Parameter:
         return self.check(value)
 
     def check(self, value: Value) -> Value:
-        """Return `value`, an int widened where a float is expected.
+        """Return `value`, with an int converted where a float is expected.
 
         Raises:
             ConfigError: the value is of another type or out of bounds.
@@ -147,7 +147,7 @@ def build(factory: type, options: Mapping[str, Value]) -> Any:
 
 
 def parse_assignments(factory: type, assignments: Iterable[str]) -> dict[str, Value]:
-    """Return the options that texts such as `level_difficulty=1` name, parsed by `factory`'s types.
+    """Return the options named by texts such as `level_difficulty=1`, parsed by `factory`'s types.
 
     Raises:
         ConfigError: a text has no `=`, or names an unknown option, or its value does not fit.
@@ -179,7 +179,7 @@ def _parse_bool(text: str) -> bool:
 
 def _hints(factory: type) -> dict[str, Any]:
     try:
-        # Of a dataclass the class itself: the annotations of __init__ are texts from several modules.
+        # For a dataclass, the class itself: the annotations of its __init__ are texts from several modules.
         declared = getattr(factory, "Options", None) or inspect.getattr_static(factory, "__init__")
         return typing.get_type_hints(declared, include_extras=True)
     except NameError as error:

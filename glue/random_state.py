@@ -1,4 +1,4 @@
-"""A generator's state as bytes, so that what is saved continues with the same random numbers."""
+"""A generator's state as bytes, so that a saved player continues with the same random numbers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def load_generator(data: bytes) -> np.random.Generator:
     """Return the generator that `save_generator` saved.
 
     Raises:
-        SaveError: `data` is not of GENERATOR_SIZE bytes, or is not the state of any generator.
+        SaveError: `data` does not have GENERATOR_SIZE bytes, or is not the state of a generator.
     """
     if len(data) != GENERATOR_SIZE:
         raise SaveError(f"a saved generator has {GENERATOR_SIZE} bytes; received {len(data)}")

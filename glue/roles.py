@@ -1,8 +1,8 @@
-"""Agents and environments: what a user writes, with RL-Glue's own names.
+"""Agents and environments: the classes that a user writes, with RL-Glue's own names.
 
 A class derives from `Agent` or `Environment` and overrides what it needs; the methods without a default are
-abstract. A class that derives from neither will do as well, if it has those methods (`AgentLike`,
-`EnvironmentLike`). Everything beyond them is a *capability*: a class offers it by having its methods (see
+abstract. A class that derives from neither works as well, if it has those methods (`AgentLike`,
+`EnvironmentLike`). Everything beyond them is a *capability*, which a class offers by having its methods (see
 `CAPABILITIES`).
 Source of names and meaning: RL-Glue 3.0.
 """
@@ -53,7 +53,7 @@ class Agent(ABC):
 
     @abstractmethod
     def agent_start(self, observation: Observation) -> Action:
-        """Begin an episode; return the first action. An unfinished episode before it was truncated."""
+        """Begin an episode; return the first action. An unfinished previous episode was truncated."""
 
     @abstractmethod
     def agent_step(self, reward: float, observation: Observation) -> Action:
@@ -73,7 +73,7 @@ class Agent(ABC):
 
 
 class EnvironmentLike(Protocol):
-    """The methods that an environment has to have, whatever its base class."""
+    """The methods that an environment must have, whatever its base class."""
 
     def env_init(self) -> str: ...
 
@@ -83,7 +83,7 @@ class EnvironmentLike(Protocol):
 
 
 class AgentLike(Protocol):
-    """The methods that an agent has to have, whatever its base class."""
+    """The methods that an agent must have, whatever its base class."""
 
     def agent_start(self, observation: Observation) -> Action: ...
 
@@ -107,7 +107,7 @@ class SeedableAgent(Protocol):
 
 
 class SaveableEnvironment(Protocol):
-    """Capability `save`: what outlives an episode can be saved and restored."""
+    """Capability `save`: the state that outlives an episode can be saved and restored."""
 
     def env_save(self) -> bytes:
         """Return everything that later episodes depend on. Called between episodes."""
@@ -123,7 +123,7 @@ class SaveableEnvironment(Protocol):
 
 
 class SaveableAgent(Protocol):
-    """Capability `save`: what was learned can be saved and restored."""
+    """Capability `save`: the learned state can be saved and restored."""
 
     def agent_save(self) -> bytes:
         """Return everything that later episodes depend on: values, generator, counters. Not a pickle."""
@@ -145,7 +145,7 @@ class MetricAgent(Protocol):
         """Return the current value of each metric by name, without changing the agent.
 
         It is called between episodes, and during one when the experiment asks for it. The numbers should
-        depend only on what `agent_save` saves and on the episode under way or last finished: then an
+        depend only on what `agent_save` saves and on the episode under way or last finished, so that an
         interrupted run has the metrics of an undisturbed one. A name has 1 to 64 characters, without line
         breaks.
         """
@@ -153,7 +153,7 @@ class MetricAgent(Protocol):
 
 
 class BatchEnvironment(Protocol):
-    """Capability `batch`: the environment is many games; each observation carries a batch of them.
+    """Capability `batch`: the environment is many games; each of its observations carries a batch.
 
     See `glue.batches`. env_step returns the sum of the rewards, and is never terminal.
     """
@@ -164,7 +164,7 @@ class BatchEnvironment(Protocol):
 
 
 class BatchAgent(Protocol):
-    """Capability `batch`: the agent acts in many games at once; its actions carry one for each game."""
+    """Capability `batch`: the agent acts in many games at once; each of its actions carries one per game."""
 
     def agent_batch(self) -> int:
         """Return the number of games in which it can act at once; 0 for any number."""
@@ -197,7 +197,7 @@ def capabilities(player: object) -> tuple[str, ...]:
 
 
 class _Completed:
-    """A player with the methods that its own class leaves out."""
+    """A player completed with the methods that its class leaves out."""
 
     def __init__(self, player: Any, base: type, missing: list[str]) -> None:
         self.__wrapped__ = player
@@ -209,7 +209,7 @@ class _Completed:
 
 
 def completed(player: Any, base: type) -> Any:
-    """Return `player` with the optional methods of its role; those that it lacks do what the base class's do.
+    """Return `player` with all optional methods of its role; those it lacks come from the base class.
 
     Args:
         player: an agent or environment of any class.

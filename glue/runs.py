@@ -1,7 +1,7 @@
-"""Load the results of experiments, through the entry point that the package which stores them registers.
+"""Load the results of experiments, through an entry point of the package that stores them.
 
-The group is `glue.runs`, its one entry `load_run`: so users write `glue.load_run`, and glue imports no
-experiment.
+The group is `glue.runs`, and its only entry `load_run`. Thus users write `glue.load_run`, and glue does not
+import that package.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class RunData(Mapping[str, npt.NDArray[Any]]):
     environment.NAME            empty, and any other value NaN (such a column is of floats)
 
     Attributes:
-        directory: of the run.
+        directory: the run's directory.
     """
 
     directory: Path
@@ -62,7 +62,7 @@ class RunData(Mapping[str, npt.NDArray[Any]]):
 
 
 def load_run(directory: str | os.PathLike[str]) -> RunData:
-    """Return the episodes of a run directory, as far as they are recorded.
+    """Return the episodes recorded so far in a run directory.
 
     Args:
         directory: written by glue-experiment (its --out), glue-results merge or glue-paper. The run may

@@ -1,4 +1,4 @@
-"""Saved agents and environments as bytes, and back. No pickle: numbers, and arrays of numbers.
+"""Saved agents and environments as bytes, and back. Not pickled: only numbers, and arrays of numbers.
 
     offset  0   8 bytes    magic, GLUEAGNT
     offset  8   uint32     version of this format, 1
@@ -7,8 +7,8 @@
     then        arrays     one after another, nothing in between
     at the end  32 bytes   SHA-256 of all before it
 
-Everything is little-endian, and equal contents give equal bytes. Magic and field names are as they were
-when only agents were saved like this; `agent` is the name of the agent or environment.
+Everything is little-endian, and equal contents give equal bytes. The magic and the field names date from when
+only agents could be saved; `agent` is the name of the agent or environment.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Saved:
 
     Attributes:
         player: its name.
-        settings: the options that the rest depends on.
+        settings: the options that the numbers and arrays depend on.
         numbers: generator state and counters, 0 to 2**64 - 1.
         arrays: one-dimensional arrays of uint64, int64, float64 or int8.
     """
@@ -59,7 +59,7 @@ class Saved:
         """Return a number by name.
 
         Raises:
-            SaveError: it is missing or above `high`.
+            SaveError: the number is missing or above `high`.
         """
         number = self.numbers.get(name)
         if number is None or number > high:
@@ -72,7 +72,7 @@ class Saved:
         """Return an array by name. Floats are always finite.
 
         Raises:
-            SaveError: it is missing, of another type, or an element is not from `low` to `high`.
+            SaveError: the array is missing or of another type, or an element is not from `low` to `high`.
         """
         array = self.arrays.get(name)
         if array is None or array.dtype != dtype:
@@ -84,10 +84,10 @@ class Saved:
         return array
 
     def generator(self) -> np.random.Generator:
-        """Return the random generator of which `generator_array` was saved as the array `generator`.
+        """Return the random generator that was saved by `generator_array` as the array `generator`.
 
         Raises:
-            SaveError: it is missing or has an impossible state.
+            SaveError: the array is missing or has an impossible state.
         """
         return load_generator(self.array("generator", np.int8).tobytes())
 
@@ -116,7 +116,7 @@ def unpack(data: bytes, player: str, settings: Mapping[str, Setting]) -> Saved:
     """Return the state packed by `pack`, for a player of this name and these settings.
 
     Raises:
-        SaveError: it is too long, damaged, of another version, player or settings.
+        SaveError: `data` is too long, damaged, or of another version, player or settings.
     """
     if len(data) > _MAX_SIZE:
         raise SaveError(f"a save has at most {_MAX_SIZE} bytes; received {len(data)}")
@@ -139,7 +139,7 @@ def unpack(data: bytes, player: str, settings: Mapping[str, Setting]) -> Saved:
 
 
 def is_packed(data: bytes) -> bool:
-    """Return whether `data` begins like the result of `pack`; some players were saved differently once."""
+    """Return whether `data` begins like the result of `pack`; some players used to be saved differently."""
     return data.startswith(_MAGIC)
 
 
@@ -149,15 +149,15 @@ def generator_array(generator: np.random.Generator) -> npt.NDArray[np.int8]:
 
 
 def pack_generator(player: str, generator: np.random.Generator) -> bytes:
-    """Return the save of a player that keeps nothing but its random generator."""
+    """Return the save of a player whose only state is its random generator."""
     return pack(Saved(player, {}, {}, {"generator": generator_array(generator)}))
 
 
 def unpack_generator(data: bytes, player: str) -> np.random.Generator:
-    """Return the generator that `pack_generator` packed, or that an older version saved as it was.
+    """Return the generator that `pack_generator` packed, or that an older version saved without packing it.
 
     Raises:
-        SaveError: it is damaged, or of another player.
+        SaveError: `data` is damaged, or of another player.
     """
     return unpack(data, player, {}).generator() if is_packed(data) else load_generator(data)
 

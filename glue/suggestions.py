@@ -14,8 +14,8 @@ _MAX_LISTED: Final = 30
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Return the end of a message about an unknown word, such as `; did you mean sarsa?`.
 
-    Without a near miss it lists what is known, such as `; choose from mines, skeleton`. It is
-    empty if nothing is known.
+    Without a near miss, list the known words, such as `; choose from mines, skeleton`; the
+    result is empty if there are none.
     """
     known = list(known)
     likeness = {other: _likeness(word, other) for other in known}

@@ -27,7 +27,7 @@ import numpy.typing as npt
 from glue.errors import LocalProtocolError, RemoteProtocolError
 
 CUT_OFF: Final = 2
-"""The terminal on the wire of a step that cut the episode off: true, but no terminal state."""
+"""The terminal, on the wire, of a step that cut the episode off: true, but the state is not terminal."""
 
 IntArray = npt.NDArray[np.int32]
 DoubleArray = npt.NDArray[np.float64]
@@ -50,7 +50,7 @@ class AbstractType:
 
     Raises:
         LocalProtocolError: an int is not a whole number of 32 bits, a double is not a number of 64 bits, or
-            one of the three is not a one-dimensional sequence of such.
+            one of the three is not a one-dimensional sequence of these.
 
     Two values are equal when their bytes are: 0.0 differs from -0.0, and a NaN equals itself.
     """
@@ -269,12 +269,12 @@ class Step(NamedTuple):
 
 
 _TRUTH: Final = (int, np.bool_, np.integer)
-"""Types that `terminal` may have: RL-Glue's own was an int, and a bool is one."""
+"""Types that `terminal` may have: RL-Glue's own was an int, and a bool is an int."""
 
 
 _NO_ACTION: Final = Step._field_defaults["action"]
 _step: Final = tuple.__new__
-"""Makes a named tuple at half the cost of calling its class."""
+"""Constructor of a named tuple, at half the cost of calling its class."""
 
 
 def arrays_of(value: AbstractType) -> dict[str, npt.NDArray[Any]]:
@@ -291,13 +291,13 @@ def step_of(environment: object, answer: Any) -> Step:
     if type(answer) is Step:
         reward, observation, terminal, truncated, _ = answer
         if type(reward) is float and type(terminal) is bool and truncated is False:
-            return answer  # as nearly always
+            return answer  # the usual case
     else:
         reward, observation, terminal = answer
         if terminal is False and type(reward) is float:
-            return _step(Step, (reward, observation, False, False, _NO_ACTION))  # as nearly always
+            return _step(Step, (reward, observation, False, False, _NO_ACTION))  # the usual case
         truncated = type(terminal) is int and terminal == CUT_OFF
-        asked = getattr(environment, "env_truncated", None)  # the older way to say so
+        asked = getattr(environment, "env_truncated", None)  # the older way to report a truncation
         if terminal and not truncated and callable(asked):
             truncated = asked()
     if not isinstance(terminal, _TRUTH):

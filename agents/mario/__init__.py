@@ -1,1 +1,1 @@
-"""Agents of Infinite Mario, and what all of them see of it."""
+"""Agents for Infinite Mario, and their common perception of it."""

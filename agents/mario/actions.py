@@ -1,7 +1,7 @@
 """The primitive actions of Infinite Mario, by number.
 
-An action is a direction, whether to jump and whether to run, held for one step. There are twelve; to
-Mohan (2010) they are the keystroke-level operators (KLO).
+An action is a direction, whether to jump and whether to run, held for one step. There are twelve;
+Mohan (2010) calls them keystroke-level operators (KLO).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""The memory of the agent `best` for one world: how it reached places, and its best episode.
+"""The memory of the agent `best` for one world: its ways to places, and its best episode.
 
 A place is a cell: a column of tiles, a pair of rows, and Mario's kind (small, big, fiery). For every
 cell the archive keeps the actions that led to it with the highest return. In a deterministic task they
-are the way back, and their return is exactly the best known value of getting there.
+are the way back, and their return is exactly the best known value of reaching the cell.
 Source: Ecoffet, Huizinga, Lehman, Stanley and Clune (2021), First return, then explore.
 """
 
@@ -31,7 +31,7 @@ Place = tuple[float, float]
 
 @dataclass(slots=True)
 class Cell:
-    """How to get to a cell: the actions, their return, where they end, and how often they were used."""
+    """A way to a cell: its actions, their return, the place where they end, and the number of their uses."""
 
     actions: bytes
     value: float
@@ -44,7 +44,7 @@ class Trajectory:
 
     Args:
         actions: the numbers of its N actions.
-        places: where Mario was when he chose each, shape (N, 2), in tiles.
+        places: Mario's place before each of them, shape (N, 2), in tiles.
         episode_return: the sum of its rewards.
     """
 
@@ -57,7 +57,7 @@ class Trajectory:
         return len(self.actions)
 
     def place(self, step: int) -> Place:
-        """Return where Mario was before the action of a step."""
+        """Return Mario's place before the action of a step."""
         x, y = self.places[step].tolist()
         return x, y
 
@@ -75,7 +75,7 @@ class Archive:
         self.finished = False
 
     def note(self, kind: int, place: Place, value: float, actions: bytearray) -> None:
-        """Remember how Mario, of this kind, reached a place, unless a better way is known."""
+        """Remember the way by which Mario, of this kind, reached a place, unless a better one is known."""
         x, y = place
         key = (math.floor(x), math.floor(y / _ROWS), kind)
         cell = self.cells.get(key)
@@ -87,7 +87,7 @@ class Archive:
         self.cells[key] = Cell(bytes(actions), value, place)
 
     def arrays(self) -> Arrays:
-        """Return everything as arrays, to be saved."""
+        """Return everything as arrays for saving."""
         cells = list(self.cells.values())
         best = self.best or Trajectory(b"", np.empty((0, 2)), 0.0)
         return {
@@ -105,10 +105,10 @@ class Archive:
 
     @classmethod
     def of(cls, saved: Saved) -> Self:
-        """Return the archive of which `arrays` returned these.
+        """Return the archive whose `arrays` were saved.
 
         Raises:
-            SaveError: it cannot have been.
+            SaveError: `saved` cannot come from `arrays`.
         """
         archive = cls()
         keys = _rows(saved, "keys", np.int64, 3).tolist()

@@ -1,10 +1,10 @@
 """The agent `best`: it returns to promising places, explores there, and continues as its best episode did.
 
-Infinite Mario is deterministic, and every episode replays the same level, so whatever was done once can
+Infinite Mario is deterministic, and every episode replays the same level, so any series of actions can
 be repeated. An episode of this agent has four parts:
 
-    settle   run left for four steps, to the edge of the world: whatever buttons are still pressed from
-             the previous episode, this one now begins in the same state
+    settle   run left for four steps, to the edge of the world: the episode then begins in the same state,
+             regardless of the buttons still pressed from the previous one
     return   repeat the actions that once led to a remembered place
     explore  hold random actions, each for a few steps
     resume   continue as the best episode did from the place nearest to Mario; again whenever Mario
@@ -12,17 +12,17 @@ be repeated. An episode of this agent has four parts:
 
 Until some episode has ended with a reward, it returns to cells near the farthest one and explores to
 the end of the episode. From then on it returns to any step of the best episode, or to any cell, and
-explores only briefly: the gain is kept if the resumed rest is as good as it was.
+explores only briefly: the gain is kept if the resumed rest is as good as before.
 
 In terms of Sutton and Barto this is Monte Carlo control with exploring starts in a deterministic
 task, where one return is not a sample but the value itself, so a maximum replaces the average: the
-value of a cell is the highest return with which it was reached, that of the policy the highest of an
-episode. Resuming means acting by that policy in states never seen, generalising from the nearest one
-seen. An episode explores with probability epsilon * (1 - (n / N)**3), n being the number of episodes
+value of a cell is the highest return with which it was reached, and that of the policy is the highest
+return of an episode. Resuming means acting by that policy in unseen states, generalising from the nearest
+seen state. An episode explores with probability epsilon * (1 - (n / N)**3), n being the number of episodes
 before it; otherwise it repeats the best one.
 
 The agent sees only observations and rewards. If the actions to a remembered place lead elsewhere, the
-world has changed, and the agent starts again.
+world has changed, and the agent starts over.
 
 Sources: Mohan (2010), for the primitive actions; J. Asmuth (2009), the sample agent of the
 RL-Competition, which repeats the last episode except for its end; Ecoffet et al. (2021), First return,
@@ -59,8 +59,8 @@ _FADING: Final = 3
 # Where to explore. Distances are in tiles.
 _FRONTIER: Final = 0.8  # chance of the frontier while no episode has ended with a reward
 _DEPTH: Final = 8.0  # mean distance of the cells from the farthest one, at the frontier
-_STRAYED: Final = 1.0  # distance from a path, by the sum of both, from which on Mario has strayed
-_MAX_RESUMED: Final = 30  # times that an episode resumes at most, or Mario might go in circles
+_STRAYED: Final = 1.0  # distance from a path, x plus y, beyond which Mario has strayed
+_MAX_RESUMED: Final = 30  # maximum number of times that an episode resumes, or Mario might go in circles
 
 # How to explore: the chances of the three buttons.
 _AHEAD: Final = 0.87  # right, at the frontier
@@ -146,7 +146,7 @@ class BestAgent(MarioAgent):
             archive.best = Trajectory(bytes(self._actions), np.array(self._places), self._return)
 
     def agent_message(self, message: str) -> str:
-        """Answer `best`, the highest return of an episode, `cells`, how many are known, and `epsilon`."""
+        """Answer `best`, the highest return of an episode, `cells`, the number known, and `epsilon`."""
         if message == "best":
             found = [archive.best.episode_return for archive in self._worlds.values() if archive.best]
             return repr(max(found)) if found else "none"
@@ -167,10 +167,10 @@ class BestAgent(MarioAgent):
         return pack(Saved(self.name, {}, {"episodes": self._episodes}, arrays))
 
     def agent_load(self, data: bytes) -> None:
-        """Continue from what `agent_save` returned; the options stay this agent's own.
+        """Continue from a state that `agent_save` returned; this agent keeps its own options.
 
         Raises:
-            SaveError: it is damaged, or of another agent.
+            SaveError: `data` is damaged, or of another agent.
         """
         saved = unpack(data, self.name, {})
         generator, episodes = saved.generator(), saved.number("episodes")
@@ -187,9 +187,9 @@ class BestAgent(MarioAgent):
         self._remember(np.random.default_rng(self._seed), 0, {})
 
     def _remember(self, generator: np.random.Generator, episodes: int, worlds: dict[int, Archive]) -> None:
-        """Set what outlives an episode.
+        """Set the state that outlives an episode.
 
-        An archive is identified by what is seen when Mario has settled; there is only one, unless he is
+        An archive is identified by the observation after settling; there is only one, unless Mario is
         too slow to reach the edge of the world in time.
         """
         self._generator = generator
@@ -225,7 +225,7 @@ class BestAgent(MarioAgent):
         return ACTIONS[action]
 
     def _enter(self, digest: int) -> None:
-        """Recall the world that begins like this, and plan the episode."""
+        """Recall the world that begins with this digest, and plan the episode."""
         archive = self._worlds.get(digest, Archive())
         if self._learning:
             if digest not in self._worlds and len(self._worlds) == _MAX_WORLDS:
@@ -262,7 +262,7 @@ class BestAgent(MarioAgent):
         return _Plan(best.actions[:step], best.place(step), burst)
 
     def _pick(self, cells: Iterable[Cell], power: float) -> Cell:
-        """Draw a cell, more likely one that was used less."""
+        """Draw a cell; less used cells are more likely."""
         candidates = list(cells)
         weights = np.cumsum([(1 + cell.tries) ** -power for cell in candidates])
         cell = candidates[int(np.searchsorted(weights, self._generator.random() * weights[-1], "right"))]

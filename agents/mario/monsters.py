@@ -1,4 +1,4 @@
-"""Monsters as objects: which is which from one observation to the next, how they move, which are threats.
+"""Monsters as objects: their identity from one observation to the next, their motion, and the threats.
 
 Source: Mohan (2010), sections 5 and 6; thresholds from the author's Soar agents of 2010 and 2012.
 """
@@ -24,12 +24,12 @@ from glue.compiled.jit import jit
 THREATS_2010: Final = (-3, 4, -6, 5)
 """Area in which a monster is a threat: left, right, below, above, in tiles; the author's agents of 2010."""
 THREATS_2012: Final = (-4, 6, -2, 5)
-"""The same in the author's agent of 2012."""
+"""The same area in the author's agent of 2012."""
 
 
 @jit
 def forget_monsters(scene: Scene) -> None:
-    """Begin an episode: no monster is known."""
+    """Forget all monsters, at the beginning of an episode."""
     scene.monster_count = 0
 
 

@@ -65,7 +65,7 @@ def _find_coins_and_questions(scene: Scene) -> None:
 
 @jit
 def coin_is_reachable(dx: int, dy: int) -> bool:
-    """Return whether Mario can get at a coin this many tiles away."""
+    """Return whether Mario can reach a coin this many tiles away."""
     return -1 <= dx <= 1 and 0 <= dy <= 3
 
 
@@ -93,7 +93,7 @@ def platform_is_reachable(start: int, end: int, row: int, screen: Screen) -> boo
 
 @jit
 def _find_platforms(scene: Scene) -> None:
-    """List the reachable platforms; one that leaves the view on either side does not count."""
+    """List the reachable platforms, except those that leave the view on either side."""
     screen = scene.screen
     scene.platform_count = 0
     for row in range(ROWS):
@@ -154,7 +154,7 @@ def _is_open(screen: Screen, k: int) -> bool:
 
 @jit
 def pit_is_dangerous(start: int, end: int) -> bool:
-    """Return whether a pit from `start` to `end` tiles to the right is one that Mario is about to enter."""
+    """Return whether Mario is about to enter a pit from `start` to `end` tiles to the right."""
     return start <= 2 and end >= 0
 
 
@@ -163,7 +163,7 @@ def pit_is_dangerous(start: int, end: int) -> bool:
 
 @jit
 def tile_above(screen: Screen) -> int:
-    """Return the tile that a jump from the floor below Mario runs into: four rows above that floor."""
+    """Return the tile that a jump from the floor below Mario would hit: four rows above that floor."""
     for row in range(min(screen.row, ROWS) - 1, -1, -1):
         if tile(screen, screen.column, row) == SOLID:
             return tile(screen, screen.column, row + 4)

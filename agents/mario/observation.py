@@ -30,7 +30,7 @@ COLUMNS: Final = 21
 MAX_SPRITES: Final = 512
 
 OUTSIDE: Final = 0
-"""The tile of a place that is not in view."""
+"""The tile of a place outside the view."""
 BLANK: Final = ord(" ")
 MARIO: Final = ord("M")
 FINISH: Final = ord("!")
@@ -150,7 +150,7 @@ class Seen(NamedTuple):
     kinds    kind of each sprite, Mario first
     winged   whether each sprite has wings
     doubles  x, y and both speeds of each sprite, one after the other
-    chars    the tiles as they were sent, Mario among them
+    chars    the tiles as they were sent, including Mario
     """
 
     camera: int
@@ -164,7 +164,7 @@ def decode(observation: Observation) -> Seen:
     """Return an observation in plain Python.
 
     Raises:
-        RemoteProtocolError: it is not one of Infinite Mario.
+        RemoteProtocolError: the observation is not one of Infinite Mario.
     """
     _end_of_doubles(observation)
     camera, *sprites = observation.ints.tolist()
@@ -190,7 +190,7 @@ def glimpse(observation: Observation) -> tuple[int, tuple[float, float], bytes]:
 
 
 def _end_of_doubles(observation: Observation) -> int:
-    """Return where in the body the doubles end and the ints begin, if the counts are those of Mario."""
+    """Return the offset in the body at which the doubles end, if the counts are those of Mario."""
     ints, doubles, chars, _ = _COUNTS.unpack_from(observation.body)
     if not 4 <= doubles <= 4 * MAX_SPRITES or doubles % 4 or 2 * ints != doubles + 2 or chars != CHARS:
         raise malformed(observation)
@@ -198,7 +198,7 @@ def _end_of_doubles(observation: Observation) -> int:
 
 
 def malformed(observation: Observation) -> RemoteProtocolError:
-    """Return the error that says why `read` refused an observation."""
+    """Return the error for an observation that `read` refused."""
     ints, doubles, chars = observation.counts
     expected = f"1 + 2 M ints, 4 M doubles below 2**31 and {CHARS} chars, for M = 1 to {MAX_SPRITES} sprites"
     return RemoteProtocolError(

@@ -1,4 +1,4 @@
-"""Options that several agents for Infinite Mario have: how Mohan (2010) learns, and the seed."""
+"""Options of several agents for Infinite Mario: the learning parameters of Mohan (2010), and the seed."""
 
 from __future__ import annotations
 

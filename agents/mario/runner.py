@@ -11,7 +11,7 @@ _RUN_AND_JUMP: Final = Action(ints=[1, 1, 1])
 
 
 class RunRightAgent(Agent):
-    """Runs to the right and jumps, always; it learns nothing."""
+    """Always runs to the right and jumps; it learns nothing."""
 
     def agent_start(self, observation: Observation) -> Action:
         return _RUN_AND_JUMP

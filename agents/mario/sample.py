@@ -71,10 +71,10 @@ class SampleAgent(MarioAgent):
         return pack(Saved(self.name, {}, numbers, {"last": np.array(self._last, np.int8)}))
 
     def agent_load(self, data: bytes) -> None:
-        """Continue from what `agent_save` returned.
+        """Continue from a state that `agent_save` returned.
 
         Raises:
-            SaveError: it is damaged, or of another agent.
+            SaveError: `data` is damaged, or of another agent.
         """
         saved = unpack(data, self.name, {})
         last = saved.array("last", np.int8, low=0, high=len(ACTIONS) - 1)
@@ -121,7 +121,7 @@ class _Neighbourhood:
         self._x, self._y, _, self.speed_y = self._doubles[:4]
 
     def obstacles(self, stay_down: float) -> float:
-        """Return the chance not to jump, lessened by every coin and block up to six columns ahead."""
+        """Return the chance not to jump, reduced by every coin and block up to six columns ahead."""
         for up in range(5):
             for right in range(7):
                 seen = self._tile(self._x + right, int(self._y + up))
@@ -132,14 +132,14 @@ class _Neighbourhood:
         return stay_down
 
     def has_pit(self) -> bool:
-        """Return whether one of three columns from Mario's own on has nothing from his height down."""
+        """Return whether one of the three columns from Mario's own on is empty from his height down."""
         return any(
             all(self._tile(self._x + right, height) in _FREE for height in range(min(int(self._y), ROWS) + 1))
             for right in range(3)
         )
 
     def monsters(self, stay_down: float) -> tuple[float, bool]:
-        """Return the chance not to jump, lessened by every monster near, and whether there is one."""
+        """Return the chance not to jump, reduced by every nearby monster, and whether there is one."""
         near = False
         for kind, x, y in zip(self._kinds, self._doubles[::4], self._doubles[1::4], strict=True):
             dx, dy = x - self._x, y - self._y
@@ -149,9 +149,9 @@ class _Neighbourhood:
         return stay_down, near
 
     def _tile(self, x: float, height: int) -> int:
-        """Return a tile as the original asked for it, one row too low.
+        """Return a tile as the original looked it up, one row too low.
 
-        It treats the column right of the view as part of it, and finds the newline there.
+        The original treats the column right of the view as part of the view, and finds the newline there.
         """
         column, row = int(x), ROWS - height
         if column < 0:

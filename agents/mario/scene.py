@@ -1,8 +1,8 @@
-"""An observation as objects: the records in which perception keeps them.
+"""An observation as objects: the records that hold them.
 
 Objects are monsters (every sprite that is not Mario, items too), coins, question blocks and pits.
 Distances are object minus Mario: in tiles, y up, for coins, questions and pits; for monsters in
-cells of a grid, positions being rounded towards zero before they are subtracted.
+cells of a grid, with positions rounded towards zero before subtraction.
 Source: Mohan (2010), sections 5 and 6.
 """
 
@@ -41,7 +41,7 @@ class Senses:
     threat_*         a monster is a threat when threat_left <= dx < threat_right tiles and
                      threat_below <= dy < threat_above tiles
     absolute_motion  whether a monster's motion is the signs of its speeds, or relative to Mario
-    via_platforms    whether what lies above a reachable platform is reachable
+    via_platforms    whether objects above a reachable platform are reachable
     """
 
     grid: Int
@@ -72,7 +72,7 @@ class Object:
 
 
 class Platform:
-    """A run of ledge tiles in one row with blanks on both sides; both ends are its own columns."""
+    """A run of ledge tiles in one row with blanks on both sides; `start` and `end` are inclusive."""
 
     start: Int
     end: Int
@@ -100,7 +100,7 @@ def set_senses(
     absolute_motion: bool = False,
     via_platforms: bool = False,
 ) -> None:
-    """Fill in how an agent perceives; see `Senses`."""
+    """Fill in the parameters of an agent's perception; see `Senses`."""
     senses["grid"] = grid
     for side, tiles in zip(("left", "right", "below", "above"), threats, strict=True):
         senses[f"threat_{side}"] = tiles

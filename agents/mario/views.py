@@ -1,4 +1,4 @@
-"""An observation as the arrays that learners are given: the view `tiles` of docs/gymnasium.md."""
+"""An observation as arrays for learners: the view `tiles` of docs/gymnasium.md."""
 
 from __future__ import annotations
 

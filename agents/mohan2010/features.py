@@ -1,8 +1,8 @@
 """States of the flat agents: a window of tiles, whole or in parts, or all objects at once.
 
-The window is five columns wide and three rows high, with Mario in the middle. A sprite whose place
+The window is five columns wide and three rows high, with Mario in the middle. A sprite whose position
 rounds to a tile of the window is that tile's occupant.
-Source: Mohan (2010), sections 5.1 to 5.3; what the paper leaves open is listed in docs/agents.md.
+Source: Mohan (2010), sections 5.1 to 5.3; docs/agents.md lists the points that the paper leaves open.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ _OBJECTS: Final = 13
 _SPRITE: Final = 256
 """Added to a sprite's kind to distinguish it from a tile."""
 _NOTHING: Final = -(2**31)
-"""Stands for the end of a list, or for a distance to something that is not there."""
+"""The mark of the end of a list, or the distance to a missing object."""
 
 
 @jit
 def window_whole(screen: Screen) -> np.uint64:
-    """Return the key of what occupies the tiles of the window, all together."""
+    """Return one key for the occupants of all tiles of the window."""
     key = feature(_WHOLE)
     for i in range(WINDOW):
         key = extend(key, _symbol(screen, i, _occupant(screen, i)))
@@ -46,7 +46,7 @@ def window_whole(screen: Screen) -> np.uint64:
 def window_parts(screen: Screen, keys: Keys) -> int:
     """Fill in one key per tile of the window; return how many.
 
-    It encodes the tile's place, its occupant, and the occupant's speed minus Mario's, in whole tiles
+    A key encodes the tile's place, its occupant, and the occupant's speed minus Mario's, in whole tiles
     per step.
     """
     for i in range(WINDOW):
@@ -63,9 +63,9 @@ def window_parts(screen: Screen, keys: Keys) -> int:
 
 @jit
 def all_objects(scene: Scene) -> np.uint64:
-    """Return the key of everything that is related to Mario, all together.
+    """Return one key for everything that is related to Mario.
 
-    That is his kind, the tiles to his right and above, every threat in the order of the observation,
+    It covers his kind, the tiles to his right and above, every threat in the order of the observation,
     and the distances of the nearest coin, the nearest question and a dangerous pit.
     """
     screen = scene.screen
@@ -100,7 +100,7 @@ def _distance(scene: Scene, i: int) -> int:
 
 @jit
 def _occupant(screen: Screen, i: int) -> int:
-    """Return which sprite is at tile `i` of the window, the first of them, or -1."""
+    """Return the index of the first sprite at tile `i` of the window, or -1."""
     column = screen.column + _LEFT + i % _COLUMNS
     row = screen.row + _BELOW + i // _COLUMNS
     for k in range(screen.count):

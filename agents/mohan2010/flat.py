@@ -39,7 +39,7 @@ _OBJECTS: Final = 2
 
 
 class Memory:
-    """The working memory of a flat agent: how it perceives, and the last action."""
+    """The working memory of a flat agent: its perception, and the last action."""
 
     senses: Annotated[Senses, Senses]
     representation: Int

@@ -29,7 +29,7 @@ NONE: Final = -1
 PROGRAMMED: Final = (1, 2, 3, 0)
 """Rank of each FLO, 0 the most preferred: avoid-pit, tackle-monster, search-question, grab-coin."""
 LEARNED: Final = (1, 1, 1, 0)
-"""Only avoid-pit is preferred; among the other three the learned values choose."""
+"""Only avoid-pit is preferred; learned values choose among the other three."""
 
 KLO_LEVEL: Final = 1
 FLO_LEVEL: Final = 2
@@ -48,7 +48,7 @@ def is_learned(flo: int) -> bool:
 def keep_preferred(scene: Scene, ranks: Numbers, kept: Numbers) -> int:
     """Fill in `kept` with the objects whose FLO is proposed and ranks best; return how many.
 
-    With none, only move-to-goal is left.
+    If there is none, only move-to-goal is left.
     """
     best = len(ranks)
     count = 0
@@ -65,7 +65,7 @@ def keep_preferred(scene: Scene, ranks: Numbers, kept: Numbers) -> int:
 
 @jit
 def find(scene: Scene, kept: Numbers, count: int, flo: int, identity: int) -> int:
-    """Return which object of `kept` is the one with this id that `flo` deals with, or NONE."""
+    """Return the index of the object of `kept` with this id that `flo` deals with, or NONE."""
     for i in range(count):
         found = scene.objects[kept[i]]
         if found.kind == flo and found.id == identity:

@@ -2,10 +2,10 @@
 
 At the top a functional-level operator (FLO) is chosen, a task tied to one object; inside it, step by
 step, keystroke-level operators (KLO). Both levels learn by SARSA. A visit to an FLO is a small
-episode of its own: its last KLO is updated with the reward alone. The FLO level learns from the sum
+episode of its own: its last KLO is updated only with the reward. The FLO level learns from the sum
 of the rewards between two choices of a learned FLO, undiscounted, except for the unlearned FLOs
 (move-to-goal, avoid-pit) chosen in between: each discounts everything after it.
-Source: Mohan (2010), sections 6 and 7; what the paper leaves open is listed in docs/agents.md.
+Source: Mohan (2010), sections 6 and 7; docs/agents.md lists the points that the paper leaves open.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class HierarchicalProgrammedAgent(HierarchicalAgent):
 
 
 class HierarchicalFactsAgent(HierarchicalAgent):
-    """Experiment 6: as 5, and whatever lies above a reachable platform is reachable."""
+    """Experiment 6: as 5, and everything above a reachable platform is reachable."""
 
     name = "hierarchical-facts"
     _via_platforms = True

@@ -1,7 +1,7 @@
 """Keystroke-level operators (KLO): a primitive action, held for one step, inside an FLO.
 
-A KLO is known by the number of its action, see `agents.mario.actions`. The two functions are what the
-unlearned FLOs do: background knowledge instead of learned values.
+A KLO is identified by the number of its action; see `agents.mario.actions`. The two functions are the
+policies of the unlearned FLOs: background knowledge instead of learned values.
 Source: Mohan (2010), section 6.
 """
 

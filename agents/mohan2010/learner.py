@@ -28,7 +28,7 @@ from glue.saves import Saved, Setting, pack, unpack
 from glue.types import Action, Observation
 
 FULL: Final = -1
-"""Result of a step that has done nothing, since the table must grow first."""
+"""Result of a step that did nothing, since the table must grow first."""
 MALFORMED: Final = -2
 """Result of a step for an observation whose layout is not Mario's."""
 
@@ -89,7 +89,7 @@ class MarioLearner(MarioAgent):
         type(self)._end(self._learner, self._table, self._memory, float(reward))
 
     def agent_message(self, message: str) -> str:
-        """Answer `values` and `cycles`, how many there are, and `epsilon`, the current chance to explore."""
+        """Answer `values` and `cycles`, the number of each, and `epsilon`, the current chance to explore."""
         if message == "values":
             return str(self._learner["entries"][0])
         if message == "cycles":
@@ -119,10 +119,10 @@ class MarioLearner(MarioAgent):
         return pack(Saved(self.name, self._settings(), numbers, {"keys": keys, "values": values}))
 
     def agent_load(self, data: bytes) -> None:
-        """Continue from what `agent_save` returned; the hyperparameters stay this agent's own.
+        """Continue from a state that `agent_save` returned; this agent keeps its own hyperparameters.
 
         Raises:
-            SaveError: it is damaged, or of another agent, or of options that change the keys.
+            SaveError: `data` is damaged, or of another agent, or of options that change the keys.
         """
         saved = unpack(data, self.name, self._settings())
         keys, values = saved.array("keys", np.uint64, low=1), saved.array("values", np.float64)
@@ -140,7 +140,7 @@ class MarioLearner(MarioAgent):
         self._memory = self._new_memory()
 
     def _warm_up(self) -> None:
-        """Compile the two functions or load them from disk, so that no step of an episode waits for that."""
+        """Compile the two functions or load them from disk, so that no step of an episode has to wait."""
         nothing = Observation([0] * 3, [0.0] * 4, bytes(CHARS))
         self._memory = self._new_memory()
         with announce_compilation(f"the agent {self.name}"):

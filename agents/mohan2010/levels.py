@@ -39,8 +39,8 @@ class Memory:
     current, current_id  the running FLO and the id of its object; NONE at the start of an episode
     last_klo             the last KLO, without features in an FLO that does not learn
     last_flo             the last learned FLO, to be updated next
-    flo_return           the rewards since it was chosen, each times the weight of its time
-    weight               the discount to the power of the unlearned FLOs chosen since
+    flo_return           the rewards since it was chosen, each times the weight at its time
+    weight               the discount to the power of the number of unlearned FLOs chosen since
     """
 
     design: Annotated[Design, Design]
@@ -115,9 +115,9 @@ def _forget(memory: Memory) -> None:
 
 @jit
 def _choose_flo(learner: Learner, table: Array, memory: Memory, count: int) -> int:
-    """Open an FLO; return which object it is for, or NONE for move-to-goal.
+    """Open an FLO; return the index of its object, or NONE for move-to-goal.
 
-    If it is a learned one, the learned FLO before it is updated.
+    If the FLO is learned, the learned FLO before it is updated.
     """
     scene = memory.scene
     if count == 0:
@@ -148,7 +148,7 @@ def _choose_flo(learner: Learner, table: Array, memory: Memory, count: int) -> i
 
 @jit
 def _flo_features(memory: Memory, thing: Object, bits: int) -> int:
-    """Fill in the keys of an FLO's values, its object's and its context's; return how many."""
+    """Fill in the keys of an FLO's values, that of its object and that of its context; return how many."""
     if not flo.is_learned(thing.kind):
         return 0
     memory.flo_keys[0] = flo.describe(flo.FLO_LEVEL, thing)
@@ -161,7 +161,7 @@ def _flo_features(memory: Memory, thing: Object, bits: int) -> int:
 
 @jit
 def _choose_klo(learner: Learner, table: Array, memory: Memory, which: int) -> int:
-    """Choose a KLO in the FLO for an object (NONE: move-to-goal), and note the features it had."""
+    """Choose a KLO in the FLO for an object (NONE: move-to-goal), and record the KLO's features."""
     memory.state_count = 0
     if memory.current == flo.MOVE_TO_GOAL:
         return klo.move_right(memory.scene.screen)
@@ -179,7 +179,7 @@ def _choose_klo(learner: Learner, table: Array, memory: Memory, which: int) -> i
 
 @jit
 def _add_state(memory: Memory, thing: Object) -> None:
-    """Add the key of what the keystroke level knows of one object."""
+    """Add the key of one object as the keystroke level sees it."""
     screen = memory.scene.screen
     state = extend(flo.describe(flo.KLO_LEVEL, thing), screen.mario.kind)
     if memory.design.tile_above:
@@ -209,7 +209,7 @@ def _last_klo_reward(memory: Memory, reward: float) -> float:
 
 @jit
 def _terminal_klo_reward(memory: Memory, reward: float) -> float:
-    """Return the reward of the last KLO of an episode; one that is not negative means the finish."""
+    """Return the reward of the last KLO of an episode; a reward that is not negative means the finish."""
     if not memory.design.internal:
         return reward
     return memory.design.internal_death if reward < 0.0 else 0.0

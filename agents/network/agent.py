@@ -1,6 +1,6 @@
-"""The agent that plays by a network alone, in NumPy, over what is seen now.
+"""The agent that plays only by a network, in NumPy, from the current observation.
 
-`python -m agents.ppo` and `python -m experiment_runner.study.generalisation.imitation` make its files.
+`python -m agents.ppo` and `python -m experiment_runner.study.generalisation.imitation` write its files.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ _SHIPPED: Final = str(Path(__file__).with_name("policy.npz"))
 
 
 class NetworkAgent(MarioAgent):
-    """A network that has learned to play before: each action is drawn from the softmax of its preferences.
+    """A trained network: each action is drawn from the softmax of its preferences.
 
     Args:
-        policy: the file of the network; by default the installed one, whose learning docs/generalisation.md
+        policy: the file of the network; by default the installed one, whose training docs/generalisation.md
             describes.
         greedy: whether to take the preferred action instead.
 
@@ -63,7 +63,7 @@ class NetworkAgent(MarioAgent):
         return pack_generator(self.name, self._generator)
 
     def agent_load(self, data: bytes) -> None:
-        """Continue with the draws of an agent that was saved.
+        """Continue with the draws of a saved agent.
 
         Raises:
             SaveError: `data` is damaged, or of another agent.

@@ -1,4 +1,4 @@
-"""The inputs of a network: the tiles around Mario, the nearest sprites, himself, and his last actions."""
+"""The inputs of a network: the tiles around Mario, the nearest sprites, Mario and his last actions."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from glue.compiled.jit import entry
 Reals = npt.NDArray[np.float32]
 
 RECENT: Final = 5
-"""How many of the last actions are seen: they tell how long the buttons have been held."""
+"""Number of the last actions among the inputs; they tell how long the buttons have been held."""
 NONE: Final = NUM_ACTIONS
-"""The number of an action that is not there, at the beginning of an episode."""
+"""The number of a missing action, at the beginning of an episode."""
 
 _MIDDLE: Final = 10  # Mario's column when he cannot be seen: above the screen
-_HEIGHT: Final = 16  # rows around Mario, so many of them above him
+_HEIGHT: Final = 16  # rows around Mario; the next number of them are above him
 _ABOVE: Final = 9
-_WIDTH: Final = 15  # columns around Mario, so many of them behind him
+_WIDTH: Final = 15  # columns around Mario; the next number of them are behind him
 _BEHIND: Final = 3
 _LOWEST: Final = 14  # rows below it are a pit, or show the lowest row again
 _GOAL_ROW: Final = 1  # the goal's column is shown in all rows
@@ -65,7 +65,7 @@ def features(tiles: npt.NDArray[np.uint8], sprites: Reals, recent: npt.NDArray[n
 
 @entry
 def _write(tiles: npt.NDArray[np.uint8], sprites: Reals, recent: npt.NDArray[np.int64], seen: Reals) -> None:
-    """Write the inputs of N games into zeros."""
+    """Write the inputs of N games to `seen`, which holds zeros."""
     for game in range(len(tiles)):
         to = seen[game]
         row, column = 0, _MIDDLE
@@ -102,6 +102,6 @@ def _write(tiles: npt.NDArray[np.uint8], sprites: Reals, recent: npt.NDArray[np.
 
 
 def remember(recent: npt.NDArray[np.int64], actions: npt.NDArray[np.int64] | int) -> None:
-    """Let `actions`, one for each of N games, be the newest in `recent`, shape (N, RECENT)."""
+    """Make `actions`, one for each of N games, the newest in `recent`, shape (N, RECENT)."""
     recent[:, 1:] = recent[:, :-1].copy()
     recent[:, 0] = actions

@@ -14,7 +14,7 @@ from agents.network.features import FEATURES, Reals
 from glue.errors import ConfigError
 
 WIDTHS: Final = (256, 128)
-"""Widths of the hidden layers of a network that learns."""
+"""Widths of the hidden layers of a network in training."""
 LAYERS: Final = len(WIDTHS) + 1
 
 Network = Mapping[str, Reals]
@@ -22,7 +22,7 @@ Network = Mapping[str, Reals]
 
 
 def preferences(network: Network, seen: Reals) -> Reals:
-    """Return the preference of each action, shape (N, 12), for what is seen, shape (N, FEATURES)."""
+    """Return the preference of each action, shape (N, 12), for the inputs `seen`, shape (N, FEATURES)."""
     for layer in range(LAYERS):
         seen = seen @ network[f"weight{layer}"] + network[f"bias{layer}"]
         if layer < LAYERS - 1:

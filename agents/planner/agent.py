@@ -1,6 +1,6 @@
 """The agent `planner`: it steps a belief of the game with its own actions, and plans each of them with A*.
 
-It sees observations alone, and knows the rules. See docs/planner.md.
+It sees only observations, and knows the rules. See docs/planner.md.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ from glue.types import Action, Observation
 _LONGEST_PLAN: Final = 64
 _WINDOW: Final = 72  # columns that may change during a search
 _MAX_SIMS: Final = 200_000
-_AHEAD: Final = 16  # columns to look ahead, where more are known
+_AHEAD: Final = 16  # columns to look ahead, at most
 _PATIENCE: Final = 15  # steps without progress, after which it searches harder
-_MORE: Final = 6  # times the budget then, and
-_MOST: Final = 30  # after three times as many steps, but at most
-_MOST_HARD: Final = 50_000  # model steps, or those of the option
+_MORE: Final = 6  # factor of the budget then
+_MOST: Final = 30  # factor of the budget after three times as many steps
+_MOST_HARD: Final = 50_000  # model steps at most then, or those of the option
 _SECONDS_PER_SIM: Final = 2e-6  # at first
 _ACTIONS: Final = [Action(ints=buttons) for buttons in model.ACTIONS.tolist()]
 RUN_RIGHT: Final = 9
-LARGEST: Final = 100  # constant, in size
-_NO_LIMIT: Final = 10**9  # steps: how many an episode may have is not known
+LARGEST: Final = 100  # absolute value of a constant
+_NO_LIMIT: Final = 10**9  # steps; the limit of an episode is not known
 
 
 Sims = Annotated[int, Option("model steps for each action", low=12, high=_MAX_SIMS)]
@@ -51,11 +51,11 @@ class PlannerAgent(MarioAgent):
 
     Args:
         sims: model steps for each action.
-        step_seconds: seconds for each action, in place of `sims`; what is played then depends on the machine.
-        bonus: steps that a coin or a kill is worth; 0 to make for the goal alone.
+        step_seconds: seconds for each action, in place of `sims`; actions then depend on the machine.
+        bonus: steps that a coin or a kill is worth; 0 to make only for the goal.
         constants: physical constants of the game that differ from instance 0's, as NAME=VALUE, separated by
             spaces; see `model.CONSTANTS`.
-        study: model steps to plan a whole level with that it has seen to the end, before each episode on it.
+        study: model steps for planning a whole level that it has seen to the end, before each episode on it.
         horizons: also count how many predictions 1, 3, 5 and 10 steps ahead are exact.
 
     Raises:
@@ -99,7 +99,7 @@ class PlannerAgent(MarioAgent):
         self._warm_up()
 
     def _warm_up(self) -> None:
-        """Compile all functions or load them from disk, so that no step of an episode waits for that."""
+        """Compile all functions or load them from disk, so that no step of an episode has to wait."""
         nothing = Observation([0] * 3, [0.0] * 4, bytes(CHARS))
         with announce_compilation(f"the agent {self.name}", 18):
             self._reset()
@@ -131,9 +131,9 @@ class PlannerAgent(MarioAgent):
         return self._act()
 
     def _begin(self) -> None:
-        """Begin an episode with the observation that was read."""
+        """Begin an episode with the observation just read."""
         belief = self._worlds, self._levels, self._seen, self._body
-        if model.start(*belief):  # another level than the one that is remembered
+        if model.start(*belief):  # not the remembered level
             self._seen[0] = 0
             self._route.forget()
             model.start(*belief)
@@ -148,7 +148,7 @@ class PlannerAgent(MarioAgent):
         return self._act(reward)
 
     def _observe(self, observation: Observation) -> bool:
-        """Correct the belief by an observation; return whether it was predicted, new columns apart."""
+        """Correct the belief by an observation; return whether it was predicted, apart from new columns."""
         self._read(observation)
         self._steps += 1
         if self._horizons:
@@ -160,7 +160,7 @@ class PlannerAgent(MarioAgent):
         return is_exact
 
     def _reconsider(self) -> None:
-        """Let the last action be one that explains where Mario is: it was not the one that was chosen."""
+        """Assume a last action that explains Mario's position: the chosen one was not carried out."""
         for action in range(len(_ACTIONS)):
             self._memory[:] = self._before
             model.step(self._scratch, self._levels, action)
@@ -180,17 +180,17 @@ class PlannerAgent(MarioAgent):
         return {}
 
     def _relearn(self, saved: Saved) -> None:
-        """Continue with what `_learned` returned.
+        """Continue with the arrays that `_learned` returned.
 
         Raises:
-            SaveError: it is damaged.
+            SaveError: `saved` is damaged.
         """
 
     def agent_load(self, data: bytes) -> None:
-        """Continue with what `agent_save` returned.
+        """Continue from a state that `agent_save` returned.
 
         Raises:
-            SaveError: it is damaged, or of another agent.
+            SaveError: `data` is damaged, or of another agent.
         """
         saved = unpack(data, self.name, {})
         end, goal = saved.number("end", model.COLUMNS), saved.number("exit", 2**20)
@@ -211,9 +211,9 @@ class PlannerAgent(MarioAgent):
     def agent_message(self, message: str) -> str:
         """Answer one of these messages.
 
-        predictions  JSON: steps, those without any correction, model steps, and horizons
-        sims         model steps for each step
-        marks        JSON: where Mario's middle will be after each action of the plan, x and height in tiles
+        predictions  JSON: steps, steps without any correction, model steps, and horizons
+        sims         model steps per step
+        marks        JSON: positions of Mario's middle after each action of the plan, x and height in tiles
         """
         if message == "marks":
             return json.dumps(self._foresee())
@@ -227,7 +227,7 @@ class PlannerAgent(MarioAgent):
         return json.dumps(answer)
 
     def _foresee(self) -> list[tuple[float, float]]:
-        """Return where Mario will be after each action of the plan: x and height of his middle, in tiles."""
+        """Return the position of Mario's middle after each action of the plan: x and height, in tiles."""
         self._memory[:] = self._worlds.view(np.uint8)
         mario = self._scratch[0]["actors"][0]
         places = []
@@ -265,11 +265,11 @@ class PlannerAgent(MarioAgent):
         return _ACTIONS[action]
 
     def _chosen(self, action: int) -> int:
-        """Return the action to carry out, where `action` is planned."""
+        """Return the action to carry out when `action` is planned."""
         return action
 
     def _search(self, hard: bool) -> int:
-        """Plan; with `hard`, try all actions and more of them. Return the length of the plan."""
+        """Plan; with `hard`, try all actions with a larger budget. Return the length of the plan."""
         how = self._settings[0]
         how["sims"] = self._budget(hard)
         how["hard"] = hard
@@ -287,7 +287,7 @@ class PlannerAgent(MarioAgent):
         return length
 
     def _budget(self, hard: bool) -> int:
-        """Return the model steps of a search. Two searches of an action share its seconds."""
+        """Return the model steps of a search. Two searches for an action share its seconds."""
         if self._step_seconds is not None:
             sims = self._step_seconds / 2 / self._per_sim
         else:
@@ -297,7 +297,7 @@ class PlannerAgent(MarioAgent):
 
 
 def _parse_constants(text: str) -> npt.NDArray[np.float64]:
-    """Return the values of `model.CONSTANTS` by a text of assignments.
+    """Parse assignments to `model.CONSTANTS`; return the values of all.
 
     Raises:
         ConfigError: a constant is unknown or is not a number.

@@ -1,4 +1,4 @@
-"""How many predictions of a belief are exact, by how many steps they look ahead."""
+"""The shares of exact predictions of a belief, by the number of steps that they look ahead."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LONGEST: Final = _AHEAD[-1]
 
 
 class Horizons:
-    """Beliefs of the last steps, each stepped with what was done since, without any correction."""
+    """The beliefs of the last steps, each stepped with the actions since, without any correction."""
 
     def __init__(self) -> None:
         self._worlds = [model.make()[0] for _ in range(_LONGEST)]
@@ -28,14 +28,14 @@ class Horizons:
         self._steps = 0
 
     def step(self, worlds: Array, levels: Array, action: int) -> None:
-        """Predict from the belief `worlds`, shape (1,), before an action, and from those before it."""
+        """Predict from the belief `worlds`, shape (1,), before an action, and from the beliefs before it."""
         self._worlds[self._steps % _LONGEST].view(np.uint8)[:] = worlds.view(np.uint8)
         self._steps += 1
         for world in self._worlds[: self._steps]:
             model.step(world, levels, action)
 
     def compare(self, levels: Array, body: npt.NDArray[np.uint8]) -> None:
-        """Compare the predictions of an observation with it."""
+        """Compare an observation with its predictions."""
         for ahead in _AHEAD:
             if ahead <= self._steps:
                 world = self._worlds[(self._steps - ahead) % _LONGEST]

@@ -1,7 +1,7 @@
-"""The agent `planner-learns`: the planner in a game whose physical constants and rewards it is not told.
+"""The agent `planner-learns`: the planner in a game whose physical constants and rewards it does not know.
 
-It begins with those of instance 0 and identifies the others from its own mispredictions. Until they are
-known, it runs to the right for a step, returns to where it began, and jumps there. See docs/planner.md.
+It begins with those of instance 0 and identifies others from its own mispredictions. Until they are known,
+it runs to the right for a step, returns to its starting point, and jumps there. See docs/planner.md.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from glue.types import Action, Observation
 _PROBING: Final = 25  # steps of an episode, at most
 _JUMP: Final = 2  # part of an action's number
 _LEFT, _STAY, _RIGHT = 0, 4, 8
-_COURT: Final = (32.0, 64.0)  # pixels: where every level has ground, and no ceiling
+_COURT: Final = (32.0, 64.0)  # pixels: a range in which every level has ground, and no ceiling
 _SPEEDS: Final = [model.CONSTANTS.index(name) for name in ("speed_walk", "speed_run")]
 
 
@@ -42,8 +42,8 @@ class LearningPlannerAgent(PlannerAgent):
 
     Args:
         sims: model steps for each action.
-        step_seconds: seconds for each action, in place of `sims`; what is played then depends on the machine.
-        bonus: steps that a reward of 1 for a coin or a kill is worth; 0 to make for the goal alone.
+        step_seconds: seconds for each action, in place of `sims`; actions then depend on the machine.
+        bonus: steps that a reward of 1 for a coin or a kill is worth; 0 to make only for the goal.
         horizons: also count how many predictions 1, 3, 5 and 10 steps ahead are exact.
     """
 
@@ -92,17 +92,17 @@ class LearningPlannerAgent(PlannerAgent):
         return self._act()
 
     def _reconsider(self) -> None:
-        """Doubt the last action only once the constants are known: until then, they are the reason."""
+        """Doubt the last action only once the constants are known; until then, they are the cause."""
         if self._physics.settled:
             super()._reconsider()
 
     def agent_end(self, reward: float) -> None:
-        """Learn what the end of an episode is rewarded with."""
+        """Learn the reward for the end of an episode."""
         super().agent_end(reward)
         self._rewards.note_end(reward, bool(self._worlds[0]["win_timer"] > 0))
 
     def agent_message(self, message: str) -> str:
-        """Answer, in JSON, `physics`: constants, those that are known, rewards; others as the planner."""
+        """Answer `physics` with JSON: constants, known constants, rewards; other messages as the planner."""
         if message != "physics":
             return super().agent_message(message)
         constants = dict(zip(model.CONSTANTS, self._physics.constants.tolist(), strict=True))
@@ -113,7 +113,7 @@ class LearningPlannerAgent(PlannerAgent):
         return json.dumps({"constants": constants, "known": known, "rewards": rewards})
 
     def _identify(self) -> None:
-        """Learn the constants from the observation that was read, and correct the belief by them."""
+        """Learn the constants from the observation just read, and correct the belief by them."""
         if self._physics.after(self._levels, self._body):
             self._assume(self._physics.constants)
             self._physics.replay(self._worlds)
@@ -132,7 +132,7 @@ class LearningPlannerAgent(PlannerAgent):
         return action
 
     def _probe(self) -> int:
-        """Return an action that tells the constants which are not known."""
+        """Return an action that reveals unknown constants."""
         if not self._physics.known[_SPEEDS].all():
             return RUN_RIGHT | _JUMP
         mario = self._worlds[0]["actors"][0]
@@ -140,7 +140,7 @@ class LearningPlannerAgent(PlannerAgent):
         return (_LEFT if stop > _COURT[1] else _RIGHT if stop < _COURT[0] else _STAY) | _JUMP
 
     def _count(self) -> npt.NDArray[np.int64]:
-        """Return the coins and kills of the episode, as they are predicted."""
+        """Return the predicted coins and kills of the episode."""
         world = self._worlds[0]
         return np.array([world["coins"], world["kills"]], np.int64)
 

@@ -1,9 +1,9 @@
 """The physical constants of a game, identified from its observations by the model itself.
 
 A candidate is a value for each of `model.CONSTANTS`. It predicts each of the last steps from the observed
-state before it; its errors are those of Mario's position and last motion. Gauss-Newton's method reduces the
-errors of the latest steps, once for each jump time that is possible, and a candidate is accepted if it
-explains more of the last steps than the constants assumed before.
+state before it; its errors are those of Mario's position and last motion. The Gauss-Newton method reduces the
+errors of the latest steps, once for each possible jump time, and a candidate is accepted if it explains more
+of the last steps than the constants assumed before.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ _rewind = model.rewind
 _change = model.change
 
 WINDOW: Final = 40
-"""Number of steps that a candidate is to explain."""
+"""Number of steps for a candidate to explain."""
 _FITTED: Final = (1, 2, 3, 6)  # latest steps whose errors are reduced
-_LEAD: Final = 10  # steps from which hidden state is carried into those
+_LEAD: Final = 10  # earlier steps that supply the hidden state of those
 _ITERATIONS: Final = 6
 _EXPLAINED: Final = 0.002  # pixels
 _EXACT: Final = 1e-6  # pixels; no further iteration
-_SENSITIVE: Final = 0.3  # pixels per unit of a constant, from which on a step tells its value
+_SENSITIVE: Final = 0.3  # pixels per unit of a constant: the least with which a step reveals its value
 _REALS: Final = 5
 _TIME: Final = model.CONSTANTS.index("jump_time")
 _JUMP: Final = model.CONSTANTS.index("speed_jump")
@@ -37,19 +37,19 @@ _WALL: Final = model.CONSTANTS.index("speed_slidejump")
 _LOW: Final = np.array([0.0, 0.0, -8.0, 0.05, -8.0])
 _HIGH: Final = np.array([4.0, 8.0, -0.1, 0.999, -0.1])
 _TIMES: Final = range(3, 21)
-_APART: Final = np.array([0.01, 0.01, 0.01, 0.001, 0.01])  # of two candidates, to differentiate
-_DIGITS: Final = (1, 2, 3)  # decimal places to which a constant may have been chosen
+_APART: Final = np.array([0.01, 0.01, 0.01, 0.001, 0.01])  # differences of two candidates, for derivatives
+_DIGITS: Final = (1, 2, 3)  # decimal places that a constant may have
 _START: Final = -1  # in place of an action: the beginning of an episode
 
 Reals = npt.NDArray[np.float64]
 
 
 class Physics:
-    """The physical constants that are assumed, and the last steps, which they have to explain.
+    """The assumed physical constants, and the last steps, which they have to explain.
 
     Attributes:
-        constants: the values of `model.CONSTANTS` that are assumed, shape (6,).
-        known: whether each of them has been told by a step, shape (6,).
+        constants: the assumed values of `model.CONSTANTS`, shape (6,).
+        known: whether a step has revealed each of them, shape (6,).
         surprises: number of steps whose prediction of Mario was wrong.
     """
 
@@ -66,22 +66,22 @@ class Physics:
 
     @property
     def settled(self) -> bool:
-        """Whether all constants but the wall jump's speed are known."""
+        """Whether all constants except the wall jump's speed are known."""
         return bool(np.delete(self.known, _WALL).all())
 
     def begin(self, worlds: Array) -> None:
-        """Note the belief, shape (1,), before the first observation of an episode."""
+        """Record the belief, shape (1,), before the first observation of an episode."""
         self._end = 0
         self.before(worlds, _START)
 
     def before(self, worlds: Array, action: int) -> None:
-        """Note the belief, shape (1,), before an action."""
+        """Record the belief, shape (1,), before an action."""
         i = self._end % WINDOW
         self._roots[i] = worlds.view(np.uint8)
         self._actions[i] = action
 
     def after(self, level: Array, body: npt.NDArray[np.uint8]) -> bool:
-        """Learn from the observation that followed; return whether other constants are assumed now.
+        """Learn from the observation that followed; return whether the assumed constants have changed.
 
         Args:
             level: the level as it is believed to be, shape (1,).
@@ -100,7 +100,7 @@ class Physics:
         return changed
 
     def replay(self, worlds: Array) -> None:
-        """Let a belief, shape (1,), have the hidden state that the constants give it after the last steps."""
+        """Give a belief, shape (1,), the hidden state that follows from the constants and the last steps."""
         self._errors(self.constants, max(0, self._end - WINDOW))
         worlds.view(np.uint8)[:] = self._memory
 
@@ -121,7 +121,7 @@ class Physics:
         return changed
 
     def _times(self, count: int) -> range:
-        """Return the jump times to try for the latest `count` steps: one, if nothing depends on them."""
+        """Return the jump times to try for the latest `count` steps: only one if they make no difference."""
         own = int(self.constants[_TIME])
         other = self.constants.copy()
         other[_TIME] += 1
@@ -130,7 +130,7 @@ class Physics:
         return range(own, own + 1) if same or self.known[_TIME] else _TIMES
 
     def _solve(self, constants: Reals, begin: int) -> Reals:
-        """Return the constants after Gauss-Newton's method on the errors of the steps from `begin` on."""
+        """Return the constants after the Gauss-Newton method on the errors of the steps from `begin` on."""
         for _ in range(_ITERATIONS):
             errors = self._errors(constants, begin).ravel()
             if np.abs(errors).max() < _EXACT:
@@ -151,7 +151,7 @@ class Physics:
         return slopes
 
     def _rounded(self, constants: Reals, first: int) -> Reals:
-        """Return constants of few decimal places, where they explain the steps at least as well."""
+        """Return the constants, rounded to few decimals where that explains the steps at least as well."""
         score = self._score(constants, first)
         for i in range(_REALS):
             for digits in _DIGITS:
@@ -165,13 +165,13 @@ class Physics:
         return constants
 
     def _score(self, constants: Reals, first: int) -> tuple[int, float]:
-        """Return how many steps are explained, and the negative of what remains of the errors in these."""
+        """Return the number of explained steps, and the negative of their remaining errors."""
         largest = np.abs(self._errors(constants, first)).max(1)
         explained = largest <= _EXPLAINED
         return int(explained.sum()), -float(np.round(largest[explained].sum(), 7))
 
     def _see_what_is_known(self) -> None:
-        """Find out which constants the last step tells, if they explain it."""
+        """Find out which constants the last step reveals, if the assumed constants explain it."""
         begin = self._end - 1
         if np.abs(self._errors(self.constants, begin)).max() > _EXPLAINED:
             return
@@ -222,9 +222,9 @@ def replay(
         worlds, memory: a world to step, shape (1,), and its bytes.
         levels: the level, shape (1,).
         roots, actions, bodies: beliefs before the steps, actions, observations after them; step i at i % N.
-        root, begin, end: the steps to predict; errors are wanted from `begin` on.
+        root, begin, end: the steps to predict; errors are written from `begin` on.
         constants: the values of `model.CONSTANTS`.
-        errors: takes the errors in pixels, shape (end - begin, 4).
+        errors: receives the errors in pixels, shape (end - begin, 4).
     """
     world = worlds[0]
     memory[:] = roots[root % len(roots)]

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 _GUESS: Final = np.array([-0.01, 1.0, 1.0])
-_TRUST: Final = 0.001  # observations that the guess counts as
+_TRUST: Final = 0.001  # weight of the guess, in observations
 
 
 class Rewards:
@@ -17,7 +17,7 @@ class Rewards:
     Attributes:
         squares, products: sums over these steps, shapes (3, 3) and (3,).
         ends: the last reward of an episode that ended at the goal, and of one that did not, shape (2,); NaN
-            before there was one.
+            before the first.
     """
 
     def __init__(self) -> None:
@@ -26,7 +26,7 @@ class Rewards:
         self.ends: npt.NDArray[np.float64] = np.full(2, np.nan)
 
     def note(self, reward: float, coins: int, kills: int) -> None:
-        """Learn from a step, not the last of its episode, with so many coins and kills."""
+        """Learn from a step, not the last of its episode, with its numbers of coins and kills."""
         events = np.array([1.0, coins, kills])
         self.squares += np.outer(events, events)
         self.products += reward * events

@@ -17,15 +17,15 @@ _NOTHING: Final = -1e18
 
 
 class Route:
-    """The best route of a level, and the one that is tried.
+    """The best route of a level, and the route being tried.
 
     Args:
-        sims: model steps to plan with at the beginning of an episode; 0 to make no routes.
+        sims: model steps for planning at the beginning of an episode; 0 to make no routes.
 
     Attributes:
         best: actions of the best episode so far, by number.
-        earned: its rewards but the last; `_NOTHING` before an episode has reached the goal.
-        tried: checksums of what was known of the level in each search so far.
+        earned: its rewards except the last; `_NOTHING` before an episode has reached the goal.
+        tried: checksums of the known part of the level in each search so far.
     """
 
     def __init__(self, sims: int) -> None:
@@ -47,13 +47,13 @@ class Route:
 
         Args:
             worlds, levels: the belief after the first observation, shape (1,) each.
-            end: number of columns that were seen.
+            end: number of columns seen.
         """
         self._made, self._plan, self._total = [], [], 0.0
         if not (self._sims and levels["exit_x"][0] < end):
             return
         if self._promised(self.best, worlds, levels) == _NOTHING:
-            # It began with other buttons pressed, which the episode before it had left so.
+            # The best episode began with other buttons pressed, left so by the episode before it.
             self.best, self.earned, self.tried = [], _NOTHING, []
         self._plan = self.best
         knowledge = zlib.crc32(levels["tiles"][0, :end].tobytes() + levels["spawns"][0, :end].tobytes())
@@ -65,16 +65,16 @@ class Route:
                 self._plan = plan
 
     def action(self, worlds: Array, levels: Array) -> int:
-        """Return the next action of the route; -1 if there is none that leads to the goal from the belief."""
+        """Return the next action of the route; -1 if none leads to the goal from the belief."""
         rest = (
             self._plan[len(self._made) :] or self._plan[-1:]
-        )  # the last wins, but the end may be noticed later
+        )  # the last action wins, but the game may notice the end later
         if self._promised(rest, worlds, levels) == _NOTHING:
             self._plan = rest = []
         return rest[0] if rest else -1
 
     def note(self, action: int, reward: float) -> None:
-        """Note an action of the episode, and the reward before it."""
+        """Record an action of the episode, and the reward before it."""
         self._made.append(action)
         self._total += reward
 
@@ -94,10 +94,10 @@ class Route:
         }
 
     def restore(self, saved: Saved) -> None:
-        """Continue with what `saved` returned.
+        """Continue with the arrays that `saved` returned.
 
         Raises:
-            SaveError: it is damaged.
+            SaveError: `saved` is damaged.
         """
         if self._sims and "route" in saved.arrays:
             self.best = saved.array("route", np.int8, 0, len(model.ACTIONS) - 1).tolist()
@@ -105,7 +105,7 @@ class Route:
             self.tried = saved.array("tried", np.int64).tolist()
 
     def _promised(self, plan: list[int], worlds: Array, levels: Array) -> float:
-        """Return the items that a plan earns from a belief on, less its steps; `_NOTHING` without goal."""
+        """Return the items that a plan earns from a belief on, less its steps; `_NOTHING` off the goal."""
         world = self._world[0]
         self._world.view(np.uint8)[:] = worlds.view(np.uint8)
         for step, action in enumerate(plan):

@@ -27,21 +27,21 @@ STAY: Final = 4
 _RIGHT: Final = 8
 _BRAKING: Final = 8  # steps
 _FAST: Final = np.float32(2)  # pixels a tick
-_TRIED: Final = 48  # leaves that are tried for safety
-_HURRY: Final = 0.3  # what a step counts in a hard search
+_TRIED: Final = 48  # leaves that are tested for safety
+_HURRY: Final = 0.3  # cost of a step in a hard search
 
 
 class Settings:
-    """How to search."""
+    """The settings of a search, and its results."""
 
     sims: Int  # model steps
-    weight: Real  # of the way that remains
+    weight: Real  # of the remaining way
     coin: Real  # steps that a coin is worth
     kill: Real  # steps that a kill is worth
     size_cost: Real  # steps that being small rather than large costs
     end: Int  # the first column that has not been seen
-    columns: Int  # that may change during the search, some of them to the left of Mario
-    hard: Flag  # find any way at all: try all actions, and no state again at another time
+    columns: Int  # number of columns that may change during the search, some to the left of Mario
+    hard: Flag  # find any way at all: try all actions, and revisit no state at another time
     anytime: Flag  # use the whole budget
     used: Int  # result: model steps
     safe: Flag  # result: it is safe to stop where the plan ends
@@ -60,7 +60,7 @@ class Room(NamedTuple):
 
 
 def make_room(nodes: int, columns: int) -> Room:
-    """Return the memory of a search of so many nodes, in which so many columns may change."""
+    """Return the memory of a search of `nodes` nodes, in which `columns` columns may change."""
     return Room(
         np.zeros((nodes, model.row_size(columns)), np.uint8),
         np.zeros(nodes, NODE),
@@ -82,14 +82,14 @@ def search(
     settings: Array,
     plan: npt.NDArray[np.int64],
 ) -> int:
-    """Plan from a belief; return how many actions of `plan` are the new plan.
+    """Plan from a belief; return the length of the new plan.
 
     Args:
         worlds, levels: the belief, shape (1,) each; it is not changed.
         scratch, memory: a world to step, shape (1,), and its bytes.
         rows, nodes, heap, table: see `Room`.
         settings: see `Settings`, shape (1,).
-        plan: the last plan, ended by -1, and room for the new one.
+        plan: the last plan, ended by -1; receives the new plan.
     """
     how: Any = settings[0]
     level: Any = levels[0]
@@ -226,7 +226,7 @@ def _was_met(table: npt.NDArray[np.uint64], numbers: npt.NDArray[np.int64], worl
 
 @jit
 def _is_safe(scratch: Any, levels: Any, end: float) -> tuple[bool, int]:
-    """Brake and wait; return whether Mario then stands on what was seen, alive, and after how many steps."""
+    """Brake and wait; return whether Mario then stands in a seen column, alive, and the number of steps."""
     world = scratch[0]
     for steps in range(_BRAKING):
         mario = world.actors[0]
@@ -258,7 +258,7 @@ def _best_leaf(
     first: int,
     how: Any,
 ) -> tuple[int, int]:
-    """Return the best node at which it is safe to stop, -1 if none is, and the steps it took to find out."""
+    """Return the best node at which stopping is safe, or -1, and the model steps used to find it."""
     used = 0
     for i in range(1, count):
         nodes[i].key = nodes[i].rank
@@ -280,7 +280,7 @@ def _best_leaf(
 
 @jit
 def _longest_life(nodes: Array, count: int) -> int:
-    """Return the node that is the most steps away; of several, the best."""
+    """Return the deepest node; of several, the best."""
     best = 0
     for i in range(1, count):
         if nodes[i].depth > nodes[best].depth or (

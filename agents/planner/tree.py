@@ -1,4 +1,4 @@
-"""The memory of a search: nodes, a heap of those to expand, and a table of the states that were met."""
+"""The memory of a search: nodes, a heap of those to expand, and a table of the states met."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Node:
     action: Int
     depth: Int  # steps from the root
     x: Real  # pixels
-    rank: Real  # how good it is to stop there: the lowest is best
+    rank: Real  # merit as the end of a plan: the lowest is best
 
 
 NODE: Final = layout(Node)
@@ -46,7 +46,7 @@ def push(nodes: Array, heap: npt.NDArray[np.int64], size: int, node: int) -> int
 
 @jit
 def pop(nodes: Array, heap: npt.NDArray[np.int64], size: int) -> int:
-    """Take the lowest node off the heap of `size` nodes and return it; the heap then has one node less."""
+    """Take the lowest node off the heap of `size` nodes and return it; the heap then has one node fewer."""
     lowest = heap[0]
     last = heap[size - 1]
     size -= 1
@@ -67,7 +67,7 @@ def pop(nodes: Array, heap: npt.NDArray[np.int64], size: int) -> int:
 
 @jit
 def describe(world: Any, numbers: npt.NDArray[np.int64]) -> None:
-    """Write the first `DESCRIBED` of the numbers by which `meet` tells states apart."""
+    """Write the first `DESCRIBED` of the numbers by which `meet` distinguishes states."""
     mario = world.actors[0]
     numbers[0] = int(mario.x) // _GRAIN
     numbers[1] = int(mario.y) // _GRAIN
@@ -83,7 +83,7 @@ def describe(world: Any, numbers: npt.NDArray[np.int64]) -> None:
 
 @jit
 def stride(world: Any) -> float:
-    """Return the pixels that Mario runs in a step."""
+    """Return the distance that Mario runs in a step, in pixels."""
     return float(_TICKS * world.speed_run / (1.0 - FRICTION))
 
 
@@ -95,7 +95,7 @@ def forget(table: npt.NDArray[np.uint64]) -> None:
 
 @jit
 def meet(table: npt.NDArray[np.uint64], numbers: npt.NDArray[np.int64]) -> bool:
-    """Note a state, given by whole numbers; return whether it is in the table already."""
+    """Add a state, given by whole numbers, to the table; return whether it was there already."""
     hashed = np.uint64(14695981039346656037)
     for i in range(len(numbers)):
         hashed = (hashed ^ np.uint64(numbers[i])) * _FNV

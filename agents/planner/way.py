@@ -1,4 +1,4 @@
-"""A way to the goal of a level that is known completely, found by one search of the whole level."""
+"""A way to the goal of a completely known level, found by one search of the whole level."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ _WEIGHT: Final = 1.5
 
 
 def find_way(world: Any, level: Any, sims: int) -> tuple[list[int], int]:
-    """Search for actions that reach the goal, whatever they cost.
+    """Search for actions that reach the goal, regardless of their cost.
 
     In the first of two searches, a state is not visited again at another time.
 
     Args:
         world: the record of a game that has just begun; it is not changed.
         level: the record of its level, all columns of which are known.
-        sims: model steps of a search at most; each takes 4 kB of memory.
+        sims: maximum model steps of a search; each takes 4 kB of memory.
 
     Returns:
         The actions by number, none if no way was found, and the model steps.
@@ -47,6 +47,6 @@ def find_way(world: Any, level: Any, sims: int) -> tuple[list[int], int]:
         for action in way:
             model.step(scratch, levels, action)
         if scratch["win_timer"][0] > 0:
-            # The game notices that it is won when it draws again.
+            # The game notices the win when it draws again.
             return way + [STAY] * int(scratch["playing"][0]), spent
     return [], spent

@@ -1,8 +1,8 @@
 """A search of a whole known level for the plan that earns the most.
 
-It goes through the level from left to right. States are in cells, by position, size and motion, roughly; of
-those in a cell, the best few are expanded. So a state competes only with those that can do about the same
-from there on: neither with those that are ahead, nor with those that are about to fall.
+It goes through the level from left to right. States are grouped into cells by rough position, size and
+motion; the best few of a cell are expanded. So a state competes only with states that have about the same
+prospects: neither with those that are ahead, nor with those that are about to fall.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _load = model.load
 
 _ACTIONS: Final = 12
 _LAST: Final = 9  # run right: all plans leave the same buttons pressed, which count in the next episode
-_STEPS_PER_STATE: Final = 300_000  # model steps for each state that a cell keeps, about
-_ROWS_PER_STATE: Final = 2_000  # worlds that wait to be expanded, at most
+_STEPS_PER_STATE: Final = 300_000  # approximate model steps for each state that a cell keeps
+_ROWS_PER_STATE: Final = 2_000  # maximum worlds that wait to be expanded
 _LONGEST: Final = 600  # steps
 _SLICE: Final = 8  # pixels
 _TILE: Final = 16
@@ -41,7 +41,7 @@ class State:
     parent: Int  # -1 for the first
     action: Int
     depth: Int  # steps
-    worth: Real  # items, less what the steps cost
+    worth: Real  # items, less the cost of the steps
     row: Int  # of its world, until it is expanded
 
 
@@ -53,8 +53,8 @@ def plan_whole(worlds: Array, levels: Array, columns: int, sims: int) -> list[in
 
     Args:
         worlds, levels: the belief; it is not changed.
-        columns: number of columns that are known.
-        sims: model steps at most; each takes about 50 bytes of memory.
+        columns: number of known columns.
+        sims: maximum model steps; each takes about 50 bytes of memory.
     """
     kept = max(sims // _STEPS_PER_STATE, 2)
     rows = kept * _ROWS_PER_STATE
@@ -95,20 +95,20 @@ def search_whole(
         worlds, memory: the world to begin in, shape (1,), and its bytes; it is changed.
         levels: the level, shape (1,).
         rows: room for R worlds, shape (R, bytes).
-        columns: number of columns that are known.
-        sims: model steps at most.
+        columns: number of known columns.
+        sims: maximum model steps.
         states: all zeros, shape (R + sims / 12,).
         cells: room for the numbers of the states in each cell, of which the first is the worst, shape
             (slices * cells of a slice, K).
         table: all zeros, a power of two above 2 * sims.
-        plan: -1 throughout; takes the actions.
+        plan: -1 throughout; receives the actions.
     """
     world: Any = worlds[0]
     numbers = np.zeros(DESCRIBED + 3, np.int64)
     sizes = np.zeros(len(cells), np.int64)
     room = np.full(len(cells), cells.shape[1])  # states that may still be expanded in each cell
     free = np.arange(len(rows))[::-1].copy()
-    spare = len(free) - 1  # rows that are free; the first state has the last
+    spare = len(free) - 1  # number of free rows; the first state has the last row
     batch = np.zeros(_CELLS * cells.shape[1], np.int64)
     _save(worlds, memory, rows[free[spare]], 0, columns)
     states[0].parent = -1
@@ -142,7 +142,7 @@ def search_whole(
                 alive = _step(worlds, levels, action)
                 used += 1
                 if world.win_timer > 0:
-                    if state.worth > best and action == _LAST:  # what the last step earns is not paid
+                    if state.worth > best and action == _LAST:  # the earnings of the last step are not paid
                         best, best_state = state.worth, number
                     continue
                 if not alive or world.death_timer > 0 or world.actors[0].y > np.float32(239):

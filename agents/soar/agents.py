@@ -1,4 +1,4 @@
-"""The agents made of Soar productions, by name: those of Mohan (2010), one for mines, and anybody's own."""
+"""The agents made of Soar productions, by name: those of Mohan (2010), one for mines, and the user's own."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from glue.taskspec import MARIO, TaskSpec
 
 
 class SoarAgent(SoarPlayer):
-    """Your own Soar productions, in any task; docs/soar.md says what is on the input link."""
+    """Your own Soar productions, in any task; docs/soar.md describes the input link."""
 
     name = "soar"
 
@@ -42,7 +42,7 @@ class SoarAgent(SoarPlayer):
 
 
 class SoarMinesAgent(SoarPlayer):
-    """An example of how a Soar agent is made here: it learns the way across the mines."""
+    """An example of a Soar agent: it learns the way across the mines."""
 
     name = "soar-mines"
 

@@ -1,8 +1,8 @@
 """One agent in the Soar kernel: its productions, its input and output, and its runs.
 
-A kernel belongs to the thread that made it, so each thread has one for all its agents. It listens to nobody,
-and lives as long as the thread: soar-sml 9.6.5 crashes when one of several kernels is shut down. soar-sml is
-imported here alone, and only when an agent is made.
+A kernel belongs to the thread that made it, so each thread has one for all its agents. It has no listener,
+and lives as long as the thread: soar-sml 9.6.5 crashes when one of several kernels is shut down. Only this
+module imports soar-sml, and only when an agent is made.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any, Final
 from glue.errors import ConfigError, SimulatorError
 
 Element = Any
-"""An element of working memory, as soar-sml hands it out."""
+"""An element of working memory, as soar-sml returns it."""
 
 _SETTINGS: Final = (
     "watch 0",
@@ -29,11 +29,11 @@ _SETTINGS: Final = (
 """Commands that turn off unneeded features, which would cost time or memory over many episodes."""
 
 _SHOWN: Final = 1500
-"""An error shows no more than the last of what Soar printed: this many characters."""
+"""Maximum number of characters of Soar's output that an error shows, from its end."""
 
 
 class SoarError(SimulatorError):
-    """Soar refused something, or its agent did not act; the message shows what Soar printed."""
+    """Soar refused something, or its agent did not act; the message shows Soar's output."""
 
 
 class _Kernels(threading.local):
@@ -56,8 +56,8 @@ class Kernel:
     """A Soar agent in the kernel of this thread.
 
     Args:
-        name: of the agent, for Soar's own messages.
-        max_cycles: the largest number of decision cycles that a step may take.
+        name: name of the agent, for Soar's own messages.
+        max_cycles: maximum number of decision cycles in a step.
 
     Raises:
         ConfigError: soar-sml is not installed.
@@ -74,7 +74,7 @@ class Kernel:
         self._kernels.agents[self._unique_name] = self
         self._agent.SetBlinkIfNoChange(False)
         self.input: Element = self._agent.GetInputLink()
-        # Bound once: an observation is a hundred of these.
+        # Bound once: an observation takes a hundred of these calls.
         self.add_identifier: Callable[[Element, str], Element] = self._agent.CreateIdWME
         self.add_link: Callable[[Element, str, Element], Element] = self._agent.CreateSharedIdWME
         self.add_int: Callable[[Element, str, int], Element] = self._agent.CreateIntWME
@@ -86,7 +86,7 @@ class Kernel:
             self.command(line)
 
     def close(self) -> None:
-        """Remove the agent from the kernel; nothing else may be called after."""
+        """Remove the agent from the kernel; nothing else may be called afterwards."""
         if self._kernels.agents.pop(self._unique_name, None):
             self._kernels.kernel.DestroyAgent(self._agent)
 
@@ -96,7 +96,7 @@ class Kernel:
         """Execute a line of Soar's command language; return what it prints.
 
         Raises:
-            SoarError: Soar does not accept it.
+            SoarError: Soar does not accept the line.
         """
         printed: str = self._agent.ExecuteCommandLine(line)
         if not self._agent.GetLastCommandLineResult():
@@ -115,7 +115,7 @@ class Kernel:
             raise ConfigError(f"the productions of {str(file)!r} do not load: {error}") from None
 
     def value_rules(self) -> str:
-        """Return the rules that give operators a numeric value, as productions, with their present values."""
+        """Return the rules that give operators a numeric value, as productions, with their current values."""
         return self.command("print --rl --full")
 
     @property
@@ -128,7 +128,7 @@ class Kernel:
         self._once.update(first_lines)
 
     def execute_once(self, command: str) -> None:
-        """Execute a command unless one with the same first line was; an error ends the run."""
+        """Execute a command unless one with the same first line was executed; an error ends the run."""
         first_line = command.partition("\n")[0]
         if first_line not in self._once:
             self._once.add(first_line)
@@ -140,10 +140,10 @@ class Kernel:
     # Runs
 
     def run(self) -> tuple[str, Mapping[str, str]]:
-        """Run until the agent has put a command on its output link; return its name and its parameters.
+        """Run until the agent has put a command on its output link; return the command's name and parameters.
 
         Raises:
-            SoarError: it has halted, or has sent no command in the decision cycles that a step may take.
+            SoarError: the agent has halted, or has sent no command in the decision cycles allowed for a step.
         """
         self._agent.Commit()
         self._agent.RunSelfTilOutput()
@@ -167,9 +167,9 @@ class Kernel:
         self._raise_failure()
 
     def reinitialize(self) -> None:
-        """Empty working memory, but for the input; learned values stay.
+        """Empty working memory except for the input; learned values stay.
 
-        Soar would update the last operators of substates with the reward that is there.
+        With learning on, Soar would update the last operators of substates with the reward on the input.
         """
         self.command("rl --set learning off")
         self._agent.InitSoar()
@@ -214,6 +214,6 @@ def require_soar() -> None:
 
 
 def _end_of(printed: str) -> str:
-    """Return the end of what Soar printed, without the marks that it makes for loaded productions."""
+    """Return the end of Soar's output, without the marks that it prints for loaded productions."""
     lines = [line for line in printed.strip().splitlines() if line.strip("*#& ")]
     return "\n".join(lines)[-_SHOWN:]

@@ -3,7 +3,7 @@
     (<input-link> ^step 17 ^reward -0.01)        step counts from 1, from the start of the agent
     (<input-link> ^terminal yes)                 only in the last cycle of an episode
 
-Only what has changed is changed in working memory: Soar spends its time on changes.
+Only changes are written to working memory: Soar spends its time on changes.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ class SoarLink(abc.ABC):
 
     @abc.abstractmethod
     def action(self, name: str, parameters: Mapping[str, str]) -> Action:
-        """Return the action that a command on the output link stands for.
+        """Return the action of a command on the output link.
 
         Raises:
-            SoarError: it stands for none.
+            SoarError: the command is not an action.
         """
 
     @abc.abstractmethod
@@ -67,7 +67,7 @@ class SoarLink(abc.ABC):
 
     @abc.abstractmethod
     def _forget(self) -> None:
-        """Forget what is known of the episode before."""
+        """Forget the previous episode."""
 
     def _count(self, reward: float) -> None:
         self._steps += 1

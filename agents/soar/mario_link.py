@@ -6,8 +6,8 @@
     (<c> ^number 15 ^left <b> ^tile <t> ...)     the column to the left, if in view
     (<t> ^type coin ^row 5)                      blanks are left out, and so is the tile that Mario hides
 
-Positions and rows are those of `agents.mario.observation`; what Mario's column and row are, too. A
-monster is any sprite but Mario. It keeps its id for as long as the sprites up to its place in the
+Positions and rows are those of `agents.mario.observation`, including Mario's column and row. A
+monster is any sprite except Mario. It keeps its id as long as the sprites up to its place in the
 observation are of the same kinds.
 """
 
@@ -83,7 +83,7 @@ _EMPTY: Final = bytes([BLANK]) * ROWS
 
 @dataclass(slots=True)
 class _Sprite:
-    """A sprite on the input link: what it is, its numbers, and the elements that hold what may change."""
+    """A sprite on the input link: its kind, its numbers, and the elements that may change."""
 
     element: Element
     kind: int
@@ -231,7 +231,7 @@ class MarioLink(SoarLink):
     def _drop_column(self, number: int) -> None:
         kernel = self._kernel
         right = self._columns.get(number + 1)
-        if right is not None and right.left is not None:  # Soar would keep it, and with it the column
+        if right is not None and right.left is not None:  # Soar would keep the link, and with it the column
             kernel.remove(right.left)
             right.left = None
         kernel.remove(self._columns.pop(number).element)

@@ -1,8 +1,8 @@
 """RL-Glue's agent, played by Soar: one run of the kernel for each step of the episode.
 
-Soar's random numbers are seeded anew for each episode, from the agent's seed and the episode's number:
-so a saved agent goes on with the same episodes. Soar has one generator for all kernels of a process:
-agents that take turns in one process disturb each other's.
+Soar's random numbers are reseeded for each episode, from the agent's seed and the episode's number, so
+a saved agent continues with the same episodes. Soar has one generator for all kernels of a process, so
+agents that take turns in one process disturb each other's random numbers.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class SoarPlayer(Agent):
 
     Args:
         productions: the file to load.
-        max_cycles: the largest number of decision cycles that a step may take.
-        seed: takes the place of the seed that the experiment sends; None to use the experiment's.
+        max_cycles: maximum number of decision cycles in a step.
+        seed: a seed to use instead of the experiment's; None to use the experiment's.
 
     Raises:
         ConfigError: soar-sml is not installed, or there is no such file.
@@ -71,7 +71,7 @@ class SoarPlayer(Agent):
         """
 
     def _commands(self) -> Iterable[str]:
-        """Return the commands that carry out the agent's options, once the productions have been loaded."""
+        """Return the commands that apply the agent's options, once the productions have been loaded."""
         return ()
 
     def agent_seed(self, seed: int) -> None:
@@ -94,7 +94,7 @@ class SoarPlayer(Agent):
         """Begin an episode; nothing more is learned from a truncated one (cut off).
 
         Raises:
-            SoarError: the agent does not act; so do all other calls.
+            SoarError: the agent does not act. All other calls raise it, too.
         """
         kernel, link = self._connected()
         self._reinitialize(kernel)
@@ -118,13 +118,13 @@ class SoarPlayer(Agent):
         self._reinitialize(kernel)
 
     def agent_cleanup(self) -> None:
-        """End the kernel, and with it all that was learned."""
+        """Close the kernel, and lose everything learned."""
         if self._kernel is not None:
             self._kernel.close()
         self._kernel = self._link = None
 
     def agent_message(self, message: str) -> str:
-        """Answer `values`, the number of values learned, `cycles`, that of decision cycles, and `epsilon`."""
+        """Answer `values`, the number of learned values, `cycles`, that of decision cycles, and `epsilon`."""
         if self._kernel is not None:
             if message == "values":
                 return str(len(parse_rules(self._kernel.value_rules())))
@@ -156,10 +156,10 @@ class SoarPlayer(Agent):
         return pack(saved)
 
     def agent_load(self, data: bytes) -> None:
-        """Continue from what `agent_save` returned.
+        """Continue from a state that `agent_save` returned.
 
         Raises:
-            SaveError: it is damaged, or of another agent, or holds anything but rules for values.
+            SaveError: `data` is damaged, or of another agent, or holds anything except rules for values.
         """
         self._connected()
         self._restore(unpack(data, self.name, {}))
@@ -178,9 +178,9 @@ class SoarPlayer(Agent):
         return [float(kernel.command(f"decide indifferent-selection --{name}")) for name in _EXPLORATION]
 
     def _restore(self, saved: Saved) -> None:
-        """Go on from what was saved, in a new kernel.
+        """Continue from a saved state, in a new kernel.
 
-        Soar's order of equal choices depends on all that its kernel has seen.
+        Soar's order of equal choices depends on everything that its kernel has seen.
         """
         exploration = saved.array("exploration", np.float64, low=0.0).tolist()
         if len(exploration) != len(_EXPLORATION):
@@ -198,7 +198,7 @@ class SoarPlayer(Agent):
         self._seed, self._episodes, self._cycles = seed, episodes, cycles
 
     def _new_kernel(self) -> Kernel:
-        """Begin with nothing but the productions."""
+        """Return a new kernel with only the productions, in place of the old one."""
         assert self._task is not None
         self.agent_cleanup()
         kernel = self._kernel = Kernel(self.name, self._max_cycles)

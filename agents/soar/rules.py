@@ -1,7 +1,7 @@
 """The rules that hold learned values, in Soar's own syntax, parsed without trusting them.
 
-A rule is a production whose only action is a numeric preference. A save may come from anybody, and the
-actions of other productions can execute any command of Soar's.
+A rule is a production whose only action is a numeric preference. A save may come from anyone, and the
+actions of other productions can execute any Soar command.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def parse_rules(text: str) -> list[str]:
     """Return the rules of a text as commands, one `sp { ... }` each, in the order of the text.
 
     Raises:
-        SaveError: there is anything else in it.
+        SaveError: the text holds anything else.
     """
     rules: list[str] = []
     end = 0

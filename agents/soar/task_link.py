@@ -1,12 +1,12 @@
 """Any task on the input link: the numbers of an observation by their positions, its chars as one text.
 
     (<input-link> ^observation <o> ^task <t>)
-    (<o> ^int-1 5 ^int-2 0 ^double-1 0.25 ^chars |abc|)      what the observation has, counted from 1
+    (<o> ^int-1 5 ^int-2 0 ^double-1 0.25 ^chars |abc|)      the observation, counted from 1
     (<t> ^spec |VERSION RL-Glue-3.0 ...| ^int-1 <r>)         the task spec, and the ranges of the action
-    (<r> ^low 0 ^high 3)                                     what is bounded
+    (<r> ^low 0 ^high 3)                                     only the finite bounds
 
-An action is (<output-link> ^action <a>) with (<a> ^int-1 2 ^double-1 0.5 ^chars |x|): all that the task
-spec says an action has, and a ^step if that helps to remove it later.
+An action is (<output-link> ^action <a>) with (<a> ^int-1 2 ^double-1 0.5 ^chars |x|): everything that the
+task spec says an action has, and a ^step if that helps to remove the action later.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from glue.taskspec import Range, TaskSpec
 from glue.types import Action, Observation
 
 MAX_NUMBERS: Final = 10_000
-"""Numbers of an observation or action that are put into working memory."""
+"""Maximum number of numbers of an observation or action in working memory."""
 
 _CHARS: Final = "chars"
 
@@ -82,7 +82,7 @@ class TaskLink(SoarLink):
         return action
 
     def _forget(self) -> None:
-        """Nothing: each observation replaces all of the one before."""
+        """Do nothing: each observation replaces all of the previous one."""
 
     def _put(self, observation: Observation) -> None:
         if sum(observation.counts) > MAX_NUMBERS:

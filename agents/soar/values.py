@@ -1,8 +1,8 @@
 """The values that a Soar agent for Mario has learned, by the tests of its rules.
 
-keystroke   in a state that is described by a text, of which several may add up
+keystroke   in a state described by a text; several values may add up
 operator    by its object, described by a text
-context     an operator's name, and which kinds of objects there are to choose from
+context     an operator's name, and the kinds of objects to choose from
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def _rendered(player: Environment, _: bool) -> Rendered:
-    """Return `player`, drawn in this terminal until the command ends, however it ends."""
+    """Return `player`, drawn in this terminal until the command ends for any reason."""
     from env_server.render import live
     from glue.cli.screen import TerminalScreen, renderer
 

@@ -152,7 +152,7 @@ def replay(
 
 
 class _Counted:
-    """Moments, counted as they pass; a difference is reported with its file."""
+    """Iterates over moments and counts them; adds the file to a reported difference."""
 
     def __init__(self, moments: Iterator[Moment], reader: TrajectoryReader | GoldenReader) -> None:
         self._moments = moments
@@ -185,7 +185,7 @@ class _Counted:
 
 
 def _builder(name: str | None, assignments: tuple[str, ...]) -> Callable[[RecordedRun], Environment]:
-    """Return how to make the environment of a run: the recorded one, or the one that was asked for."""
+    """Return a function that makes the environment of a run: the recorded one, or the requested one."""
     from env_server.replay.episodes import build_named
 
     if name is None:

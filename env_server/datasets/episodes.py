@@ -1,4 +1,4 @@
-"""The episodes that a dataset has: those of recordings that count and have a step."""
+"""The episodes of a dataset: the recorded episodes that count and have a step."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Played(NamedTuple):
 
 
 def played(readers: Sequence[TrajectoryReader]) -> Iterator[Played]:
-    """Yield the episodes of recordings that count, one at a time.
+    """Yield the recorded episodes that count, one at a time.
 
     Raises:
         TrajectoryError: a recording cannot be read or has no observations, or none has an episode.

@@ -24,16 +24,16 @@ from glue.trajectory import Run, TrajectoryReader
 from glue.types import AbstractType
 
 _MOST_BYTES: Final = 2**30
-"""Of an episode's padded observations or actions: a single large one makes all as large."""
+"""Maximum bytes of an episode's padded observations or actions: a single large one enlarges all."""
 
 _SIZES: Final = (4, 8, 1)
 """Bytes of an int, a double and a char."""
 
 
 def write_minari(readers: Sequence[TrajectoryReader], dataset_id: str) -> int:
-    """Write the episodes of recordings to a new dataset, in the folder that Minari keeps datasets in.
+    """Write the episodes of recordings to a new dataset in Minari's folder of datasets.
 
-    Its spaces are those of the task spec; where that does not state the counts, see `padded`.
+    The spaces are those of the task spec; where it does not state the counts, see `padded`.
 
     Args:
         readers: the recordings, of one task spec.
@@ -76,14 +76,14 @@ def _write(readers: Sequence[TrajectoryReader], dataset_id: str) -> int:
     )
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # there is no author, and so on
+            warnings.simplefilter("ignore", UserWarning)  # about a missing author, and so on
             written = minari.create_dataset_from_buffers(
                 dataset_id,
                 buffers,
                 observation_space=observations[0],
                 action_space=actions[0],
                 description=f"{run.environment} {dict(run.options)}, seed {run.seed}, recorded by glue-rl",
-                jpeg_encoding=False,  # which would change them
+                jpeg_encoding=False,  # JPEG would change the observations
             )
     except BaseException:
         if dataset_id in minari.list_local_datasets():
@@ -98,7 +98,7 @@ class _Survey(NamedTuple):
 
     run           the first run
     observations  the largest counts of observations
-    actions       those of actions
+    actions       the largest counts of actions
     steps         the largest number of steps
     """
 
@@ -151,7 +151,7 @@ def _most(counts: Counts, values: Sequence[AbstractType]) -> Counts:
 
 
 def _last(episode: Played, ended: bool) -> npt.NDArray[np.bool_]:
-    """Return a flag for each step, False but for the last, which is `ended`."""
+    """Return a flag for each step: `ended` for the last, False for all others."""
     flags = np.zeros(len(episode.actions), np.bool_)
     flags[-1] = ended
     return flags

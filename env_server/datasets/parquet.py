@@ -36,12 +36,12 @@ def write_parquet(readers: Sequence[TrajectoryReader], path: Path) -> int:
     """Write the episodes of recordings to a file, with a row group for each.
 
     A row is an observation, the action taken there, its reward, and whether it ended the episode. The last
-    row of an episode is its last observation, without action. Runs, episodes and steps count from 0; the runs
-    are in the file's metadata, as `runs`: JSON with the environment, its options, seed and task spec.
+    row of an episode is its last observation, without an action. Runs, episodes and steps count from 0; the
+    runs are in the file's metadata, as `runs`: JSON with the environment, its options, seed and task spec.
 
     Args:
         readers: the recordings.
-        path: path of the file; an existing one is replaced once all is written.
+        path: path of the file; an existing file is replaced once everything is written.
 
     Returns:
         The number of episodes.

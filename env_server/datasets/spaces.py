@@ -1,4 +1,4 @@
-"""Spaces of Gymnasium for recorded values, also for those of which a task spec does not state the counts."""
+"""Gymnasium spaces for recorded values, including values whose counts the task spec does not state."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from glue.gym.codec import Codec
 from glue.types import AbstractType, arrays_of
 
 Counts = tuple[int, int, int]
-"""Of ints, doubles and chars."""
+"""Numbers of ints, doubles and chars."""
 
 Conversion = tuple[spaces.Space[Any], Callable[[AbstractType], Any]]
-"""A space, and a function that turns an observation or action into a value of it."""
+"""A space, and a function that turns an observation or action into a value of the space."""
 
 _INT32: Final = np.iinfo(np.int32)
 
@@ -26,10 +26,10 @@ def stated(space: spaces.Space[Any]) -> Conversion:
 
 
 def padded(most: Counts) -> Conversion:
-    """Return the conversion to arrays with zeros behind the numbers, and `counts`, how many there are.
+    """Return the conversion to zero-padded arrays and `counts`, the numbers of values before padding.
 
     Args:
-        most: the largest counts; a kind without any is left out.
+        most: the largest counts; a kind whose count is 0 is left out.
     """
     boxes = {
         "ints": spaces.Box(_INT32.min, _INT32.max, (most[0],), np.int32),
@@ -50,7 +50,7 @@ def padded(most: Counts) -> Conversion:
 
 
 def stacked(values: list[Any]) -> Any:
-    """Return values of a space, one for each step, as one value of arrays, its first axis the steps."""
+    """Return values of a space, one for each step, as one value of arrays whose first axis is the step."""
     first = values[0]
     if isinstance(first, dict):
         return {name: stacked([value[name] for value in values]) for name in first}

@@ -1,11 +1,11 @@
-"""Infinite Mario as a Gymnasium environment, alone and many at once.
+"""Infinite Mario as a Gymnasium environment, single and vectorized.
 
     import gymnasium
 
     env = gymnasium.make("env_server.gym:glue/InfiniteMario-v0", level_difficulty=1)
     envs = gymnasium.make_vec("env_server.gym:glue/InfiniteMario-v0", num_envs=64, levels="train-200")
 
-docs/gymnasium.md is the users' page.
+docs/gymnasium.md is the user guide.
 """
 
 from __future__ import annotations

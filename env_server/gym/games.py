@@ -1,4 +1,4 @@
-"""The games of Gymnasium's environments, made from their keywords."""
+"""The games of the Gymnasium environments, made from keyword arguments."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def make_games(
     Args:
         count: N.
         view: name of a view.
-        options: of `InfiniteMario`.
+        options: those of `InfiniteMario`.
         max_episode_steps: steps after which an episode is cut off; None for no such limit.
         mode, threads: see `Games`.
         levels, num_levels, start_level: see `env_server.mario.level_sets`.
@@ -38,7 +38,7 @@ def make_games(
     Raises:
         ConfigError, SimulatorError: an argument is out of bounds, or two contradict each other.
     """
-    if view not in tuple(VIEWS):  # it may be of any type
+    if view not in tuple(VIEWS):  # `view` may be of any type
         raise ConfigError(f"observation is one of {', '.join(VIEWS)}, not {view!r:.80}")
     if max_episode_steps is not None and not 1 <= max_episode_steps <= MAX_STEPS:
         raise ConfigError(f"max_episode_steps must be from 1 to {MAX_STEPS}, not {max_episode_steps}")
@@ -60,5 +60,5 @@ def make_games(
 
 
 def _plain(value: Any) -> Any:
-    """Return one of NumPy's numbers as Python's, and anything else as it is."""
+    """Return a NumPy number as a Python number, and any other value unchanged."""
     return value.item() if isinstance(value, np.generic) else value

@@ -18,7 +18,7 @@ from glue.types import Observation
 
 RENDER_MODES: Final = ("rgb_array", "ansi", "human")
 FPS: Final = 10
-"""Steps per second: a step is five ticks of the game, which has fifty a second."""
+"""Steps per second, about twice the speed of the original game."""
 
 _COLORS: Final = np.array([*PALETTE.values()], np.uint8)
 _SCALE: Final = 2
@@ -48,7 +48,7 @@ class Renderer:
         """Return pixels of shape (240, 320, 3), or a text; with `human` show a window and return None.
 
         Raises:
-            ConfigError: there is no window to be had.
+            ConfigError: no window can be opened.
         """
         if self._mode == "ansi":
             return "\n".join(draw_text(observation)) + "\n"
@@ -88,7 +88,7 @@ class _Window:
         self._label.pack()
 
     def show(self, pixels: npt.NDArray[np.uint8]) -> None:
-        """Show a picture for as long as a step takes."""
+        """Show a picture for the duration of a step."""
         data = b"P6 %d %d 255 " % (WIDTH, HEIGHT) + pixels.tobytes()
         self._image: Any = self._photo_image(data=data, format="PPM").zoom(_SCALE)
         self._label.configure(image=self._image)

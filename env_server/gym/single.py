@@ -27,7 +27,7 @@ _METADATA: Final = {"render_modes": [*RENDER_MODES], "render_fps": FPS}
 
 @dataclass(frozen=True, slots=True)
 class GameState:
-    """The state of a game, from `clone_state`; it means nothing to another version of the program."""
+    """The state of a game, from `clone_state`; it is not portable to other versions of the program."""
 
     arrays: tuple[npt.NDArray[Any], ...]
 
@@ -40,10 +40,10 @@ class InfiniteMarioEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         action: `buttons`, MultiDiscrete([3, 2, 2]) of direction (0 left, 1 neither, 2 right), jump and run;
             or `discrete`, Discrete(12), whose action is 4 * direction + 2 * jump + run.
         levels: the name of a set of levels; each episode is played on one of them.
-        num_levels, start_level: as many levels, from that number on, instead of a set.
+        num_levels, start_level: instead of a set, `num_levels` levels from number `start_level` on.
         render_mode: `rgb_array`, `ansi` or `human`.
-        options: every parameter of the game, as for `glue-env mario`. A level type or difficulty that is
-            given holds for all levels of a set.
+        options: any parameter of the game, as for `glue-env mario`. A given level type or difficulty holds
+            for all levels of a set.
 
     Mario's own step limit, `max_trial_steps`, pays the reward of death and terminates the episode; then
     `info["timeout"]` is true.
@@ -71,7 +71,7 @@ class InfiniteMarioEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
             1, observation, options, levels=levels, num_levels=num_levels, start_level=start_level
         )
         self.observation_space: gymnasium.Space[Any] = observation_space(observation)
-        # The class names every mode, for gymnasium.make; an instance those that can be tried here.
+        # The class lists every mode, for gymnasium.make; an instance lists those that work here.
         self.metadata = {**type(self).metadata, "render_modes": usable_modes()}
         self.render_mode = render_mode
         self._view = observation
@@ -83,7 +83,7 @@ class InfiniteMarioEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
     ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode.
 
-        With a seed nothing of earlier episodes remains; without one, as in the original, the buttons that the
+        With a seed, nothing of earlier episodes remains; without a seed, as in the original, buttons that the
         last episode left pressed are still held in the first tick.
         """
         super().reset(seed=seed)
@@ -97,7 +97,7 @@ class InfiniteMarioEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Hold the buttons of `action` for five ticks of the game.
 
-        The last observation of an episode that terminates is the one before it, again.
+        When an episode terminates, its last observation repeats the previous one.
 
         Raises:
             SimulatorError: the action is not in the space, or there is no episode to step in.
@@ -134,14 +134,14 @@ class InfiniteMarioEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         self._renderer.close()
 
     def clone_state(self) -> GameState:
-        """Return where the game is, and which levels come next, to go back to later."""
+        """Return the state of the game and of its choice of levels, for `restore_state`."""
         return GameState(tuple(array.copy() for array in self._arrays()))
 
     def restore_state(self, state: GameState) -> None:
-        """Go to where `clone_state` of an environment of the same options was called.
+        """Restore a state that `clone_state` of an environment with the same options returned.
 
         Raises:
-            SimulatorError: `state` is no such state, or of an environment with other observations.
+            SimulatorError: `state` is not such a state, or is of an environment with other observations.
         """
         if not isinstance(state, GameState):
             raise SimulatorError(f"expected a state that clone_state returned, not {state!r:.80}")

@@ -1,4 +1,4 @@
-"""The spaces of Infinite Mario's views and actions, and how the rows of a view fill an observation."""
+"""The spaces of Infinite Mario's views and actions, and the conversion of rows to and from them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from glue.errors import ConfigError, SimulatorError
 
 _WINDOW: Final = (ROWS_SHOWN, COLUMNS_SHOWN)
 CHOICES: Final = {"buttons": np.array([3, 2, 2]), "discrete": np.array([12])}
-"""Number of values of direction, jump and run; and of their number, 4 * direction + 2 * jump + run."""
+"""Number of values of direction, jump and run, or of the action number, 4 * direction + 2 * jump + run."""
 
 
 def observation_space(view: str) -> spaces.Space[Any]:
@@ -57,14 +57,14 @@ def action_space(action: str) -> spaces.Space[Any]:
     Raises:
         ConfigError: there is no such space.
     """
-    if action not in tuple(CHOICES):  # it may be of any type
+    if action not in tuple(CHOICES):  # `action` may be of any type
         raise ConfigError(f"action is one of {', '.join(CHOICES)}, not {action!r:.80}")
     choices = CHOICES[action]
     return spaces.MultiDiscrete(choices) if action == "buttons" else spaces.Discrete(int(choices[0]))
 
 
 def unpack(view: str, cells: Cells, reals: Reals) -> Any:
-    """Return rows of a view as observations: of shapes (..., bytes) and (..., reals), without copying."""
+    """Return rows of a view, shapes (..., bytes) and (..., reals), as observations, without copying."""
     rows = cells.shape[:-1]
     if view == "tiles":
         return {
@@ -84,15 +84,15 @@ def unpack(view: str, cells: Cells, reals: Reals) -> Any:
 
 
 def read_actions(action: str, given: object, count: int) -> npt.NDArray[np.int64]:
-    """Return `count` actions as rows, shape (count, 3) or (count, 1); their numbers are still to be checked.
+    """Return `count` actions as rows, shape (count, 3) or (count, 1); their numbers are not checked yet.
 
     Args:
-        action: the name of their space.
-        given: one action, or an array of as many.
-        count: how many there are; 0 for one that is not in an array.
+        action: the name of the action space.
+        given: one action, or an array of `count` actions.
+        count: number of actions; 0 for a single action that is not in an array.
 
     Raises:
-        SimulatorError: they are of another shape or type.
+        SimulatorError: `given` has another shape or type.
     """
     actions = np.asarray(given)
     shape = (count,) * (count > 0) + (3,) * (action == "buttons")

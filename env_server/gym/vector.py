@@ -31,7 +31,7 @@ _MODES = {
     AutoresetMode.SAME_STEP: SAME_STEP,
     AutoresetMode.DISABLED: DISABLED,
 }
-_FLAGS = 2  # the first of INFOS are true or false
+_FLAGS = 2  # number of leading INFOS that are bools
 _KEYS: Final = (*INFOS, *(f"_{name}" for name in INFOS))
 
 
@@ -42,10 +42,10 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
     """`num_envs` games, each as `InfiniteMarioEnv` would play it with the seed `seed + i`.
 
     Args:
-        num_envs: how many games.
+        num_envs: number of games.
         max_episode_steps: steps after which an episode is truncated; None for no such limit.
         autoreset_mode: Gymnasium's NEXT_STEP, SAME_STEP or DISABLED, or its value.
-        num_threads: threads that step the games, used while they make it faster. Results do not depend on it.
+        num_threads: threads that step the games, used while that is faster. Results do not depend on them.
         copy: False returns views of memory that the next step overwrites.
         observation, action, levels, num_levels, start_level, options: as for `InfiniteMarioEnv`.
         render_mode: `rgb_array` or `ansi`.
@@ -72,7 +72,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        # Until there is something to close: Gymnasium 1.0 closes what was never made.
+        # Closed until it is complete: Gymnasium 1.0 closes even an environment whose constructor raised.
         self.closed: bool = True
         for name, number in (("num_envs", num_envs), ("num_threads", num_threads)):
             if not isinstance(number, int) or number < 1:
@@ -113,10 +113,10 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
     ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode in every game, or in those that `options["reset_mask"]`, shape (N,), chooses.
 
-        Game `i` of a seed is seeded with `seed + i`. For what a seeded game forgets see `InfiniteMarioEnv`.
+        With a number as `seed`, game `i` is seeded with `seed + i`; see `InfiniteMarioEnv` for the effect.
 
         Raises:
-            ConfigError: there is not one seed per game, or the mask is not N bools of which one is true.
+            ConfigError: there is not one seed per game, or the mask is not N bools with at least one true.
         """
         seed = int(seed) if isinstance(seed, np.integer) else seed
         super().reset(seed=seed if isinstance(seed, int) else None)
@@ -137,8 +137,8 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         """Carry out an action in every game.
 
         Raises:
-            SimulatorError: an action is not in the space, or a game has no episode to step in; then no game
-                was stepped.
+            SimulatorError: an action is not in the space, or a game has no episode to step in. No game is
+                stepped then.
         """
         games, count = self._opened(), self.num_envs
         rows = read_actions(self._action, actions, count)
@@ -151,7 +151,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         return self._results
 
     def _read(self) -> None:
-        """Copy what the games show after a step."""
+        """Copy the results of a step from the games."""
         lanes = self._games.lanes
         terminated, truncated = lanes["terminated"].copy(), lanes["truncated"].copy()
         infos: dict[str, Any] = {}
@@ -218,11 +218,11 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
 
 
 def _columns(infos: npt.NDArray[np.int64], which: npt.NDArray[np.bool_] | None = None) -> dict[str, Any]:
-    """Return rows of infos as Gymnasium's vector environments do: by name, each with a mask.
+    """Return rows of infos in the form of Gymnasium's vector environments: by name, each with a mask.
 
     Args:
-        infos: of all games, shape (N, 5).
-        which: the mask, shape (N,), of those that have something to say; None for all.
+        infos: the infos of all games, shape (N, 5).
+        which: the mask, shape (N,), of the games whose infos count; None for all.
     """
     numbers = infos.T.copy()
     masks = np.ones(numbers.shape, np.bool_)

@@ -1,6 +1,6 @@
-"""An agent's belief about a game of Infinite Mario of which it receives only observations.
+"""An agent's belief about a game of Infinite Mario, formed from observations only.
 
-See `env_server.mario.model`, which agents use, and which explains the arguments.
+Agents use `env_server.mario.model`, which also explains the arguments.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from glue.types import PREFIX_SIZE
 
 _FAR: Final = 2**20
 _RISEN: Final = 9  # age of an item that has left its block
-_UNKNOWN: Final = 24  # columns beyond the view that are guessed
+_UNKNOWN: Final = 24  # number of columns beyond the view that are guessed
 _CLOSE: Final = np.float32(0.01)  # pixels
 _LOWEST_CEILING: Final = 5  # row
 _FLOOR: Final = tile.STOPS_ALL | tile.STOPS_FALL
@@ -48,7 +48,7 @@ for _char, _code in {
     "2": 1,
     "3": 1,
     "7": tile.STAIR,  # solid, and nothing else
-    "b": tile.BRICK_WITH_COIN,  # until it is hit; one in five holds a coin
+    "b": tile.BRICK_WITH_COIN,  # assumed until it is hit; one in five holds a coin
     "?": tile.QUESTION_WITH_COIN,
     "|": tile.PIPE_MOUTH,
     "$": tile.COIN,
@@ -68,7 +68,7 @@ def start(world: World, level: LevelMap, seen: npt.NDArray[np.int64], body: Byte
     if seen[0] == 0:
         level.exit_x = _FAR
         level.spawns[:] = 0
-    for column in range(COLUMNS):  # a saved level is its tiles and spawn points
+    for column in range(COLUMNS):  # a saved level has only its tiles and spawn points
         write_cells(level, column)
     world.changed[:] = 0
     tiles = read_tiles(world, level, seen, body)
@@ -79,7 +79,7 @@ def start(world: World, level: LevelMap, seen: npt.NDArray[np.int64], body: Byte
 
 @jit
 def predicts(world: World, level: LevelMap, body: Bytes) -> bool:
-    """Return whether Mario and all others are, to the last bit, as an observation shows them."""
+    """Return whether Mario and all other actors match an observation to the last bit."""
     ours = np.empty(BODY_SIZE, np.uint8)
     encode(world, level, ours)
     words = body.view(np.int32)
@@ -88,7 +88,7 @@ def predicts(world: World, level: LevelMap, body: Bytes) -> bool:
 
 @jit
 def finds(world: World, body: Bytes) -> bool:
-    """Return whether Mario is, to the last bit, where an observation shows him."""
+    """Return whether Mario's position matches an observation to the last bit."""
     reals = body.view(np.float64)[PREFIX_SIZE // 8 :]
     mario = world.actors[0]
     return bool(mario.x == _single(reals[0]) and mario.y == _height(reals[1]))
@@ -96,7 +96,7 @@ def finds(world: World, body: Bytes) -> bool:
 
 @jit
 def correct(world: World, level: LevelMap, seen: npt.NDArray[np.int64], body: Bytes) -> bool:
-    """Put right what an observation shows otherwise; return whether nothing had to be, new columns apart."""
+    """Correct the belief by an observation; return whether it matched already, apart from new columns."""
     words = body.view(np.int32)
     count = words[1] // 4
     is_same = predicts(world, level, body)
@@ -111,7 +111,7 @@ def correct(world: World, level: LevelMap, seen: npt.NDArray[np.int64], body: By
 
 @jit
 def place(world: World, level: LevelMap, body: Bytes) -> None:
-    """Put Mario where an observation shows him; everything else stays as it was predicted."""
+    """Move Mario to his observed position; everything else stays as predicted."""
     words = body.view(np.int32)
     numbers = words[PREFIX_SIZE // 4 + 2 * words[1] :]
     _correct_mario(world, level, numbers, body.view(np.float64)[PREFIX_SIZE // 8 :])
@@ -124,7 +124,7 @@ def _same(ours: Bytes, theirs: Bytes, size: int) -> bool:
 
 @jit
 def read_tiles(world: World, level: LevelMap, seen: npt.NDArray[np.int64], body: Bytes) -> int:
-    """Write the tiles that an observation shows otherwise; return how many of them had been seen before."""
+    """Write the tiles that differ in an observation; return how many of them had been seen before."""
     corrected = 0
     words = body.view(np.int32)
     chars = body[PREFIX_SIZE + 8 * words[1] + 4 * words[0] :]
@@ -159,7 +159,7 @@ def read_tiles(world: World, level: LevelMap, seen: npt.NDArray[np.int64], body:
 
 @jit
 def _correct_tile(world: World, level: LevelMap, column: int, row: int, char: int) -> None:
-    """Let a tile be what is shown of it; what it was before play changed it is kept for later episodes."""
+    """Make a tile look as observed; where play explains the change, keep the original for later episodes."""
     code = level.tiles[column, row]
     unchanged = world.changed[column] >> row & 1 == 0
     if unchanged and code == tile.BRICK and char == _SOLID:
@@ -175,7 +175,7 @@ def _correct_tile(world: World, level: LevelMap, column: int, row: int, char: in
 
 @jit
 def _see(world: World, level: LevelMap, seen: npt.NDArray[np.int64]) -> None:
-    """Note that the columns of the window have been seen, and guess those beyond: the last one's ground."""
+    """Mark the columns of the window as seen, and guess those beyond it: the last ground continues."""
     end = min(world.drawn_camera // 16 + COLUMNS_SHOWN, COLUMNS)
     if end <= seen[0]:
         return
@@ -195,7 +195,7 @@ def _see(world: World, level: LevelMap, seen: npt.NDArray[np.int64]) -> None:
 
 @jit
 def _lowest_solid(level: LevelMap, column: int) -> int:
-    """Return the row of a column in which its ground, filled or not, begins from below; -1 without ground."""
+    """Return the lowest row of a column's ground, filled or not; -1 without ground."""
     for row in range(ROWS - 1, _LOWEST_CEILING, -1):
         if CHAR_OF[level.tiles[column, row]] == _SOLID:
             return row
@@ -227,7 +227,7 @@ def _correct_mario(
         show_size(world, large, fire)
     if mario.x == x and mario.y == y:
         return
-    # What was predicted well keeps its hidden state: landing, for one, does not clear the vertical speed.
+    # A correct prediction keeps its hidden state: landing, for one, does not clear the vertical speed.
     is_fast_as_predicted = abs(mario.x - x) < _CLOSE
     is_high_as_predicted = abs(mario.y - y) < _CLOSE
     mario.x = x
@@ -261,7 +261,7 @@ def _correct_actors(
     numbers: npt.NDArray[np.int32],
     reals: npt.NDArray[np.float64],
 ) -> None:
-    """Let the actors be those that are observed, in their order; each keeps what is known of it."""
+    """Make the actors those observed, in the observed order; each keeps its known state."""
     count = min(count, ACTORS - 1)
     slots = np.zeros(count, np.int64)
     for i in range(count):
@@ -319,7 +319,7 @@ def _correct_actors(
 
 @jit
 def _infer(world: World, level: LevelMap, actor: Actor, dx: np.float32, dy: np.float32, is_new: bool) -> None:
-    """Give an actor, whose place is known, the hidden state that its last motion tells."""
+    """Infer the hidden state of an actor from its last motion; its position is known."""
     if actor.kind == PLANT:
         actor.vy = np.float32(np.float64(dy) * 0.9) + np.float32(0.1)
         column = int(actor.x) // 16
@@ -365,7 +365,7 @@ def _infer(world: World, level: LevelMap, actor: Actor, dx: np.float32, dy: np.f
 
 @jit
 def _remember(world: World, level: LevelMap, actor: Actor, dx: np.float32, dy: np.float32) -> None:
-    """Note in the level where an actor that was not expected came from."""
+    """Record in the level the origin of an unexpected actor."""
     column, row = int(actor.x) // 16, int(actor.y) // 16
     if actor.kind == PLANT:
         if row < ROWS and actor.row < ROWS:
@@ -400,7 +400,7 @@ def _remember(world: World, level: LevelMap, actor: Actor, dx: np.float32, dy: n
 
 @jit
 def _spawned_ago(x: np.float32, dx: np.float32) -> int:
-    """Return the ticks since a walker at `x` was created, if it was within this step; 0 if it was not."""
+    """Return the ticks since a walker at `x` was created, if that was within this step; otherwise 0."""
     for ticks in range(1, TICKS_PER_ACTION + 1):
         if (x - np.float32(ticks) * dx - np.float32(8)) % np.float32(16) == 0:
             return ticks

@@ -35,14 +35,14 @@ from glue.types import Action, Observation, Step
 _LEVEL: Final = ("level_seed", "level_type", "level_difficulty")
 _BUTTONS: Final = ("button_left", "button_right", "button_jump", "button_run")
 _ACTIONS: Final = {Action(ints=buttons).body: buttons for buttons in product((-1, 0, 1), (0, 1), (0, 1))}
-"""Every legal action, by its bytes: to look one up is to check it."""
+"""Every legal action, by its bytes; looking up an action also checks it."""
 _DIMENSIONS: Final = (("direction", -1, 1), ("jump", 0, 1), ("run", 0, 1))
 
 
 class InfiniteMario(Environment):
     """Infinite Mario of the RL-Competition 2009.
 
-    The task is a published instance or MDP; a parameter that is given overrides theirs. docs/mario.md and
+    The task is a published instance or MDP; explicit parameters override its own. docs/mario.md and
     `glue-env mario --help` list the options, which are the fields of `Options`. A small session:
 
         mario = InfiniteMario(level_seed=7, level_difficulty=1)
@@ -63,15 +63,15 @@ class InfiniteMario(Environment):
 
     @property
     def parameters(self) -> Parameters:
-        """Every parameter in force; the level's are those of the next episode."""
+        """Every parameter in force; those of the level are for the next episode."""
         return self._parameters
 
     @property
     def game(self) -> Game:
-        """The game being played, to look at or to clone.
+        """The game being played, for inspection or cloning.
 
         Raises:
-            SimulatorError: env_init was not called yet.
+            SimulatorError: env_init has not been called yet.
         """
         if self._game is None:
             raise SimulatorError("there is no game yet: call env_init first")
@@ -79,12 +79,12 @@ class InfiniteMario(Environment):
 
     @property
     def buttons(self) -> tuple[bool, ...]:
-        """Left, right, jump, run: those held when the next episode's first tick begins.
+        """Whether left, right, jump and run are held when the next episode's first tick begins.
 
-        They are as the last episode left them; in a fresh game none is held.
+        They stay as the last episode left them; in a fresh game none is held.
 
         Raises:
-            SimulatorError: env_init was not called yet.
+            SimulatorError: env_init has not been called yet.
         """
         world = self.game.world
         return tuple(bool(getattr(world, name)) for name in _BUTTONS)
@@ -104,10 +104,10 @@ class InfiniteMario(Environment):
         )
 
     def env_start(self) -> Observation:
-        """Build the level anew and return the first observation.
+        """Rebuild the level and return the first observation.
 
         Raises:
-            SimulatorError: env_init was not called yet.
+            SimulatorError: env_init has not been called yet.
         """
         return self.game.start()
 
@@ -124,7 +124,7 @@ class InfiniteMario(Environment):
         """Return direction, jump and run of an action.
 
         Raises:
-            SimulatorError: it is out of bounds or misshapen.
+            SimulatorError: `action` is out of bounds or misshapen.
         """
         buttons = _ACTIONS.get(action.body)
         if buttons is None:
@@ -137,7 +137,7 @@ class InfiniteMario(Environment):
         self._parameters = self._task
 
     def env_message(self, message: str) -> str:
-        """Answer one of the messages at the top of this module, or say which there are."""
+        """Answer one of the messages at the top of this module; otherwise list them."""
         question, *assignments = message.split() or [""]
         if question == "parameters" and not assignments:
             return json.dumps(asdict(self._parameters))
@@ -153,12 +153,12 @@ class InfiniteMario(Environment):
         )
 
     def env_save(self) -> bytes:
-        """Return the state on which later episodes depend: the level, and the buttons as last pressed."""
+        """Return the state on which later episodes depend: level, last buttons, and whether one has begun."""
         level = tuple(getattr(self._parameters, name) for name in _LEVEL)
         return pack_state(State(level, self.buttons, bool(self.game.world.started)))
 
     def env_load(self, data: bytes) -> None:
-        """Continue from what `env_save` returned.
+        """Continue from a state that `env_save` returned.
 
         Raises:
             SaveError: `data` is damaged, of another environment or of another version.
@@ -179,7 +179,7 @@ class InfiniteMario(Environment):
 
 
 def check_parameters(options: Mapping[str, Any]) -> Parameters:
-    """Return the task that options of `InfiniteMario`, by name, stand for.
+    """Return the task that options of `InfiniteMario`, given by name, describe.
 
     Raises:
         SimulatorError: an option is unknown or out of bounds, or both an instance and an MDP are given.

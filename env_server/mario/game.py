@@ -1,4 +1,4 @@
-"""One game, as Python plays it: the compiled rules around a record of memory, and observations out of it."""
+"""One game for Python callers: a record of memory, the compiled rules that act on it, and observations."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ from glue.errors import SimulatorError
 from glue.types import Observation
 
 Body = npt.NDArray[np.uint8]
-"""Room for an observation as the body of an abstract type, shape (BODY_SIZE,)."""
+"""Buffer for an observation as the body of an abstract type, shape (BODY_SIZE,)."""
 
 
 _NO_EPISODE: Final = "a step needs an episode: call start first, and again after each end"
 
 
 class Game:
-    """A game of a task. Two games share nothing, and a game's future depends on its memory alone.
+    """A game of a task. Two games share nothing, and a game's future depends only on its memory.
 
     Args:
         parameters: the task.
@@ -56,7 +56,7 @@ class Game:
 
     @property
     def world(self) -> World:
-        """The memory of the game, to look at; see `env_server.mario.sim.state`."""
+        """The memory of the game, for inspection; see `env_server.mario.sim.state`."""
         world: World = self._memory[0]
         return world
 
@@ -68,7 +68,7 @@ class Game:
 
     @property
     def level(self) -> Level:
-        """The level as it is now; used blocks and collected coins show in its tiles."""
+        """The level as it is now; its tiles show used blocks and collected coins."""
         level = self.level_map
         tiles, spawns = level.tiles[: level.columns], level.spawns[: level.columns]
         changed = self.world.changed[: level.columns, np.newaxis] >> np.arange(ROWS) & 1
@@ -93,7 +93,7 @@ class Game:
         return self._observation
 
     def step(self, direction: int, jump: int, run: int) -> tuple[float, Observation, bool]:
-        """Carry out an action for five ticks; return the reward, the observation and whether it ended.
+        """Carry out an action for five ticks; return reward, observation and whether the episode ended.
 
         The observation of an episode's last step is a copy of the previous one.
 
@@ -119,7 +119,7 @@ class Game:
 
         Args:
             buttons: different actions, shape (K, 3): direction -1 to 1, jump and run 0 or 1.
-            choices: which of them to carry out, shape (N,), each from 0 to K - 1.
+            choices: rows of `buttons` to carry out, shape (N,), each from 0 to K - 1.
 
         Returns:
             The reward of each action carried out, shape (N,) or shorter, and whether the episode ended.
@@ -145,7 +145,7 @@ class Game:
         return game
 
     def restore(self, other: Game) -> None:
-        """Go to the point at which `other` is."""
+        """Take over the state of `other`."""
         self._memory.view(np.uint8)[:] = other._memory.view(np.uint8)
         self._level = other._level
         self._shared = other._shared = True
@@ -162,11 +162,11 @@ def _carry_out(
 ) -> tuple[float, int]:
     """Begin an episode in the first of `worlds`, or carry out an action in it.
 
-    One function for both, because the rules are compiled into each that calls them.
+    One function does both, because the rules are compiled into every function that calls them.
 
     Returns:
-        The reward, and the length of the observation now in `body`: 0 if the episode ended, -1 if there is
-        none.
+        The reward, and the length of the observation now in `body`: 0 if the episode ended, -1 if there is no
+        episode.
     """
     world: World = worlds[0]
     level: LevelMap = levels[0]
@@ -188,7 +188,7 @@ def _play_first(
     choices: npt.NDArray[np.int64],
     rewards: npt.NDArray[np.float64],
 ) -> int:
-    """Carry out actions in the first of `worlds`, as `Game.play`; return how many."""
+    """Carry out actions in the first of `worlds`, like `Game.play`; return how many."""
     world: World = worlds[0]
     level: LevelMap = levels[0]
     for i in range(len(choices)):
@@ -202,6 +202,6 @@ def _play_first(
 
 @cache
 def _prepare() -> None:
-    """Load the compiled rules or, the first time ever, compile them and say so."""
+    """Load the compiled rules or, on first use, compile them and announce it."""
     with announce_compilation("Infinite Mario", 10):
         _carry_out(np.zeros(1, WORLD), np.zeros(1, LEVEL), True, 0, 0, 0, np.zeros(BODY_SIZE, np.uint8))

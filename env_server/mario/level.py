@@ -1,4 +1,4 @@
-"""A level as data: what the generator makes, and what recordings of it hold."""
+"""A level as data, as the generator makes it and recordings hold it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Level(NamedTuple):
     """A level, as it is when an episode begins.
 
     Attributes:
-        columns: how wide it is, in tiles.
+        columns: width in tiles.
         goal: the column to pass, and the row of the ground there.
         rows: the tiles, highest row first; two hexadecimal digits per tile.
         spawns: by column, then row.
@@ -41,7 +41,7 @@ def level_difference(expected: Level, got: Level) -> str:
 
 
 def _pairs(expected: Level, got: Level) -> Iterator[tuple[str, Any, Any]]:
-    """Yield every part of two levels by its name; where only one has the part, the other's is None."""
+    """Yield every part of two levels by name; if only one level has a part, the other value is None."""
     yield "width", expected.columns, got.columns
     yield "goal", expected.goal, got.goal
     for row, tiles in enumerate(zip_longest(expected.rows, got.rows, fillvalue="")):

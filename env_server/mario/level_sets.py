@@ -1,14 +1,14 @@
-"""Numbered levels, and named sets of them: to train on some levels and be tested on others.
+"""Numbered levels, and named sets of them, to train on some levels and test on others.
 
 Level `n` of a set with D difficulties has a type, a difficulty and a seed:
 
     type        n mod 3
     difficulty  (n div 3) mod D
     seed        the upper 31 bits of SplitMix64's n-th output, because Java's generator makes
-                similar levels of neighbouring seeds
+                similar levels from neighbouring seeds
 
-so a set holds all types and difficulties, in nearly equal numbers. A set never changes: other rules would get
-another `VERSION`, and other names.
+so a set holds all types and difficulties, in nearly equal numbers. A set never changes: other rules would
+need another `VERSION` and other names.
 
 Source of the hash: Steele, Lea and Flood (2014), Fast splittable pseudorandom number generators.
 """
@@ -57,16 +57,16 @@ LEVEL_SETS: Final = {
     "test-1000": LevelSet(range(1_000_000, 1_001_000)),
     "ladder-v1": LevelSet(range(2_000_000, 2_016_032), 16),
 }
-"""The sets by name. Those of the two training sets overlap; no other two have a level in common."""
+"""The sets by name. The two training sets overlap; no other two sets have a level in common."""
 
 
 def resolve_levels(
     levels: str | None, num_levels: int | None = None, start_level: int | None = None
 ) -> LevelSet | None:
-    """Return the set with a name, or the set of a number of levels from a first one.
+    """Return the set named `levels`, or the set of `num_levels` levels from `start_level` on.
 
     Returns:
-        None without arguments: there is one level, that of the task.
+        None without arguments: the only level is that of the task.
 
     Raises:
         ConfigError: the set is unknown, both forms are given, or a number is out of range.

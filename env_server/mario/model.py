@@ -1,20 +1,20 @@
-"""Infinite Mario as a model: the game's own rules, stepped from what an agent has seen of a game.
+"""Infinite Mario as a model: the game's own rules, applied to the part of a game that an agent has seen.
 
-This module's name stands in the entry-point group `glue.models`, where agents find it. A belief is a world
-and a level, as a game is: arrays of one record, since Python passes an array to compiled code in a tenth of
-the time that a record takes. Its level holds what was seen so far, and level ground to the right of it. All
-functions but `make` and `row_size` are compiled, for compiled code and for Python.
+Agents find this module in the entry-point group `glue.models`. A belief, like a game, is a world and a level:
+arrays of one record, since Python passes an array to compiled code in a tenth of the time that a record
+takes. Its level holds the part seen so far, and level ground to the right of it. All functions except `make`,
+`constants` and `row_size` are compiled, for compiled code and for Python.
 
-    start, correct  begin an episode with its first observation; put right what the next show otherwise
+    start, correct  begin an episode with its first observation; correct the belief by later ones
     predicts        compare a belief with an observation
-    finds           compare Mario's place, and nothing else
+    finds           compare only Mario's position
     rewind          begin an episode on the level as it is believed to be, without an observation
-    place           put Mario, and nothing else, where an observation shows him
+    place           move only Mario to his observed position
     step            carry out an action
-    change          let other physical constants hold
+    change          set other physical constants
     save, load      copy a world to a row of bytes, and back: a node of a search
 
-No observation shows the jump counter, the timers and the contents of blocks. A belief carries them from step
+No observation shows the jump counter, the timers or the contents of blocks. A belief carries them from step
 to step, and they are overwritten only where a prediction proves wrong.
 """
 
@@ -63,10 +63,10 @@ ACTIONS: Final = np.array(
 CONSTANTS: Final = ("speed_walk", "speed_run", "speed_jump", "accel_fall", "speed_slidejump", "jump_time")
 """The physical constants in which published tasks differ; units and ranges are those of the parameters."""
 
-_KEPT: Final = 48  # actors of a saved world; of more, the oldest are left out
+_KEPT: Final = 48  # maximum number of actors of a saved world; the oldest are left out
 
-# What a saved world consists of: all numbers, the length of the list, the actors in the order of the list,
-# Mario first, and what was changed in some columns.
+# The layout of a saved world: all numbers, the length of the list, the actors in the order of the list,
+# Mario first, and the changes in some columns.
 _OFFSETS: Final = {name: WORLD.fields[name][1] for name in WORLD.fields} if WORLD.fields else {}
 _ACTORS_AT: Final = _OFFSETS["actors"]
 _NUMBERS_AT: Final = _OFFSETS["level_seed"]
@@ -80,7 +80,7 @@ Reals = npt.NDArray[np.float64]
 
 
 def make(**parameters: int | float | str) -> tuple[Worlds, Levels]:
-    """Return a belief, arrays of one world and one level; `parameters` differ from those of instance 0."""
+    """Return a belief, arrays of one world and one level; `parameters` override those of instance 0."""
     worlds, levels = np.zeros(1, WORLD), np.zeros(1, LEVEL)
     resolve(parameters).write_to(worlds[0])
     levels["columns"] = COLUMNS
@@ -88,7 +88,7 @@ def make(**parameters: int | float | str) -> tuple[Worlds, Levels]:
 
 
 def constants(**parameters: float) -> Reals:
-    """Return the values of `CONSTANTS`, those of instance 0 but for `parameters`, shape (6,)."""
+    """Return the values of `CONSTANTS`, shape (6,); `parameters` override those of instance 0."""
     task = asdict(resolve(parameters))
     return np.array([task[name] for name in CONSTANTS], np.float64)
 
@@ -98,8 +98,8 @@ def start(worlds: Worlds, levels: Levels, seen: npt.NDArray[np.int64], body: Byt
     """Begin an episode with its first observation; return how many tiles differ from those seen before.
 
     Args:
-        worlds, levels: the belief. The level keeps what it holds of the columns before `seen[0]`.
-        seen: shape (1,): how many columns of the level have been seen.
+        worlds, levels: the belief. The level keeps its columns before `seen[0]`.
+        seen: number of columns of the level that have been seen, shape (1,).
         body: the observation as the body of an abstract type, and room up to BODY_SIZE bytes.
     """
     return belief.start(worlds[0], levels[0], seen, body)
@@ -107,19 +107,19 @@ def start(worlds: Worlds, levels: Levels, seen: npt.NDArray[np.int64], body: Byt
 
 @entry
 def predicts(worlds: Worlds, levels: Levels, body: Bytes) -> bool:
-    """Return whether Mario and all others are, to the last bit, as an observation shows them."""
+    """Return whether Mario and all other actors match an observation to the last bit."""
     return belief.predicts(worlds[0], levels[0], body)
 
 
 @entry
 def finds(worlds: Worlds, body: Bytes) -> bool:
-    """Return whether Mario is, to the last bit, where an observation shows him."""
+    """Return whether Mario's position matches an observation to the last bit."""
     return belief.finds(worlds[0], body)
 
 
 @entry
 def correct(worlds: Worlds, levels: Levels, seen: npt.NDArray[np.int64], body: Bytes) -> bool:
-    """Put right what an observation shows otherwise; return whether nothing had to be, new columns apart.
+    """Correct the belief by an observation; return whether it matched already, apart from new columns.
 
     Args: as for `start`.
     """
@@ -128,7 +128,7 @@ def correct(worlds: Worlds, levels: Levels, seen: npt.NDArray[np.int64], body: B
 
 @entry
 def place(worlds: Worlds, levels: Levels, body: Bytes) -> None:
-    """Put Mario where an observation shows him; everything else stays as it was predicted."""
+    """Move Mario to his observed position; everything else stays as predicted."""
     belief.place(worlds[0], levels[0], body)
 
 
@@ -140,7 +140,7 @@ def rewind(worlds: Worlds, levels: Levels) -> None:
 
 @entry
 def change(worlds: Worlds, values: Reals) -> None:
-    """Let the values of `CONSTANTS`, shape (6,), hold in a world."""
+    """Set the `CONSTANTS` of a world to `values`, shape (6,)."""
     world = worlds[0]
     world.speed_walk = values[0]
     world.speed_run = values[1]
@@ -157,7 +157,7 @@ def step(worlds: Worlds, levels: Levels, action: int) -> bool:
 
 
 def row_size(columns: int) -> int:
-    """Return the bytes of a saved world of so many columns, a multiple of 64."""
+    """Return the size of a saved world of `columns` columns in bytes, a multiple of 64."""
     return -(-(_WINDOW_AT + 4 * columns) // 64) * 64
 
 
@@ -169,8 +169,8 @@ def save(worlds: Worlds, memory: Bytes, row: Bytes, first: int, columns: int) ->
         worlds: the world.
         memory: its bytes, shape (WORLD.itemsize,).
         row: at least `row_size(columns)` bytes, the first at a multiple of 8.
-        first, columns: the columns that play may have changed since the first of the worlds that are loaded
-            in turns. The same in every call for these.
+        first, columns: the columns that play may have changed since the earliest of the worlds that are
+            loaded in turn; the same in every call for these worlds.
     """
     world = worlds[0]
     _copy(memory, _NUMBERS_AT, row, 0, _NUMBERS)

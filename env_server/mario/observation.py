@@ -32,7 +32,7 @@ ROWS_SHOWN: Final = 16
 COLUMNS_SHOWN: Final = 21
 _CHARS: Final = ROWS_SHOWN * (COLUMNS_SHOWN + 1)
 BODY_SIZE: Final = PREFIX_SIZE + 8 * 4 * ACTORS + 4 * (1 + 2 * ACTORS) + _CHARS + 4
-"""More bytes than any observation takes; a multiple of 8."""
+"""Bytes of a buffer for any observation; a multiple of 8."""
 
 _NEWLINE: Final = ord("\n")
 _GOAL: Final = sum(SHOWN_GOAL << 4 * row for row in range(ROWS))
@@ -40,10 +40,10 @@ _BOTTOM: Final = -1 << 4 * ROWS  # the row below the level, which looks like its
 _EVEN_ROWS: Final = 0x0F0F0F0F0F0F0F0F
 
 Place = tuple[float, float, float, float]
-"""Where an actor is and how fast, as in the doubles of an observation."""
+"""Position and velocity of an actor, as in the doubles of an observation."""
 
 _CHAR_OF_LOOK: Final = np.frombuffer(b" 1237b?|$!M", np.uint8)
-"""Shape (11,): the character for each number that stands for a cell."""
+"""Shape (11,): the character for each number of a cell, 0 to SHOWN_MARIO."""
 CHAR_OF: Final = _CHAR_OF_LOOK[LOOK]
 """Shape (256,): the character for each tile code."""
 
@@ -79,7 +79,7 @@ def encode(world: World, level: LevelMap, body: npt.NDArray[np.uint8]) -> int:
         _write_place(world, actor, reals[4 + 4 * i :])
     chars = body[end_of_ints : end_of_ints + _CHARS]
     encode_tiles(world, level, chars)
-    for row in range(ROWS_SHOWN - 1, -1, -1):  # from the last, as each moves to make room for newlines
+    for row in range(ROWS_SHOWN - 1, -1, -1):  # last row first, as each row moves to make room for newlines
         end = row * (COLUMNS_SHOWN + 1) + COLUMNS_SHOWN
         chars[end] = _NEWLINE
         for j in range(1, COLUMNS_SHOWN + 1):
@@ -89,7 +89,7 @@ def encode(world: World, level: LevelMap, body: npt.NDArray[np.uint8]) -> int:
 
 @jit
 def kind_of_mario(world: World) -> int:
-    """Return the number that stands for Mario: 0 small, 10 large, 11 with fire."""
+    """Return Mario's kind: 0 small, 10 large, 11 with fire."""
     if world.fire:
         return 11
     return 10 if world.large else 0
@@ -102,7 +102,7 @@ def _write_place(world: World, actor: Actor, reals: npt.NDArray[np.float64]) -> 
 
 @jit
 def place_of(world: World, actor: Actor) -> Place:
-    """Return where an actor is and how fast, as the doubles of an observation."""
+    """Return the position and velocity of an actor, as the doubles of an observation."""
     x = np.float64(actor.x) / 16.0
     y = 16.0 - np.float64(actor.y) / 16.0
     dx = actor.x - actor.old_x
@@ -115,7 +115,7 @@ def place_of(world: World, actor: Actor) -> Place:
 
 @jit
 def encode_tiles(world: World, level: LevelMap, cells: npt.NDArray[np.uint8]) -> None:
-    """Write how the window of tiles looks, 16 rows from the top down: 0 to SHOWN_MARIO for each cell.
+    """Write the look of the window of tiles, 16 rows from the top down: 0 to SHOWN_MARIO for each cell.
 
     Args:
         world, level: the game.

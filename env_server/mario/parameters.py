@@ -1,6 +1,6 @@
 """The parameters of a task, and the published sets of them: ten instances, Proving and Testing 1 to 10.
 
-`tasks.json` holds the sets; each says only what differs from the defaults.
+`tasks.json` holds the sets; each lists only its differences from the defaults.
 Source: RL-Competition 2009, Infinite Mario's parameter presets and its proving and testing MDPs.
 """
 
@@ -18,7 +18,7 @@ from env_server.mario.sim.state import World
 from glue.options import Option
 
 INSTANCES: Final = 10
-"""Instances are numbered from 0."""
+"""Number of instances, which are numbered from 0."""
 MDPS: Final = tuple(f"{phase}-{number}" for phase in ("proving", "testing") for number in range(1, 11))
 """The names of the published MDPs."""
 
@@ -103,7 +103,7 @@ class _Published:
 
 
 def _optional(field: Field[Any]) -> tuple[str, Any, Any]:
-    """Return a parameter as an option that the instance or MDP decides where it is not given."""
+    """Return a parameter as an option whose default comes from the instance or MDP."""
     kind, option = get_args(get_type_hints(Parameters, include_extras=True)[field.name])
     about = replace(option, help=f"{option.help}; {field.default} by default")
     return field.name, Annotated[kind | None, about], dataclass_field(default=None)
@@ -112,13 +112,13 @@ def _optional(field: Field[Any]) -> tuple[str, Any, Any]:
 Options: Final = make_dataclass(
     "Options", map(_optional, fields(Parameters)), bases=(_Published,), frozen=True, kw_only=True
 )
-"""The options of `InfiniteMario`: `instance`, `mdp`, and each parameter, None where those two decide."""
+"""The options of `InfiniteMario`: `instance`, `mdp`, and each parameter; None takes it from those two."""
 
 
 def resolve(
     given: Mapping[str, int | float | str], *, instance: int = 0, mdp: str | None = None
 ) -> Parameters:
-    """Return the task of an MDP, or else of an instance, with what is `given` by name put in its place.
+    """Return the task of an MDP, or else of an instance, overridden by the parameters `given` by name.
 
     Raises:
         KeyError: there is no such instance or MDP.

@@ -1,6 +1,6 @@
-"""Recorded actions of Infinite Mario carried out again, a whole episode in one call.
+"""The replay of recorded actions of Infinite Mario, a whole episode in one call.
 
-The name of this class stands in the entry-point group `glue.replays`: so `glue-compete verify` finds it.
+`glue-compete verify` finds this class in the entry-point group `glue.replays`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ class MarioReplay:
     """Plays episodes of an environment; see `experiment_runner.competition.records.replay.Replay`.
 
     Args:
-        environment: after `env_init`.
+        environment: the environment, after `env_init`.
     """
 
     def __init__(self, environment: InfiniteMario) -> None:
@@ -36,7 +36,7 @@ class MarioReplay:
 
         Args:
             actions: the different actions.
-            choices: which of them to carry out, shape (N,).
+            choices: indices of the actions to carry out, shape (N,).
 
         Raises:
             SimulatorError: an action is illegal, or no episode is being played.

@@ -1,7 +1,7 @@
 """Events to reward.
 
 An ordinary reward is the difference of two running totals, not a sum of increments: the last bits
-of the two differ. A terminal reward stands alone; what the unfinished step earned is not paid.
+of the two differ. A terminal reward is paid instead of the earnings of the unfinished step.
 Source: RL-Competition 2009, Infinite Mario's check-in and its ends of an episode.
 """
 

@@ -1,6 +1,6 @@
 """The state of Infinite Mario that outlives an episode, as `env_save` returns it.
 
-It is the level, the four buttons at the end of the last episode, and whether there was an episode yet.
+It consists of the level, the four buttons at the end of the last episode, and whether an episode has begun.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def pack_state(state: State) -> bytes:
 
 
 def unpack_state(data: bytes) -> State:
-    """Return the state that `pack_state` packed; the level's numbers are still to be checked.
+    """Return the state that `pack_state` packed; the level's numbers are not checked yet.
 
     Raises:
         SaveError: `data` is damaged, of another environment or of another version.

@@ -1,7 +1,7 @@
 """Scenes between two observations, for a smooth animation.
 
-An observation is made every fifth tick of the game. In between, things follow the curve that fits
-their two positions and speeds; whatever is in only one of the two is shown for half of the time.
+An observation is made every fifth tick of the game. In between, sprites follow the curve that fits
+their two positions and speeds; a sprite in only one of the two is shown for half of the time.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Final
 
 from env_server.render.scene import COLUMNS, ROWS, Scene, Sprite, buried_cells, is_ground
 
-_NEAR: Final = 3.0  # tiles; a thing farther from its expected position is a different one
+_NEAR: Final = 3.0  # tiles; a sprite farther from its expected position is a different one
 
 
 def outlined(scene: Scene) -> Scene:
@@ -87,7 +87,7 @@ def _drifted(sprite: Sprite, time: float) -> Sprite:
 
 
 def _curve(start: float, speed: float, end: float, end_speed: float, time: float) -> float:
-    """Return the cubic through two places with these speeds there, at `time` from 0 to 1."""
+    """Return the value at `time`, from 0 to 1, of the cubic with these ends and speeds at its ends."""
     rest = end - start
     bend = 3 * rest - 2 * speed - end_speed
     snap = speed + end_speed - 2 * rest

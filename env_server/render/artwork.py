@@ -490,7 +490,7 @@ SPRITES: Final = {
     8: _lines(_FIREBALL),
     9: _lines(_SHELL),
 }
-"""By kind, as the observation numbers them."""
+"""Sprites by their kind in observations."""
 
 WING: Final = _lines("""
 ....kkk.

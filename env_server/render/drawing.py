@@ -79,7 +79,7 @@ def save_gif(
         path: of the file.
         observations: of consecutive steps.
         steps_per_second: pace of the film.
-        marks: those of each observation, or nothing.
+        marks: marks of each observation, or nothing.
 
     Raises:
         ConfigError: there are no observations, the file cannot be written, or Pillow is missing.
@@ -149,7 +149,7 @@ def _film(observations: Sequence[Observation], pace: float, marks: Sequence[Mark
 
 
 def _draw(scene: Scene) -> Picture:
-    """Return a picture of a scene that has been outlined."""
+    """Return a picture of an outlined scene."""
     right = scene.column + len(scene.rows[0]) - WIDTH / _TILE
     camera = round(min(max(scene.sprites[0].x - _BESIDE, scene.column), right) * _TILE)
     picture = _background(camera)
@@ -186,7 +186,7 @@ def _background(camera: int) -> Picture:
 
 
 def _tiles(rows: tuple[str, ...], row: int, column: int) -> Iterator[str]:
-    """Yield the names of the tiles that a cell is drawn with, the one behind first."""
+    """Yield the names of the tiles that a cell is drawn with, from back to front."""
     cell = rows[row][column]
     if cell not in _SOLID and _on_hill(rows, row, column):
         yield "hill"
@@ -209,7 +209,7 @@ def _on_hill(rows: tuple[str, ...], row: int, column: int) -> bool:
 
 
 def _solid_tile(rows: tuple[str, ...], row: int, column: int) -> str:
-    """Return the look of a solid cell: ground and what lies on it, ceiling, or a block in the air."""
+    """Return the tile of a solid cell: ground and blocks on it, ceiling, or a block in the air."""
     line = "".join(line[column] for line in rows)
     if not line[row:].strip(_SOLID):
         return "earth" if row and line[row - 1] in _SOLID else "grass"
@@ -263,7 +263,7 @@ def cloud() -> Picture:
 
 @cache
 def mark() -> Picture:
-    """Return the picture of a mark, whose middle is where it is."""
+    """Return the picture of a mark, to be centered on its position."""
     return _picture(MARK)
 
 

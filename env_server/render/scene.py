@@ -123,8 +123,8 @@ def element_name(part: str, index: int) -> str:
 def buried_cells(scene: Scene) -> set[tuple[int, int]]:
     """Return the cells of the window, as row and column in it, that are inside the ground.
 
-    An observation shows only the solid outside of ground, hills of it and ceilings; their inside is
-    blank, as the air is. Air is the blank that joins up with where Mario is.
+    An observation shows only the solid outside of ground, its hills and ceilings; their inside is
+    blank, as the air is. Air is the blank area connected with Mario's position.
     """
     row, column = scene.sprites[0].cell
     column -= scene.column

@@ -1,6 +1,6 @@
-"""Everything that Infinite Mario is drawn with, in one picture: for programs that draw it by themselves.
+"""The artwork of Infinite Mario in one picture, for programs that draw the game themselves.
 
-The picture is made of `env_server.render.artwork`; the page of `glue-view` draws with it in the browser.
+The picture is made from `env_server.render.artwork`; the page of `glue-view` draws with it in the browser.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Rectangle(NamedTuple):
 
 
 def rectangles() -> dict[str, Rectangle]:
-    """Return where `cloud`, `mark`, `tile NAME`, and `sprite KIND right` or `left`, and `winged`, are."""
+    """Return the rectangles of `cloud`, `mark`, `tile NAME`, `sprite KIND right` or `left`, and `winged`."""
     return {name: rectangle for name, (rectangle, _) in _layout().items()}
 
 
@@ -40,7 +40,7 @@ def colors() -> dict[str, list[str]]:
 
 @cache
 def sheet_png() -> bytes:
-    """Return the picture as PNG, what is between the parts being transparent.
+    """Return the picture as PNG, transparent between the parts.
 
     Raises:
         ConfigError: Pillow is missing.
@@ -53,7 +53,7 @@ def sheet_png() -> bytes:
             rectangle.top : rectangle.top + rectangle.height,
             rectangle.left : rectangle.left + rectangle.width,
         ] = part
-    seen = np.zeros((CLEAR + 1, 4), np.uint8)  # what is transparent is black, and so is equal everywhere
+    seen = np.zeros((CLEAR + 1, 4), np.uint8)  # transparent pixels are all equal, and black
     seen[: len(PALETTE)] = [(*color, 255) for color in PALETTE.values()]
     file = io.BytesIO()
     pillow().fromarray(seen[indices]).save(file, "PNG")

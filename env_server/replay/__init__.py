@@ -1,1 +1,1 @@
-"""Recorded episodes: played again, compared, drawn."""
+"""Recorded episodes: replayed, compared, drawn."""

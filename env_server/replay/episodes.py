@@ -36,17 +36,17 @@ _Array: TypeAlias = npt.NDArray[Any]
 
 
 class Difference(GlueError):
-    """The environment did not do what the recording says; the message says where, and what."""
+    """The environment deviated from the recording; the message says where and how."""
 
 
 class Moment(NamedTuple):
-    """An observation of an episode, and how the episode stands.
+    """An observation of an episode, and the state of the episode.
 
     Attributes:
         run: number of the run in the recording, from 1.
         episode: number of the episode in the recording, from 1.
         step: number of actions taken; 0 is the start.
-        observation: what is seen.
+        observation: the observation.
         reward: for the last action; 0.0 at the start.
         terminal: whether the episode has reached its end.
         episode_return: sum of the rewards so far.
@@ -124,12 +124,12 @@ def build_named(name: str, options: Mapping[str, Value]) -> Environment:
 def replayed_moments(
     recorded: Iterable[Recorded], build: Callable[[RecordedRun], Environment]
 ) -> Iterator[Moment]:
-    """Yield every moment of all episodes as the environment of each run gives it, once compared.
+    """Yield every moment of all episodes from the environment of each run, once compared.
 
-    Levels on the way are compared with the simulator's.
+    Recorded levels are compared with the simulator's.
 
     Raises, while iterating:
-        Difference: the first thing that is not as recorded.
+        Difference: the first deviation from the recording.
         GlueError: the environment refuses an action or option of the recording.
     """
     run: RecordedRun | None = None
@@ -173,7 +173,7 @@ def recorded_moments(recorded: Iterable[Recorded]) -> Iterator[Moment]:
 
 
 def _compare_levels(recorded: Iterable[Recorded]) -> Iterator[RecordedEpisode]:
-    """Yield the episodes; between them, demand of every level that the simulator makes the same."""
+    """Yield the episodes; between them, check that the simulator makes the same levels."""
     for part in recorded:
         if isinstance(part, GoldenLevel):
             difference = part.difference()
@@ -196,7 +196,7 @@ def _place(episode: RecordedEpisode, number: int, step: int) -> str:
 
 
 def _initialise(environment: Environment, first: RecordedEpisode) -> None:
-    """Bring the environment to where the first episode of its run begins."""
+    """Bring the environment to the start of the first episode of its run."""
     if isinstance(first, GoldenEpisode):
         first.begin_run(environment)
         return

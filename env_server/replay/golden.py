@@ -1,4 +1,4 @@
-"""Read recordings of the original Infinite Mario, and compare what only they contain.
+"""Read recordings of the original Infinite Mario, and compare the parts that only they contain.
 
 A file is gzip, one JSON object per line, whose `kind` says what it is. A run, one process of the original
 on one level, is a line `run`, then for every episode a `start`, its `step`s and an `end`; lines of kind
@@ -106,9 +106,9 @@ class Digest(bytes):
 
 
 def digest(observation: Observation, reward: float, terminal: bool) -> Digest:
-    """Return the hash of a step as the recordings define it; of a start, the reward is 0.0.
+    """Return the hash of a step as the recordings define it; for a start, the reward is 0.0.
 
-    Hashed are, without counts, the ints, the doubles (both big-endian), the chars, the reward
+    The hash covers, without counts, the ints, the doubles (both big-endian), the chars, the reward
     (big-endian) and one byte for terminal.
     """
     whole = hashlib.sha256(observation.ints.astype(">i4").tobytes())
@@ -121,7 +121,7 @@ def digest(observation: Observation, reward: float, terminal: bool) -> Digest:
 
 @runtime_checkable
 class _Buttoned(Protocol):
-    """An environment whose buttons, as the next episode finds them, can be read and set."""
+    """An environment whose buttons at the start of the next episode can be read and set."""
 
     buttons: tuple[bool, ...]
 
@@ -162,7 +162,7 @@ class GoldenEpisode:
     steps: Iterator[GoldenStep]
 
     def begin_run(self, environment: Environment) -> None:
-        """Bring a fresh environment to where this episode, the first of its run, begins."""
+        """Bring a fresh environment to the start of this episode, the first of its run."""
         environment.env_init()
         if isinstance(environment, _Buttoned):
             environment.buttons = self.keys
@@ -177,14 +177,14 @@ class GoldenEpisode:
 
 @dataclass(frozen=True, slots=True)
 class GoldenLevel:
-    """One level; `options` are those with which our environment makes it."""
+    """One level; our environment makes it with `options`."""
 
     options: Mapping[str, Value]
     level: Level
 
     def difference(self) -> str:
         """Return how the level that our environment makes differs from this one; "" if it does not."""
-        from env_server.mario.environment import InfiniteMario  # not above: the simulator loads slowly
+        from env_server.mario.environment import InfiniteMario  # here, as the simulator loads slowly
 
         mario: InfiniteMario = build(InfiniteMario, self.options)
         mario.env_init()
@@ -199,7 +199,7 @@ class GoldenReader:
 
     Attributes:
         path: the file.
-        levels: how many levels have been read so far.
+        levels: number of levels read so far.
 
     Raises, while iterating:
         TrajectoryError: the file cannot be read or is malformed; the message has the line.
@@ -225,7 +225,7 @@ class GoldenReader:
             elif kind == "start" and run is not None:
                 steps = self._steps(lines, line, run)
                 yield GoldenEpisode(run, _keys(line), _seen(line, 0.0, False), steps)
-                deque(steps, maxlen=0)  # pass over those that were not read
+                deque(steps, maxlen=0)  # skip the steps that were not read
             else:
                 raise line.wrong(f"a line {kind!r} cannot stand here")
 

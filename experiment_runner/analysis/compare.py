@@ -28,8 +28,8 @@ class Comparison(NamedTuple):
     """The comparison of two agents, a - b.
 
     difference   of their interquartile means, with its 95 % interval
-    improvement  probability that a trial of a has more than one of b, ties counted half, with its interval
-    trials       number of trials, of each
+    improvement  probability that a trial of a beats one of b, ties counted half, with its interval
+    trials       number of trials of each agent
     """
 
     difference: Estimate
@@ -44,7 +44,7 @@ def compare(a: FloatArray, b: FloatArray, rng: np.random.Generator) -> Compariso
     the same seeds in a trial.
 
     Args:
-        a, b: performance in each trial, shape (trials,), at least one; element i of both is of the same seed.
+        a, b: performance in each trial, shape (trials,), at least one; element i of both has the same seed.
         rng: for resampling.
 
     Raises:
@@ -64,7 +64,7 @@ def _estimate(value: float, resampled: FloatArray) -> Estimate:
 
 
 def profile(values: FloatArray, thresholds: FloatArray) -> FloatArray:
-    """Return the share of trials with more than each threshold, same shape as `thresholds`.
+    """Return the share of trials above each threshold, same shape as `thresholds`.
 
     Args:
         values: performance in each trial, shape (trials,).
@@ -77,7 +77,7 @@ def profile(values: FloatArray, thresholds: FloatArray) -> FloatArray:
 def tolerance_interval(
     values: FloatArray, share: float = 0.9, confidence: float = 0.95
 ) -> tuple[float, float]:
-    """Return an interval that contains a share of all trials with this confidence, without assumptions.
+    """Return a distribution-free interval that contains a share of all trials with this confidence.
 
     Its ends are order statistics, chosen by the binomial distribution: the smallest symmetrical pair that
     reaches the confidence. NaN, NaN if there are too few trials for any pair.
@@ -103,7 +103,7 @@ def tolerance_interval(
 def _trials_outside(count: int, share: float, confidence: float) -> int:
     """Return k for the interval from the k-th smallest of `count` trials to the k-th greatest; 0 for none."""
     for outside in range(count // 2, 0, -1):
-        # It spans count + 1 - 2 k spacings.
+        # The interval spans count + 1 - 2 k spacings.
         if binomial_cdf(count - 2 * outside, count, share) >= confidence:
             return outside
     return 0
@@ -118,17 +118,17 @@ def trials_needed(
     most: int = 1000,
     resamples: int = 400,
 ) -> int | None:
-    """Return the trials of each of two agents that are needed to see a difference; None if more than `most`.
+    """Return the number of trials per agent needed to detect a difference; None if more than `most`.
 
-    Two agents are simulated from the pilot, one of them better by the difference. A difference is seen if the
-    95 % interval of Welch's t-test excludes 0.
+    Two agents are simulated from the pilot, one of them better by the difference. The difference is detected
+    if the 95 % interval of Welch's t-test excludes 0.
 
     Args:
         pilot: performance in each trial of a pilot run, shape (trials,), at least 2.
         difference: of the means, not 0.
         rng: for resampling.
-        power: probability with which the difference is to be seen.
-        most: largest number of trials that is considered.
+        power: required probability of detecting the difference.
+        most: largest number of trials considered.
         resamples: number of simulated comparisons for each number of trials.
     """
     low, high = 1, most
@@ -146,7 +146,7 @@ def trials_needed(
 def _power(
     pilot: FloatArray, difference: float, trials: int, rng: np.random.Generator, resamples: int
 ) -> float:
-    """Return the share of simulated comparisons of so many trials that see the difference."""
+    """Return the share of simulated comparisons of `trials` trials that detect the difference."""
     a, b = rng.choice(pilot, size=(2, resamples, trials))
     return float(np.mean(welch_p(a + difference, b) < 0.05))
 
@@ -154,8 +154,9 @@ def _power(
 def sensitivity(scores: FloatArray) -> tuple[float, int]:
     """Return the sensitivity of an agent to its options, and the configuration that is best on average.
 
-    The sensitivity is what is lost, in normalised scores, when one configuration serves all environments, and
-    not each its best. Scores are normalised in each environment by the 5th and 95th percentile of all.
+    The sensitivity is the loss, in normalised scores, from using one configuration for all environments
+    instead of the best one for each. Scores are normalised in each environment by the 5th and 95th percentile
+    of all.
 
     Args:
         scores: mean performance, shape (configurations, environments), at least two of each.

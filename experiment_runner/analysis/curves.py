@@ -1,4 +1,4 @@
-"""Learning curves: running means over trials with bootstrap bands, at no more points than can be seen."""
+"""Learning curves: running means over trials with bootstrap bands, at no more points than a plot can show."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Curve(NamedTuple):
 
 
 class StepTotals(NamedTuple):
-    """The running total over the steps of a trial of a value that each of its steps has.
+    """The running total of a per-step value over a trial.
 
     steps   (n,) ascending from 0; between two of them every step has the same value
-    totals  (n,) the sum of the values of the steps until then, from 0
+    totals  (n,) the sum of the values up to each of these steps, from 0
     """
 
     steps: FloatArray
@@ -70,7 +70,7 @@ def step_returns(returns: FloatArray, steps: FloatArray) -> StepTotals:
 
 
 def per_step(sums: FloatArray, steps: FloatArray) -> StepTotals:
-    """Return totals of a value of which the sum over the steps of each episode is given.
+    """Return totals of a value, given its sum over the steps of each episode.
 
     Args:
         sums: (episodes,)
@@ -91,7 +91,7 @@ def over_episodes(
         values: a measure of the episodes, (trials, episodes)
         window: episodes in the running mean.
         rng: for resampling.
-        span: first and last episode that are of interest.
+        span: first and last episode of interest.
 
     Raises:
         ExperimentError: SciPy is not installed.
@@ -118,7 +118,7 @@ def over_steps(
         totals: of each trial.
         window: steps in the running mean.
         rng: for resampling.
-        span: first and last step that are of interest.
+        span: first and last step of interest.
 
     Raises:
         ExperimentError: SciPy is not installed.
@@ -137,12 +137,12 @@ def of_metric(
     rng: np.random.Generator,
     span: tuple[float, float] = (-np.inf, np.inf),
 ) -> Curve | None:
-    """Return the curve of a metric over steps, where all trials have it; it is interpolated between readings.
+    """Return the curve of a metric over the steps that all trials cover, interpolated between readings.
 
     Args:
         readings: steps and values of each trial that has the metric.
         rng: for resampling.
-        span: first and last step that are of interest.
+        span: first and last step of interest.
 
     Raises:
         ExperimentError: SciPy is not installed.

@@ -20,7 +20,7 @@ from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 
 REWARD: Final = "reward"
-"""The measure of which only totals over steps exist: the reward of each step."""
+"""The measure that exists only as totals over steps: the reward of each step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,9 +33,9 @@ class Setting:
     values       the measure of each trial's episodes, (episodes so far,), without an episode that the trial's
                  budget of steps has cut off
     steps        the steps of all episodes; may be longer than the values
-    per_step     whether the measure is `REWARD`: then the values are the rewards in so many steps, of
-                 an episode or between two readings of the total reward
-    metrics      a metric of the agent in each trial, if one was asked for
+    per_step     whether the measure is `REWARD`: then the values are sums of rewards, each over an episode
+                 or between two readings of the total reward
+    metrics      a metric of the agent in each trial, if one was requested
     """
 
     agent: str
@@ -54,7 +54,7 @@ class Setting:
     def curves(self) -> FloatArray:
         """Return the values of the finished trials, shape (trials, episodes).
 
-        If no trial is finished, of all trials that have begun, up to the length of the shortest.
+        If no trial is finished, use all trials that have begun, up to the length of the shortest.
         """
         used = [self.values[i] for i in self._drawn()]
         length = min((len(r) for r in used), default=0)
@@ -67,7 +67,7 @@ class Setting:
         return [self._totals(i) for i in self._drawn() if self.values[i].size]
 
     def totals_by_trial(self) -> dict[str, StepTotals]:
-        """Return the totals over steps of every trial that has begun, as `step_totals`, by its id."""
+        """Return the totals of every trial that has begun, by its id; see `step_totals`."""
         return {
             self.trials[i].spec.id: self._totals(i) for i, values in enumerate(self.values) if values.size
         }
@@ -82,7 +82,7 @@ class Setting:
         """Return the performance of each trial of `curves` that has begun, shape (trials,).
 
         Args:
-            window: number of the last episodes or steps of which the mean is taken.
+            window: number of last episodes or steps to average.
             over: `episodes` or `steps`.
         """
         if over == "episodes":

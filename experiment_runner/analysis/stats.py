@@ -1,7 +1,7 @@
 """Statistics of episode returns. Pure functions; random numbers come from a generator that is passed in.
 
 Intervals are stratified percentile bootstrap intervals over trials: trials are resampled within each
-setting (such as a level), never across settings. Resampling and trimming are SciPy's (extra `plot`).
+setting (such as a level), never across settings. SciPy (extra `plot`) resamples and trims.
 Source of the method: Agarwal et al. (2021), "Deep Reinforcement Learning at the Edge of the
 Statistical Precipice". Their library, rliable, is not used: its random_state has no effect.
 """
@@ -20,10 +20,10 @@ from glue.errors import ExperimentError
 
 FloatArray = npt.NDArray[np.float64]
 Statistic = Callable[..., Any]
-"""Called with an array and `axis`; returns the array without that axis."""
+"""A function of an array and `axis` that returns the array without that axis."""
 
 FEW_TRIALS: Final = 5
-"""Below this number of trials a bootstrap interval is too narrow to rely on."""
+"""Number of trials below which a bootstrap interval is too narrow to rely on."""
 
 _ELEMENTS_AT_ONCE: Final = 4_000_000  # of one batch of resamples, 32 MB
 
@@ -174,7 +174,7 @@ def estimate(
 
 
 def has_scipy() -> bool:
-    """Look for SciPy, which intervals and interquartile means need."""
+    """Return whether SciPy is installed; intervals and interquartile means need it."""
     try:
         require_scipy()
     except ExperimentError:

@@ -30,7 +30,7 @@ from glue.errors import ConfigError, ExperimentError
 
 _SCRIPT = "array.sh"
 _JOB = "job"
-"""Files in the folder of the parts: the script of the array, and the number of its job."""
+"""Files in the folder of the parts: the script of the array, and its job number."""
 
 _MODULE = [sys.executable, "-P", "-m", "glue_rl"]
 
@@ -41,9 +41,9 @@ def carry_out_array(
     """Submit the unfinished trials of a plan as a job array, and a job that gathers their results.
 
     Args:
-        directory: of the run, new or to be continued.
+        directory: of the run, new or existing.
         plan: of the run.
-        config: how it is executed, checked for this plan.
+        config: how to execute the plan, checked for it.
         sbatch: options for sbatch, as NAME or NAME=VALUE.
         again: replace a run in the directory.
 
@@ -52,7 +52,7 @@ def carry_out_array(
 
     Raises:
         ConfigError: SLURM is not installed, or an option is malformed.
-        ExperimentError: tasks of the run are in the queue, or the job is refused.
+        ExperimentError: the run has tasks in the queue, or SLURM refuses the job.
     """
     if not can_submit():
         raise ConfigError("--engine slurm submits with sbatch, which is not here: use a login node of SLURM")
@@ -93,7 +93,7 @@ def gather_run(directory: Path) -> None:
     """Move the results of the tasks of a job array to their run, and show how much is finished.
 
     Raises:
-        ExperimentError: there is no run, or tasks of it wait or run.
+        ExperimentError: there is no run, or it has tasks that wait or run.
     """
     unfinished, trials = _gather(directory)
     say(f"{directory}: {trials - unfinished} of {trials} trials are finished")
@@ -102,7 +102,7 @@ def gather_run(directory: Path) -> None:
 
 
 def _gather(directory: Path) -> tuple[int, int]:
-    """Return the number of unfinished trials, and of all."""
+    """Gather the results; return the number of unfinished trials, and of all trials."""
     job = directory / PARTS / _JOB
     with reported(f"cannot read {job}"):
         number = job.read_text(encoding="utf-8").strip() if job.exists() else ""

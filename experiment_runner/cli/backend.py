@@ -1,4 +1,4 @@
-"""The options that say where trials run, and the check of their combinations."""
+"""The options for where trials run, and the check of their combinations."""
 
 from __future__ import annotations
 

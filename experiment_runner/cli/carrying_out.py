@@ -52,9 +52,9 @@ def carry_out(
     """Run the unfinished trials of a plan; return the exit code: 1 if a trial has failed.
 
     Args:
-        directory: of the run, new or to be continued.
+        directory: of the run, new or existing.
         plan: of the run.
-        config: how it is executed, checked for this plan.
+        config: how to execute the plan, checked for it.
         record: file of the recording; None for none.
         as_json: print JSON lines instead of a table.
         view: show the run on a page, which stays until Ctrl-C.
@@ -70,7 +70,7 @@ def carry_out(
         # Before anything is written, because an address may be in use.
         addresses = stack.enter_context(ExitStack())
         meeting = addresses.enter_context(listening(plan, config.meeting))
-        # A recording may be one of the run's own files: then the run's folder has to be there first.
+        # A recording may be one of the run's own files: then the run's folder must exist first.
         inside = record is not None and record.absolute().parent == directory.absolute()
         recording = None if inside else stack.enter_context(recorded(record))
         with naming_out(", or replace the results with --again"):
@@ -139,7 +139,7 @@ def resume_command(store: Store, config: RunConfig) -> str:
 
 
 def resume_options(store: Store, config: RunConfig) -> list[str]:
-    """Return the options with which a run continues and which its directory does not hold."""
+    """Return the options that a run needs to continue, but does not hold in its directory."""
     hub = config.meeting.hub
     command = [f"--bind={url}" for url in hub.bind]
     command += [f"--legacy-port={port.host}:{port.port or '*'}={port.session}" for port in hub.legacy]

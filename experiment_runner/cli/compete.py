@@ -57,7 +57,7 @@ def check(file: Path, out: Path) -> int:
 
     competition = _load(file)
     try:
-        read_secret(competition, os.environ, say)  # not needed, but no program is to inherit it
+        read_secret(competition, os.environ, say)  # not needed, but no program may inherit it
     except ConfigError as error:
         say(f"to be done before glue-compete run: {error}")
     with naming_out():

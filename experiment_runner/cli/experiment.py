@@ -109,13 +109,13 @@ class Options:
     as_json: bool
 
     def counts(self) -> dict[str, Any]:
-        """Return the numbers of a plan that are given."""
+        """Return the numbers of a plan given on the command line."""
         counts = {name: getattr(self, name) for name in COUNTS}
         given = {name: value for name, value in counts.items() if value is not None}
         return given | ({} if self.metrics_every is None else {"metrics": MetricsPlan(self.metrics_every)})
 
     def roles(self) -> dict[str, tuple[RoleSweep, ...]]:
-        """Return the agent and the environment as a plan has them."""
+        """Return the agent and the environment in a plan's form."""
         return {
             "environments": role_sweeps(Role.ENVIRONMENT, self.environment, self.env_option),
             "agents": role_sweeps(Role.AGENT, self.agent, self.agent_option),
@@ -123,11 +123,11 @@ class Options:
 
 
 class _Name(click.types.StringParamType):
-    envvar_list_splitter = "\n"  # a path to a file may have blanks
+    envvar_list_splitter = "\n"  # a path to a file may contain spaces
 
 
 def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str]) -> str | None:
-    """Return the name of the player that was given, if any; click alone takes the last of several."""
+    """Return the player's name, if one was given; by default, click takes the last of several."""
     if len(names) > 1:
         raise click.BadParameter(f"give one; a plan compares {' and '.join(names)} (--plan)", ctx, option)
     return names[0] if names else None
@@ -293,8 +293,8 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
 def experiment(**given: Any) -> int:
     """Run an experiment: an agent in an environment, or everything in a plan.
 
-    The same command with --out, or --resume, continues an interrupted run, with the results of one that was
-    not interrupted.
+    The same command with --out, or --resume, continues an interrupted run. The results are those of an
+    uninterrupted one.
 
     \b
     Examples:
@@ -381,7 +381,7 @@ def _planned(options: Options) -> tuple[Plan, Path]:
 def _hub_options(options: Options) -> HubOptions:
     """Return the hub that the options describe.
 
-    A variable of the environment counts only where a hub is used at all: it is not a contradiction.
+    An environment variable is ignored, not refused, where no hub is used.
 
     Raises:
         ConfigError: options contradict each other, or an address is malformed.
@@ -399,7 +399,7 @@ def _hub_options(options: Options) -> HubOptions:
         check_session(session),
         options.wait if hub else None,
         options.insecure,
-        # Each is opened once, even if it is given twice.
+        # Each port is opened once, even if it is given twice.
         tuple(
             dict.fromkeys(LegacyPort.parse(port, session, options.insecure) for port in options.legacy_port)
         ),
@@ -421,7 +421,7 @@ def _hub_options(options: Options) -> HubOptions:
 
 
 def _from_variable(option: str) -> bool:
-    """Tell an option set by an environment variable from one on the command line."""
+    """Return whether an option was set by an environment variable."""
     return click.get_current_context().get_parameter_source(option) is ParameterSource.ENVIRONMENT
 
 

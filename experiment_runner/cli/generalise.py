@@ -1,4 +1,4 @@
-"""`glue-generalise`: how well an agent plays levels that it has not seen."""
+"""`glue-generalise`: score an agent on levels that it has not seen."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from glue.wire.messages import Role
 
 _T = TypeVar("_T")
 _MOST_BYTES: Final = 2**28
-"""Size of a file of scores, at most; those of 16,032 levels take 5 MB."""
+"""Maximum size of a file of scores, in bytes; the scores of 16,032 levels take 5 MB."""
 
 
 @click.group("glue-generalise", invoke_without_command=True)
@@ -241,7 +241,7 @@ def verify(path: Path) -> int:
 def certify_set(levels: str, out: Path) -> int:
     """Find a certificate for each level of a set: actions that reach the goal, planned with the level known.
 
-    SET is the name of a set, or NAME:N for its first N levels. It may be interrupted and called again.
+    SET is the name of a set, or NAME:N for its first N levels. The command may be interrupted and run again.
     """
     from experiment_runner.store.database import reported
     from experiment_runner.study.generalisation.summary import Document, table
@@ -264,7 +264,7 @@ def certify_set(levels: str, out: Path) -> int:
     "--levels", type=click.IntRange(1, 1000), default=200, show_default=True, help="Levels of test-1000."
 )
 def physics(groups: tuple[str, ...], levels: int) -> int:
-    """Show how well planner-learns identifies physical constants, beside the planner that is told them.
+    """Show how well planner-learns identifies physical constants, compared to a planner that knows them.
 
     GROUPS are the constants to play with: instance-N, proving-N, testing-N or random; or mdps, the 20 MDPs.
     """

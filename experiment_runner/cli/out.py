@@ -1,4 +1,4 @@
-"""Parts that several commands share: the option `--over`, and the remedy for a directory that is taken."""
+"""Parts that several commands share: the option `--over`, and the remedy for a directory in use."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def naming_out(otherwise: str = "") -> Iterator[None]:
     """Name the option --out in the message of a `DirectoryTaken`.
 
     Args:
-        otherwise: another remedy, which follows it.
+        otherwise: another remedy, appended to the message.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""From the options of `glue-experiment` to a plan and a directory for its results."""
+"""Turn the options of `glue-experiment` into a plan and a directory for its results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from glue.wire.messages import Role
 
 
 def role_sweeps(role: Role, name: str | None, assignments: tuple[str, ...]) -> tuple[RoleSweep, ...]:
-    """Return the agent or environment of the command line as a plan has it; none if it joins from outside.
+    """Return the command line's agent or environment in a plan's form; none if it joins from outside.
 
     Raises:
         ConfigError: options are given without a name, the name is unknown, or an option is malformed.
@@ -58,7 +58,7 @@ def make_plan(plan_file: Path | None, counts: Mapping[str, Any], roles: Mapping[
         with nullcontext() if plan_file is None else naming_lines(plan_file):
             plan = check_options(plan, _find)
             plan.expand()  # raises an error, before anything is created, if a trial occurs twice
-    except ExperimentError as error:  # a mistake in a plan is one in the command
+    except ExperimentError as error:  # a mistake in a plan is a mistake in the command
         raise ConfigError(str(error)) from error
     return plan
 
@@ -71,7 +71,7 @@ def find_players(plan: Plan) -> None:
     """Import the classes of a plan, so that their files are known.
 
     Raises:
-        ConfigError: one does not exist, or cannot be imported.
+        ConfigError: a class does not exist, or cannot be imported.
     """
     for role, sweeps in ((Role.ENVIRONMENT, plan.environments), (Role.AGENT, plan.agents)):
         for sweep in sweeps:
@@ -79,7 +79,7 @@ def find_players(plan: Plan) -> None:
 
 
 def without_seed(plan: Plan) -> list[str]:
-    """Return a line for each agent and environment of the user's that takes no seed.
+    """Return a line for each of the user's agents and environments that takes no seed.
 
     Raises:
         ConfigError: a class does not exist, or cannot be imported.
@@ -94,7 +94,7 @@ def without_seed(plan: Plan) -> list[str]:
 
 
 def ask_for_trust(directory: Path, plan: Plan) -> None:
-    """Ask before executing the files that a run directory names: it may come from anyone.
+    """Ask before executing the files that a run directory names: the directory may come from anyone.
 
     Raises:
         ConfigError: the answer is no, or standard input is not a terminal.

@@ -1,4 +1,4 @@
-"""`glue-results`: list, show, compare, export, merge and remove runs, and save a trained agent of one."""
+"""`glue-results`: list, show, compare, export, merge and remove runs, and save a trained agent."""
 
 from __future__ import annotations
 
@@ -101,8 +101,8 @@ def list_runs(folder: Path, as_json: bool) -> int:
 def show(directories: tuple[Path, ...], sort: str | None, over: str, as_json: bool) -> None:
     """Show the results of each RUN: a line for each setting, then failures and other events.
 
-    Trials of one setting are taken together, from whatever run. The JSON of one run is an object, of several
-    an array of objects.
+    Trials of the same setting are pooled across runs. The JSON of one run is an object, of several an
+    array of objects.
 
     \b
     Examples:
@@ -236,10 +236,10 @@ def compare(first: Path, second: Path, over: str, as_json: bool) -> None:
 )
 @over_option
 def power(directory: Path, difference: float, chance: float, over: str) -> None:
-    """Show how many trials of two agents a difference D needs to be seen, from a pilot RUN.
+    """Show how many trials of two agents are needed to detect a difference D, from a pilot RUN.
 
-    It is seen if the 95 % interval of Welch's t-test excludes 0; comparisons are simulated from the trials of
-    each setting.
+    D is detected if the 95 % interval of Welch's t-test excludes 0; comparisons are simulated from the trials
+    of each setting.
 
     \b
     Examples:
@@ -264,8 +264,8 @@ def power(directory: Path, difference: float, chance: float, over: str) -> None:
 def sensitivity(directory: Path, over: str) -> None:
     """Show how sensitive each agent of a sweep over several environments is to its options.
 
-    The sensitivity is what one configuration for all environments loses against the best one of each, in
-    scores that are normalised in each environment (Adkins et al. 2024).
+    The sensitivity is the loss from using one configuration for all environments instead of the best one of
+    each, in scores that are normalised in each environment (Adkins et al. 2024).
 
     \b
     Examples:
@@ -288,7 +288,7 @@ def merge(directories: tuple[Path, ...], out: Path) -> None:
     """Merge runs into a new one; the originals stay unchanged.
 
     Runs of the same plan, from different machines, become a run of that plan, which glue-experiment
-    --resume completes if episodes are missing. Runs of different plans become one for viewing only.
+    --resume completes if episodes are missing. Runs of different plans become a run for viewing only.
 
     \b
     Examples:
@@ -305,7 +305,7 @@ def merge(directories: tuple[Path, ...], out: Path) -> None:
 @results.command()
 @click.argument("directory", metavar="RUN", type=_directory)
 def gather(directory: Path) -> None:
-    """Move the results of a job array to its RUN, which the array's last job does by itself.
+    """Move the results of a job array to its RUN; the array's last job does this automatically.
 
     \b
     Examples:
@@ -335,7 +335,7 @@ def gather(directory: Path) -> None:
 def stream(directory: Path, logger: str, project: str) -> None:
     """Send the results of a RUN to TensorBoard, W&B, MLflow or Trackio, also while the run is in progress.
 
-    Each trial becomes a run there, over its steps. The same command, given again, goes on where it stopped.
+    Each trial becomes a run there, over its steps. Run again, the same command continues where it stopped.
 
     \b
     Examples:
@@ -423,7 +423,7 @@ def remove(directories: tuple[Path, ...], yes: bool) -> None:
 
 
 def _step_table(found: Results, every: int | None) -> Table:
-    """Return the table of the mean return of the episodes under way, every so many steps."""
+    """Return the table of the mean return of the episodes under way, at regular steps."""
     import numpy as np
 
     from experiment_runner.analysis.settings import collect

@@ -61,8 +61,8 @@ def view(
 ) -> None:
     """Show the runs in each DIR (by default runs) on a page in the browser, until Ctrl-C.
 
-    A DIR is a run, or a folder of runs, which may be under way: they are only read. The page is for this
-    machine alone, and opens with the token in the address that is printed: docs/view.md.
+    A DIR is a run, or a folder of runs, which may be under way: they are only read. The page is served only
+    on this machine, and opens with the token in the printed address: docs/view.md.
 
     \b
     Examples:
@@ -85,7 +85,7 @@ def show(
     browser: bool,
     err: bool,
 ) -> None:
-    """Serve the page, and say where."""
+    """Serve the page, and print its address."""
     try:
         from experiment_runner.view.server import is_loopback, serve
     except ModuleNotFoundError as error:
@@ -99,19 +99,19 @@ def show(
         )
     if proxy and (urlsplit(proxy).scheme not in ("http", "https") or not urlsplit(proxy).netloc):
         raise ConfigError(f"--proxy is an address such as https://lab.example/runs, not {proxy}")
-    os.nice(_NICENESS)  # the runs come first
+    os.nice(_NICENESS)  # the runs have priority
 
     def ready(url: str) -> None:
         click.echo(f"the page is at {url}", err=err)
         if browser and _has_display():
-            # It may wait for the browser.
+            # open() may wait for the browser.
             threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
 
     serve(directories, port, host, proxy, ready)
 
 
 def _has_display() -> bool:
-    """Tell whether a browser can open a window; otherwise Python would run a text browser."""
+    """Return whether a browser can open a window; otherwise Python would run a text browser."""
     return sys.platform == "darwin" or any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY")))
 
 

@@ -153,19 +153,19 @@ def play(
     plan: bool = False,
     shown: list[tuple[Observation, Marks]] | None = None,
 ) -> tuple[float, int]:
-    """Run and draw one episode, `speed` steps a second; return its return and steps.
+    """Run and draw one episode, `speed` steps a second; return its return and number of steps.
 
-    If the screen is not that of a terminal, nothing is drawn and there are no pauses.
+    If the screen is not a terminal, nothing is drawn and there are no pauses.
 
     Args:
-        glue: to run the episode with.
+        glue: runs the episode.
         screen: to draw on.
         title: below the drawing.
         max_steps: step limit; 0 for none.
         speed: steps a second.
         sleep: waits for seconds.
         plan: ask the agent for marks before each step, and draw them.
-        shown: takes every observation with its marks.
+        shown: receives every observation with its marks.
 
     Raises:
         ConfigError: the agent has no plan.

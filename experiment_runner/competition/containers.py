@@ -1,7 +1,7 @@
-"""Entrants in containers: a new one, which is a jail, for each trial of a task.
+"""Entrants in containers: a new container, which is a jail, for each trial of a task.
 
 The engine is Docker's, or any other that offers Docker's API at a Unix socket, as podman does; the
-environment variable DOCKER_HOST says where.
+environment variable DOCKER_HOST gives its address.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ _SIGNALLED: Final = 128
 """The exit status for signal 0."""
 
 _BYTES_PER_SECOND: Final = 2**20
-"""Rate at which the output of a container is read. Measured: one that prints without end then costs the
-engine 0.02 of a core; without this limit, with its logs in files, a whole one."""
+"""Rate at which the output of a container is read. Measured: a container that prints without end then costs
+the engine 0.02 of a core; without this limit, with its logs in files, a whole core."""
 
 _LAST_WORDS_SECONDS: Final = 3.0
 """Time to wait for the output of a container that has ended."""
@@ -48,17 +48,17 @@ class Containers:
     """Starts entrants that have an image.
 
     Args:
-        warn: shows a line about an image that can take part but should be better.
+        warn: shows a line about an image that can take part but should be improved.
     """
 
     def __init__(self, warn: Callable[[str], None] = say) -> None:
         self._warn = warn
 
     def check(self, entrant: Entrant) -> None:
-        """Check that the image is here and can be jailed.
+        """Check that the image is on this machine and can be jailed.
 
         Raises:
-            ConfigError: it is not, or there is no engine that can hold a jail.
+            ConfigError: the image is missing or unsuitable, or there is no engine that can hold a jail.
         """
         warning = check_image(str(entrant.image), self._image(entrant))
         if warning is not None:
@@ -72,7 +72,7 @@ class Containers:
             ExperimentError: the engine cannot start it.
         """
         user, _ = user_of(self._image(entrant).get("User") or "")
-        # An unprivileged user passes through; the folder above keeps other users of this machine out.
+        # The container's user may be unprivileged; the parent folder keeps out other users of this machine.
         launch.folder.chmod(0o711)
         (launch.folder / SOCKET).chmod(0o666)
         with _asking(f"start a container for {entrant.name}"):
@@ -91,7 +91,7 @@ class Containers:
 
         Raises:
             ConfigError: there is no engine.
-            ExperimentError: it cannot remove them.
+            ExperimentError: the engine cannot remove them.
         """
         with _asking("remove the containers that are left over"):
             for container in self._engine.containers.list(all=True, filters={"label": f"{LABEL}={run}"}):
@@ -158,8 +158,8 @@ class Container:
 
     Attributes:
         log: as given.
-        reason: how it ended without being stopped; None until then. A container of which the system killed a
-            process that ran out of memory counts as ended, even if other processes survive.
+        reason: how it ended without being stopped; None until then. A container counts as ended once the
+            system has killed one of its processes for lack of memory, even if others survive.
     """
 
     def __init__(self, container: Any, limits: Limits, log: Path, address: str) -> None:
@@ -168,7 +168,7 @@ class Container:
         self._container = container
         self._memory = limits.memory
         self._printed = _Printed(container.attach(stream=True), limits.log)
-        # Not filtered by kind, which podman knows by other names.
+        # Not filtered by event type: podman names the types differently.
         self._events = container.client.api.events(
             since=int(time.time()), filters={"container": container.id}, decode=True
         )
@@ -177,7 +177,7 @@ class Container:
         self._remover = spawn(REMOVER, [address, container.id])
 
     def start(self) -> None:
-        """Start it; an image that cannot be run ends at once.
+        """Start the container; it ends at once if its image cannot be run.
 
         Raises:
             APIError: the engine cannot start it.
@@ -193,11 +193,11 @@ class Container:
             self._end(f"could not be started: {_in_short(error)}")
 
     def wait(self, seconds: float) -> bool:
-        """Wait until it ends, at most so long; return whether it has ended."""
+        """Wait until it ends, at most `seconds`; return whether it has ended."""
         return self._ended.wait(seconds)
 
     def stop(self) -> None:
-        """Kill its processes, keep what they printed, and remove it.
+        """Kill its processes, keep their output, and remove it.
 
         Raises:
             ExperimentError: the engine cannot do so.
@@ -208,7 +208,7 @@ class Container:
         with suppress(OSError):
             self._events.close()
         with _asking("stop a container"):
-            with suppress(APIError):  # it has ended
+            with suppress(APIError):  # the container has ended
                 self._container.kill()
             _remove(self._container)
         self._dismiss()
@@ -242,11 +242,11 @@ class Container:
 class _Printed(threading.Thread):
     """Keeps the last output of a container.
 
-    It reads no faster than an honest program writes. The engine, which passes on what is printed, would
-    otherwise spend a whole core on a program that prints without end; this way that program has to wait.
+    It reads no faster than an honest program writes. The engine, which passes the output on, would otherwise
+    spend a whole core on a program that prints without end; with this limit, such a program has to wait.
 
     Args:
-        stream: its output; closed by `take`.
+        stream: the container's output; closed by `take`.
         size: number of bytes to keep.
     """
 

@@ -1,7 +1,7 @@
 """Reading a competition from its TOML file; docs/competition.md describes it.
 
-A mistake is reported with its line: TOML's own position is lost once it is parsed, so `_line` looks for the
-key again.
+A mistake is reported with its line: parsing loses TOML's own positions, so `line_of` searches the text for
+the key.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def load_competition(path: Path) -> Competition:
     """Return the competition that a TOML file describes.
 
     Raises:
-        ConfigError: the file cannot be read or describes none; the message names file and line.
+        ConfigError: the file cannot be read or describes no competition; the message names file and line.
     """
     try:
         with path.open("rb") as file:
@@ -62,7 +62,7 @@ def parse_competition(text: str, path: Path) -> Competition:
         path: of the file, for messages; other files are relative to its folder.
 
     Raises:
-        ConfigError: it describes none; the message names file and line.
+        ConfigError: it describes no competition; the message names file and line.
     """
     try:
         document = tomllib.loads(text)

@@ -1,7 +1,7 @@
 """The environment of a trial, in the hub's own process, where every step is recorded.
 
 To the hub it is a peer like any other, but without a socket: no program can pose as it, and the secret level
-never leaves this process. Only the calls of an episode reach it: no message of an agent does.
+never leaves this process. Only the calls of an episode reach it, and no message of an agent.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from glue.wire.codec import clip
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Kind, Message, Role
 
 _TRUNCATE: Final = "truncate"
-"""The one capability that its environment may have: agents are seeded, and saves are not taken."""
+"""The only capability offered to the hub, which seeds only the agent, and takes no saves."""
 
 _ASKED: Final = frozenset({Kind.ENV_INIT, Kind.ENV_START, Kind.ENV_STEP, Kind.ENV_CLEANUP})
 
@@ -43,14 +43,14 @@ class InsideEnvironment:
         environment: the environment, seeded if it can be.
         record: records the episodes.
         spec: the trial.
-        ended: receives the result of each whole episode as soon as it is recorded: an agent that fails
-            afterwards, in agent_end, changes neither.
+        ended: receives the result of each whole episode as soon as it is recorded, so that an agent that
+            fails afterwards, in agent_end, changes neither.
 
     Attributes:
         refusal: why the environment refused the agent's last action; None if it did not.
-        failure: the environment's own error; None if it made none.
-        steps: how many were carried out.
-        episodes: how many were played to their end.
+        failure: the environment's own error; None if there was none.
+        steps: number of steps carried out.
+        episodes: number of episodes played to their end.
         in_episode: whether an episode has begun and not ended.
 
     Raises:
@@ -159,7 +159,7 @@ class InsideEnvironment:
         return scalars, result
 
     def _blames_agent(self, body: bytes, error: Exception) -> bool:
-        """Tell whether a step failed because of the action: it was illegal, or the environment refused it."""
+        """Return whether a step failed because its action was illegal, or the environment refused it."""
         try:
             action = Action.from_body(body)
         except GlueError:

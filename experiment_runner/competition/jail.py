@@ -1,6 +1,6 @@
 """The jail of an entrant: the settings with which a container engine runs an unreviewed image.
 
-A jail has no network. Its one way out is the directory with the hub's socket, mounted read-only. Its file
+A jail has no network. Its only way out is the directory with the hub's socket, mounted read-only. Its file
 system is read-only too, except for a small /tmp in memory, and memory, processors and processes are limited.
 Its programs have no privileges and cannot gain any, and can make only the system calls of `seccomp.json`.
 docs/security.md names the attack that each setting prevents.
@@ -30,8 +30,8 @@ _NOBODY: Final = "65534:65534"
 _NUMBERS: Final = re.compile(r"([1-9]\d{0,8})(?::(\d{1,9}))?")
 
 _SECCOMP: Final = Path(__file__).with_name("seccomp.json")
-"""The system calls of a jail, in Docker's format. It lacks `AF_VSOCK` and `io_uring`, among others, which the
-default of Docker 20.10 allows."""
+"""The system calls of a jail, in Docker's format. Not among them are `AF_VSOCK`, `io_uring` and others that
+the default of Docker 20.10 allows."""
 
 _MASKED: Final = (
     *(
@@ -41,21 +41,21 @@ _MASKED: Final = (
     *(f"/proc/{name}" for name in ("timer_list", "timer_stats", "kallsyms", "kpagecount", "kpageflags")),
     "/sys/firmware",
     "/sys/devices/virtual/powercap",
-    # The load of the whole machine, by which entrants could watch and signal each other.
+    # The load of the whole machine, through which entrants could watch and signal each other.
     *(
         f"/proc/{name}"
         for name in ("loadavg", "stat", "meminfo", "vmstat", "uptime", "zoneinfo", "buddyinfo")
     ),
     *(f"/proc/{name}" for name in ("interrupts", "softirqs", "schedstat", "diskstats", "pressure", "swaps")),
 )
-"""Paths that are empty in a jail; the engine's own list is replaced, and is part of this one."""
+"""Paths that are empty in a jail; this list replaces the engine's own, and includes it."""
 
 _NEEDED: Final = {"MemoryLimit": "memory", "PidsLimit": "processes", "CpuCfsQuota": "processors"}
-"""Limits that an engine must support: their keys in its description, and their names for people."""
+"""Limits that an engine must support: their keys in its description, and their names in messages."""
 
 
 def jail(limits: Limits, launch: Launch, user: str, podman: bool = False) -> dict[str, Any]:
-    """Return the settings of a container that is a jail, as Docker's API has them.
+    """Return the settings of a container that is a jail, in the form of Docker's API.
 
     Args:
         limits: limits of the entrant.
@@ -135,9 +135,9 @@ def check_image(image: str, settings: Mapping[str, Any]) -> str | None:
 
 
 def user_of(declared: str) -> tuple[str, bool]:
-    """Return the user and group as whom an image is run, as numbers, and whether it declares them itself.
+    """Return the numeric user and group that an image runs as, and whether the image declares them itself.
 
-    A name is not enough: the image itself defines the number that belongs to it.
+    A name is not enough: the image itself defines the number of that name.
 
     Args:
         declared: `USER` of the image; empty for root.

@@ -1,8 +1,8 @@
-"""Run a trusted entrant's program: keep a bounded log of its output, and end it with its organiser.
+"""Run a trusted entrant's program: keep a bounded log of its output, and end the program with its organiser.
 
     python -P -m experiment_runner.competition.keeper LOG SIZE PROGRAM ARGUMENTS...
 
-When the organiser ends, or closes our standard input, the program is ended with its whole process group. This
+When the organiser ends, or closes our standard input, the program and its process group are ended. This
 process exits with the program's status.
 """
 
@@ -23,7 +23,7 @@ from experiment_runner.meeting.watchdog import watch_parent
 MODULE: Final = "experiment_runner.competition.keeper"
 
 CANNOT_START: Final = 127
-"""Exit status if there is no such program, as that of a shell."""
+"""Exit status if there is no such program, as in a shell."""
 
 _CHUNK: Final = 65_536
 _GRACE_SECONDS: Final = 0.5
@@ -36,7 +36,7 @@ def main() -> None:
     """Run the program that the arguments name."""
     log, size, *command = sys.argv[1:]
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends with its parent
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)  # this process ends with its parent
     sys.exit(_keep(Path(log), int(size), command))
 
 
@@ -95,7 +95,7 @@ def _copy(program: subprocess.Popen[bytes], kept: BinaryIO, size: int) -> None:
 
 
 def _end(program: subprocess.Popen[bytes]) -> None:
-    """End the program and all that it has left in its process group."""
+    """End the program and the rest of its process group."""
     for number in (signal.SIGTERM, signal.SIGKILL):
         with suppress(ProcessLookupError):
             os.killpg(program.pid, number)

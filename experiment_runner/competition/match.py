@@ -3,7 +3,7 @@
     python -P -m experiment_runner.meeting.children experiment_runner.competition.match DESCRIPTOR
 
 is a worker, see `experiment_runner.executors.local`. Environment and hub are in this process; the entrant's
-program, which the starter starts, reaches nothing but the one socket that it is launched with.
+program, which the starter starts, can reach only the socket that it is launched with.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _LAST_WORDS_SECONDS: Final = 1.0
 """Seconds to wait, when an entrant is lost, for the exit status of its program."""
 
 _MAX_MEMORY: Final = 4 * MAX_BODY
-"""Bytes of messages that a hub keeps: a flood ends connections, not this machine's memory."""
+"""Maximum bytes of messages that a hub keeps: a flood ends connections but does not fill the memory."""
 
 _MAX_REASON: Final = 300
 
@@ -61,7 +61,7 @@ class Match:
         spec: the trial.
         entrant: the entrant.
         limits: limits of the entrant.
-        steps: how many steps are played; 0 if it is the number of episodes that counts.
+        steps: number of steps to play; 0 if the number of episodes counts.
         log: the file for the output of the entrant.
         run: identifies the run, see `Launch`.
         gate: where entrants from elsewhere connect; None if there is none.
@@ -83,7 +83,7 @@ class Played(NamedTuple):
 
 
 class Forfeited(NamedTuple):
-    """The entrant did not play to the end; `reason` is one line for people."""
+    """The entrant did not play to the end; `reason` is one readable line."""
 
     reason: str
 
@@ -125,7 +125,7 @@ def play(
     *,
     clock: Callable[[], float] = time.monotonic,
 ) -> None:
-    """Play a trial. The last report is `Ended`; before it comes `Forfeited` if that is how it ended.
+    """Play a trial. The last report is `Ended`, preceded by `Forfeited` if the entrant forfeited.
 
     Args:
         match: the match.
@@ -152,12 +152,12 @@ class _Playing:
         self._record = ActionWriter(lambda piece: send(Played(piece)))
         self._joined = threading.Event()
         self._over = threading.Event()
-        self._ended: str | None = None  # why the entrant cannot play on, as its watcher noticed
+        self._ended: str | None = None  # why the entrant cannot continue, set by its watcher
 
     def play(self, starter: Starter) -> None:
         match = self._match
         environment = made_for(match.spec)
-        # Nobody tells a program in a folder which session is its own; there is no other in this hub.
+        # A program in a folder is not told its session, so it gets the default; this hub has no other.
         session = match.entrant.name if match.entrant.folder is None else DEFAULT_SESSION
         with ExitStack() as stack:
             launch = self._launch(stack.enter_context(scratch_folder()), session)
@@ -209,13 +209,13 @@ class _Playing:
             self._record.close()
             self._send(Forfeited(_one_line(self._reason(error, inside, running))))
             return
-        with suppress(GlueError):  # all is played; how an agent cleans up changes nothing
+        with suppress(GlueError):  # everything is played; the agent's cleanup changes nothing
             glue.rl_cleanup()
 
     def _episodes(self, glue: RemoteExperiment, inside: InsideEnvironment) -> None:
         steps, spec = self._match.steps, self._match.spec
         while inside.steps < steps if steps else inside.episodes < spec.episodes:
-            # RL_num_steps is 1 after the start: this allows for all the steps that are left.
+            # RL_num_steps is 1 after the start: this allows all remaining steps.
             glue.rl_episode(steps - inside.steps + 1 if steps else spec.max_steps)
             inside.end(Ending.CUTOFF)
 
@@ -224,7 +224,7 @@ class _Playing:
             self._joined.set()
 
     def _watch(self, running: Running, glue: RemoteExperiment) -> None:
-        """Notice, in a separate thread, that the entrant's program has ended or never joins."""
+        """Watch, in a separate thread, for the end of the entrant's program, and for one that never joins."""
         limit = self._match.limits.time.start_seconds
         began = self._clock()
         while not self._over.is_set():
@@ -245,7 +245,7 @@ class _Playing:
 
 
 def _one_line(text: str) -> str:
-    """Return a text, which the entrant may have had a hand in, as one printable line."""
+    """Return a text, possibly chosen by the entrant, as one printable line."""
     line = " ".join(text.split())
     printable = "".join(char if char.isprintable() else "?" for char in line)
     return printable if len(printable) <= _MAX_REASON else printable[: _MAX_REASON - 3] + "..."

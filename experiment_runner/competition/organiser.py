@@ -3,12 +3,12 @@
 Only this process writes to the run directory, whose trials are the matches:
 
     results.sqlite     outcomes and episodes, see `experiment_runner.store`
-    competition.toml   the file of the competition, as it was
+    competition.toml   the competition's file, as it was at the start
     records/           actions and rewards, recordings without observations
     logs/              output of each entrant
 
-A trial that was interrupted starts over, with a new process and an empty record, as one without a checkpoint
-does in an experiment: the entrant's learning was lost with its process.
+An interrupted trial starts over, with a new process and an empty record, like an experiment's trial without a
+checkpoint: the entrant's learning was lost with its process.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ Say = Callable[[str], None]
 
 
 def log_path(directory: Path, trial_id: str) -> Path:
-    """Return where the log of a trial's entrant is."""
+    """Return the path of the log of a trial's entrant."""
     return directory / LOGS / f"{trial_id}.log"
 
 
@@ -139,7 +139,7 @@ def hold(store: Store, competition: Competition, workers: int, say: Say, gate: G
     Args:
         store: of the run.
         competition: the competition.
-        workers: how many trials are played at once.
+        workers: number of trials played at once.
         say: shows a line.
         gate: where entrants from elsewhere connect; None if there are none.
 
@@ -186,7 +186,7 @@ class _Matches(Closing):
             record.close()
 
     def may_start(self, trial_id: str, running: Collection[str]) -> bool:
-        """Return whether a match may start: entrants that join at one address play one at a time."""
+        """Return whether a match may start: entrants that join at the same address play one at a time."""
         joins = self._joins_from_elsewhere
         return not (joins(trial_id) and any(map(joins, running)))
 
@@ -194,7 +194,7 @@ class _Matches(Closing):
         return self._matches[trial_id].entrant.key is not None
 
     def start(self, trial_id: str) -> Match:
-        """Return a match, which starts from its beginning."""
+        """Return a match, to be played from its beginning."""
         self._store.rewind(trial_id, 0)
         self._records[trial_id] = RecordFile(record_path(self._store.directory, trial_id))
         self._forfeits.pop(trial_id, None)
@@ -214,7 +214,7 @@ class _Matches(Closing):
         """Do nothing: every report is stored at once."""
 
     def lost(self, trial_id: str, why: str) -> int:
-        """Store that the process of a match was lost; there is no progress, as it starts over."""
+        """Store that the process of a match was lost; return 0, as the match starts over."""
         self._store.record_event("lost", why, trial_id)
         self._say(f"{trial_id}: {why}")
         return 0

@@ -1,7 +1,7 @@
 """Entrants whose programs are started elsewhere: on another machine, or with access to a folder.
 
-All entrants with a key connect to one address, and play one at a time. The others find no hub there, or are
-refused their session, so their programs have to be started again until the competition is over.
+All entrants with a key connect to one address, and play one at a time. Meanwhile the others find no hub
+there, or their session is refused, so their programs have to be restarted until the competition is over.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Outside:
     """Waits for entrants that are admitted by their key; see `Starter`."""
 
     def check(self, entrant: Entrant) -> None:
-        """Check that the file of the key is there."""
+        """Check that the file of the key exists."""
         if entrant.key is None or not entrant.key.is_file():
             raise ConfigError(
                 f"entrant {entrant.name}: there is no key {entrant.key}: ask its owner for the public key "
@@ -62,10 +62,10 @@ class Outside:
 
 
 class InFolder(Outside):
-    """Waits for entrants that find the hub's socket in a folder: access to the folder admits."""
+    """Waits for entrants that find the hub's socket in a folder; access to the folder admits them."""
 
     def check(self, entrant: Entrant) -> None:
-        """Check that the folder is there."""
+        """Check that the folder exists."""
         if entrant.folder is None or not entrant.folder.is_dir():
             raise ConfigError(
                 f"entrant {entrant.name}: there is no folder {entrant.folder}: make it, and give "
@@ -93,5 +93,5 @@ class _Elsewhere:
         return False
 
     def stop(self) -> None:
-        """Wait no longer."""
+        """Stop waiting."""
         self._stopped.set()

@@ -1,4 +1,4 @@
-"""Entrants that are trusted commands of this machine."""
+"""Entrants that are trusted commands on this machine."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from experiment_runner.meeting.watchdog import spawn
 from glue.errors import ConfigError, ExperimentError
 
 _STOP_SECONDS: Final = 5.0
-"""Time for the keeper of a program to end it."""
+"""Time for a keeper to end its program."""
 
 
 class Programs:
     """Starts trusted commands; see `experiment_runner.competition.starting.Starter`."""
 
     def check(self, entrant: Entrant) -> None:
-        """Check that there is such a program."""
+        """Check that the program exists."""
         if shutil.which(entrant.command[0]) is None:
             raise ConfigError(
                 f"entrant {entrant.name}: there is no program {entrant.command[0]!r} here: install it, or "

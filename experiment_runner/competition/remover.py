@@ -1,8 +1,8 @@
-"""Remove an entrant's container when the process that started it is gone, even if that was killed.
+"""Remove an entrant's container when the process that started it is gone, even if killed.
 
     python -P -m experiment_runner.competition.remover SOCKET CONTAINER
 
-SOCKET is that of the container engine. A starter that removes the container itself kills this process.
+SOCKET is the container engine's. A starter that removes the container itself kills this process.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ def main() -> None:
     """Wait for the end of the parent, and remove the container."""
     address, container = sys.argv[1:]
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)  # it ends with its parent
+        signal.signal(number, signal.SIG_IGN)  # this process ends with its parent
     watch_parent(lambda: _remove(address, container)).join()
 
 
 def _remove(address: str, container: str) -> None:
-    """Ask the engine with one request, for which its SDK would take up memory all the time."""
+    """Ask the engine with one plain request; its SDK would take up memory all the time."""
     import socket
 
     request = f"DELETE /containers/{container}?force=1&v=1 HTTP/1.0\r\nHost: engine\r\n\r\n"
@@ -37,7 +37,7 @@ def _remove(address: str, container: str) -> None:
         engine.settimeout(_SECONDS)
         engine.connect(address)
         engine.sendall(request.encode())
-        engine.recv(1)  # it answers when it is done
+        engine.recv(1)  # the engine answers when it is done
 
 
 if __name__ == "__main__":

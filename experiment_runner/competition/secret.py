@@ -1,7 +1,7 @@
 """The secret seed of a competition, and the seeds and levels drawn from it.
 
-Whatever depends on it is derived by HMAC-SHA-256, from which the secret cannot be computed back: the level
-of one trial says nothing about that of another.
+Everything that depends on the secret is derived by HMAC-SHA-256, from which the secret cannot be computed:
+the level of one trial says nothing about the level of another.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from glue.wire.messages import Role
 
 _LEVEL_SEED: Final = "level_seed"
 _NAMES_A_LEVEL: Final = (_LEVEL_SEED, "mdp")
-"""Options by which a task says itself which level is played."""
+"""Options with which a task itself names its level."""
 
 _SEED_BITS: Final = 63
 _MAX_SECRET: Final = 65_536
@@ -37,15 +37,15 @@ def read_secret(
 ) -> bytes:
     """Return the secret seed of a competition, without the white space around it.
 
-    If it is in an environment variable, that is removed from `variables`.
+    An environment variable that holds the secret is removed from `variables`.
 
     Args:
-        competition: says where it is.
+        competition: names the file or variable of the secret.
         variables: the environment variables of the process; a program started later inherits no secret.
         warn: shows a line about a file that other users can read.
 
     Raises:
-        ConfigError: there is none, or it is empty.
+        ConfigError: there is no secret, or it is empty.
     """
     path = competition.seed_file
     if path is None:
@@ -78,7 +78,7 @@ def draw(secret: bytes, *names: str) -> int:
 def trials(competition: Competition, secret: bytes) -> list[TrialSpec]:
     """Return every trial of a competition, with the levels drawn from its secret.
 
-    In a trial of a task every entrant meets the same level; in the next trial it is another one.
+    All entrants play the same level in a trial of a task, and another one in the next trial.
 
     Raises:
         ConfigError: there is no such environment, or an option is wrong.
@@ -104,7 +104,7 @@ def trials(competition: Competition, secret: bytes) -> list[TrialSpec]:
 
 
 def public_trial(competition: Competition, entrant: str, episodes: int, max_steps: int) -> TrialSpec:
-    """Return a trial of the first task in which nothing is secret, to try an entrant with.
+    """Return a trial of the first task in which nothing is secret, for trying out an entrant.
 
     Raises:
         ConfigError: as `trials`.
@@ -115,7 +115,7 @@ def public_trial(competition: Competition, entrant: str, episodes: int, max_step
 
 
 def agent_seed(spec: TrialSpec) -> int:
-    """Return the seed from which the agent's of a trial is derived; it does not reveal the environment's."""
+    """Return the seed that a trial's agent's seed is derived from; it does not reveal the environment's."""
     return draw(spec.seed.to_bytes(8, "little"), "agent")
 
 

@@ -15,7 +15,7 @@ _MEBIBYTE = 2**20
 @dataclass(frozen=True, slots=True)
 class Limits:
     """Limits of an entrant in each trial of a task. Those of memory, processors, processes and disks hold
-    for containers; a trusted command may use all of this machine.
+    only for containers; a trusted command may use all of this machine.
 
     Args:
         time: per answer, per task and to start; see `glue.hub.config.TimeLimits`.
@@ -38,7 +38,7 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """An environment, and for how many episodes or steps it is played.
+    """An environment, and the number of episodes or steps to play.
 
     Args:
         name: unique among the tasks.
@@ -62,7 +62,7 @@ class Entrant:
     Args:
         name: unique among the entrants.
         image: a container image.
-        command: a program of this machine and its arguments, which is trusted.
+        command: a trusted program on this machine, and its arguments.
         key: the file of the public key of an entrant that connects from elsewhere.
         folder: a folder for programs that another tool starts, such as compose: one program for each trial,
             which finds the socket `hub` in the subfolder `TASK-TRIAL`.
@@ -76,7 +76,7 @@ class Entrant:
 
     @property
     def player(self) -> str:
-        """The player, for people: image, command, folder, or file of the key."""
+        """The player, for display: image, command, folder, or file of the key."""
         if self.image is not None:
             return self.image
         if self.folder is not None:
@@ -102,8 +102,8 @@ class Competition:
     """A competition.
 
     Args:
-        name: for people.
-        trials: how often every entrant plays every task.
+        name: for display.
+        trials: number of times that every entrant plays every task.
         tasks: in the order of the file.
         entrants: in the order of the file.
         limits: the same for all.

@@ -1,6 +1,6 @@
 """The smoke phase: before a competition every entrant plays a little, and its owner gets a report.
 
-It plays the first task on the default level of the environment, so it reveals nothing secret.
+Entrants play the first task on the default level of its environment, which reveals nothing secret.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ _MAX_TAIL: Final = 8192
 
 
 def check_entrants(competition: Competition, directory: Path, say: Callable[[str], None]) -> int:
-    """Let every entrant play, one after the other; return how many could not.
+    """Let every entrant play, one after the other; return the number of those that could not.
 
     Args:
-        competition: whose entrants they are.
-        directory: for each entrant it gets a folder, to be sent to its owner: report.txt and log.txt.
+        competition: the competition.
+        directory: receives a folder for each entrant to send to its owner: report.txt and log.txt.
         say: shows a line for each entrant.
 
     Raises:

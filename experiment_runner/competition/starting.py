@@ -3,7 +3,7 @@
 An entrant is launched with a directory that holds the Unix socket `hub`, on which the hub of this trial
 admits only the agent of one session. Nothing else connects the entrant with the competition.
 
-`programs` starts trusted commands of this machine, `outside` waits for entrants from elsewhere, and
+`programs` starts trusted commands on this machine, `outside` waits for entrants from elsewhere, and
 `containers` starts images.
 """
 
@@ -23,13 +23,13 @@ SOCKET: Final = "hub"
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """The circumstances of an entrant's program in one trial of a task.
+    """The launch settings of an entrant's program for one trial of a task.
 
     Args:
         folder: a directory that holds only the socket `hub`.
         session: the session's name.
         log: the file that receives the output of the entrant, at most `Limits.log` bytes.
-        run: id of the run among all runs of this machine, by which its leftovers are found.
+        run: id of the run among all runs on this machine, by which its leftovers are found.
     """
 
     folder: Path
@@ -74,14 +74,14 @@ class Starter(Protocol):
         """Check, before a run begins, that the entrant can be started.
 
         Raises:
-            ConfigError: it cannot, with what to do in one line.
+            ConfigError: it cannot; the message is one line that says what to do.
         """
         ...
 
     def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> Running:
         """Start the entrant's program, a new one in each trial.
 
-        It must end when this process ends, however that is ended.
+        The program must end when this process ends, for whatever reason.
 
         Raises:
             ExperimentError: it cannot be started, for a reason that is not the entrant's.
@@ -89,15 +89,15 @@ class Starter(Protocol):
         ...
 
     def sweep(self, run: str) -> None:
-        """End programs that a killed organiser of this run has left running."""
+        """End programs that a killed organiser of this run left running."""
         ...
 
 
 def name_of_run(directory: Path) -> str:
-    """Return the id of a run among all runs of this machine: `Launch.run`.
+    """Return the id of a run among all runs on this machine: `Launch.run`.
 
-    Only the holder of the directory's lock starts entrants under this name. So containers that have it when a
-    run begins were left behind by one that was killed.
+    Only the holder of the directory's lock starts entrants under this name, so containers that have it when a
+    run begins were left behind by a process that was killed.
     """
     return hashlib.sha256(str(directory.absolute()).encode()).hexdigest()[:16]
 

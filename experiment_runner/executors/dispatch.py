@@ -1,4 +1,4 @@
-"""Dispatch of jobs to an executor: their reports are passed on, and lost jobs are started again.
+"""Dispatch of jobs to an executor: their reports are passed on, and lost jobs are restarted.
 
 A job belongs to one trial of a run: an experiment's trial, or a match of a competition.
 """
@@ -84,11 +84,11 @@ class Collector(Protocol[_JobOut, _ReportIn]):
         ...
 
     def lost(self, trial_id: str, why: str) -> int:
-        """Store that a job was lost; return the progress of its trial, which grows while it is not."""
+        """Store that a job was lost; return the progress of its trial, which grows as it is played."""
         ...
 
     def starts_again(self, trial_id: str) -> bool:
-        """Prepare a lost trial to start again; return False if nothing of it is left to do."""
+        """Prepare a lost trial to start again; return False if nothing is left to do."""
         ...
 
     def end(self, trial_id: str, failure: str | None) -> None:
@@ -139,7 +139,7 @@ class Dispatcher(Generic[JobT, ReportT]):
                             collector.end(trial_id, failure)
                         case Lost(why):
                             running.remove(trial_id)
-                            if not stopped:  # otherwise it was asked to stop
+                            if not stopped:  # otherwise the job was asked to stop
                                 self._lose(trial_id, why)
                         case _:
                             collector.take(trial_id, report)

@@ -47,7 +47,7 @@ class Interrupts:
         self._pending: int | None = None
         self._handlers: dict[int, _Handler] = {}
         self._ended = threading.Event()
-        # Its put is reentrant, which a signal handler needs; an Event's set is not.
+        # A signal handler needs a reentrant call: a SimpleQueue's put is one, an Event's set is not.
         self._received: SimpleQueue[int] = SimpleQueue()
 
     def __enter__(self) -> Self:

@@ -40,7 +40,7 @@ class Job(NamedTuple):
     start             the episode and checkpoint from which it starts
     checkpoint_every  number of episodes between checkpoints; 0 for none
     questions         messages to send to the agent after each episode, and each recorded step
-    metrics           the agent's numbers that are recorded; None for none
+    metrics           the agent's metrics to record; None for none
     """
 
     spec: TrialSpec
@@ -77,7 +77,7 @@ class Happened(NamedTuple):
 class Joined(NamedTuple):
     """A player joined from outside; see `experiment_runner.store.records.OutsidePlayer`.
 
-    `seeded` is false if it is known to take no seed.
+    `seeded` is false if the player is known to take no seed.
     """
 
     role: str
@@ -133,7 +133,7 @@ def run_job(
         StorageError: from `send`, when a report cannot be stored.
         BrokenPipeError: from `send`, when its output is no longer read.
         ConfigError, HubUnreachable, Refused: the running hub for the players cannot be found, does not answer
-            or does not admit this program. The trial has not failed: it can continue another time.
+            or does not admit this program. The trial has not failed: it can continue later.
     """
     lock = threading.Lock()  # the threads that watch players also report
 
@@ -239,10 +239,10 @@ def decode(value: Any, kinds: Mapping[str, type[_T]]) -> _T:
 
     Args:
         value: the value.
-        kinds: the types that are expected, by name.
+        kinds: the expected types, by name.
 
     Raises:
-        ExperimentError: the value is none of these.
+        ExperimentError: the value has none of these types.
     """
     try:
         name, fields = value

@@ -10,7 +10,7 @@ from glue.errors import GlueError, Unsupported
 
 
 def play_metered(glue: Experiment, max_steps: int, meter: Meter) -> bool:
-    """Run an episode as `Experiment.rl_episode`, with the readings that are due during it."""
+    """Run an episode like `Experiment.rl_episode`, and take the readings that are due during it."""
     glue.rl_start()
     step = 0
     while max_steps == 0 or step + 1 < max_steps:
@@ -30,12 +30,12 @@ class Meter:
 
     Args:
         glue: the experiment.
-        plan: the readings to be taken.
-        steps, reward: sums over the episodes before the first.
-        saved: what `save` returned after the last of these; empty if there is none.
+        plan: the readings to take.
+        steps, reward: sums over the episodes before the first one here.
+        saved: the result of `save` after the last of these episodes; empty if there is none.
 
     Attributes:
-        each_step: whether it reads during episodes.
+        each_step: whether metrics are read during episodes.
         missing: why there are no metrics; empty unless the agent turned out to have none.
 
     Raises:
@@ -56,12 +56,12 @@ class Meter:
         self.missing: str = ""
 
     def begin(self) -> None:
-        """Note that an episode begins; what was read in one that became void is forgotten."""
+        """Begin an episode; the readings of one that became void are dropped."""
         self._readings = []
         self._parts = dict(self._before)
 
     def next_after(self, step: int) -> int:
-        """Return the step of the episode, from 1, of its next reading after a step; 0 for its start."""
+        """Return the next step after `step` with a reading, counted in the episode, whose start is 0."""
         every = self._plan.every
         return step + every - (self._steps + step) % every
 
@@ -71,7 +71,7 @@ class Meter:
         self._read(at // self._plan.every, at, {TOTAL_REWARD: self._reward + self._glue.rl_return()})
 
     def end(self, result: EpisodeResult) -> tuple[Reading, ...]:
-        """Note the end of an episode, the last of whose steps may be due; return its readings."""
+        """End an episode, with a reading of its last step if one is due; return all of its readings."""
         if not self.each_step:
             self._read(result.episode, self._steps + result.steps, {})
         elif self.next_after(result.steps - 1) == result.steps:
@@ -82,11 +82,11 @@ class Meter:
         return tuple(self._readings)
 
     def save(self) -> bytes:
-        """Return the means under way after an episode, on which later readings depend."""
+        """Return the unfinished means after an episode, on which later readings depend."""
         return pack_parts(self._before)
 
     def _read(self, number: int, step: int, own: dict[str, float]) -> None:
-        """Read the metrics for the `number`-th time, counted from 1, beside the trial's own."""
+        """Read the metrics for the `number`-th time, counted from 1, and add the trial's own."""
         try:
             metrics = {} if self.missing else self._glue.rl_agent_metrics()
         except Unsupported as error:
@@ -99,7 +99,7 @@ class Meter:
             self._readings.append(Reading(step, {**own, **metrics} if own else metrics))
 
     def _kept(self, number: int, metrics: dict[str, float]) -> dict[str, float]:
-        """Return the values that are kept, or the means in their places."""
+        """Return the values to keep, or means in their place."""
         kept = {}
         for name, value in metrics.items():
             every, averaged = self._plan.keep.get(name, ALL)

@@ -1,7 +1,7 @@
 """Run trials on a Ray cluster (extra `ray`). Only this process writes the store.
 
-Ray's own retries are disabled: they would repeat a trial from its start, and report episodes a second time
-that are already stored. Instead a lost trial continues from its checkpoint, see
+Ray's own retries are disabled: they would repeat a trial from its start, and report again episodes that are
+already stored. Instead, a lost trial continues from its checkpoint, see
 `experiment_runner.executors.dispatch`.
 
 Jobs and reports cross the cluster as bytes, in our own encoding. Ray itself uses pickle for other data, such
@@ -138,7 +138,7 @@ def parse_address(address: str) -> tuple[str, int]:
 
 
 def _check_cluster(address: str) -> None:
-    """Check that a program listens at the address: Ray itself would try for minutes."""
+    """Check that a program listens at the address; Ray itself would keep trying for minutes."""
     try:
         socket.create_connection(parse_address(address), _CONNECT_SECONDS).close()
     except OSError as error:

@@ -30,7 +30,7 @@ def recorded(path: Path | None) -> Iterator[TrajectoryWriter | None]:
     if path is None:
         yield None
         return
-    _remove_remnant(path)  # of a process that was killed, or had no disk space, before the first episode
+    _remove_remnant(path)  # left by a process that was killed, or had no disk space, before the first episode
     writer = TrajectoryWriter(path)
     try:
         with writer:

@@ -1,8 +1,8 @@
 """Start a run, or continue one that was interrupted.
 
 A trial continues after its newest checkpoint. Episodes recorded after that are deleted and run again, with
-the same results, since seeds and checkpoints determine them; so an interrupted run ends like one that was
-not interrupted. A trial without a checkpoint starts over.
+the same results, since seeds and checkpoints determine them; so an interrupted run ends like an uninterrupted
+one. A trial without a checkpoint starts over.
 
 A run keeps a digest and a copy of each user file that its plan loads. It continues only with the same plan
 and the same files, except that the plan may have more episodes or more trials.
@@ -41,11 +41,11 @@ from experiment_runner.store.store import Store
 from glue.errors import ConfigError, ExperimentError, HubUnreachable, Refused
 
 FINISH: Final = "finish"
-"""Kind of the event that all trials of a run are finished."""
+"""Kind of the event recorded when all trials of a run are finished."""
 
 
 class OtherRun(DirectoryTaken):
-    """A directory has a run of a different plan, or of files that have changed since.
+    """A directory has a run of a different plan, or of files that were changed since.
 
     Attributes:
         differences: one line for each.
@@ -144,7 +144,7 @@ def resume_trials(
 
     Args:
         directory: contains the run.
-        check: raises an error if it is not the expected run.
+        check: raises an error if the run is not the expected one.
         clock: returns seconds since 1970.
 
     Raises:
@@ -160,7 +160,7 @@ def resume_trials(
         check(store)
         store.record_event("resume", program())
         for record in store.trials():
-            if record.finished and record.failure is not None:  # as its cleanup may have
+            if record.finished and record.failure is not None:  # its cleanup may have failed
                 store.rewind(record.spec.id, record.done)
         left = remaining(store)
         for trial in left:
@@ -235,9 +235,9 @@ def open_trials(
 
 @contextmanager
 def kept_if_begun(directory: Path, kept: Callable[[], None]) -> Iterator[None]:
-    """Remove a run that is new in this block if it was refused before anything was recorded.
+    """Remove a run created in this block if it is refused before anything was recorded.
 
-    It was refused by its hub, or its players cannot be started.
+    A run is refused by its hub, or because its players cannot be started.
 
     Args:
         directory: of the run, which is closed when the block ends.
@@ -292,14 +292,14 @@ def remaining(results: Results) -> list[Remaining]:
 
 
 def go_back(store: Store, trial: Remaining) -> None:
-    """Prepare a trial to continue: delete its episodes after that point, and its failure."""
+    """Prepare a trial to continue: delete its episodes after `trial.after`, and its failure."""
     if trial.dropped:
         store.record_event("rewind", trial.course, trial.trial_id)
     store.rewind(trial.trial_id, trial.after)
 
 
 def finished_at(results: Results) -> float | None:
-    """Return when a run was finished, in seconds since 1970; None if that was not recorded."""
+    """Return the time at which a run was finished, in seconds since 1970; None if it was not recorded."""
     return max((event.time for event in results.events() if event.kind == FINISH), default=None)
 
 
@@ -316,14 +316,14 @@ def _match(store: Store, plan: Plan | None, say: Callable[[str], None]) -> None:
             if (was := getattr(recorded, name))
         }
         longer = replace(recorded, **counts)
-        # Runs of earlier versions have paths that are relative to where they began.
+        # Runs of earlier versions have paths relative to the directory in which they began.
         if found := differences(*(absolute(one, Path.cwd()) for one in (longer, plan))):
             raise OtherRun(store.directory, "is the run of another plan", found)
         if longer != recorded:
             say(f"{store.directory} is extended: {'; '.join(differences(recorded, longer))}")
     check_sources(store.directory, sources_of(_players(plan or recorded)))
     if longer != recorded:
-        # Before the trials: a process that is killed in between has left a plan that extends them.
+        # Before the trials, so that a process killed in between leaves a plan that extends them.
         replace_flushed(path, dump_plan(longer))
     if not is_part(store.directory):  # the plan has trials of other parts, too
         lengthen(store, longer.expand(), say)
@@ -372,7 +372,7 @@ def check_sources(directory: Path, sources: Mapping[str, UserFile]) -> None:
     """Check that a run was begun with the same user files.
 
     Raises:
-        OtherRun: one has changed since.
+        OtherRun: a file has changed since.
     """
     if changed := changed_files(_recorded_files(directory), sources):
         found = [f"{file} has changed since" for file in changed]

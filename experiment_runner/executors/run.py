@@ -31,10 +31,10 @@ class RunConfig:
         checkpoint_every: number of episodes between checkpoints; 0 for none.
         backend: the kind of machine on which trials run.
         workers: maximum number of concurrent trials, each in its own process, or of a job array's tasks. None
-            for one after the other in this process, for the number of processors of a cluster, or no limit.
+            for one trial at a time in this process, one for each processor of a cluster, or no limit.
         address: address of the Ray cluster; None for the one that Ray finds, or one on this machine.
         questions: messages to send to the agent after each episode, and each recorded step.
-        metrics: the agents' numbers that are recorded; None for none.
+        metrics: the agents' metrics to record; None for none.
     """
 
     meeting: Meeting = field(default_factory=Meeting)

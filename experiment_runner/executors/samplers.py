@@ -1,7 +1,7 @@
 """Samplers of configurations: a grid, random values, or Optuna's (extra `tune`).
 
 A sampler is asked for configurations, and told their scores. The same seed and scores give the same
-configurations, so that an interrupted search continues by being carried out again from the beginning.
+configurations, so that an interrupted search continues when it is repeated from the beginning.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _AT_ONCE: Final = 4
 
 
 class Score(NamedTuple):
-    """The result of a configuration: its score, -inf if a trial has failed, and whether it was given up."""
+    """The result of a configuration: its score, -inf if a trial has failed, and whether it was pruned."""
 
     value: float
     pruned: bool
@@ -33,11 +33,11 @@ class Sampler(Protocol):
     """The choice of configurations."""
 
     def ask(self, most: int) -> list[Configuration]:
-        """Return the next configurations, at most so many; none at the end."""
+        """Return the next configurations, at most `most`; none at the end."""
         ...
 
     def tell(self, scores: Sequence[Score]) -> None:
-        """Note the scores of the configurations that `ask` has returned last, in their order."""
+        """Take the scores of the configurations that `ask` returned last, in the same order."""
         ...
 
 

@@ -1,8 +1,8 @@
-"""Search for the options of a plan's agents, then run the chosen ones with seeds that were not used before.
+"""Search for the options of a plan's agents, then run the chosen ones with fresh seeds.
 
 The folder of a tuned run has two runs: `search`, whose trials are added as configurations are proposed, and
-`result`. Everything is determined by the plan and by the stored episodes: an interrupted search is carried
-out again, and finds the episodes that it has already run.
+`result`. Everything is determined by the plan and by the stored episodes: an interrupted search is repeated,
+and finds the episodes that it has already run.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from glue.errors import ExperimentError
 SEARCH: Final = "search"
 RESULT: Final = "result"
 _RUNG: Final = 4
-"""A configuration may be given up after one of so many parts of its trials; its score is of the last part."""
+"""Number of parts of a trial: a configuration may be pruned after the first, and its score is of the last."""
 
 
 class _Chosen(NamedTuple):
@@ -44,7 +44,7 @@ class _Chosen(NamedTuple):
 def tune(
     directory: Path, plan: Plan, config: RunConfig, reporter: Reporter, again: str = ""
 ) -> tuple[Path, int]:
-    """Search, and run the chosen configurations; return the run of the result and its failed trials.
+    """Search, and run the chosen configurations; return the result's directory and number of failed trials.
 
     Args:
         directory: contains both runs, or will contain them.
@@ -54,7 +54,7 @@ def tune(
         again: command that continues after an interruption; empty for none.
 
     Raises:
-        ExperimentError: it is the folder of another plan, every configuration of an agent has failed, or
+        ExperimentError: the folder is of another plan, every configuration of an agent has failed, or
             SciPy is not installed.
         KeyboardInterrupt: on Ctrl-C or SIGTERM.
     """
@@ -137,7 +137,7 @@ def _search(
 
 
 def _among_the_better(scores: Sequence[float], number: int) -> bool:
-    """Return whether a score is in the better half, of equal ones the first."""
+    """Return whether a score is in the better half; of equal scores, earlier ones count as better."""
     mine = scores[number]
     better = sum(score > mine or (score == mine and i < number) for i, score in enumerate(scores))
     return better < (len(scores) + 1) // 2
@@ -166,7 +166,7 @@ def _shortened(spec: TrialSpec) -> TrialSpec:
 def _run(
     store: Store, specs: Sequence[TrialSpec], run: Callable[[], None], say: Callable[[str], None]
 ) -> None:
-    """Run trials that are not yet as long."""
+    """Run the trials that the store does not have at this length."""
     known = {trial.spec.id: trial.spec for trial in store.trials()}
     new = [
         spec
@@ -180,9 +180,9 @@ def _run(
 
 
 def _score(store: Store, specs: Sequence[TrialSpec]) -> float:
-    """Return the interquartile mean over trials of their mean return near the end; -inf if one has failed.
+    """Return the interquartile mean over trials of their mean return near the end; -inf if one failed.
 
-    Only episodes within the length of `specs` count, so that the score of a part is the same after the rest.
+    Only episodes within the length of `specs` count, so that a part's score stays the same after the rest.
     """
     reached = []
     failed = {trial.spec.id for trial in store.trials() if trial.failure is not None}

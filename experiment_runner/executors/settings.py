@@ -10,7 +10,7 @@ CHECKPOINT_EVERY: Final = 100
 
 
 class Backend(StrEnum):
-    """Where trials run: on this machine, on a Ray cluster, or as tasks of a SLURM job array."""
+    """The place where trials run: this machine, a Ray cluster, or a SLURM job array."""
 
     LOCAL = "local"
     RAY = "ray"

@@ -41,7 +41,7 @@ class Sink(Protocol):
         """Store a finished episode, with the checkpoint and the agent's answers after it, if any, and its
         metrics.
 
-        The sink may keep it, to store it together with later ones.
+        The sink may hold an episode back, to store it together with later ones.
         """
         ...
 
@@ -107,7 +107,7 @@ def run_trial(
         any_reward: whether rewards may be infinite or NaN. If not, an episode whose return is infinite or NaN
             ends the trial; single rewards are checked by `glue`, see `experiment_runner.meeting.rewards`.
         questions: messages to send to the agent after each episode.
-        metrics: the agent's numbers that are recorded; None for none.
+        metrics: the agent's metrics to record; None for none.
 
     Raises:
         GlueError: the trial cannot continue. The results that the sink has received remain valid.
@@ -148,9 +148,9 @@ class _Trial:
         self._steps = start.steps  # in the episodes done
         self._since: list[EpisodeResult] = []  # the episodes run after `start`, oldest first
         self._can_save: bool | None = None
-        self._unsaved = ""  # the reason for which no checkpoint can be taken
+        self._unsaved = ""  # the reason why no checkpoint can be taken
         self._warned = False
-        self._told = False  # that the agent has no metrics
+        self._told = False  # whether the lack of metrics was reported
 
     def run(self) -> None:
         with self._interrupts.deferred():
@@ -187,7 +187,7 @@ class _Trial:
                 self._void(error)
                 self._sink.event("replaced", "the lost player's learning is lost, too")
                 continue
-            # Read only once, so that the trial never stops without having taken a checkpoint.
+            # Read only once, so that the trial never stops without taking a checkpoint.
             stopping = self._interrupts.requested
             kept = self._keep(result, answers, metrics, stopping)
             if stopping:
@@ -257,7 +257,7 @@ class _Trial:
                 self._sink.say(f"repeated {number} of {total} episodes")
 
     def _episode(self, number: int, steps: int, play: Callable[[int], bool]) -> EpisodeResult:
-        """Play an episode, before which `steps` were made in the trial."""
+        """Play an episode that begins after `steps` steps of the trial."""
         began = time.perf_counter()
         terminal = play(self._spec.step_limit(steps))
         result = measured(number, EndedEpisode(self._glue, terminal, time.perf_counter() - began))
@@ -309,7 +309,7 @@ class _Trial:
             return None
 
     def _warn(self) -> None:
-        """Warn, when the first checkpoint is due, that there is none."""
+        """Warn, when the first checkpoint is due, that it cannot be taken."""
         if not self._warned:
             self._warned = True
             self._sink.event(

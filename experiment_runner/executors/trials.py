@@ -1,7 +1,7 @@
-"""The trials of an experiment as jobs: their reports in the store and, once they are there, on the screen.
+"""The trials of an experiment as jobs: their reports are stored, and then shown.
 
 Only this module writes results to the store of a run. Episodes that end within a short time of each other are
-committed together, and reported after that: every reported episode is on disk.
+committed together, and then reported: every reported episode is on disk.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from glue.closing import Closing
 from glue.trajectory import TrajectoryWriter
 
 _COMMIT_SECONDS: Final = 0.05
-"""Time after a commit in which episodes are kept for the next one, in seconds; a crash loses them."""
+"""Seconds after a commit in which episodes are kept for the next one; a crash loses them."""
 
 
 class Trials(Closing):
@@ -98,7 +98,7 @@ class Trials(Closing):
         return True
 
     def start(self, trial_id: str) -> Job:
-        """Return the job of a trial, from its newest checkpoint on."""
+        """Return the job of a trial, starting from its newest checkpoint."""
         spec = self._specs[trial_id]
         start = self._start(trial_id)
         self._reporter.begin(spec, start.after, start.steps)

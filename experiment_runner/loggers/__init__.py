@@ -1,6 +1,6 @@
-"""Results of a run for the programs that people watch their experiments in.
+"""Loggers, which send the results of a run to experiment trackers.
 
-Each module but two is a logger; `points` defines what a logger receives, and `stream` sends it.
+Each module is a logger, except `points`, the data that a logger receives, and `stream`, which sends it.
 """
 
 from typing import Final
@@ -13,4 +13,4 @@ LOGGERS: Final = {
     "mlflow": "MLflow",
     "trackio": "Trackio",
 }
-"""The class of each logger by its name, which is also that of its module and of the extra that it needs."""
+"""The class of each logger by its name, which is also the name of its module and of its extra."""

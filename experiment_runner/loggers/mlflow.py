@@ -13,7 +13,7 @@ from experiment_runner.loggers.points import Point, Source
 _TAG: Final = "glue.trial"
 _MOST_METRICS: Final = 1000
 _MOST_PARAMS: Final = 100
-"""In one request."""
+"""Maximum number in one request."""
 
 
 class MLflow:
@@ -48,10 +48,10 @@ class MLflow:
         return True
 
     def close(self) -> None:
-        """Do nothing: all was sent."""
+        """Do nothing: everything was sent."""
 
     def _open(self, source: Source) -> str:
-        """Return the id of the trial's run, which is made unless it is there."""
+        """Return the id of the trial's run, which is created if it does not exist."""
         found = self._client.search_runs([self._experiment], f"tags.`{_TAG}` = '{source.key}'")
         if found:
             return str(found[0].info.run_id)

@@ -11,9 +11,9 @@ from experiment_runner.store.results import Results
 
 
 class Source(NamedTuple):
-    """A trial, as loggers know it: each has a run of its own there.
+    """A trial, as loggers see it: each trial has its own run there.
 
-    key       16 hexadecimal digits, which no other trial of any run has
+    key       16 hexadecimal digits, unique among the trials of all runs
     run       name of the run directory
     trial     the trial's id
     settings  its seed, players and their options
@@ -26,7 +26,7 @@ class Source(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Its name for people, which contains the key: results in a directory may be replaced."""
+        """Its display name, which contains the key: results in a directory may be replaced."""
         return f"{self.run}/{self.trial} {self.key[:6]}"
 
 
@@ -46,13 +46,13 @@ class Point(NamedTuple):
 
 
 class Logger(Protocol):
-    """Takes the points of trials."""
+    """Receives the points of trials."""
 
     def write(self, source: Source, points: Sequence[Point], finished: bool) -> bool:
-        """Write points, each later than all before; return whether they are kept whatever happens now.
+        """Write points, each later than all before; return whether they would already survive a crash.
 
-        Otherwise they are once `close` has returned. After a kill points may be written a second time,
-        which must not show.
+        If not, they do once `close` has returned. After a kill, points may be written a second time, which
+        must not show.
 
         Args:
             source: their trial.
@@ -62,7 +62,7 @@ class Logger(Protocol):
         ...
 
     def close(self) -> None:
-        """Write no more for now."""
+        """Finish writing for now."""
         ...
 
 
@@ -70,7 +70,7 @@ def points_of(results: Results, trial_id: str, after: int, began: float) -> list
     """Return the points of a trial's episodes after number `after`, in order.
 
     An episode's values are at its last step, those of the agent's metrics where they were read. Times are
-    `began` and the durations of the trial's episodes until then, so that they are the same each time.
+    `began` plus the durations of the trial's episodes until then, so that every call gives the same ones.
 
     Args:
         results: of the run.

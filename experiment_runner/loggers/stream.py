@@ -1,7 +1,7 @@
 """Sending a run's results to a logger, during the run and after it.
 
-All that is sent is in the store already, and a file of the run directory says how many episodes of each trial
-the logger has: streaming goes on from there, however it ended.
+Everything that is sent is already in the store, and a file in the run directory says how many episodes of
+each trial the logger has: streaming continues from there, however it ended.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from glue.doors import chance, clock
 from glue.errors import ConfigError, ExperimentError, GlueError
 
 _TOGETHER: Final = 500
-"""Episodes that are written together; after a kill, so many may be written again."""
+"""Number of episodes written together; after a kill, as many may be written again."""
 
 _POLL_SECONDS: Final = 2.0
 _MOST_BYTES: Final = 2**26
@@ -39,10 +39,10 @@ _POSITIONS: Final = "positions.json"
 
 @dataclass
 class _Position:
-    """How far a run was sent to a project.
+    """The progress of sending a run to a project.
 
     Args:
-        stream: tells its trials from those of all other runs there.
+        stream: distinguishes its trials from those of all other runs there.
         began: the time of each trial's beginning, as loggers show it, in seconds since 1970.
         episodes: the number of a trial's episodes that were sent, by id.
     """
@@ -58,7 +58,7 @@ def stream(directory: Path, name: str, project: str) -> int:
     Args:
         directory: of the run.
         name: of the logger.
-        project: of the logger in which the trials are shown. TensorBoard has none: its files are in the run.
+        project: the logger's project that shows the trials. TensorBoard has none: its files are in the run.
 
     Returns:
         The number of episodes that were sent.
@@ -80,7 +80,7 @@ def stream(directory: Path, name: str, project: str) -> int:
         def keep() -> None:
             replace_flushed(folder / _POSITIONS, json.dumps(positions, default=asdict))
 
-        keep()  # or another process would send the run anew, as another one
+        keep()  # otherwise another process would send the run again, as a different one
         with _open(name, folder if name == "tensorboard" else project) as logger:
             writing = True
             while writing:
@@ -100,7 +100,7 @@ def stream(directory: Path, name: str, project: str) -> int:
 
 @contextmanager
 def _open(name: str, where: object) -> Iterator[Logger]:
-    """Yield a logger; whatever goes wrong in it is reported under its name."""
+    """Yield a logger; its errors are reported under its name."""
     if find_spec(name) is None:
         raise ConfigError(f"{name} is not installed: pip install 'glue-rl[{name}]'")
     try:
@@ -117,13 +117,13 @@ def _open(name: str, where: object) -> Iterator[Logger]:
 
 
 def _send(results: Results, logger: Logger, position: _Position, sent: dict[str, int]) -> Iterator[str]:
-    """Send what the logger was not sent yet; yield a trial's id whenever all that was sent of it is kept.
+    """Send the logger all new episodes; yield a trial's id whenever all that was sent of it is kept.
 
     Args:
         results: of the run.
         logger: the logger.
-        position: what it keeps.
-        sent: what it was sent, as `position.episodes`.
+        position: the episodes that the logger has kept.
+        sent: the episodes that the logger was sent, in the form of `position.episodes`.
     """
     joined = results.joined_players()
     for record in results.trials():
@@ -143,7 +143,7 @@ def _send(results: Results, logger: Logger, position: _Position, sent: dict[str,
 
 
 def _read(path: Path) -> dict[str, _Position]:
-    """Return the positions of a run by project; a run may come from anyone.
+    """Return the positions of a run by project; the file is not trusted, as a run may come from anyone.
 
     Raises:
         ExperimentError: the file is damaged.

@@ -21,14 +21,14 @@ from experiment_runner.store.export import Cell
 from glue.errors import ExperimentError
 
 _SECONDS: Final = 1e9
-"""Interval at which the writer flushes by itself: never."""
+"""Interval in seconds at which the writer flushes on its own: in effect never."""
 
 
 class TensorBoard:
     """Writes to a folder for each trial.
 
     Args:
-        folder: that holds these folders.
+        folder: holds these folders.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -59,7 +59,7 @@ class TensorBoard:
         if not folder.resolve().is_relative_to(self._folder.resolve()):
             raise ExperimentError(f"the id of trial {source.trial} would lead out of {self._folder}")
         writer = EventFileWriter(str(folder), flush_secs=_SECONDS)
-        # TensorBoard drops what an earlier file has from this step on: a kill may have left it.
+        # From this step on, TensorBoard drops the points of an earlier file, left by a killed process.
         start = SessionLog(status=SessionLog.START)
         writer.add_event(Event(step=first.step, wall_time=first.time, session_log=start))
         writer.add_event(Event(wall_time=first.time, summary=_hparams(source.settings)))
@@ -67,7 +67,7 @@ class TensorBoard:
 
 
 def _hparams(settings: Mapping[str, Cell]) -> Summary:
-    """Return the summary that the tab HPARAMS shows of a trial."""
+    """Return a trial's summary for the tab HPARAMS."""
     data = HParamsPluginData()
     for name, value in settings.items():
         entry = data.session_start_info.hparams[name]

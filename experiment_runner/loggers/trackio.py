@@ -1,4 +1,4 @@
-"""Trackio: a run for each trial, in a project here or, with TRACKIO_SERVER_URL, at a server."""
+"""Trackio: a run for each trial, in a project on this machine or, with TRACKIO_SERVER_URL, on a server."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class Trackio:
         self._project = project
 
     def write(self, source: Source, points: Sequence[Point], finished: bool) -> bool:
-        """Write to the trial's run, which is opened and finished each time: only its end flushes it.
+        """Write to the trial's run, which is opened and finished each time: only finishing flushes it.
 
         Raises:
-            ExperimentError: Trackio has lost some; it warns in the threads in which it writes.
+            ExperimentError: Trackio has lost points; its writing threads warn about that.
         """
         with redirect_stdout(io.StringIO()), warnings.catch_warnings(record=True) as warned:
             warnings.simplefilter("ignore")

@@ -11,7 +11,7 @@ from experiment_runner.loggers.points import Point, Source
 
 
 class WeightsAndBiases:
-    """Writes to a project. Of what is written twice its server ignores the second, as the step is the same.
+    """Writes to a project. The server ignores a point that is written twice, as its step is the same.
 
     Args:
         project: its name.
@@ -22,7 +22,7 @@ class WeightsAndBiases:
         self._runs: dict[str, Any] = {}
 
     def write(self, source: Source, points: Sequence[Point], finished: bool) -> bool:
-        """Hand the points to W&B's own process, which keeps them for certain once a run is finished."""
+        """Hand the points to W&B's own process; they are safe only once the run is finished."""
         run = self._runs.get(source.key)
         if run is None:
             run = self._runs[source.key] = wandb.init(
@@ -42,7 +42,7 @@ class WeightsAndBiases:
         return finished
 
     def close(self) -> None:
-        """End all runs, having sent what is left."""
+        """Send the rest, and end all runs."""
         for run in self._runs.values():
             run.finish()
         self._runs.clear()

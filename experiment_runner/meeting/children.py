@@ -29,7 +29,7 @@ HURRIED_SECONDS: Final = 0.2
 """Seconds that a child may take to exit after Ctrl-C."""
 
 _MAX_DEATHS: Final = 3
-"""Number of times that a player may be killed without progress until it is given up."""
+"""Number of times that a player may be killed without progress before it is given up."""
 
 
 def start(module: str, arguments: Sequence[str], pass_fds: Sequence[int] = ()) -> subprocess.Popen[bytes]:
@@ -81,7 +81,7 @@ class KeptAlive:
 
     Args:
         say: shows a line; called from any thread.
-        progress: returns how many episodes are done; called from any thread.
+        progress: returns the number of finished episodes; called from any thread.
         dismissed: whether the hub tells the children to exit when the context ends; otherwise they are
             terminated.
     """
@@ -146,10 +146,10 @@ class _Child:
         self._watcher.start()
 
     def leave(self, terminate: bool) -> None:
-        """Do not restart the process any more; terminate it if nothing else tells it to exit."""
+        """Stop restarting the process; terminate it if nothing else tells it to exit."""
         with self._lock:
             first, self._leaving = not self._leaving, True
-        if terminate and first:  # a second signal would interrupt it while it cleans up
+        if terminate and first:  # a second signal would interrupt its cleanup
             self._process.terminate()
 
     def end(self, seconds: float) -> None:

@@ -21,9 +21,9 @@ class Hints:
     Args:
         say: shows a line.
         hub: URL at which players from outside join.
-        session: which they join.
+        session: the session that they join.
         named: the roles whose players the experiment starts itself; each is mentioned once.
-        ports: where original RL-Glue programs join.
+        ports: ports at which original RL-Glue programs join.
         keys: directory of the hub's keys, which players from outside need; None for none.
         warnings: lines to be shown once, after the first hint.
     """
@@ -64,7 +64,7 @@ class Hints:
 
 
 def _from_outside(endpoint: str) -> str:
-    """Return the URL at which others reach our hub; a wildcard becomes the placeholder HOST."""
+    """Return the URL at which outside programs reach our hub; a wildcard becomes the placeholder HOST."""
     for everywhere in ("tcp://0.0.0.0:", "tcp://[::]:"):
         if endpoint.startswith(everywhere):
             return "tcp://HOST:" + endpoint.removeprefix(everywhere)

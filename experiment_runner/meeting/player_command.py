@@ -2,7 +2,7 @@
 
     python -P -m experiment_runner.meeting.player_command ROLE NAME SETTINGS
 
-SETTINGS is JSON, see `arguments`. `glue-agent` and `glue-env` are the same for people.
+SETTINGS is JSON, see `arguments`. `glue-agent` and `glue-env` do the same for users.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def arguments(
         hub: URL of the hub.
         session: name of the session.
         any_reward: whether an environment may give rewards that are infinite or not a number.
-        key: file with the secret key by which the hub knows the player, if it does.
+        key: file with the secret key by which the hub knows the player; None for none.
         hub_key: the hub's public key, or a file that holds it.
     """
     place = {"hub": hub, "session": session, "key": key, "hub_key": hub_key}
@@ -60,7 +60,7 @@ def arguments(
 def main() -> None:
     """Serve an agent or environment until the hub says goodbye.
 
-    Our parent ends us by SIGTERM, and says why: so we do in silence.
+    Our parent ends us by SIGTERM and says why, so we exit silently.
     """
     role, name, text = sys.argv[1:]
     settings = json.loads(text)
@@ -80,7 +80,7 @@ def main() -> None:
 def _serve(role: Role, player: Any, settings: Mapping[str, Any]) -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # from now on there is something to clean up
     leave_printing_to_others()
-    LOG.disabled = True  # our parent says what there is to say
+    LOG.disabled = True  # our parent reports instead
     if role is Role.AGENT:
         serve_agent(player, **settings["place"])
     else:

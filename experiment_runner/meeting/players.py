@@ -1,7 +1,7 @@
 """Connect agent, environment and experiment: in this process, or over a hub.
 
-Players that a trial names are created here, as objects or as child processes. For the others the experiment
-waits, and shows the command that starts them.
+Players that a trial names are created here, as objects or as child processes. The experiment waits for the
+others, and shows the command that starts them.
 
 The addresses at which players join from outside are opened once for a whole run, by `listening`, and
 passed to the hub of each trial. No address is opened just to test it: an original RL-Glue program that waits
@@ -79,9 +79,9 @@ class Meeting:
     Args:
         inside: roles whose named players are objects in the process of the trial. Any other player is a
             process, or joins from outside. If both are inside, there is no hub.
-        hub: which hub, if they are processes.
+        hub: the hub, if a player is not inside.
         opened: the hub's addresses that are already open, by URL.
-        opened_legacy: its ports for original RL-Glue programs that are already open.
+        opened_legacy: the hub's ports for original RL-Glue programs that are already open.
         any_reward: whether rewards may be infinite or NaN; if not, the first such reward ends the trial, or
             the first such return with an environment from outside.
     """
@@ -110,10 +110,10 @@ def open_experiment(
 
     Args:
         spec: the trial.
-        meeting: how they are connected.
+        meeting: how the players are connected.
         say: shows a line; may be called from any thread.
-        progress: returns how many episodes are done, to detect a player that is killed repeatedly without
-            progress; may be called from any thread.
+        progress: returns the number of finished episodes, to detect a player that is killed repeatedly
+            without progress; may be called from any thread.
         note: records each player that joins from outside; None to only show it.
         met: receives the URL of the hub and the session's name, for observers.
 
@@ -148,12 +148,12 @@ def _binds(options: HubOptions, expected: bool, roles: frozenset[Role]) -> tuple
     """Return the addresses of our own hub for players from outside, with the roles that are open to them."""
     keys = None if options.keys is None else read_keys(options.keys)
     if keys is not None:
-        roles |= {Role.OBSERVER}  # those whose key says so
+        roles |= {Role.OBSERVER}  # those whose key permits it
     return tuple(Bind(url, roles, keys=keys) for url in _outside(options, expected))
 
 
 def _outside(options: HubOptions, expected: bool) -> tuple[str, ...]:
-    """Return where our own hub listens for players from outside."""
+    """Return the addresses at which our own hub listens for players from outside."""
     return options.bind or ((DEFAULT_HUB,) if expected else ())
 
 
@@ -242,7 +242,7 @@ class _OverHub:
                 on_notice=self._notice,
             )
         stack.enter_context(glue)
-        if self._met is not None and options.key is None:  # observers would need one
+        if self._met is not None and options.key is None:  # observers would need a key
             self._met(url, options.session)
         for role, player in self._named.items():
             if role in self._inside:
@@ -297,7 +297,7 @@ class _OverHub:
         elif event is not Event.JOINED or (self._note is None and outside):
             self._say(f"{role} {name} {event}")
         elif self._note is not None and outside:
-            label, opens, program = name.removesuffix(")").rpartition(" (")  # as the hub writes it
+            label, opens, program = name.removesuffix(")").rpartition(" (")  # in the hub's format
             if not opens:
                 label, program = name, ""
             self._note(role, label, program or None, self._takes_seed(role))

@@ -1,7 +1,7 @@
 """Rewards that are checked to be finite, in the environment's own process.
 
 Hub and protocol carry an infinite reward, or one that is not a number, unchanged, as RL-Glue does. In an
-experiment it is nearly always a mistake, which would only show as a mean that is not a number.
+experiment, such a reward is nearly always a mistake, which would only show as a mean that is not a number.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class FiniteRewards:
         try:
             finite = math.isfinite(answer[0])
         except (TypeError, ValueError, OverflowError, LookupError):
-            return answer  # it does not begin with a number: the caller complains
+            return answer  # the answer does not begin with a number: the caller complains
         if not finite:
             raise GlueError(
                 f"the reward of step {self._steps} is {float(answer[0])}, not a finite number "

@@ -1,4 +1,4 @@
-"""Temporary folders that are removed by the next run if the one that made them was killed."""
+"""Temporary folders, which the next run removes if the run that made them was killed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from glue.hub.io.listener import is_left_over
 
 _PREFIX: Final = "glue-"
 _OURS: Final = _PREFIX + 8 * "?"
-"""Pattern of names made by `tempfile`. Looking into a folder means connecting to its socket."""
+"""Pattern of names made by `tempfile`. Checking a folder may mean connecting to its socket."""
 
 SOCKET: Final = "hub"
 """Name of the Unix socket in such a folder."""
@@ -24,7 +24,7 @@ SOCKET: Final = "hub"
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Give a new folder that only this user can enter, for the sockets of one trial.
+    """Yield a new folder that only this user can enter, for the sockets of one trial.
 
     Raises:
         OSError: it cannot be made.
@@ -47,7 +47,7 @@ def _make(parent: Path) -> tuple[Path, RunLock]:
             if (folder / LOCK_FILE).exists():
                 return folder, lock
             lock.release()
-        # Before it was locked, another run took it for abandoned.
+        # Before the folder was locked, another run removed it as abandoned.
 
 
 def _remove_abandoned(parent: Path) -> None:

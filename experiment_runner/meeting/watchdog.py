@@ -1,4 +1,4 @@
-"""Processes that notice the end of the process that started them, even if that is ended by SIGKILL.
+"""Processes that notice the end of the process that started them, even by SIGKILL.
 
 The standard input of such a child is a pipe to which nothing is written: when it closes, the parent has
 ended, or has no more use for the child. Only the standard library is imported, to keep small children small.
@@ -47,7 +47,7 @@ def spawn(
 def watch_parent(ended: Callable[[], object]) -> threading.Thread:
     """Call `ended` in a thread, which is returned, when the parent ends or closes our standard input.
 
-    Standard input is replaced: a program that reads it sees its end at once.
+    Standard input is replaced, and a program that reads it gets end of file at once.
     """
     parent = os.dup(0)
     nothing = os.open(os.devnull, os.O_RDONLY)

@@ -18,7 +18,7 @@
     terminal_update = true
 
 The heading of a table is the name of an agent or environment, or a label of your own with the name
-under `class`. A list of values is swept over. Every agent meets every environment, in every
+under `class`. A list of values is swept over. Every agent plays every environment, in every
 combination of the swept values, `trials` times. Omit `agents` (or `environments`) if that
 role connects from outside.
 
@@ -77,7 +77,7 @@ def load_plan(path: Path, seeds: Seeds = "number") -> Plan:
 
 @contextmanager
 def naming_lines(path: Path) -> Iterator[None]:
-    """Name the file of a plan in the errors of the body, and the line where one is about a key."""
+    """Add the file of a plan to errors of the body, and the line to an error about a key."""
     try:
         yield
     except PlanError as error:
@@ -178,7 +178,7 @@ def _toml_value(value: Value | tuple[Value, ...]) -> str:
     if isinstance(value, tuple):
         return f"[{', '.join(map(_toml_value, value))}]"
     if isinstance(value, str):
-        # JSON's escapes are TOML's, but TOML also wants DEL escaped.
+        # JSON's escapes are valid in TOML, but TOML also requires DEL to be escaped.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return plain(value)
 

@@ -15,7 +15,7 @@ REMOTE: Final = "remote"
 
 
 class TrialId(str):
-    """The id of a trial: agent, environment and number, each with the swept options that tell it apart."""
+    """The id of a trial: agent, environment and number, each with the swept options that distinguish it."""
 
     __slots__ = ()
 
@@ -53,7 +53,7 @@ class TrialId(str):
         """Return the id with the names of players from outside in place of `REMOTE`.
 
         Args:
-            agent: name of the agent that joined; None if none has, or the agent is part of the plan.
+            agent: name of the agent that joined; None if no agent has, or the agent is part of the plan.
             environment: the same for the environment.
         """
         parts = self.split("/")
@@ -65,5 +65,5 @@ class TrialId(str):
 
 
 def label_of(name: str) -> str:
-    """Return the label made of a name: letters, digits and _ . + - of it, with a hyphen for others."""
+    """Return the label for a name: its letters, digits and _ . + -, with a hyphen for other characters."""
     return re.sub(r"[^\w.+-]+", "-", name).strip("-") or "-"

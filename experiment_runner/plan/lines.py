@@ -13,7 +13,7 @@ class PlanError(ExperimentError):
     """A key or a value of a plan is wrong.
 
     Attributes:
-        keys: the key, after those of the tables that it is in; empty if the error is about none.
+        keys: the key, after those of the tables that it is in; empty if the error is about no key.
     """
 
     def __init__(self, message: str, *keys: str) -> None:
@@ -21,7 +21,7 @@ class PlanError(ExperimentError):
         self.keys = keys
 
     def inside(self, *keys: str) -> PlanError:
-        """Return this error of a table that is in others."""
+        """Return this error for a table that is inside others."""
         return PlanError(str(self), *keys, *self.keys)
 
 

@@ -1,4 +1,4 @@
-"""The part of a plan that says which of the agent's own numbers are kept, and how many of them:
+"""The part of a plan that says which of the agent's metrics are kept, and which of their values:
 
 metrics_every = 1000       # steps; 0: after each episode
 
@@ -20,7 +20,7 @@ _MOST: Final = 2**31
 
 
 class Keep(NamedTuple):
-    """The values of a metric that are kept: one of every so many, the last of them or their mean."""
+    """The values of a metric that are kept: the last of every `every` values, or their mean."""
 
     every: int = 1
     averaged: bool = False
@@ -38,7 +38,7 @@ class MetricsPlan:
 
     Args:
         every: steps from one reading to the next, over all episodes of a trial; 0 for one after each episode.
-        keep: the values that are kept of a metric, by its name; all of any other.
+        keep: the values to keep of a metric, by its name; all values of any other metric.
     """
 
     every: int = 0

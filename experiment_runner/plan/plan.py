@@ -1,10 +1,10 @@
 """An experiment as data: agents, environments, a budget in episodes or in steps, trials, a seed.
 
-Every agent meets every environment, in every combination of the swept values, `trials` times. See
+Every agent plays every environment, in every combination of the swept values, `trials` times. See
 `experiment_runner.plan.file` for its file format.
 
 A trial's id names its combination, as in `hierarchical/step_size=0.1/mario/level_difficulty=0/3`,
-and its seed is derived from the experiment's seed and the trial's number only. So all combinations meet the
+and its seed is derived from the experiment's seed and the trial's number only. So all combinations get the
 same seeds and can be compared in pairs, results do not depend on names, and a plan that is extended by an
 agent, a value or a trial keeps its existing trials.
 """
@@ -39,7 +39,7 @@ BUDGETS: Final = ("episodes", "steps")
 """The lengths of a trial, of which a plan has one; the other is 0."""
 ROLES: Final = ("environments", "agents")
 PLAYERS: Final = {"agent": Role.AGENT, "env": Role.ENVIRONMENT}
-"""The players, as options and plans call them."""
+"""The players, by their names in options and plans."""
 
 
 Seeds = Literal["number", "id"]
@@ -113,7 +113,7 @@ class TrialSpec:
         id: unique in its plan.
         agent: None if it connects from outside.
         environment: None if it connects from outside.
-        episodes: number of episodes, at least 1.
+        episodes: number of episodes; 0 if the trial has a budget of steps.
         max_steps: the step limit of `Experiment.rl_episode`; 0 for none.
         seed: random seed, 0 <= seed < 2**63.
     """
@@ -127,10 +127,10 @@ class TrialSpec:
     steps: int = 0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "id", TrialId(self.id))  # also from a database or another process
+        object.__setattr__(self, "id", TrialId(self.id))  # also for a spec from a database or another process
 
     def finished_by(self, episodes: int, steps: int) -> bool:
-        """Whether a trial of so many episodes, with so many steps in all, is finished."""
+        """Return whether a trial is finished after `episodes` episodes with `steps` steps in all."""
         return steps == self.steps if self.steps else episodes == self.episodes
 
     def named(self, joined: Mapping[tuple[str, str], str]) -> str:
@@ -166,9 +166,9 @@ class Plan:
         seed: of the experiment.
         environments: swept; empty if the environment joins from outside.
         agents: the same for the agent.
-        seeds: from which part of a trial its seed is derived.
-        inside: players that are objects in the process of a trial, of `PLAYERS`; it changes no result.
-        metrics: the agents' own numbers that are recorded; None for none.
+        seeds: the part of a trial from which its seed is derived.
+        inside: players that are objects in the process of a trial, of `PLAYERS`; does not affect results.
+        metrics: the agents' metrics to record; None for none.
         tune: the search for the agents' options; None for none.
 
     Raises:
@@ -249,7 +249,7 @@ def length_of(plan: Plan | TrialSpec) -> str:
 
 
 def budget(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the numbers of a plan that are given, with 0 for the budget that one of them replaces."""
+    """Return the given numbers of a plan, with 0 for the budget that one of them replaces."""
     ours = [name for name in BUDGETS if given.get(name)]
     return {**given, **{name: 0 for name in BUDGETS if len(ours) == 1 and name not in ours}}
 
@@ -263,7 +263,7 @@ def trial_seed(seed: int, trial: str) -> int:
     """
     digest = hashlib.sha256(trial.encode()).digest()
     words = tuple(int.from_bytes(digest[i : i + 4], "little") for i in range(0, len(digest), 4))
-    import numpy as np  # here, so that the commands answer --help without it
+    import numpy as np  # imported here, so that --help does not need it
 
     state = np.random.SeedSequence(seed, spawn_key=words).generate_state(1, np.uint64)
     return int(state[0]) >> 1
@@ -347,7 +347,7 @@ def differences(ours: Plan, theirs: Plan) -> list[str]:
 
 
 def describe(plan: Plan) -> str:
-    """Return a summary of a plan for people, with a line for each trial."""
+    """Return a readable summary of a plan, with a line for each trial."""
     specs = plan.expand()
     cutoff = f"cut off after {plan.max_steps} steps" if plan.max_steps else "without a step limit"
     length = f"{length_of(plan)}{', episodes' if plan.steps else ''} {cutoff}"

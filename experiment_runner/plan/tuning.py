@@ -11,7 +11,7 @@
     step_size = {low = 0.01, high = 1.0, log = true}
     epsilon = [0.05, 0.1, 0.2]
 
-A range of whole numbers has `integer = true`; for a grid a range has the number of its `points`.
+A range of whole numbers has `integer = true`; in a grid, a range has as many values as its `points`.
 """
 
 from __future__ import annotations
@@ -77,11 +77,11 @@ class TunePlan:
 
     Args:
         space: the values of each agent's options, by its label.
-        sampler: how configurations are chosen, of `SAMPLERS`.
+        sampler: the method that chooses configurations, of `SAMPLERS`.
         configurations: of each agent; a grid may have fewer.
         trials: of each configuration.
-        final: trials of the chosen one, whose seeds the search has not used.
-        prune: whether the worse half of the configurations is given up after a quarter of each trial.
+        final: trials of the chosen configuration, with seeds that the search has not used.
+        prune: whether the worse half of the configurations is pruned after a quarter of each trial.
 
     Raises:
         PlanError: a number is out of range, or the sampler is unknown.

@@ -1,7 +1,7 @@
 """The user's files that a run loads: its classes, the modules that they import, files that options name.
 
-Installed packages are known by their version, and this program by its commit, see `provenance`. A module that
-is imported only while an episode runs is not found.
+Installed packages are identified by their version, and this program by its commit, see `provenance`. A module
+that is imported only while an episode runs is not found.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from glue.plugins.loading import PACKAGES
 
 _LOADED_BEFORE: Final = frozenset(sys.modules)
 _MAX_COPY: Final = 2**24
-"""Maximum size in bytes of a file of which a run keeps a copy."""
+"""Maximum size in bytes of a file that a run copies."""
 
 
 class UserFile(NamedTuple):
@@ -58,7 +58,7 @@ def _modules() -> Iterator[Path]:
         path = Path(file).resolve()
         installed = {"site-packages", "dist-packages"}.intersection(path.parts)
         own = path.suffix == ".py" and not installed and not (libraries | ours).intersection(path.parents)
-        if own and path.is_file():  # torch's modules that exist in memory only name files that do not exist
+        if own and path.is_file():  # torch's in-memory modules name files that do not exist
             yield path
 
 

@@ -53,14 +53,14 @@ class Row(NamedTuple):
 
 
 def compared(a: Results, b: Results, over: str) -> list[Row]:
-    """Return the comparison of each setting of a run with each of another in the same environment.
+    """Return the comparison of each setting of a run with each in the same environment of another run.
 
     Args:
         a, b: open for reading.
         over: `episodes` or `steps`.
 
     Raises:
-        ExperimentError: a run cannot be read, they have no trials in common, or SciPy is not installed.
+        ExperimentError: a run cannot be read, the runs have no trials in common, or SciPy is not installed.
     """
     rng = bootstrap_rng()
     rows = []
@@ -82,10 +82,10 @@ def compared(a: Results, b: Results, over: str) -> list[Row]:
 
 
 def needed(pilot: Results, difference: float, power: float, over: str) -> list[tuple[str, str, str]]:
-    """Return for each setting its name, its trials, and the trials that a difference needs.
+    """Return for each setting its name, and its numbers of trials in the pilot and to detect the difference.
 
     Raises:
-        ExperimentError: the run cannot be read, a setting has one trial only, or SciPy is not installed.
+        ExperimentError: the run cannot be read, a setting has only one trial, or SciPy is not installed.
     """
     rows = []
     for setting in collect([pilot]):

@@ -1,4 +1,4 @@
-"""The state and results of a run, in one line and complete: for people, and as JSON for scripts."""
+"""The state and results of a run, in one line or in full: for people, and as JSON for scripts."""
 
 from __future__ import annotations
 
@@ -68,11 +68,11 @@ class Overview:
 
     directory  of the run
     started    seconds since 1970, UTC; None if not recorded
-    trials     how many are finished, and how many there are in all
-    episodes   how many are recorded, and how many are planned
+    trials     number of finished trials, and of all
+    episodes   number of recorded episodes, and of planned ones
     steps      the same for trials with a budget of steps; 0 and 0 if there are none
     state      running, failed, finished or interrupted
-    reason     which process runs it, or why the first failed trial failed; otherwise empty
+    reason     the process that runs it, or the failure of the first failed trial; otherwise empty
     """
 
     COLUMNS: ClassVar = ("run", "started", "trials", "episodes", "state", "reason")
@@ -113,7 +113,7 @@ def overview(results: Results) -> Overview:
         ExperimentError: the run cannot be read.
     """
     trials = results.trials()
-    # A trial of a competition ends with its steps or a forfeit, whatever its plan has in episodes.
+    # A trial of a competition ends with its steps or a forfeit, whatever its planned number of episodes.
     ended = {trial.spec.id for trial in trials if trial.finished} | results.outcomes().keys()
     starts = [event.time for event in results.events() if event.kind == "start"]
     return Overview(
@@ -232,7 +232,7 @@ def as_object(results: Results, over: str = "episodes") -> dict[str, object]:
 
 
 def metric_rows(results: Results) -> list[tuple[str, str, str, str]]:
-    """Return the line of each metric in the results: its trials, its values, and the mean of the last."""
+    """Return a row for each metric: its name, numbers of trials and of values, and the mean last value."""
     last: dict[str, list[float]] = defaultdict(list)
     counts: Counter[str] = Counter()
     for trial in results.trials():
@@ -245,7 +245,7 @@ def metric_rows(results: Results) -> list[tuple[str, str, str, str]]:
 
 
 def setting_numbers(settings: Sequence[Setting], over: str = "episodes") -> list[dict[str, object]]:
-    """Return the line of each setting in the table of results; values that are not available yet are None.
+    """Return the row of each setting in the table of results; values that are not available yet are None.
 
     Args:
         settings: of returns.

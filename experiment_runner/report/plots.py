@@ -1,6 +1,6 @@
 """Figures of a measure of the episodes as PNG, SVG and PDF: learning curves, scatter plots, comparisons.
 
-Drawn with matplotlib (extra `plot`), whose global state is left as it was. Figures are legible at half a
+Drawn with matplotlib (extra `plot`), whose global state is left unchanged. Figures are legible at half a
 page. The colors are Okabe and Ito's, which color-blind people can distinguish; lines also differ in dash.
 With the same version of matplotlib, the same data give the same file, byte for byte.
 """
@@ -63,7 +63,7 @@ _PANEL_HEIGHT: Final = 2.6
 _ROW_HEIGHT: Final = 0.45
 _NAME_LETTERS: Final = 28  # of an agent, in a line
 _TITLE_LETTERS: Final = 72  # across a figure
-_LEGEND_LETTERS: Final = 80  # in a line of the legend; an entry takes 6 and its name
+_LEGEND_LETTERS: Final = 80  # in a line of the legend; an entry takes 6 plus its name
 _TOLERANCE: Final = "bands for 90 % of the trials (tolerance intervals, 95 %)"
 _RETURN: Final = "episode return (reward)"
 
@@ -104,14 +104,14 @@ def step_curves(
     label: str = _RETURN,
     tolerance: bool = False,
 ) -> Figure:
-    """Return a figure as that of `learning_curves`, over steps.
+    """Return a figure like that of `learning_curves`, over steps.
 
     Args:
         totals: of each trial, by name. A curve with a trial shorter than the window is left out.
         rng: for resampling.
         window: steps in the running mean; at most a tenth of the longest trial is used. 0 for a fiftieth.
         label: of the axis of values.
-        tolerance: as there.
+        tolerance: as in `learning_curves`.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
@@ -133,7 +133,7 @@ def metric_curves(
         readings: steps and values of each trial, by name of the curve.
         rng: for resampling.
         label: name of the metric.
-        tolerance: as there.
+        tolerance: as in `learning_curves`.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
@@ -145,7 +145,7 @@ def metric_curves(
 
 
 def step_window(window: int, totals: Iterable[Sequence[StepTotals]]) -> int:
-    """Return the window, in steps, that is used for curves over steps; see `step_curves`.
+    """Return the window, in steps, for curves over steps; see `step_curves`.
 
     Raises:
         ExperimentError: there is nothing to plot yet.
@@ -362,7 +362,7 @@ def _panels(
 
 
 def _title(figure: Figure, text: str, curves: Iterable[Sized]) -> None:
-    """Write a title of as many lines as it takes, which warns of intervals of few trials."""
+    """Write a title on as many lines as needed, with a warning if intervals have few trials."""
     if any(len(values) < FEW_TRIALS for values in curves):
         text += f"; fewer than {FEW_TRIALS} trials: unreliable"
     figure.suptitle(textwrap.fill(text, _TITLE_LETTERS), fontsize="small", x=0.02, ha="left")
@@ -380,7 +380,7 @@ def _legend_below(figure: Figure, axes: Axes) -> None:
 
 
 def fitting_window(window: int, lengths: Iterable[int]) -> int:
-    """Return the window that is used for curves of these lengths: a tenth of the longest if that is less.
+    """Return the window for curves of these lengths: a tenth of the longest if that is less than `window`.
 
     Raises:
         ExperimentError: there is nothing to plot yet.

@@ -39,23 +39,23 @@ class Reporter(Protocol):
     """Receives the progress of the trials; an episode is stored before it is reported."""
 
     def start(self, trials: Sequence[TrialRecord]) -> None:
-        """The run starts; `trials` are all of its trials."""
+        """Report the start of a run; `trials` are all of its trials."""
         ...
 
     def begin(self, spec: TrialSpec, done: int, steps: int) -> None:
-        """A trial starts, or continues after `done` episodes, of `steps` steps in all."""
+        """Report that a trial starts, or continues after `done` episodes, of `steps` steps in all."""
         ...
 
     def rename(self, spec: TrialSpec, name: str) -> None:
-        """A player from outside joined a trial, which is shown by this name from now on."""
+        """Show a trial by this name from now on: a player from outside joined it."""
         ...
 
     def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
-        """An episode is finished."""
+        """Report a finished episode."""
         ...
 
     def end(self, spec: TrialSpec) -> None:
-        """A trial is finished, or has failed."""
+        """Report that a trial is finished, or has failed."""
         ...
 
     def say(self, line: str) -> None:
@@ -63,7 +63,7 @@ class Reporter(Protocol):
         ...
 
     def close(self) -> None:
-        """The run is over."""
+        """End the report: the run is over."""
         ...
 
 
@@ -250,11 +250,11 @@ class _Total:
 
 
 class JsonLines(Progress):
-    """Writes a JSON object for each episode, too, one on each line.
+    """Also writes a JSON object for each episode, one on each line.
 
     Args:
         lines: stream for the objects; None for standard output.
-        stream, clock, color: as of `Progress`.
+        stream, clock, color: as in `Progress`.
     """
 
     def __init__(

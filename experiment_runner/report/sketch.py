@@ -1,4 +1,4 @@
-"""Learning curves as text, for a look in the terminal."""
+"""Learning curves as text, for the terminal."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Learning curves as SVG: the one drawing of curves for the page of runs and for the board of a competition.
+"""Learning curves as SVG, for the page of runs and for the board of a competition.
 
 Colors are classes, which the style sheet of the page sets for light and dark. Lines that share a color differ
 in their dashes, and a legend has a sample of each line. A drawing holds numbers and fixed words only: names,
-which may come from anyone, are outside of it.
+which may come from anyone, are outside it.
 """
 
 from __future__ import annotations
@@ -12,16 +12,16 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
 Numbers = Sequence[float | None]
-"""Coordinates; None leaves a gap."""
+"""Coordinates; None where there is no value."""
 
 _COLORS: Final = 7
 _DASHES: Final = ("", "10 4", "2 4", "10 4 2 4", "16 6", "5 3")
-"""As many as have no factor in common with the colors: 42 lines differ."""
+"""Dashes of lines; their number has no factor in common with that of the colors: 42 lines differ."""
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 76, 30, 10, 46
 _TICKS: Final = 6
 _Place = Callable[[float, float], tuple[float, float]]
-"""Returns the pixel of a pair of numbers."""
+"""A function that returns the pixel of a pair of numbers."""
 
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 
@@ -78,7 +78,7 @@ def draw(
 
     Args:
         lines: the curves; at least one has a point.
-        axes: the words at the two axes.
+        axes: the labels of the two axes.
         size: width and height in pixels.
         log: whether each axis is logarithmic.
 
@@ -137,7 +137,7 @@ def _curve(number: int, line: Line, place: _Place) -> Iterator[str]:
 
 
 def _runs(at: Sequence[float], values: Numbers, place: _Place) -> Iterator[str]:
-    """Yield the points of a line; where a number is missing, the line is drawn on to the next."""
+    """Yield the points of a line; where a number is missing, the line continues to the next."""
     points = [_point(*place(x, y)) for x, y in zip(at, values, strict=True) if y is not None]
     if points:
         yield " ".join(points)

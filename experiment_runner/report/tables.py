@@ -85,16 +85,16 @@ def _paragraph(header: Sequence[str], row: Sequence[str], width: int) -> str:
 
 
 def wrap(text: str, width: int | None) -> str:
-    """Return a text in lines of at most `width` characters, None for any, broken only between words."""
+    """Return a text in lines of at most `width` characters, None for no limit, broken only between words."""
     if width is None:
         return text
     return textwrap.fill(text, width, break_long_words=False, break_on_hyphens=False)
 
 
 def tabulate(results: Results, seconds: float, width: int | None = None) -> str:
-    """Return a table with a line for each trial, followed by the reasons of failures.
+    """Return a table with a line for each trial, followed by the reasons for failures.
 
-    If there is only one trial, its reason is left out: it has just been shown.
+    If there is only one trial, the reason is left out: it has just been shown.
     """
     rows, failures = [], []
     trials, names = results.trials(), results.trial_names()

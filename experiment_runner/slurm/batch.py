@@ -22,7 +22,7 @@ _NOTICE_SECONDS: Final = 60
 """Time between SIGTERM and the end of a task's time limit, in which its checkpoint is written."""
 
 _SECONDS: Final = 60.0
-"""Time in which a command of SLURM has to answer."""
+"""Time within which a SLURM command has to answer."""
 
 _OPTION: Final = re.compile(r"[a-z][a-z-]*(=[^\s\x00-\x1f]+)?")
 
@@ -36,7 +36,7 @@ def check_options(options: Sequence[str]) -> None:
     """Check options for sbatch.
 
     Raises:
-        ConfigError: one does not have the form NAME or NAME=VALUE.
+        ConfigError: an option does not have the form NAME or NAME=VALUE.
     """
     for option in options:
         if not _OPTION.fullmatch(option):
@@ -46,7 +46,7 @@ def check_options(options: Sequence[str]) -> None:
 def array_script(
     folder: Path, command: Sequence[str], tasks: int, at_once: int | None, options: Sequence[str]
 ) -> str:
-    """Return the script of a job array whose task N continues the part N.
+    """Return the script of a job array whose task N continues part N.
 
     Args:
         folder: absolute path of the parts, which also receives the output of the tasks.
@@ -76,7 +76,7 @@ def gathering_job(job: str, folder: Path, command: Sequence[str], options: Seque
         job: number of the array's job.
         folder: absolute path of the parts, which also receives the output of the command.
         command: the command.
-        options: further options for sbatch, as those of the array.
+        options: further options for sbatch, like those of the array.
     """
     ours = [f"dependency=afterany:{job}", f"output={folder}/gather.log", "open-mode=append"]
     return [*(f"--{option}" for option in (*ours, *options)), f"--wrap=exec {shlex.join(command)}"]
@@ -89,13 +89,13 @@ def submit(arguments: Sequence[str]) -> str:
         arguments: of sbatch.
 
     Raises:
-        ExperimentError: SLURM has refused it.
+        ExperimentError: SLURM refused the job.
     """
     return _run("sbatch", "--parsable", *arguments).partition(";")[0]
 
 
 def is_queued(job: str) -> bool:
-    """Return whether a job waits or runs. A machine without SLURM does not know, and says no.
+    """Return whether a job waits or runs; False on a machine without SLURM, which cannot know.
 
     Raises:
         ExperimentError: SLURM does not answer.
@@ -105,7 +105,7 @@ def is_queued(job: str) -> bool:
     try:
         return bool(_run("squeue", "--noheader", "--states=PENDING,RUNNING,SUSPENDED", f"--jobs={job}"))
     except ExperimentError as error:
-        if "Invalid job id" in str(error):  # it is over for longer than SLURM remembers
+        if "Invalid job id" in str(error):  # the job ended longer ago than SLURM remembers
             return False
         raise
 

@@ -14,7 +14,7 @@ from experiment_runner.store.store import Store
 
 
 def divide(store: Store, tasks: int) -> int:
-    """Make a part for each task, named by its number from 0; return their number.
+    """Make a part for each task, named by its number from 0; return the number of parts.
 
     Args:
         store: of the run, which has no parts.
@@ -44,9 +44,9 @@ def _copy(source: Store, trial_ids: list[str], part: Store) -> None:
 
 
 def gather(store: Store) -> int:
-    """Move the results of all parts to their run; return the number of the parts.
+    """Move the results of all parts to their run; return the number of parts.
 
-    A process that is killed in between loses nothing: a part is removed after its results are stored.
+    A kill in between loses nothing: a part is removed after its results are stored.
 
     Raises:
         DirectoryTaken: a task is running.

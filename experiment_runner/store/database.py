@@ -37,7 +37,7 @@ _INSTRUCTIONS_A_TICK: Final = 100_000
 
 
 class StorageError(ExperimentError):
-    """The disk or the database failed: nothing more can be stored. All commits before are safe."""
+    """The disk or the database failed: nothing more can be stored. Earlier commits are safe."""
 
 
 class Database:
@@ -82,11 +82,11 @@ class Database:
 
 
 def holds_run(directory: Path) -> bool:
-    """Look for a run's database in a directory.
+    """Return whether a directory holds a run's database.
 
     Raises:
         ExperimentError: the database is not that of a run, or a newer release wrote it.
-        sqlite3.Error: its database cannot be read.
+        sqlite3.Error: the database cannot be read.
     """
     if not (directory / _DATABASE).is_file():
         return False

@@ -35,8 +35,8 @@ Cell = Value | None
 class Table(NamedTuple):
     """A table of a run.
 
-    types  name of each column, and the type of its values; an option whose values are ints and floats is a
-           column of floats, of any other mixture one of text
+    types  name of each column, and the type of its values; an option with both ints and floats is a column of
+           floats, one with any other mixture a column of text
     rows   the rows of each trial that has any, one cell for each column; None where there is no value
     """
 
@@ -68,8 +68,8 @@ def table_of(
 
     Args:
         results: of the run.
-        first: the first columns, of which the first of all is the trial's id.
-        rows: returns the cells of the others, in rows, of a trial. The seed, the players and their options
+        first: the first columns, beginning with the trial's id.
+        rows: returns a trial's rows, without the id; the cells of the seed, the players and their options
             follow them.
     """
     found: dict[str, set[type[Value]]] = {}

@@ -1,4 +1,4 @@
-"""The files of a run directory: they are created all or none, and removed.
+"""The files of a run directory: creating all of them or none, and removing them.
 
 A new run is written to a subfolder of the directory, and its files are then moved up, the database last.
 Only then does the directory hold a run; a subfolder that a killed process leaves behind is ignored. Files
@@ -28,9 +28,9 @@ SOURCES: Final = "sources"  # a folder: copies of the user's files that the plan
 SEAL_FILE: Final = "seal.json"  # of a competition's run: digests of what its board shows
 NOTES_FILE: Final = "notes.json"  # a note and tags, which the page of runs takes
 RECORDS: Final = "records"  # a folder of a competition's run: recordings of its trials
-LOGS: Final = "logs"  # another: output of the entrants
+LOGS: Final = "logs"  # likewise: output of the entrants
 PARTS: Final = "parts"  # a folder: shares of the trials, for the tasks of a job array
-STREAMS: Final = "streams"  # a folder: how far loggers have the results, and TensorBoard's files
+STREAMS: Final = "streams"  # a folder: the progress of loggers, and TensorBoard's files
 
 _FILES: Final = (
     *DATABASE_FILES,
@@ -156,7 +156,7 @@ def parts_of(directory: Path) -> list[Path]:
 
 
 def is_part(directory: Path) -> bool:
-    """Return whether a run is a share of another's trials."""
+    """Return whether a run is a share of another run's trials."""
     folder = directory.absolute().parent
     return folder.name == PARTS and holds_run(folder.parent)
 

@@ -1,6 +1,6 @@
 """One writer for each run directory: a lock that the operating system drops when its holder dies.
 
-It is a `flock`, so a process that is forked (not spawned) while it is held shares it and keeps it.
+The lock is a `flock`, so a process that is forked (not spawned) while it is held shares and keeps it.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _LONGEST: Final = 200  # bytes of the file that are read
 
 
 class DirectoryTaken(ExperimentError):
-    """A directory is in use, or holds something else than the run that is wanted.
+    """A directory is in use, or holds something other than the wanted run.
 
     Attributes:
         directory: the directory.
@@ -64,7 +64,7 @@ class RunLock:
 
 
 def lock_holder(directory: Path) -> str | None:
-    """Return which process writes to a run directory, as in `process 42 on lab7`; None when none does."""
+    """Return the process that writes to a run directory, as in `process 42 on lab7`; None if none does."""
     try:
         file = os.open(directory / LOCK_FILE, os.O_RDONLY)
     except OSError:
@@ -76,7 +76,7 @@ def lock_holder(directory: Path) -> str | None:
 
 
 def is_lock(path: Path) -> bool:
-    """Return True for a file that `RunLock` wrote, and for an empty one, as on a disk that was full."""
+    """Return True for a file that `RunLock` wrote, and for an empty one, as left by a full disk."""
     with path.open("rb") as file:
         return re.fullmatch(rb"(process \d+ on .*)?", file.read(_LONGEST)) is not None
 

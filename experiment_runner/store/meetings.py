@@ -1,7 +1,7 @@
 """The hubs of a run's trials in progress: a file in its directory, for observers.
 
-It is written for each trial that has a hub, and removed with the last. A run may come from elsewhere, so what
-stands in it is checked when it is read: a hub is one of this user, or of this machine.
+The file is written for each trial that has a hub, and removed with the last. A run may come from elsewhere,
+so the contents are checked on reading: a hub belongs to this user, or is on this machine.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Meetings:
     errors are ignored.
 
     Args:
-        directory: the run's.
+        directory: the run directory.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -44,12 +44,12 @@ class Meetings:
         self._write()  # removes the file of a killed process
 
     def begin(self, trial_id: str, live: LiveSession) -> None:
-        """Note where a trial is played."""
+        """Record the hub of a trial."""
         self._live[trial_id] = live
         self._write()
 
     def end(self, trial_id: str) -> None:
-        """Note that it is over."""
+        """Remove the hub of a trial."""
         if self._live.pop(trial_id, None) is not None:
             self._write()
 
@@ -82,7 +82,7 @@ def meetings_in(directory: Path) -> dict[str, LiveSession]:
 
 
 def _is_ours(live: LiveSession) -> bool:
-    """Check that a hub is a socket of this user's, or listens on this machine."""
+    """Return whether a hub is a socket of this user, or listens on this machine."""
     if not (isinstance(live.hub, str) and isinstance(live.session, str)):
         return False
     try:

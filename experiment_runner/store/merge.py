@@ -1,7 +1,7 @@
 """Merge several runs into one.
 
-Runs of the same plan, from several machines, become one run of that plan; of each trial the longest
-record is kept. Runs of different plans become a run without a plan, which can be read and plotted.
+Runs of the same plan, from several machines, become one run of that plan; the longest record of each
+trial is kept. Runs of different plans become a run without a plan, which can be read and plotted.
 Different trials with the same id are prefixed with the name of their run.
 """
 
@@ -33,7 +33,7 @@ def merge(runs: Sequence[Results], directory: Path) -> None:
 
     Raises:
         ExperimentError: a run is a competition's, a trial has different results in two runs, two trials would
-            have the same name, or the directory cannot be created. Then it is as it was before.
+            have the same name, or the directory cannot be created. It is then left as it was.
     """
     for run in runs:
         if (run.directory / COMPETITION_FILE).is_file():
@@ -66,7 +66,7 @@ def _about(run: Results) -> object:
 
 
 def _choose(runs: Sequence[Results]) -> dict[str, _Source]:
-    """Return the source of each trial of the merged run, by its id there."""
+    """Return the source of each trial of the merged run, by its id in that run."""
     found: dict[str, list[_Source]] = defaultdict(list)
     for run in runs:
         for record in run.trials():

@@ -43,7 +43,7 @@ def written(path: Path) -> Iterator[Path]:
 def read_regular(path: Path, most: int, *, own: bool = False) -> bytes:
     """Return the beginning of a file that may come from anyone; empty unless it is a regular file.
 
-    Symbolic links are not followed, and nothing waits for a pipe.
+    Symbolic links are not followed, and reading a pipe does not block.
 
     Args:
         path: path of the file.

@@ -1,8 +1,8 @@
-"""The readings of agents' metrics as rows of the database: one for all that are committed together.
+"""The readings of agents' metrics as rows of the database: one row for all that are committed together.
 
 The data of a row is a matrix of doubles, little-endian, with a row for each reading: its episode, its step,
-then the value of each name. To store each value, or each reading, as a row of its own takes several times as
-long, which shows where an episode takes a fifth of a millisecond.
+then the value of each name. Storing each value, or each reading, as a row of its own takes several times as
+long, which is noticeable when an episode takes a fifth of a millisecond.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Metric(NamedTuple):
 
 
 class Part(NamedTuple):
-    """The values of a metric that are not averaged yet, as there are too few: of their group, in the order of
-    the trial, the number, the sum of the values, and how many there are.
+    """The values of a metric that are still too few to be averaged: the number of their group, in the order
+    of the trial, their sum, and their count.
     """
 
     group: int
@@ -67,7 +67,7 @@ class Block:
             self._numbers[tuple(values)].extend((episode, step, *values.values()))
 
     def data(self) -> dict[str, bytes]:
-        """Return the data by the names, a line each."""
+        """Return the data by the names, one on each line."""
         return {"\n".join(names): np.array(row, "<f8").tobytes() for names, row in self._numbers.items()}
 
 
@@ -78,7 +78,7 @@ def unpacked(rows: Iterable[tuple[str, bytes]]) -> dict[str, Metric]:
         rows: names and data, in the order of the trial.
 
     Raises:
-        ValueError: the data does not fit the names, or contains what no run has.
+        ValueError: the data does not fit the names, or contains values that no run has.
     """
     blocks: dict[str, list[bytes]] = defaultdict(list)
     for joined, data in rows:
@@ -107,7 +107,7 @@ def unpack_parts(saved: bytes) -> dict[str, Part]:
     """Return the parts of metrics by name.
 
     Raises:
-        ExperimentError: what a checkpoint kept is damaged.
+        ExperimentError: the data of the checkpoint is damaged.
     """
     try:
         return msgspec.msgpack.decode(saved, type=dict[str, Part]) if saved else {}
@@ -124,9 +124,9 @@ def _in_order(parts: Sequence[Metric]) -> Metric:
 
 
 def pack_older(connection: sqlite3.Connection) -> None:
-    """Pack the rows of the table `metrics`, each of which is a value, or one of those that are averaged.
+    """Pack the rows of the table `metrics`, each of which is a value, or one of several to be averaged.
 
-    Values that are not averaged yet, when a checkpoint was taken, become a part of the checkpoint.
+    Values that were not yet averaged when a checkpoint was taken become a part of the checkpoint.
     """
     keys: dict[str, int] = {}
     checkpoints = dict(connection.execute("SELECT trial, episode FROM checkpoints"))
@@ -164,7 +164,7 @@ def _average(
     values: dict[tuple[int, int], dict[str, float]],
     parts: dict[str, Part],
 ) -> None:
-    """Add the values of a metric to `values`, by episode and step, and to `parts` what a checkpoint needs.
+    """Add a metric's values to `values`, by episode and step, and those that a checkpoint needs to `parts`.
 
     Args:
         name: of the metric.

@@ -12,7 +12,7 @@ from glue.engine.experiment import Experiment
 from glue.options import Value
 
 UNSEEDED: Final = "unseeded"
-"""Kind of the event that a player takes no seed."""
+"""Kind of the event of a player that takes no seed."""
 
 MAX_ANSWER: Final = 10_000
 """Maximum length of a stored answer, in characters."""
@@ -28,7 +28,7 @@ class EpisodeResult(NamedTuple):
     wall_time: float
 
     def repeats(self, other: EpisodeResult) -> bool:
-        """Compare the repeatable measures with those of another execution of the episode."""
+        """Return whether the repeatable measures agree with those of another execution of the episode."""
         return self.episode == other.episode and all(
             _agree(getattr(self, field), getattr(other, field))
             for field, measure in zip(self._fields[1:], MEASURES.values(), strict=True)
@@ -37,7 +37,7 @@ class EpisodeResult(NamedTuple):
 
 
 def _agree(one: float, other: float) -> bool:
-    """Compare two values of a measure; NaN is an unknown one, as in rows older than the measure."""
+    """Return whether two values of a measure agree; NaN is unknown, as in rows older than the measure."""
     return one == other or math.isnan(one) or math.isnan(other)
 
 
@@ -90,8 +90,8 @@ MEASURES: Final[dict[str, Measure]] = {
 }
 """The measures of an episode by name, in the order of `EpisodeResult` and of the columns of the database.
 
-A new one is the last of these, the last field of `EpisodeResult`, with a default, and the last migration of
-`experiment_runner.store.schema`. In episodes that were recorded before, it is NaN.
+A new measure is the last of these, the last field of `EpisodeResult`, with a default, and the last migration
+of `experiment_runner.store.schema`. It is NaN in episodes that were recorded before.
 """
 
 
@@ -101,10 +101,10 @@ def measured(episode: int, played: EndedEpisode) -> EpisodeResult:
 
 
 TUNED: Final = "tuned"
-"""Kind of the event that an agent's options were chosen by a search."""
+"""Kind of the event of an agent whose options were chosen by a search."""
 
 TOTAL_REWARD: Final = "total reward"
-"""The metric that a trial has itself: the sum of all rewards since its beginning, before discounting."""
+"""The trial's own metric: the undiscounted sum of all rewards since its beginning."""
 
 
 class Reading(NamedTuple):
@@ -168,9 +168,9 @@ class TrialRecord(NamedTuple):
 class Totals(NamedTuple):
     """Sums over all episodes of a trial, or over the last few.
 
-    episodes         how many
-    steps            of all of them
-    cut_off          how many were truncated by the step limit
+    episodes         number of episodes
+    steps            number of steps in all of them
+    cut_off          number of episodes truncated by the step limit
     sum_of_returns   0.0 when there are no episodes, NaN when a return is NaN
     """
 
@@ -260,5 +260,5 @@ def ask(glue: Experiment, messages: Sequence[str]) -> tuple[Answer, ...]:
 
 
 def _storable(answer: str) -> str:
-    """Return the beginning of an answer, with `?` for what is not Unicode."""
+    """Return the beginning of an answer, with `?` for characters that are not Unicode."""
     return answer[:MAX_ANSWER].encode("utf-8", "replace").decode()

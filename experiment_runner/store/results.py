@@ -133,7 +133,7 @@ class Results(Closing):
     def sums_until(self, trial_id: str, episode: int) -> tuple[int, float]:
         """Return the sums of the steps and of the returns of a trial's episodes up to `episode`, inclusive.
 
-        The returns are added in their order, as a trial does that adds them one by one.
+        The returns are added one by one in their order, as in the trial.
         """
         steps, total = self.measure(trial_id, "steps"), 0.0
         for value in self.measure(trial_id, "return")[:episode].tolist():
@@ -257,7 +257,7 @@ class Results(Closing):
         return {trial_id: Outcome(reason, digest) for trial_id, reason, digest in rows}
 
     def verdicts(self) -> dict[str, Verdict]:
-        """Return the results of replaying trials of a competition, by id, as far as they were replayed."""
+        """Return the result of each trial of a competition that was replayed, by id."""
         rows = self._query("SELECT id, digest, problem, score FROM verdicts JOIN trials ON key = trial")
         self._check(rows, (_TEXT, _BYTES, _TEXT_OR_NULL, _NUMBER_OR_NULL))
         return {
@@ -285,7 +285,7 @@ class Results(Closing):
         numbered: bool = False,
         timed: bool = False,
     ) -> None:
-        """Check the types of each column, and whether the first counts from 1 or is a time, if it should."""
+        """Check the types of each column and, if asked to, that the first counts from 1 or is a time."""
         columns: list[tuple[Any, ...]] = list(zip(*rows, strict=True))
         for column, allowed in zip(columns, types, strict=False):
             for found in set(map(type, column)).difference(allowed):

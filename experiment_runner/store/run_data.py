@@ -1,4 +1,4 @@
-"""The episodes of a run as NumPy arrays, for a script or a notebook: what `glue.load_run` returns."""
+"""The episodes of a run as NumPy arrays, for a script or a notebook: the result of `glue.load_run`."""
 
 from __future__ import annotations
 
@@ -79,5 +79,5 @@ def load_run(directory: str | os.PathLike[str]) -> StoredRun:
 def _array(cells: tuple[Value | None, ...], kind: type[Value]) -> npt.NDArray[Any]:
     if kind is str:
         return np.array(["" if cell is None else str(cell) for cell in cells], np.str_)
-    # None becomes NaN, which episodes have for a measure that was not recorded then.
+    # None becomes NaN, the value of a measure in episodes that were recorded without it.
     return np.array(cells, kind if {*map(type, cells)} <= {kind} else float)

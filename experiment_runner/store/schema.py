@@ -22,7 +22,7 @@ def _columns(*measures: str) -> str:
     return ",\n            ".join(MEASURES[name].sql for name in measures)
 
 
-# Entry n migrates version n to version n + 1. Never change one that was released: add another.
+# Entry n migrates version n to version n + 1. Never change a released entry: add another.
 MIGRATIONS: tuple[Migration, ...] = (
     (
         f"PRAGMA application_id = {_APPLICATION_ID}",
@@ -92,8 +92,8 @@ MIGRATIONS: tuple[Migration, ...] = (
             role TEXT NOT NULL,
             name TEXT NOT NULL,
             program TEXT)""",
-        # Until then an event was the only record: `agent Jumper (Python 3.11) joined`. Twice, all characters
-        # but the one that is looked for are trimmed from the right.
+        # Until then an event was the only record: `agent Jumper (Python 3.11) joined`. The last `(` is found
+        # by trimming all other characters from the right.
         """INSERT INTO players
             SELECT time, trial, role, iif(opens > 1, substr(label, 1, opens - 2), label),
                 iif(opens > 1, substr(label, opens + 1, length(label) - opens - 1), NULL)
@@ -122,7 +122,7 @@ MIGRATIONS: tuple[Migration, ...] = (
             PRIMARY KEY (trial, name, number)) WITHOUT ROWID""",
     ),
     (
-        # Names of metrics, a line each, that were read at the same time.
+        # Names of metrics that were read at the same time, one on each line.
         "CREATE TABLE metric_names (key INTEGER PRIMARY KEY, names TEXT NOT NULL UNIQUE)",
         # Readings until `episode`; see `experiment_runner.store.readings`.
         """CREATE TABLE readings (

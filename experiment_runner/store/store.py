@@ -1,8 +1,8 @@
 """Writing a run directory.
 
 An episode and the checkpoint taken after it are committed in one transaction; `Store.record_all` commits
-several. So the database contains whole episodes at whatever moment a process is killed, and every episode
-that a checkpoint includes.
+several. So whenever a process is killed, the database contains whole episodes, and every episode that a
+checkpoint includes.
 
 A commit survives the process, however it ends. It is flushed to the disk with the next checkpoint at the
 latest: if the machine loses power, the episodes since the last checkpoint may be lost, as if they had not
@@ -95,8 +95,8 @@ class Store(Results):
             clock: returns seconds since 1970.
 
         Raises:
-            ExperimentError: the directory is not empty, is in use, or cannot be written to. Then it is
-                as it was before.
+            ExperimentError: the directory is not empty, is in use, or cannot be written to. It is then left
+                as it was.
         """
         with reported(f"cannot make {directory}"):
             with new_run(directory) as made:
@@ -148,14 +148,14 @@ class Store(Results):
         self.record_all([(trial_id, result, checkpoint, (), ())])
 
     def record_all(self, records: Sequence[_Record]) -> None:
-        """Commit finished episodes, of one trial or of several, all of them or none; as `record`, each with
-        what the agent answered after it, and its metrics.
+        """Commit finished episodes of one trial or several, all of them or none, each with the agent's
+        answers after it, and its metrics; see `record`.
         """
         done: dict[str, int] = {}
         episodes: list[tuple[object, ...]] = []
         answered: list[tuple[object, ...]] = []
         saved: list[tuple[object, ...]] = []
-        blocks: dict[tuple[int, int], Block] = defaultdict(Block)  # none goes on beyond a checkpoint
+        blocks: dict[tuple[int, int], Block] = defaultdict(Block)  # none extends beyond a checkpoint
         for trial_id, result, checkpoint, answers, readings in records:
             key, number = self._key(trial_id), result.episode
             expected = done.get(trial_id, self._done[trial_id]) + 1
@@ -193,14 +193,14 @@ class Store(Results):
         self._done.update(done)
 
     def _key_of(self, names: str) -> int:
-        """Return the key of the names of metrics, a line each; they are stored if they are new."""
+        """Return the key of the names of metrics, one on each line; new ones are stored."""
         if names not in self._names:
             self._execute("INSERT INTO metric_names (names) VALUES (?)", names)
             self._names.update(self._query("SELECT names, key FROM metric_names"))
         return self._names[names]
 
     def extend(self, trials: Sequence[TrialSpec]) -> None:
-        """Commit the trials of a longer plan: new ones are added, the others get its length."""
+        """Commit the trials of a longer plan: new ones are added, the others get the plan's length."""
         with self._writing(), transaction(self._connection):
             for spec in trials:
                 if spec.id in self._keys:
@@ -218,7 +218,7 @@ class Store(Results):
         self._execute(_PUT_VOID, self._clock(), self._key(trial_id), episode, why)
 
     def record_event(self, kind: str, text: str, trial_id: str | None = None) -> None:
-        """Commit an event; `kind` is one word, `text` a sentence for people."""
+        """Commit an event; `kind` is one word, `text` a readable sentence."""
         key = None if trial_id is None else self._key(trial_id)
         self._execute(_PUT_EVENT, self._clock(), key, kind, text)
 
@@ -243,11 +243,11 @@ class Store(Results):
         self._execute(_PUT_VERDICT, self._key(trial_id), *verdict)
 
     def rewind(self, trial_id: str, episode: int) -> None:
-        """Delete what follows the checkpoint of a trial, its outcome included, to repeat it.
+        """Delete everything after a checkpoint of a trial, and its outcome, to repeat it.
 
         Args:
             trial_id: of the trial.
-            episode: that of the checkpoint; 0 to delete all of its episodes.
+            episode: episode of the checkpoint; 0 to delete all of the trial's episodes.
 
         Raises:
             ExperimentError: the database cannot be written to.
@@ -264,14 +264,14 @@ class Store(Results):
         self._done[trial_id] = min(self._done[trial_id], episode)
 
     def adopt(self, results: Results, trial_id: str, as_id: str) -> None:
-        """Copy all records of a trial of another run to a trial of this run, in place of its own.
+        """Copy all records of a trial of another run to a trial of this run, replacing its own.
 
         Raises:
             ExperimentError: they cannot be read or written; then nothing is copied.
         """
         key = self._key(as_id)
         failures = [record.failure for record in results.trials() if record.spec.id == trial_id]
-        # Read before the episodes: in a run under way, it must not include one that is not copied.
+        # Before the episodes: in a run under way, it must not include an episode that is not copied.
         checkpoint = results.checkpoint(trial_id)
         episodes = results.episodes(trial_id)
         answers = [answered for answered in results.answers(trial_id) if answered.episode <= len(episodes)]
@@ -313,7 +313,7 @@ class Store(Results):
         return self._keys[trial_id]
 
     def _flush_commits(self, wanted: bool) -> None:
-        """Let commits be flushed to the disk, or not."""
+        """Set whether commits are flushed to the disk."""
         if wanted is not self._flushing:
             self._execute(f"PRAGMA synchronous = {'FULL' if wanted else 'NORMAL'}")
             self._flushing = wanted

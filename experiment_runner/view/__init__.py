@@ -1,1 +1,1 @@
-"""The page of runs that `glue-view` serves: its server, and in `static/` what runs in the browser."""
+"""The page of runs that `glue-view` serves: its server, and in `static/` its files for the browser."""

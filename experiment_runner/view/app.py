@@ -1,4 +1,4 @@
-"""The page's server as a whole: which address leads to what."""
+"""The page's server as a whole, with its routes."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def page(folders: Sequence[Path], address: Address, token: str, pulse: Pulse) ->
 
     Args:
         folders: runs and folders of runs that it shows.
-        address: by which names it may be called.
-        token: opens it.
-        pulse: what wakes its streams, and ends them.
+        address: the names by which it may be addressed.
+        token: secret that opens it.
+        pulse: wakes its streams, and ends them.
     """
     catalog = Catalog(folders)
     catalog.find()
-    read = Reader("reader", has_scipy)  # to import SciPy takes longer than any curve
+    read = Reader("reader", has_scipy)  # importing SciPy takes longer than any curve
     sources: dict[str, stream.Source] = {
         "runs": Watcher(catalog, pulse).open,
         "live": Live(catalog, pulse).open,

@@ -32,7 +32,7 @@ _MOST_OPTIONS: Final = 50  # that are listed
 _LAST: Final = 100  # episodes of a trial, of which the mean return is shown
 _MOST_TRIALS: Final = 500  # whose returns are read
 NOTES_LIMIT: Final = 16_384
-"""Bytes of a run's notes."""
+"""Maximum size of a run's notes in bytes."""
 
 _MOST_TEXT: Final = 4000
 _MOST_TAGS: Final = 20
@@ -42,11 +42,11 @@ _LEAST_RATE_SECONDS: Final = 2.0
 
 
 _WATCH_SECONDS: Final = 1.0
-_REST: Final = 20  # seconds between looks for runs, for each second that a look takes
+_REST: Final = 20  # seconds between scans for runs, for each second that a scan takes
 
 
 class Entry(NamedTuple):
-    """A run: the directory it is in, and its name among the folders that are shown."""
+    """A run: its directory, and its name among the folders that are shown."""
 
     directory: Path
     name: str
@@ -56,7 +56,7 @@ class Catalog:
     """The table of runs. Ids from a browser are looked up here: no path is ever made from a request.
 
     Args:
-        folders: runs, and folders of runs, that are shown; one that does not exist yet may come to exist.
+        folders: runs, and folders of runs, that are shown; one that does not exist yet may appear later.
     """
 
     def __init__(self, folders: Sequence[Path]) -> None:
@@ -82,7 +82,7 @@ class Catalog:
         return _signs(self._entries[run_id].directory)
 
     def find(self) -> dict[str, Entry]:
-        """Look for runs, and return all that there are, by id."""
+        """Scan for runs, and return all of them by id."""
         entries: dict[str, Entry] = {}
         for folder in self._folders:
             for directory in runs_under(folder):
@@ -92,7 +92,7 @@ class Catalog:
         return entries
 
     def changes(self) -> dict[str, dict[str, Any] | None]:
-        """Look for runs; return a summary of each changed one since the last call, None for a removed one."""
+        """Scan for runs; return a summary of each run changed since the last call, None for a removed one."""
         entries = self.find()
         changed: dict[str, dict[str, Any] | None] = {}
         for run_id in self._seen.keys() - entries.keys():
@@ -158,7 +158,7 @@ class Watcher:
             await asyncio.sleep(max(_WATCH_SECONDS, _REST * took))
 
     async def _look(self) -> None:
-        # The catalog names a change once: it must not be lost when the last page goes away meanwhile.
+        # The catalog reports a change once: it must not be lost if the last page leaves meanwhile.
         await asyncio.shield(asyncio.create_task(self._take_changes()))
 
     async def _take_changes(self) -> None:
@@ -218,7 +218,7 @@ def _returns(results: Results, specs: Sequence[TrialSpec]) -> list[float]:
 
 
 def _options(specs: Sequence[TrialSpec]) -> dict[str, list[str]]:
-    """Return the values of each option that a setting of the run has, of agents and environments."""
+    """Return the values of each option of the run's agents and environments."""
     found: dict[str, dict[str, None]] = {}
     for spec in specs:
         for role in (spec.environment, spec.agent):
@@ -273,7 +273,7 @@ def _competition(results: Results, run: Overview) -> dict[str, Any]:
         "planned": trials,
         "verified": verdicts.count(None),
         "mismatched": len(verdicts) - verdicts.count(None),
-        # A task of so many steps, or one that is forfeited, never has all episodes of the plan.
+        # A task with a number of steps, or a forfeited one, never has all episodes of the plan.
         "state": "finished" if over == trials and run.state == "interrupted" else run.state,
     }
 

@@ -1,8 +1,8 @@
 """Connections to the page: their number, and the time until one has shown the token.
 
 Any user of this machine can connect, and without limits could hold every descriptor of the server. A
-connection is admitted by its first request with the cookie. Until then it has a few seconds, and gives way to
-a newer one where there are too many, so a browser gets in however many idle connections there are.
+connection is admitted by its first request with the cookie. Until then it has a few seconds, and is dropped
+for a newer one if there are too many, so a browser gets in however many idle connections there are.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from experiment_runner.view.guard import ADMIT
 
 _MOST: Final = 1000
-"""Connections at once."""
+"""Maximum number of connections."""
 
 _SHARE: Final = 250
-"""Connections of one address at once that are not admitted."""
+"""Maximum number of connections from one address that are not yet admitted."""
 
 _HEAD_SECONDS: Final = 10.0
-"""Time from the beginning of a connection until it is admitted."""
+"""Maximum time from the beginning of a connection until it is admitted."""
 
 _SPARE: Final = 200
 """Descriptors for everything that is not a connection: stores, recordings, observers."""
@@ -44,7 +44,7 @@ class Connection(H11Protocol):
         self._timer: asyncio.TimerHandle | None = self.loop.call_later(_HEAD_SECONDS, self._drop)
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Make room for the connection, or close it where all others are admitted."""
+        """Make room for the connection, or close it if all others are admitted."""
         self._address = self._address_of(transport)
         waiting = [other for other in self.connections if isinstance(other, Connection) and other._timer]
         same = [other for other in waiting if other._address == self._address]

@@ -33,7 +33,7 @@ class Wanted(NamedTuple):
     window       episodes or steps in the running mean; at most a tenth of the longest curve is used; 0 for
                  the default, 100 episodes or a fiftieth of the steps
     over         `episodes` or `steps`
-    span         the part that is looked at, in what `over` says
+    span         the part that is shown, in the unit of `over`
     measure      name of one of `MEASURES`, or of a metric of the agents, which is always over steps
     """
 
@@ -75,7 +75,7 @@ def curves(wanted: Wanted) -> dict[str, Any]:
     if not begun:
         return {"window": wanted.window, "curves": [], "settings": table, **shown}
     window = _window(wanted, begun)
-    rng = bootstrap_rng()  # one for all, as glue-plot draws them
+    rng = bootstrap_rng()  # one for all curves, as in glue-plot
     drawn = [(setting, _curve(setting, window, wanted, rng)) for setting in begun]
     return {
         "window": window,

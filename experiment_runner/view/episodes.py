@@ -1,7 +1,7 @@
 """The recorded episodes of a run, and the steps of one of them, for the page to show.
 
-A recording is a file `*.traj` in the run's folder. It may come from anywhere: it is read by
-`glue.trajectory.TrajectoryReader`, whose memory is bounded, and a request of the browser is
+A recording is a file `*.traj` in the run's folder. It may come from anywhere, so it is read by
+`glue.trajectory.TrajectoryReader`, whose memory is bounded, and the browser's request is
 looked up among the files that were found.
 """
 
@@ -36,7 +36,7 @@ _MOST_EPISODES: Final = 10_000  # of a recording, that are listed
 _MOST_STEPS: Final = 3_000_000  # of a recording, that are read to list it
 _MOST_SENT_STEPS: Final = 100_000  # of an episode
 _MOST_SENT_BYTES: Final = 64 * 2**20
-_MOST_ANSWER_BYTES: Final = 8 * 2**20  # of all that an agent answers in an episode
+_MOST_ANSWER_BYTES: Final = 8 * 2**20  # of all answers of an agent in an episode
 _MOST_RUNS: Final = 500  # of equal ranges, of a task spec
 _MOST_TEXT: Final = 2000
 
@@ -95,7 +95,7 @@ def described(task_spec: str) -> dict[str, Any]:
 
 
 def _answers(episode: Episode) -> list[Answer]:
-    """Return the beginning of each answer of the agent; the first answers only, if they are too many."""
+    """Return the beginning of each answer of the agent; only the first answers if there are too many."""
     shown: list[Answer] = []
     room = _MOST_ANSWER_BYTES
     for step, message, answer in episode.answers:
@@ -137,7 +137,7 @@ def _names(directory: Path) -> list[str]:
 
 
 def _is_file(path: Path) -> bool:
-    """Tell whether a path is a regular file and no link: a run may come from elsewhere."""
+    """Return whether a path is a regular file, not a link: a run may come from elsewhere."""
     try:
         return stat.S_ISREG(path.lstat().st_mode)
     except OSError:
@@ -213,7 +213,7 @@ def _pieces(path: Path, count: int, episode: Episode) -> Iterator[bytes]:
 
 
 def number(value: float) -> float | str:
-    """Return a number as JSON has it, or a word that JavaScript reads as one that JSON has not."""
+    """Return a number for JSON, or a word that JavaScript reads as a number that JSON lacks."""
     if math.isfinite(value):
         return value
     return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"

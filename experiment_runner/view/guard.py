@@ -1,8 +1,8 @@
 """Access control of the page's server, and the security headers of its responses.
 
-A page of another site that is open in the same browser can send requests to this server, and with a name
-that it points to 127.0.0.1 even read the answers. So Host and Origin are checked on every request of every
-method (what Ray's dashboard got wrong: CVE-2025-62593), and nothing is answered without the token, which a
+A page of another site that is open in the same browser can send requests to this server and, with a name
+that points to 127.0.0.1, even read the responses. So Host and Origin are checked on every request of every
+method (Ray's dashboard got this wrong: CVE-2025-62593), and nothing is answered without the token, which a
 browser exchanges for a cookie that no script can read and no other site can make it send.
 """
 
@@ -22,7 +22,7 @@ from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 ADMIT: Final = "admit"
-"""Key in a request's state of a function that is called when the request has shown the cookie."""
+"""Key in a request's state of a function to call once the request has shown the cookie."""
 
 HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
@@ -40,7 +40,7 @@ HEADERS: Final = {
 
 _METHODS: Final = ("GET", "HEAD")
 WRITABLE: Final = "/api/notes/"
-"""Paths to which a page may send: the notes of a run."""
+"""Prefix of paths to which a page may write: the notes of a run."""
 
 _LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 _LOCKED: Final = (
@@ -54,7 +54,7 @@ class Address:
     Args:
         port: at which it listens.
         proxy: the address of a proxy in front of it, such as `https://lab.example/runs`; may be empty.
-        open_to_all: whether other machines may ask too, by any of its IP addresses or its own name.
+        open_to_all: whether other machines may connect too, by any of its IP addresses or its own name.
     """
 
     def __init__(self, port: int, proxy: str = "", open_to_all: bool = False) -> None:
@@ -68,11 +68,11 @@ class Address:
             self._hosts |= {f"{name.lower()}:{port}" for name in (socket.gethostname(), socket.getfqdn())}
 
     def knows_host(self, host: str) -> bool:
-        """Tell whether a request may have this Host; names that anyone can point here are refused."""
+        """Return whether a request may have this Host; names that anyone can point here are refused."""
         return host.lower() in self._hosts or (self._any_ip and self._is_ip(host))
 
     def knows_origin(self, origin: str) -> bool:
-        """Tell whether a request may come from a page of this Origin."""
+        """Return whether a request may come from a page of this Origin."""
         scheme, _, host = origin.partition("://")
         return scheme in ("http", "https") and self.knows_host(host)
 
@@ -86,7 +86,7 @@ class Address:
 
 
 class Guard:
-    """Passes requests to `app` that the address and the token allow, and adds `HEADERS` to every response.
+    """Passes to `app` the requests that address and token allow, and adds `HEADERS` to every response.
 
     Args:
         app: the guarded application.
@@ -98,7 +98,7 @@ class Guard:
         self._app = app
         self._address = address
         self._token = token
-        self._cookie = f"glue-view-{address.port}"  # cookies do not keep ports apart
+        self._cookie = f"glue-view-{address.port}"  # cookies do not distinguish ports
         self._session = secrets.token_urlsafe(32)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:

@@ -1,8 +1,8 @@
 """The topics `live:RUN`: a trial in progress, as an observer of its session sees it.
 
-An observer (docs/protocol.md) cannot change anything, and the hub never waits for it. There is one for all
-pages that look at the same trial, and none otherwise. It asks for one moment after the other, at most
-30 a second, so moments in between are never sent; a slower page gets only the newest.
+An observer (docs/protocol.md) cannot change anything, and the hub never waits for it. All pages that show the
+same trial share one observer, and without pages there is none. It requests one step at a time, at most
+30 a second, so steps in between are never sent; a slower page gets only the newest.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from glue.client.observer import AnswerSeen, Seen, StartSeen, StepSeen, TaskSpec
 from glue.errors import GlueError
 from glue.types import CUT_OFF, Action
 
-_RATE: Final = 30.0  # moments per second
-_LOOK_SECONDS: Final = 0.5  # between looks for a trial in progress
+_RATE: Final = 30.0  # steps per second
+_LOOK_SECONDS: Final = 0.5  # between polls for a trial in progress
 _WAIT_SECONDS: Final = 5.0  # for a hub to answer
 _MOST_WATCHES: Final = 16
 _MOST_BYTES: Final = 2**18  # of an observation and action
@@ -37,7 +37,7 @@ class Live:
     """Opens the topics: `RUN` is a run's first trial in progress, `RUN/TRIAL` that trial.
 
     A topic has `trials`, the ids of those in progress; `trial`, the one that is shown, if any; `spec`, its
-    task spec; `moment`, the newest; and `answers`, the last answers of the agent, by message.
+    task spec; `moment`, the newest step; and `answers`, the last answers of the agent, by message.
     """
 
     def __init__(self, catalog: Catalog, pulse: Pulse) -> None:
@@ -84,7 +84,7 @@ class _Watch:
             self._put("trials", sorted(meetings))
             trial = self._trial or min(meetings, default="")
             if trial in meetings:
-                # It may be over at any time: whether it goes on is seen at the next look.
+                # The trial may end at any time: the next poll shows whether it continues.
                 with suppress(GlueError, OSError):
                     self._watch(trial, meetings[trial])
             self._put("trial", None)
@@ -105,7 +105,7 @@ class _Watch:
                     meetings = meetings_in(self._directory)
                     self._put("trials", sorted(meetings))
                     if meetings.get(trial) != live or not observer.connected:
-                        return  # a hub that was killed says no goodbye
+                        return  # a hub that was killed sends no goodbye
                 self.over.wait(max(0.0, asked + 1 / _RATE - now))
                 asked = time.monotonic()
                 observer.want(1)
@@ -131,7 +131,7 @@ class _Watch:
 
 
 def _moment(step: StepSeen) -> dict[str, Any]:
-    """Return a moment as JSON; action and observation are one after the other, in base64."""
+    """Return a step as JSON; action and observation are concatenated, in base64."""
     seen = step.action.body + step.observation.body
     ending = "cut off" if step.terminal == CUT_OFF else "terminal" if step.terminal else ""
     return {

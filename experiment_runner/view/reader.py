@@ -1,4 +1,4 @@
-"""Reading stores for the event loop, at a bounded cost: in one thread, and no answer computed too often."""
+"""Reading stores for the event loop, at a bounded cost: in one thread, with no answer computed too often."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _T = TypeVar("_T")
 
 _MOST_ANSWERS: Final = 32
 _REST: Final = 20
-"""An answer is kept for this multiple of the time that it took to compute: at most 5 % of a core."""
+"""Multiple of its computing time for which an answer is kept: computing takes at most 5 % of a core."""
 
 
 class Reader:

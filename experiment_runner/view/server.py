@@ -38,11 +38,11 @@ def serve(
         folders: runs and folders of runs that it shows.
         port: to listen at, 0 for any that is free, None for `DEFAULT_PORT` or, if that is taken, any.
         host: an IP address or a name of this machine.
-        proxy: the address at which browsers find it, if that is another.
+        proxy: the address at which browsers find the page, if that differs.
         ready: called with the address to open, token included, when requests are accepted.
 
     Raises:
-        ConfigError: it cannot listen there.
+        ConfigError: the server cannot listen there.
     """
     raise_descriptors()
     listening = _listen(host, port)
@@ -54,7 +54,7 @@ def serve(
 
 
 def is_loopback(host: str) -> bool:
-    """Tell whether only this machine reaches an address."""
+    """Return whether only this machine can reach an address."""
     try:
         found = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     except OSError:
@@ -74,7 +74,7 @@ async def _serve(
     server = uvicorn.Server(
         uvicorn.Config(
             page(folders, address, token, pulse),
-            access_log=False,  # it would hold the token
+            access_log=False,  # the log would hold the token
             http=Connection,
             lifespan="off",
             log_config=None,

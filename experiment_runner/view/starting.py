@@ -1,7 +1,7 @@
 """The page of a run that is starting: `--view`.
 
-It is served by a separate process, at a lower priority, which only reads the run's files: it can neither
-slow the run down nor break it. It ends with the process that started it.
+A separate process serves it at a lower priority, and only reads the run's files, so it can neither slow the
+run down nor break it. That process ends with the one that started it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def check_view() -> None:
 def viewed(directory: Path, say: Callable[[str], None]) -> Iterator[Callable[[], None]]:
     """Show a run on a page; yield a function that waits, after the run, until the page is ended by Ctrl-C.
 
-    Without a terminal it does not wait, since a script would wait forever.
+    Without a terminal the function does not wait, since a script would wait forever.
 
     Raises:
         ExperimentError: the page's process cannot be started.
@@ -54,5 +54,5 @@ def viewed(directory: Path, say: Callable[[str], None]) -> Iterator[Callable[[],
     try:
         yield wait
     finally:
-        process.kill()  # it only reads, and has nothing to say
+        process.kill()  # it only reads, so nothing is lost
         children.end(process)

@@ -1,9 +1,9 @@
 """Changes, sent to pages as server-sent events: one stream for each page.
 
-A topic holds values by key, and for each the number of the change that made it. A page that was away names
-the last change that it has seen, and is sent everything that has changed since, each value once: nothing has
-to be queued for a page that is slow, asleep or gone, and a value that was replaced before the page took it is
-left out.
+A topic holds values by key, and for each the number of the change that set it. A page that was away names the
+last change that it has seen, and is sent everything that has changed since, each value once: nothing has to
+be queued for a page that is slow, asleep or gone, and a value that was replaced before the page got it is
+skipped.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ _LEAST_SECONDS: Final = 0.03  # between two events to a page
 _MAX_TOPICS: Final = 8
 
 Source = Callable[[str], "AbstractAsyncContextManager[Topic]"]
-"""Called with what follows the colon in a topic's name, as `id` in `live:id`; keeps the topic up to date
-while the context is open. It raises `KeyError` if there is no such topic."""
+"""A function of the part of a topic's name after the colon, as `id` in `live:id`; it keeps the topic up to
+date while the context is open, and raises `KeyError` if there is no such topic."""
 
 
 class Pulse:
     """Numbers all changes, and wakes the streams at each."""
 
     def __init__(self) -> None:
-        self.run: str = secrets.token_hex(4)  # changes of another server have other numbers
+        self.run: str = secrets.token_hex(4)  # distinguishes changes from those of another server
         self.change: int = 0
         self.closed: bool = False
         self._changed = asyncio.Event()
@@ -61,19 +61,19 @@ class Pulse:
 
 
 class Topic:
-    """Values by key, which can be represented in JSON; None in place of one that is gone."""
+    """Values by key, which can be represented in JSON; None for a value that is gone."""
 
     def __init__(self, pulse: Pulse) -> None:
         self._pulse = pulse
         self._values: dict[str, tuple[int, Any]] = {}
 
     def put(self, key: str, value: object) -> None:
-        """Set a value; it is a change unless it is equal to the one before."""
+        """Set a value; this is a change unless it is equal to the previous value."""
         if key not in self._values or self._values[key][1] != value:
             self._values[key] = (self._pulse.beat(), value)
 
     def since(self, change: int) -> dict[str, Any]:
-        """Return the values that have changed after that change."""
+        """Return the values that were changed after change number `change`."""
         return {key: value for key, (number, value) in self._values.items() if number > change}
 
     def values(self) -> dict[str, Any]:
@@ -85,7 +85,7 @@ def routes(pulse: Pulse, sources: Mapping[str, Source]) -> list[BaseRoute]:
     """Return the route of the stream, `/api/stream?topic=NAME&topic=NAME:ARGUMENT`.
 
     Each event is a JSON object, by topic, of the values that have changed. Its id, sent back as
-    Last-Event-ID or `?since=`, lets the stream go on from there.
+    Last-Event-ID or `?since=`, lets the stream continue from there.
     """
 
     async def stream(request: Request) -> Response:
@@ -131,7 +131,7 @@ async def _events(
 
 
 def _change(pulse: Pulse, since: str) -> int:
-    """Return the number of the change that an event's id names; 0, before all, if it is another server's."""
+    """Return the number of the change that an event's id names; 0, before all, for another server's id."""
     run, _, number = since.partition("-")
     if run != pulse.run or not number.isascii() or not number.isdigit() or len(number) > 18:
         return 0

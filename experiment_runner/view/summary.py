@@ -1,4 +1,4 @@
-"""A run without its episodes, as JSON: results, plan, versions, machine; of a competition, its standings."""
+"""A run without its episodes, as JSON: results, plan, versions, machine; for a competition, its standings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _MOST_BYTES: Final = 2**20  # of a text file
 
 
 def run_in_full(directory: Path) -> dict[str, Any]:
-    """Return everything that is known of a run but its episodes.
+    """Return everything that is known of a run, except its episodes.
 
     Raises:
         ExperimentError: the run cannot be read.
@@ -40,7 +40,7 @@ def run_in_full(directory: Path) -> dict[str, Any]:
         answered["answer"] = answered["answer"][:_MOST_TEXT]
     competition = _text(directory / COMPETITION_FILE)
     for trial in found["trial_records"]:
-        # As text, since JavaScript would round it; of a competition it is secret.
+        # As text, since JavaScript would round it; in a competition it is secret.
         trial["seed"] = "secret" if competition else str(trial["seed"])
     return found | {
         "plan": competition or _text(directory / PLAN_FILE),
@@ -50,7 +50,7 @@ def run_in_full(directory: Path) -> dict[str, Any]:
 
 
 def standings_of(directory: Path) -> dict[str, Any]:
-    """Return the board of a competition, and how far it has come; nothing of the secret seed.
+    """Return the board of a competition and its progress, without anything of the secret seed.
 
     Raises:
         ExperimentError: the directory holds no competition, or cannot be read.
@@ -64,7 +64,7 @@ def standings_of(directory: Path) -> dict[str, Any]:
 
 def _about(text: str) -> dict[str, Any]:
     try:
-        # A number that JSON has not, or one that is too large to be read, as its text.
+        # A number that JSON lacks, or one too large to be read, is kept as text.
         about = json.loads(text, parse_constant=str, parse_float=_finite)
         json.dumps(about)
     except (ValueError, RecursionError):

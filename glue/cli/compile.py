@@ -1,4 +1,4 @@
-"""`glue-compile`: compile agents and environments ahead, so that no experiment waits for it."""
+"""`glue-compile`: compile agents and environments ahead of time, so that no experiment waits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from glue.wire.messages import Role
 def compile_players(players: tuple[str, ...]) -> None:
     """Compile agents and environments to machine code, which is kept on disk.
 
-    Without a NAME all that are installed. Each agent plays one step of an environment that it can play.
+    Without a NAME, compile all installed ones. Each agent plays one step of an environment that it can play.
 
     \b
     Examples:

@@ -1,8 +1,8 @@
 """The beginning of every command: Ctrl-C and SIGTERM are handled before anything slow is imported.
 
-This module, and those that call it, import nothing but what Python itself has loaded, or loads in a
+This module, and those that call it, import only modules that Python itself has loaded, or loads in a
 millisecond: until `handle_signals` has been called, Ctrl-C prints a traceback. Hence no `typing`, except for
-type checkers, to which TYPE_CHECKING is true.
+type checkers, for which TYPE_CHECKING is true.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def start(module: str) -> NoReturn:
     except KeyboardInterrupt as interrupt:
         _leave(signal.SIGTERM if isinstance(interrupt, Terminated) else signal.SIGINT)
     finally:
-        # While Python ends there is nothing left that could catch an exception.
+        # While Python exits, nothing is left that could catch an exception.
         _handle_with(_leave)
 
 
@@ -54,7 +54,7 @@ def handle_signals() -> None:
     """Let SIGINT (Ctrl-C) raise KeyboardInterrupt, and SIGTERM `Terminated`.
 
     During an import they end the program at once: an exception inside the import of NumPy or libzmq becomes
-    an ImportError or is lost, and what has been written so far survives any kill. A signal that is ignored,
+    an ImportError or is lost, and output written so far survives any kill. A signal that is ignored,
     as under nohup, remains ignored.
     """
     _interrupt.leave = _leave  # type: ignore[attr-defined]  # for glue.compiled.jit, which may block for long
@@ -62,7 +62,7 @@ def handle_signals() -> None:
 
 
 def is_stuck() -> bool:
-    """Return whether printing would wait, because standard error is a full pipe that is not being read."""
+    """Return whether printing would block, because standard error is a full pipe that is not being read."""
     from glue.doors import network
 
     try:

@@ -1,4 +1,4 @@
-"""`glue-hub`: a hub alone, for experiments that connect from outside."""
+"""`glue-hub`: a stand-alone hub, to which experiments connect."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MMAP_THRESHOLD: Final = -3
 """M_MMAP_THRESHOLD of mallopt(3)."""
 
 _LARGE_BLOCK: Final = 2**20
-"""Size in bytes from which a block of memory goes back to the system as soon as it is free."""
+"""Size in bytes from which a block of memory is returned to the system as soon as it is free."""
 
 
 @click.command("glue-hub")
@@ -156,14 +156,14 @@ def serve_until_interrupted(
 
 
 def _allow_many_connections() -> None:
-    """Take all descriptors that the system allows: a tournament needs one for each of its peers."""
+    """Raise the limit of file descriptors to its maximum: a tournament needs one for each peer."""
     _, maximum = resource.getrlimit(resource.RLIMIT_NOFILE)
-    with suppress(ValueError, OSError):  # macOS calls it infinite, and refuses that
+    with suppress(ValueError, OSError):  # macOS reports an infinite maximum, and refuses it
         resource.setrlimit(resource.RLIMIT_NOFILE, (maximum, maximum))
 
 
 def _give_memory_back() -> None:
-    """Have glibc return large blocks that are free, which it learns to keep: `--max-memory` is a bound."""
+    """Have glibc return large free blocks, which it would learn to keep: `--max-memory` is a bound."""
     with suppress(OSError, AttributeError):  # another C library has no mallopt
         ctypes.CDLL(None).mallopt(_MMAP_THRESHOLD, _LARGE_BLOCK)
 

@@ -1,4 +1,4 @@
-"""`glue-keys`: make and show the keys by which a hub recognises who connects."""
+"""`glue-keys`: make and show the keys by which a hub recognises its peers."""
 
 from __future__ import annotations
 

@@ -31,11 +31,11 @@ _COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
 
 @dataclass(frozen=True, slots=True)
 class Extra:
-    """An option that every player of a command has beside its own.
+    """An option that every player of a command has besides its own.
 
     Args:
-        option: text of the command line.
-        apply: returns the player to serve for the one made and the value given.
+        option: the option on the command line.
+        apply: returns the player to serve, given the player made and the option's value.
     """
 
     option: click.Option
@@ -105,7 +105,7 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
     extra_name = extra.option.name
     assert extra_name is not None
 
-    # The names are ours, so that a player may have a parameter called hub or quiet.
+    # Our names begin with an underscore, so that a player may have a parameter called hub or quiet.
     def start(
         _hub: str,
         _session: tuple[str, ...],
@@ -179,7 +179,7 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
 
 
 def _examples(role: Role, name: str, known: Mapping[str, Parameter]) -> str:
-    """Return how to start a player alone, and how glue-experiment starts it, with an option."""
+    """Return command lines that start a player on its own, and by glue-experiment with an option."""
     command = _COMMANDS[role]
     flag = command.removeprefix("glue-")
     option = next(

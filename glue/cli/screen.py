@@ -1,8 +1,8 @@
-"""Draw what an environment shows, live in a terminal or in a film.
+"""Draw an environment's observations, live in a terminal or in a film.
 
-How the observations of an environment are drawn is up to its renderer: the entry point of the environment's
-name in the group `glue.renderers`. Without one, an observation is drawn by its numbers. The group
-`glue.films` names a function that writes a film: see `Film`.
+An environment's renderer draws its observations: the entry point of the environment's name in the group
+`glue.renderers`. Without one, an observation is drawn as its numbers. The group `glue.films` names a function
+that writes a film: see `Film`.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def draw_numbers(observation: Observation, color: bool = False) -> list[str]:
 
 
 def renderer(environment: Environment) -> Renderer:
-    """Return the renderer of an environment, or of the installed one whose subclass it is.
+    """Return the renderer of an environment, or of the installed one that it is a subclass of.
 
     An environment with a method `draw` that returns lines draws itself.
     """
@@ -56,10 +56,10 @@ def renderer(environment: Environment) -> Renderer:
 
 
 def film(environment: Environment) -> Film:
-    """Return the writer of films of an environment, or of the installed one whose subclass it is.
+    """Return the film writer of an environment, or of the installed one that it is a subclass of.
 
     Raises:
-        ConfigError: nothing does.
+        ConfigError: there is none.
     """
     found: Film | None = _offered(environment, "glue.films")
     if found is None:
@@ -151,7 +151,7 @@ class TerminalScreen(Closing):
         title: str = "",
         marks: Marks = (),
     ) -> None:
-        """Draw `observation`, and how the episode stands: the last reward, steps so far, their return."""
+        """Draw `observation`, and the state of the episode: the last reward, steps so far, their return."""
         if not self.live:
             return
         now = self._clock()
@@ -162,7 +162,7 @@ class TerminalScreen(Closing):
         self._draw(observation, reward, step, episode_return, title, marks)
 
     def close(self) -> None:
-        """Draw the last observation if it was skipped, and show the cursor. `show` may begin anew."""
+        """Draw the last observation if it was skipped, and show the cursor. `show` may be called again."""
         if self._waiting is not None:
             self._waiting()
         if self._shown:
@@ -186,8 +186,8 @@ class TerminalScreen(Closing):
         lines = [*self._draw_observation(observation, self._color, **marked), status, title]
         height = os.get_terminal_size(self._stream.fileno()).lines or len(lines)  # 0 is unknown
         lines = lines[-height:]
-        # Line by line over the last drawing: to clear the screen for each would flicker. A line that is
-        # too long must not wrap.
+        # Line by line over the last drawing: clearing the screen for each would flicker. A line that is too
+        # long must not wrap.
         begin = _HOME if self._shown else _HIDE_CURSOR + _CLEAR_SCREEN + _HOME
         drawing = f"{_CLEAR_TO_END_OF_LINE}\r\n".join(lines)
         self._stream.write(begin + _NO_WRAP + drawing + _CLEAR_BELOW + _WRAP)

@@ -1,8 +1,8 @@
 """Common parts of the command lines: running a command, its exit code, and shared options.
 
 Click is a thin layer over functions: a command reads its options and calls one function; errors become
-exit codes here and nowhere else. That function imports the modules that are slow to import, so that `--help`
-and completion answer at once.
+exit codes here and nowhere else. That function imports the slow modules, so that `--help` and completion
+answer at once.
 """
 
 from __future__ import annotations
@@ -62,10 +62,10 @@ _T = TypeVar("_T")
 
 
 def reporting(callback: Callable[..., _T]) -> Callable[..., _T]:
-    """Prepare the callback of a command for `run`, which does it for commands that exist by then.
+    """Prepare the callback of a command for `run`, which itself prepares the commands that exist by then.
 
     A GlueError gets a note of the command's own options for the settings that it names. KeyboardInterrupt
-    becomes click.Abort: Click would print, and wait for it.
+    becomes click.Abort, because Click itself would print, and might block.
     """
 
     @wraps(callback)
@@ -87,7 +87,7 @@ def reporting(callback: Callable[..., _T]) -> Callable[..., _T]:
 
 def _flags(command: click.Command, settings: Sequence[str]) -> list[str]:
     """Return the options of `command` that set `settings`; a setting without an option is left out."""
-    # An underscore begins the common options of players: a player may have one of that name.
+    # The common options of players begin with an underscore: a player may have an option of that name.
     options = {
         (each.name or "").removeprefix("_"): each for each in command.params if isinstance(each, click.Option)
     }
@@ -108,7 +108,7 @@ class _Printer(logging.Handler):
 
 
 def _print_log() -> None:
-    """Print what clients of a hub log."""
+    """Print the log of a hub's clients."""
     LOG.addHandler(_Printer())
     LOG.setLevel(logging.INFO)
     LOG.propagate = False
@@ -134,7 +134,7 @@ def run(command: click.Command) -> NoReturn:
         cause = error if isinstance(error, Terminated) else error.__cause__ or error.__context__
         exit_code = EXIT_TERMINATED if isinstance(cause, Terminated) else EXIT_INTERRUPTED
         if is_stuck():
-            # Python would wait for it at exit, too.
+            # Python would wait for standard error at exit, too.
             os._exit(exit_code)
         say("interrupted")
         sys.exit(exit_code)
@@ -142,13 +142,13 @@ def run(command: click.Command) -> NoReturn:
         say(f"Error: {error}{''.join(getattr(error, '__notes__', ()))}")
         sys.exit(2 if isinstance(error, ConfigError) else 1)
     except BrokenPipeError:
-        # The reader of our output has seen enough. Python would complain once more at exit.
+        # The reader of our output has closed it. Python would complain again at exit.
         sys.stderr.close()
         sys.exit(1)
     except OSError as error:
         if error.errno != errno.ENOSPC:
             raise
         say(f"Error: cannot write the output: {error.strerror}")
-        # Python would try once more at exit, and complain.
+        # Python would try again at exit, and complain.
         os._exit(1)
     sys.exit(code if isinstance(code, int) else 0)

@@ -1,1 +1,1 @@
-"""A peer's connection to a hub: players that are served, and the remote experiment."""
+"""A peer's connection to a hub: served players, and the remote experiment."""

@@ -1,4 +1,4 @@
-"""A player of a program, and how it answers calls: each exactly once, however often it arrives."""
+"""A program's player, which carries out each call exactly once, however often the call arrives."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from glue.roles import AgentLike, EnvironmentLike, capabilities
 from glue.wire.messages import CALLS, Kind, Message, Role
 
 _message: Final = tuple.__new__
-"""Makes a named tuple at half the cost of calling its class."""
+"""Constructor of a named tuple, at half the cost of calling its class."""
 
 
 class ServedPlayer:
@@ -35,15 +35,15 @@ class ServedPlayer:
         self._last_answer: Message | None = None
 
     def forget(self) -> None:
-        """Forget which calls were answered: a hub that does not know this player has a count of its own.
+        """Forget which calls were answered: a hub that does not know this player has its own count.
 
-        The last call is kept. If this very call comes again, it is the same hub, which never received
-        the answer.
+        The last call is kept. If exactly this call arrives again, it is from the same hub, which never
+        received the answer.
         """
         self._last_seq = 0
 
     def answer(self, message: Message) -> Message | None:
-        """Return the answer to a call; the same one if the call is repeated; None if it is outdated."""
+        """Return the answer to a call; the same answer if the call is repeated; None if it is outdated."""
         kind, session, seq, scalars, body = message
         if seq <= self._last_seq:
             return self._last_answer if seq == self._last_seq else None

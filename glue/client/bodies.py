@@ -1,4 +1,4 @@
-"""Bodies of messages to and from the values that players and experiments see."""
+"""Convert bodies of messages to and from the values that players and experiments see."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from glue.wire.messages import Body
 
 
 def _read_text(body: bytes) -> str:
-    # Original RL-Glue programs send whatever bytes they like; they survive the way there and back.
+    # Original RL-Glue programs send arbitrary bytes, which survive the round trip.
     return body.decode("utf-8", "surrogateescape")
 
 
@@ -21,7 +21,7 @@ def _read_both(body: bytes) -> tuple[Observation, Action]:
     return Observation.from_body(body[:size]), Action.from_body(body[size:])
 
 
-# What the codec has checked need not be checked again.
+# The codec has already checked these bodies.
 READ: Final[Mapping[Body, Callable[[bytes], Any]]] = {
     Body.NONE: lambda body: None,
     Body.OBSERVATION: Observation._wrap,

@@ -30,7 +30,7 @@ WAIT_SECONDS: Final = 10.0
 """Seconds to wait for a hub by default."""
 
 OnNotice = Callable[[Event, Role, str], None]
-"""Takes an event, the role and the name of a player; of one that is slow, with the reason behind it."""
+"""A function of an event, and a player's role and name; the reason follows the name of a slow player."""
 
 
 def connect(
@@ -54,9 +54,9 @@ def connect(
         hub_key: the hub's public key, or a file that holds it; needed with `key`.
         name: name of this program in messages of the hub.
         wait: seconds to wait for the hub to answer before raising HubUnreachable; None waits for ever.
-        context: the ZeroMQ context, if the connection is to be libzmq's.
+        context: the ZeroMQ context, to connect through libzmq.
         on_notice: called when a player joins, is lost, returns or is slow, with the event, its role and its
-            name; the reason follows the name of one that is slow. Without it, that is logged.
+            name; the reason follows the name of a slow player. Without it, slow players are logged.
 
     Raises:
         ConfigError: an address, a key or a session name is malformed, or the host's name does not resolve.
@@ -74,7 +74,7 @@ def connect_over(
     name: str = "experiment",
     on_notice: OnNotice | None = None,
 ) -> RemoteExperiment:
-    """Return an experiment of `session` over a connection that is open, once the hub has let it in.
+    """Return an experiment of `session` over an open connection, once the hub has let it in.
 
     Args:
         transport: the connection, such as `glue.hub.io.inside.InsideTransport`.
@@ -104,10 +104,10 @@ class RemoteExperiment(Experiment):
         self._session = session = target.session
         self._on_notice = on_notice
         self._seq = 0
-        self._answered = False  # whether the hub has answered a request since it last called us unknown
+        self._answered = False  # whether the hub has answered a request since it last reported us unknown
         self._players: set[Role] = set()
         self._loss: str | None = None
-        # The loss that was known at the last WELCOME, until the reply that follows.
+        # The loss known at the last WELCOME, until the next reply.
         self._loss_before: tuple[str | None] | None = None
         self._given_up: str | None = None
         self._outcome: Mapping[Kind, tuple[Value, ...]] = {}
@@ -160,7 +160,7 @@ class RemoteExperiment(Experiment):
         return message
 
     def _welcome(self, resumed: bool) -> None:
-        # The hub goes on to say which players were lost, and which are there.
+        # The hub will now say which players were lost, and which are there.
         self._players.clear()
         self._loss_before = (self._loss,)
         if not resumed and self._answered:
@@ -172,7 +172,7 @@ class RemoteExperiment(Experiment):
     def _notice(self, message: Message) -> None:
         event, role, name = map(str, message.scalars)
         if event not in _EVENTS or role not in _PLAYERS:
-            return  # of a newer hub
+            return  # from a newer hub
         if event == Event.SLOW:
             if self._on_notice is None:
                 LOG.warning("%s %s", role, name)
@@ -192,7 +192,7 @@ class RemoteExperiment(Experiment):
         link = self._link
         self._seq += 1
         request = Message(kind, self._session, self._seq, scalars, write(body))
-        unreceived = 0  # how often it was sent and, as far as is known, not received
+        unreceived = 0  # how often the request was sent and, as far as is known, not received
         if link.ready(self._session):
             link.send(request)
             unreceived = 1
@@ -201,7 +201,7 @@ class RemoteExperiment(Experiment):
             if message is None:
                 continue
             if message.kind is Kind.WELCOME:
-                # Over a new connection the request is sent again; the hub knows whether it had it already.
+                # Over a new connection the request is sent again; the hub recognises a repetition.
                 if link.ready(self._session):
                     if message.scalars[1]:
                         unreceived = 0
@@ -223,11 +223,11 @@ class RemoteExperiment(Experiment):
                         self._settle_loss(kind)
                     return self._without_outcome(message), READ[CALLS[kind].reply.body](message.body)
             elif self._loss_before is not None and message.kind in CALLS:
-                # The reply before this request, repeated: losses named before it were known when it was made.
+                # The previous reply, repeated: losses reported before it were known before this request.
                 (self._loss,), self._loss_before = self._loss_before, None
 
     def _without_outcome(self, reply: Message) -> tuple[Value, ...]:
-        """Return the scalars of a reply; keep return and number of steps of an episode, if it tells them."""
+        """Return the scalars of a reply; keep the return and number of steps of an episode, if included."""
         scalars = reply.scalars
         if reply.kind is not Kind.RL_EPISODE or len(scalars) == 1:
             return scalars
@@ -236,14 +236,14 @@ class RemoteExperiment(Experiment):
         return (terminal,)
 
     def _error(self, message: Message) -> GlueError:
-        """Return the exception that an ERROR in answer to a request stands for."""
+        """Return the exception for an ERROR in answer to a request."""
         code, text = map(str, message.scalars)
         if code in (ErrorCode.PEER_LOST, ErrorCode.PEER_FAILED):
             self._loss = None
         return _ERRORS.get(code, LocalProtocolError)(text)
 
     def _settle_loss(self, kind: Kind) -> None:
-        """Raise PeerLost for a loss that has failed no verb yet, unless RL_init has made up for it."""
+        """Raise PeerLost for a loss that has made no verb fail yet, unless RL_init has made up for it."""
         loss, self._loss = self._loss, None
         if kind is not Kind.RL_INIT:
             raise PeerLost(loss)
@@ -253,9 +253,9 @@ _EVENTS: Final = frozenset(Event)
 _PLAYERS: Final = frozenset({Role.AGENT, Role.ENVIRONMENT})
 
 _MAX_SENDS: Final = 8
-"""Maximum number of attempts to send a request to a hub that has not received it, one for each connection.
+"""Maximum number of attempts to send a request to a hub that has not received it, one per connection.
 
-The request itself may make the hub drop the connection, by an error of the hub."""
+The request itself may make the hub drop the connection, through an error in the hub."""
 
 _DEPENDENT: Final = frozenset(
     {
@@ -268,7 +268,7 @@ _DEPENDENT: Final = frozenset(
         Kind.RL_ENV_SAVE,
     }
 )
-"""Verbs that succeed with a player that has taken another's place, and mean something else then."""
+"""Verbs that succeed with a player that has replaced another, but then mean something else."""
 
 _ERRORS: Final[Mapping[str, type[GlueError]]] = {
     ErrorCode.PEER_LOST: PeerLost,

@@ -1,7 +1,7 @@
-"""A DEALER of libzmq: a peer's end where a ZeroMQ context is given.
+"""A DEALER of libzmq: a peer's end if a ZeroMQ context is given.
 
-The only module that knows libzmq, which reconnects silently. Its monitor reports new connections, so that a
-peer greets the hub once over each, and why a handshake failed.
+This is the only module that uses libzmq, which reconnects silently. Its monitor reports new connections, so
+that a peer greets the hub once over each, and the reason for a failed handshake.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from glue.wire.messages import Message
 
 Context = zmq.Context[zmq.Socket[bytes]]
 
-# As plain ints: on the hot path, pyzmq's flags cost more than what they say.
+# As plain ints: on the hot path, pyzmq's flags are expensive.
 _MORE: Final = int(zmq.SNDMORE)
 _AT_ONCE: Final = int(zmq.DONTWAIT)
 
 _LINGER_MS: Final = 1000
-"""Maximum time for which a closing socket tries to deliver its last messages, in milliseconds."""
+"""Maximum time in milliseconds that a closing socket tries to deliver its last messages."""
 
 
 _EVENTS: Final = (
@@ -55,15 +55,15 @@ class DealerTransport:
     """A peer's end. It connects when the hub is there, and again whenever the connection breaks.
 
     Args:
-        context: the ZeroMQ context; None for one of its own.
+        context: the ZeroMQ context; None to create one.
         url: address of the hub, as `glue.hub.config.check_url` accepts it.
-        timeout: seconds after which a connection attempt, or data that is not acknowledged, is given up.
-        max_frame: longest frame that is received, in bytes.
-        key: by which the hub knows the peer, and the peer the hub; None to speak without encryption.
+        timeout: seconds after which a connection attempt or unacknowledged data counts as failed.
+        max_frame: maximum size of a frame, in bytes.
+        key: the keys by which hub and peer know each other; None for no encryption.
 
     Attributes:
         connected: whether there is a connection, as far as `receive` has noticed.
-        connections: number of connections so far; the hub has to be greeted over each of them.
+        connections: number of connections so far; the hub has to be greeted over each.
 
     Raises:
         ConfigError: libzmq refuses the address.
@@ -120,14 +120,14 @@ class DealerTransport:
         del seconds
 
     def send_message(self, message: Message) -> bool:
-        """Send a message; as `send`."""
+        """Send a message, like `send`."""
         return self.send(encode(message, TO_HUB))
 
     def receive_message(self, max_body: int) -> Message | None:
-        """Return the next message; as `receive`.
+        """Return the next message, like `receive`.
 
         Raises:
-            UnknownKind: it is of a kind that is not known here.
+            UnknownKind: the message is of an unknown kind.
             RemoteProtocolError: it is malformed, or its body has more than `max_body` bytes.
         """
         frames = self.receive()

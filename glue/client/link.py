@@ -1,7 +1,7 @@
 """A peer's connection to a hub: greetings, heartbeats, and reconnecting after a break.
 
-A hub knows a peer by its connection, so the peer greets it once over each. Until the hub has welcomed it
-over the latest connection, nothing that it sends there counts: the hub may be another one than before.
+A hub knows a peer by its connection, so the peer greets the hub once over each. Until the hub has welcomed
+the peer over the latest connection, anything else sent there is ignored: a different hub may be listening.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ _TIMEOUT: Final = 5.0
 
 
 class Link:
-    """One connection to a hub after another, for one program in one or more sessions.
+    """Successive connections to a hub, for one program in one or more sessions.
 
     Args:
-        role: role of the program in each of them.
+        role: role of the program in each session.
         hub: URL of the hub.
         names: for each session, the name to show to people, and the capabilities offered.
-        wait: seconds after which a hub that has not welcomed it is given up; None waits forever.
-        context: the ZeroMQ context, if the connection is to be libzmq's.
+        wait: seconds to wait to be welcomed before raising HubUnreachable; None waits forever.
+        context: the ZeroMQ context, to connect through libzmq.
         transport: the connection, if there is one already; `hub` is then only shown to people.
-        key: by which the hub knows the program, if it does.
+        key: the key by which the hub knows the program, if any.
 
     Raises:
         ConfigError: an address or a session name is malformed, or the host's name does not resolve.
@@ -72,11 +72,11 @@ class Link:
         many_games = any("batch" in capabilities for _, capabilities in names.values())
         if many_games and SEVERAL_CORES:
             self._transport.spin_for(LONG_SPIN_SECONDS)
-        self._greeted = 0  # the connection that was greeted last; also the `seq` of that HELLO
-        self._welcomed: dict[str, None] = {}  # sessions, over that connection, in their order
+        self._greeted = 0  # number of the connection that was greeted last; also the `seq` of that HELLO
+        self._welcomed: dict[str, None] = {}  # sessions joined over that connection, in order
         self._known = False  # whether a hub has ever welcomed us
         self._started = self._received = clock.monotonic()
-        self._heard = False  # something since the last heartbeat
+        self._heard = False  # whether a message was received since the last heartbeat
         self._silent = False
 
     @property
@@ -87,13 +87,13 @@ class Link:
     def ready(self, session: str) -> bool:
         """Return whether the hub has welcomed us in `session` over the connection that was greeted last.
 
-        An experiment sends its requests only then: sent along with a HELLO, one could reach a hub that
-        knows nothing of what went before.
+        An experiment sends its requests only then: a request sent along with a HELLO could reach a hub that
+        knows nothing of earlier requests.
         """
         return session in self._welcomed
 
     def send(self, message: Message) -> None:
-        """Send. What is lost with the connection is asked for again by the hub, or repeated.
+        """Send a message. If it is lost with the connection, the hub asks for it again, or it is repeated.
 
         Raises:
             LocalProtocolError: the body is larger than the hub accepts.
@@ -114,7 +114,7 @@ class Link:
         try:
             message = self._transport.receive_message(self._max_body)
         except UnknownKind as error:
-            # A newer hub may know more; a call that is answered so has failed.
+            # A newer hub may know more kinds; a call that is answered in this way has failed.
             self._end_silence()
             code = str(ErrorCode.UNKNOWN_KIND)
             self.send(Message(Kind.ERROR, error.session, error.seq, (code, str(error))))
@@ -126,7 +126,7 @@ class Link:
         if self._silent:
             self._end_silence()
         if message[1] not in self._names and message[1]:
-            return None  # Another session's: only what concerns the connection names none.
+            return None  # For another session: only messages about the connection name none.
         if message[0] in _CALLS:
             return message
         return self._control(message)
@@ -148,25 +148,25 @@ class Link:
         if kind is Kind.HEARTBEAT:
             return None
         if kind is Kind.GOODBYE:
-            # It has no answer; one to a hub that has gone would only keep this socket from closing.
+            # It needs no answer; an answer to a hub that has gone would only keep this socket from closing.
             self._welcomed.pop(session, None)
             raise HubClosed(str(scalars[0]))
         if kind is Kind.REFUSE:
             raise Refused(f"the hub at {self._hub} refused this {self._role}: {scalars[1]!s}")
         if kind is Kind.ERROR and scalars[0] == ErrorCode.UNKNOWN_PEER:
             self._transport.notice_connections()
-            # A HELLO that is under way will be answered; this error was for what was sent before it.
+            # A HELLO under way will be answered; this error is about a message sent before it.
             if self._transport.connections != self._greeted or session in self._welcomed:
                 self._greet()
             return None
         if kind is Kind.WELCOME and session in self._names:
             if session in self._welcomed:
-                return None  # It answers no HELLO: nothing is to be sent again.
+                return None  # It answers no HELLO, so nothing has to be sent again.
             self._welcome(message)
         return message
 
     def _greet(self) -> None:
-        """Say HELLO in every session: the hub knows a new connection in none."""
+        """Say HELLO in every session: a new connection has joined none."""
         self._welcomed.clear()
         self._greeted = self._transport.connections
         for session, (name, capabilities) in self._names.items():
@@ -183,12 +183,12 @@ class Link:
         self._max_body = min(max_body, MAX_BODY)
         self._transport.wait_at_most(self._heartbeat)
         self._known = True
-        # A WELCOME to an earlier HELLO may be from another hub than the one at the end of this connection.
+        # A WELCOME to an earlier HELLO may come from a different hub than that of this connection.
         if message.seq == self._greeted:
             self._welcomed[message.session] = None
 
     def _idle(self) -> None:
-        """Greet over a connection that is new; else show that we are here, or look at the time."""
+        """Greet over a new connection; otherwise check the time, and send heartbeats."""
         if self._transport.connections != self._greeted:
             self._greet()
             return

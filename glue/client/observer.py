@@ -1,4 +1,4 @@
-"""Look on at a session of a hub, without taking part in it.
+"""Observe a session of a hub without taking part in it.
 
     from glue.client.observer import observe
 
@@ -7,8 +7,8 @@
         for seen in observer:
             print(seen)
 
-It yields `StartSeen`, `StepSeen`, `TaskSpecSeen` and `AnswerSeen`. An observer is shown as many moments,
-that is starts and steps, as it wants, and misses the others.
+An observer yields `StartSeen`, `StepSeen`, `TaskSpecSeen` and `AnswerSeen`. It is shown as many moments, that
+is starts and steps, as it wants, and misses the others.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ def observe(
     """Return an observer of `session` at `hub`, once the hub has let it in.
 
     Args:
-        hub: as of `glue.client.experiment.connect`, and so are the others.
-        session: name of the session; it has to be there.
+        hub: see `glue.client.experiment.connect`, as for the other arguments.
+        session: name of the session; it has to exist.
         key: file with the secret key by which the hub knows this program.
         hub_key: the hub's public key, or a file that holds it; needed with `key`.
         name: name of this program in the log of the hub.
@@ -85,14 +85,14 @@ def observe(
     Raises:
         ConfigError: an address, a key or a session name is malformed, or the host's name does not resolve.
         HubUnreachable: no hub has answered within `wait` seconds.
-        Refused: the hub does not let it in: there is no such session, it has as many observers as it may
-            have, or this address or key is not for observers.
+        Refused: the hub does not let it in: there is no such session, the session has the maximum number of
+            observers, or this address or key is not for observers.
     """
     return Observer(find_target(hub, session, key, hub_key), name, wait)
 
 
 class Observer(Closing):
-    """A connection that is shown what happens in a session; iterate over it. Made by `observe`.
+    """A connection that is shown the events of a session; iterate over it. Made by `observe`.
 
     Attributes:
         missed: number of moments that were not requested, or not read in time, as far as is known.
@@ -124,7 +124,7 @@ class Observer(Closing):
         return self._link.connected and self._link.ready(self._session)
 
     def want(self, moments: int) -> None:
-        """Ask to be shown the next `moments` moments, whatever was asked before."""
+        """Ask to be shown the next `moments` moments, in place of any earlier request."""
         self._wanted = moments
         if self._link.ready(self._session):
             self._ask()
@@ -161,7 +161,7 @@ class Observer(Closing):
                 yield seen
 
     def close(self) -> None:
-        """Leave."""
+        """Leave the session."""
         self._link.close("has seen enough")
 
     def _ask(self) -> None:

@@ -8,8 +8,8 @@
 
     serve_agent(Lazy())          # returns when the hub says goodbye
 
-A hub that is not there yet is waited for. A connection that breaks is made again, and the episode goes on
-as if nothing had happened.
+The player waits for a hub that is not there yet. A connection that breaks is made again, and the episode
+continues as if nothing had happened.
 """
 
 from __future__ import annotations
@@ -55,14 +55,14 @@ def serve_agent(
         session: name of the session, by default that of GLUE_SESSION; not used with a mapping.
         key: file with the secret key by which the hub knows the agent.
         hub_key: the hub's public key, or a file that holds it; needed with `key`.
-        wait: seconds after which a hub that has not answered is given up; None waits forever.
-        context: the ZeroMQ context, if the connection is to be libzmq's.
-        stop: once it is set, the player leaves, after the call that it carries out or within a heartbeat.
+        wait: seconds to wait for the hub to answer before raising HubUnreachable; None waits forever.
+        context: the ZeroMQ context, to connect through libzmq.
+        stop: once it is set, the player leaves, after its current call or within a heartbeat.
 
     Raises:
         ConfigError: an address, a key or a session name is malformed, or the host's name does not resolve.
         HubUnreachable: no hub has answered within `wait` seconds.
-        Refused: the hub does not let it in, for instance because the session has an agent.
+        Refused: the hub does not let it in, for instance because the session already has an agent.
         PeerFailed: the agent lacks a method of its role, or raised; the hub is informed.
     """
     target = find_target(hub, session, key, hub_key)
@@ -133,7 +133,7 @@ def _serve(
     except HubClosed as goodbye:
         return str(goodbye)
     except Refused as refusal:
-        reason = str(refusal)  # for the sessions that have let it in
+        reason = str(refusal)  # for the sessions that have let the player in
         raise
     finally:
         link.close(reason)

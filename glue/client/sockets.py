@@ -1,7 +1,7 @@
 """A DEALER on one plain socket: the default connection of peers.
 
 libzmq's own sockets need an I/O thread, two wake-ups and some twenty system calls for a message; here two
-receive it and one sends the answer. On the wire there is no difference.
+system calls receive it and one sends the answer. On the wire there is no difference.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     from glue.wire.curve import CurveClient
 
 _CHUNK: Final = 65_536
-"""Bytes received at once, at most; a larger buffer would cost a system call to allocate."""
+"""Maximum number of bytes received at once; a larger buffer would cost a system call to allocate."""
 
 _JOINED: Final = 65_536
-"""Bytes of a body up to which it is joined with what comes before it, which is cheaper than two buffers."""
+"""Maximum size in bytes of a body that is copied behind its head: one buffer is cheaper to send than two."""
 
 _TOGETHER_SECONDS: Final = 200e-6
 """Seconds for which the first answer to a step waits for others, to be sent in the same system call."""
 
 _RETRY_SECONDS: Final = (0.05, 1.0)
-"""Delay before connecting again: after the first failure, and the maximum."""
+"""Delay in seconds before connecting again: after the first failure, and the maximum."""
 
 _LINGER_SECONDS: Final = 1.0
-"""Maximum time for which `close` waits for the hub to read the last messages."""
+"""Maximum number of seconds that `close` waits for the hub to read the last messages."""
 
 
 class SocketTransport:
@@ -43,14 +43,14 @@ class SocketTransport:
 
     Args:
         url: `tcp://HOST:PORT` or `ipc://PATH`.
-        timeout: seconds after which a connection attempt, a handshake or unacknowledged data have failed.
-        max_frame: bytes of the largest frame that is accepted.
-        key: by which the hub knows the peer, and the peer the hub; None to speak without encryption.
+        timeout: seconds after which a connection attempt, handshake or unacknowledged data counts as failed.
+        max_frame: maximum size of a frame, in bytes.
+        key: the keys by which hub and peer know each other; None for no encryption.
 
     Attributes:
-        connected: whether there is a connection, its handshake complete.
-        connections: number of connections so far, this one included.
-        problem: why the latest one failed, if the other end does not speak ZeroMQ's protocol.
+        connected: whether there is a connection with a complete handshake.
+        connections: number of connections so far, including this one.
+        problem: why the latest connection failed, if the other end does not speak ZeroMQ's protocol.
 
     Raises:
         ConfigError: a key is given, and PyNaCl is not installed.
@@ -69,7 +69,7 @@ class SocketTransport:
         self._key = key
         self._curve: CurveClient | None = None
         self._stream = self._new_stream()
-        self._joined: list[bytes] = []  # answers to steps that wait for others
+        self._joined: list[bytes] = []  # answers to steps, which wait for others
         self._joined_until = 0.0
         self._greeted = False
         self._deadline = 0.0  # of the handshake
@@ -81,17 +81,17 @@ class SocketTransport:
         """Do nothing: `connected` and `connections` are up to date at any time."""
 
     def wait_at_most(self, seconds: float) -> None:
-        """Set how long `receive` waits, in seconds."""
+        """Set how long `receive_message` waits, in seconds."""
         self._wait = seconds
 
     def spin_for(self, seconds: float) -> None:
-        """Poll for a message for so many seconds before sleeping."""
+        """Poll for a message for `seconds` before sleeping."""
         self._spin = Spin(seconds)
 
     def send_message(self, message: Message) -> bool:
         """Send a message; return False, having sent nothing, if there is no connection.
 
-        The answer to a step leaves with those to the steps that were received together with it, unless these
+        The answer to a step is sent with the answers to the steps received together with it, unless these
         take long.
         """
         if not self.connected:
@@ -115,7 +115,7 @@ class SocketTransport:
         return all(self._send_rest(connected, part) for part in rest)
 
     def _join(self, data: bytes, may_wait: bool) -> bool:
-        """Send a message behind those that wait; it may wait, too, if more messages are to be answered."""
+        """Send a message after those that wait; it may wait, too, if more messages need an answer."""
         now = clock.monotonic()
         if not self._joined:
             self._joined_until = now + _TOGETHER_SECONDS
@@ -135,7 +135,7 @@ class SocketTransport:
 
         Raises:
             Refused: hub and peer cannot agree on how to authenticate, or one does not know the other's key.
-            UnknownKind: the message is of a kind that is not known here.
+            UnknownKind: the message is of an unknown kind.
             RemoteProtocolError: it is malformed, or its body has more than `max_body` bytes.
         """
         while True:
@@ -173,10 +173,10 @@ class SocketTransport:
                 stream.receive_data(data)
 
     def _refusal(self, error: RemoteProtocolError) -> Refused | None:
-        """Return the error to raise if connecting again after `error` would be of no use, else None.
+        """Return the error to raise if connecting again after `error` would be useless, else None.
 
-        A handshake that is cut ends without an error. One that fails otherwise will fail again, unless one
-        has succeeded before: then something else is wrong, and may pass.
+        A handshake that is cut ends without an error. A handshake that fails otherwise will fail again,
+        unless an earlier one has succeeded: then the cause is different, and may pass.
         """
         key, curve = self._key, self._curve
         if isinstance(error, zmtp.OtherMechanism):
@@ -188,7 +188,7 @@ class SocketTransport:
         return wrong_hub_key(key, self._url) if not self.connections else None
 
     def close(self, linger: float | None = None) -> None:
-        """Close, giving the hub at most `linger` seconds (by default one) to read what was sent last."""
+        """Close, giving the hub at most `linger` seconds (by default one) to read the last messages."""
         if self.connected:
             self._send_joined()
         connected, self._socket = self._socket, None
@@ -196,7 +196,7 @@ class SocketTransport:
         if connected is None:
             return
         with connected:
-            # What is closed with data unread is reset, and a reset discards what the hub has not read.
+            # Closing with unread data resets the connection, which discards data that the hub has not read.
             if linger and self.connected:
                 deadline = clock.monotonic() + linger
                 try:
@@ -212,7 +212,7 @@ class SocketTransport:
         if self._joined and not self._send_joined():
             return None
         data = None if self._spin is None else self._spin.until_found(self._read)
-        # A system wakes whoever waits in `recv` also when the other end has read: `poll` waits for data only.
+        # A thread blocked in `recv` is also woken when the other end has read: `poll` waits for data only.
         if data is None and self._poller.poll(self._wait * 1000):
             data = self._read()
         if data == b"":
@@ -243,7 +243,7 @@ class SocketTransport:
         return sent == len(data) or self._send_rest(connected, memoryview(data)[sent:])
 
     def _send_rest(self, connected: network.socket, rest: memoryview) -> bool:
-        """Send what the hub has no room for yet; it may have to be read first, as we have."""
+        """Send data that the hub has no room for yet; read meanwhile, as the hub may be blocked by us."""
         poller = network.poll()
         while rest:
             crowded = self._stream.buffered > 2 * self._max_frame
@@ -264,10 +264,10 @@ class SocketTransport:
                 return False
         return True
 
-    # Making a connection, in steps of which none waits for longer than `receive` may.
+    # Making a connection, in steps that wait no longer than `receive_message` may.
 
     def _shake_hands(self) -> bytes | None:
-        """Take the next step towards a connection; return what arrived, or None if it is not the time yet."""
+        """Take the next step towards a connection; return the data received, or None if it has to wait."""
         now = clock.monotonic()
         if self._socket is None:
             if now < self._retry_at:
@@ -296,7 +296,7 @@ class SocketTransport:
             return None
 
     def _begin(self) -> None:
-        """Begin on a connection whose handshake is complete."""
+        """Start using a connection whose handshake is complete."""
         assert self._socket is not None
         self.connected = True
         self.connections += 1
@@ -316,7 +316,7 @@ class SocketTransport:
         return Stream(zmtp.DEALER, self._max_frame, mechanism=self._curve)
 
     def _fail(self) -> None:
-        """Close what is left of a connection, and connect again in a while."""
+        """Close a failed connection, and connect again in a while."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
@@ -331,7 +331,7 @@ def _connect(url: str) -> network.socket:
     """Return a socket that is connecting to a hub.
 
     Raises:
-        OSError: it cannot.
+        OSError: connecting failed.
     """
     scheme, _, rest = url.partition("://")
     if scheme == "ipc":
@@ -356,7 +356,7 @@ def _connect(url: str) -> network.socket:
 
 
 def _wait_for(waiting: network.socket, readable: bool, seconds: float) -> bool:
-    """Return whether a socket becomes readable, or else writable, in time."""
+    """Return whether a socket becomes readable or, unless `readable`, writable in time."""
     poller = network.poll()
     poller.register(waiting, network.POLLIN if readable else network.POLLOUT)
     return bool(poller.poll(seconds * 1000))

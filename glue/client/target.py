@@ -1,8 +1,8 @@
 """The session that a program joins, its hub, and the key by which the hub knows the program.
 
 Settings that are not given are taken from the environment variables GLUE_HUB, GLUE_SESSION, GLUE_KEY and
-GLUE_HUB_KEY, so that the runner of a competition or a user can send a program to another hub without a change
-to the program. This is the only module of the library that reads settings from the environment.
+GLUE_HUB_KEY, so that the runner of a competition or a user can send a program to another hub without changing
+the program. This is the only module of the library that reads settings from the environment.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Target:
     Args:
         hub: URL of the hub.
         session: name of the session.
-        key: by which the hub knows the program; None if it need not.
+        key: the key by which the hub knows the program; None if it needs none.
     """
 
     hub: str
@@ -59,14 +59,14 @@ def find_target(
     """Return the session to join, with its hub and the keys.
 
     Args:
-        hub: URL of the hub. If it is not given, it is that of the environment, and so are key and hub key;
-            without one it is the default.
-        session: name of the session; if it is not given, that of the environment, or else the default.
+        hub: URL of the hub. If not given, it is taken from the environment, as are missing keys; if it is not
+            there either, it is the default.
+        session: name of the session; if not given, that of the environment, or else the default.
         key: file with the program's own pair.
         hub_key: the hub's public key, or a file that holds it.
 
     Raises:
-        ConfigError: one of the keys is missing or cannot be read, or others can read the secret one.
+        ConfigError: one of the keys is missing or cannot be read, or other users can read the secret key.
     """
     variables = os.environ
     if hub is None:
@@ -121,7 +121,7 @@ def unknown_key(key: OwnKey, hub: str) -> Refused:
 
 
 def wrong_hub_key(key: OwnKey, hub: str) -> Refused:
-    """Return the error of a program that expects another public key of the hub."""
+    """Return the error of a program that expects a different public key of the hub."""
     return Refused(
         f"the public key of the hub at {hub} is not {encode(key.hub)}: "
         "ask whoever runs the hub for the right one",

@@ -1,8 +1,8 @@
-"""The way of a peer's messages to a hub and back: the seam between a link and its socket.
+"""The transport of a peer's messages to a hub and back: the interface between a link and its socket.
 
-A connection ends when the process at its other end does, or when what was sent over it stays unacknowledged
-for too long, because a cable was cut. Both are the kernel's to find out, so a peer that computes for hours
-stays connected. A transport reconnects automatically.
+A connection ends when the process at its other end does, or when data sent over it stays unacknowledged for
+too long, because a cable was cut. The kernel detects both, so a peer that computes for hours stays connected.
+A transport reconnects automatically.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from glue.client.libzmq import Context
 
 _TIMEOUT: Final = 5.0
-"""Seconds after which a connection attempt, or data that is not acknowledged, is given up."""
+"""Seconds after which a connection attempt or unacknowledged data counts as failed."""
 
 
 class Transport(Protocol):
@@ -36,7 +36,7 @@ class Transport(Protocol):
 
     @property
     def connections(self) -> int:
-        """Number of connections so far, this one included; the hub has to be greeted over each of them."""
+        """Number of connections so far, including this one; the hub has to be greeted over each."""
         ...
 
     def notice_connections(self) -> None:
@@ -48,7 +48,7 @@ class Transport(Protocol):
         ...
 
     def spin_for(self, seconds: float) -> None:
-        """Poll for a message for so long before sleeping, if that is possible here."""
+        """Poll for a message for `seconds` before sleeping, if that is possible here."""
         ...
 
     def send_message(self, message: Message) -> bool:
@@ -59,7 +59,7 @@ class Transport(Protocol):
         """Return the next message; None if none arrived in time, or as soon as there is a connection.
 
         Raises:
-            UnknownKind: it is of a kind that is not known here.
+            UnknownKind: the message is of an unknown kind.
             RemoteProtocolError: it is malformed, or its body has more than `max_body` bytes.
         """
         ...
@@ -70,14 +70,14 @@ class Transport(Protocol):
 
 
 def open_transport(url: str, context: Context | None = None, key: OwnKey | None = None) -> Transport:
-    """Return a transport to the hub at `url`: a plain socket, or libzmq's where a context is given.
+    """Return a transport to the hub at `url`: a plain socket, or libzmq's if a context is given.
 
-    Where a key is given and PyNaCl is not installed, it is libzmq's as well.
+    If a key is given and PyNaCl is not installed, it is libzmq's as well.
 
     Args:
         url: address of the hub.
         context: the ZeroMQ context.
-        key: by which the hub knows the peer, if it does.
+        key: the key by which the hub knows the peer, if any.
 
     Raises:
         ConfigError: the address is malformed, or the host's name does not resolve.
@@ -87,13 +87,13 @@ def open_transport(url: str, context: Context | None = None, key: OwnKey | None 
     max_frame = 2 * MAX_BODY + MAX_HEADER
     if context is None and (key is None or find_spec("nacl") is not None):
         return SocketTransport(url, _TIMEOUT, max_frame, key)
-    from glue.client.libzmq import DealerTransport  # libzmq takes long to load, and few need it
+    from glue.client.libzmq import DealerTransport  # libzmq takes long to load, and few programs need it
 
     return DealerTransport(context, url, _TIMEOUT, max_frame, key)
 
 
 def _check_host(url: str) -> None:
-    """Refuse the name of a host that does not resolve, which would be looked up again and again."""
+    """Refuse a host name that does not resolve, which would be looked up again and again."""
     parts = urlsplit(url)
     if parts.scheme == "tcp":
         host = parts.netloc.rpartition(":")[0].strip("[]")

@@ -1,4 +1,4 @@
-"""The generator java.util.Random of Java; its 48 bits of state are the caller's.
+"""Java's generator java.util.Random; the caller keeps its 48 bits of state.
 
 The state is an array of one int64, so that drawing can advance it.
 """
@@ -17,7 +17,7 @@ State = npt.NDArray[np.int64]
 _MULTIPLIER: Final = 0x5DEECE66D
 _INCREMENT: Final = 11
 MASK: Final = (1 << 48) - 1
-"""The bits of a state, and those of a seed that count."""
+"""Mask of the 48 bits that java.util.Random uses of a state or seed."""
 _HALF: Final = (1 << 24) - 1
 _HIGH: Final = _MULTIPLIER >> 24
 _LOW: Final = _MULTIPLIER & _HALF
@@ -35,7 +35,7 @@ def seeded(seed: int) -> State:
 def draw(state: State, bound: int) -> int:
     """Return a number from 0 to `bound` - 1, each equally likely; `bound` is at least 1."""
     if bound & -bound == bound:
-        return (int(bound) * _next(state, 31)) >> 31  # int: not compiled, a field of the world has 32 bits
+        return (int(bound) * _next(state, 31)) >> 31  # int: if not compiled, a world's field has 32 bits
     while True:
         bits = _next(state, 31)
         value = bits % bound
@@ -52,8 +52,8 @@ def draw_double(state: State) -> float:
 
 @jit
 def _next(state: State, bits: int) -> int:
-    """Advance the state; return its upper bits, as many as asked for."""
-    # In halves of 24 bits, since the product of the whole would not fit 64.
+    """Advance the state; return its upper `bits` bits."""
+    # In halves of 24 bits, since the full product would not fit 64.
     high = int(state[0]) >> 24
     low = int(state[0]) & _HALF
     product = (((high * _LOW + low * _HIGH) & _HALF) << 24) + low * _LOW + _INCREMENT

@@ -1,9 +1,9 @@
-"""The one place that knows numba: `jit` for a function of compiled code, `entry` for what Python calls.
+"""Compilation by numba: `jit` for functions of compiled code, `entry` for those that Python calls.
 
 Both return the function compiled to machine code that runs without the interpreter's lock, so that
 several threads can use several cores. No fast-math: every float operation is rounded as written. An
-entry's machine code is cached on disk, beside the source or, where that is not writable, in the user's
-cache folder; what was cached beside the source is read even where nothing can be written, as in a container
+entry's machine code is cached on disk, next to the source or, where that is not writable, in the user's
+cache folder; code cached next to the source is read even where nothing can be written, as in a container
 whose file system is read-only. With NUMBA_DISABLE_JIT=1 both return the function unchanged.
 """
 
@@ -62,15 +62,15 @@ def entry(function: Function) -> Function:
 
 
 class _Part(CPUDispatcher):
-    """A function without the wrapper through which Python calls compiled code: it gets an entry for that.
+    """A function without the wrapper through which Python calls compiled code: an entry serves such calls.
 
-    numba would compile it anew for each constant and for each width of integer that it is called with.
+    numba itself would compile it again for each constant and each width of integer that it is called with.
     """
 
     _own_entry: Any = None
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
-        """Return the template of a call: integers of any width, constants too, are passed as int64."""
+        """Return the template of a call: integers except uint64, constants too, are passed as int64."""
         widened = {name: _widened(kind) for name, kind in kws.items()}
         return super().get_call_template([*map(_widened, args)], widened)
 
@@ -81,16 +81,16 @@ class _Part(CPUDispatcher):
 
 
 def _widened(kind: Any) -> Any:
-    """Return the type as which compiled code passes a value of type `kind`."""
+    """Return the type in which compiled code passes a value of type `kind`."""
     kind = types.unliteral(kind)  # type: ignore[no-untyped-call]
     return types.int64 if isinstance(kind, types.Integer) and kind != types.uint64 else kind
 
 
 class _PartLibrary(JITCodeLibrary):
-    """Intermediate code: a part is optimised and made machine code within the entries that call it only.
+    """Intermediate code: a part is optimised and made machine code only within the entries that call it.
 
     Machine code and wrappers of each part, with all that it calls, would take nearly half of the time, and
-    optimising each part by itself another third. Entries are no slower without that.
+    optimising each part separately another third. Entries are no slower without them.
     """
 
     @property
@@ -102,7 +102,7 @@ class _PartLibrary(JITCodeLibrary):
         """Ignore the environment: code that never calls Python has no use for it."""
 
     def _optimize_final_module(self) -> None:
-        """Leave that to the entries."""
+        """Leave optimisation to the entries."""
 
     def _finalize_final_module(self) -> None:
         self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
@@ -119,10 +119,10 @@ class _PartCompiler(Compiler):
 
 @contextmanager
 def announce_compilation(what: str, seconds: int | None = None) -> Iterator[None]:
-    """Print to stderr that WHAT is compiled, and how long it took, if an entry called in this block is.
+    """Print to stderr that `what` is being compiled, and how long it took, if an entry in this block is.
 
-    If another process is compiling the same entry, wait for its machine code, and say so. `seconds` is about
-    how long it takes on a free core.
+    If another process is compiling the same entry, wait for its machine code, and say so. `seconds` is the
+    approximate time on a free core.
     """
     listener = _Announcement(what, seconds)
     with event.install_listener("numba:compile", listener), _leaving_at_once():
@@ -137,8 +137,8 @@ def announce_compilation(what: str, seconds: int | None = None) -> Iterator[None
 def _leaving_at_once() -> Iterator[None]:
     """Let a command end at once for a signal, as LLVM may run for many seconds between two bytecodes.
 
-    The handler of SIGINT names the function for that as its attribute `leave`; others, such as that of a
-    notebook, are left alone.
+    The handler of SIGINT has the function for that as its attribute `leave`; other handlers, such as that of
+    a notebook, are left unchanged.
     """
     leave = getattr(signal.getsignal(signal.SIGINT), "leave", None)
     if leave is None or threading.current_thread() is not threading.main_thread():
@@ -184,11 +184,11 @@ class _Announcement(event.Listener):
 
 
 _given, _in_tree, *_others = cast("list[Any]", CompileResultCacheImpl._locator_classes)
-"""The places of numba's cache: NUMBA_CACHE_DIR, next to the source, the user's cache folder, and so on."""
+"""The locators of numba's cache: NUMBA_CACHE_DIR, next to the source, the user's cache folder, and so on."""
 
 
 class _FilledLocator(_in_tree):  # type: ignore[misc, valid-type]
-    """The cache beside the source, if it has been filled; it need not be writable."""
+    """The cache next to the source, if it has been filled; it need not be writable."""
 
     def ensure_cache_path(self) -> None:
         folder = Path(self.get_cache_path())
@@ -201,10 +201,10 @@ class _CacheImpl(CompileResultCacheImpl):
 
 
 class _Cache(FunctionCache):
-    """numba's cache on disk, invalidated by a change of any module of the packages that it is made from.
+    """numba's cache on disk, invalidated by a change to any module of the packages that it is made from.
 
-    numba alone checks only the file that defines the entry, and would go on using machine code of an
-    older version of a function that the entry calls.
+    numba itself checks only the file that defines the entry, and would keep using machine code of an older
+    version of a function that the entry calls.
     """
 
     _impl_class = _CacheImpl
@@ -216,7 +216,7 @@ class _Cache(FunctionCache):
         self._function = function
 
     def load_overload(self, sig: object, target_context: object) -> Any:
-        """Return cached machine code; None if this process has to compile it, for which others wait."""
+        """Return cached machine code; None if this process has to compile it while others wait."""
         found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
         if found is None and self._lock():
             found = super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
@@ -259,7 +259,7 @@ class _Cache(FunctionCache):
 
     @classmethod
     def release(cls, *names: Path) -> None:
-        """Release the locks of these names; all, also of what could not be compiled, if there are none."""
+        """Release the locks of these names, or all if there are none, even of failed compilations."""
         for name in names or tuple(cls._locks):
             if name in cls._locks:
                 os.close(cls._locks.pop(name))
@@ -272,7 +272,7 @@ class _Cache(FunctionCache):
 
 
 def _parts(function: Callable[..., Any]) -> set[Callable[..., Any]]:
-    """Return the functions that are compiled into `function`, with itself: those that its globals name."""
+    """Return `function` and the functions compiled into it, which are found through its globals."""
     found: set[Callable[..., Any]] = set()
     left = [function]
     while left:

@@ -19,7 +19,7 @@ Flag = Annotated[bool, np.bool_]
 Word = Annotated[np.uint64, np.uint64]
 
 Array = npt.NDArray[np.void]
-"""Records side by side, as compiled functions take them from Python."""
+"""Contiguous records, as compiled functions take them from Python."""
 
 
 @cache

@@ -13,10 +13,10 @@
     threads = Threads(2, len(numbers))
     threads.run(double, numbers)
 
-A worker stays in its loop from one call to the next, because waking a thread of Python's for each call takes
+A worker stays in its loop from one call to the next, because waking a Python thread for each call takes
 longer than many calls do. A waiting thread spins for a moment, and then sleeps until another posts a POSIX
-semaphore. Every thread claims pieces of its own share first and then of the others': the caller does the work
-of a worker that does not get a core, and does not wait for it.
+semaphore. Every thread claims pieces of its own share first and then of the others', so the caller does the
+work of a worker that does not get a core, and does not wait for it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _FIRST: Final = 0
 _LAST: Final = 1
 """End of its share."""
 _NEXT: Final = 2
-"""First item of its share that nobody has claimed."""
+"""First unclaimed item of its share."""
 _GO: Final = 3
 """Address of the semaphore that releases a worker."""
 _DONE: Final = 4
@@ -56,31 +56,31 @@ _DONE: Final = 4
 RELEASED: Final = 5
 """In the caller's row: workers released in this turn."""
 _PIECE: Final = 6
-"""In the caller's row: items in a piece, if there is anybody to share with."""
+"""In the caller's row: items in a piece, if there are threads to share with."""
 _ENDING: Final = 7
-"""In the caller's row: whether the workers are to leave their loops."""
+"""In the caller's row: whether the workers must leave their loops."""
 _SEMAPHORES: Final = 8
 """Room for two semaphores of four words."""
 _WORDS: Final = 16
 """Words of a row: two cache lines."""
 
 _PIECES: Final = 8
-"""Pieces of a share: a thread that is late leaves most of its share to the others."""
+"""Pieces of a share, so that a late thread leaves most of its share to the others."""
 _SPINS: Final = 60_000
 """Spins before sleeping, about 300 us: Python needs up to 150 us between two calls, waking about 100 us."""
 _SPINS_IN_A_ROW: Final = 2_000
 """Spins, about 10 microseconds, before yielding the core: the awaited thread may need it."""
 
 _TRIAL: Final = 0.005
-"""Seconds of a trial with all threads, of one with the caller only, and of a second one with all,"""
+"""Minimum duration in seconds of each trial: with all threads, the caller only, and all threads again."""
 _CALLS: Final = 3
-"""and calls, if they are long."""
+"""Minimum number of calls in a trial."""
 _REST: Final = 0.4
-"""Seconds for which the caller then works alone; twice as many after each trial that ends so again."""
+"""Seconds for which the caller works alone after winning a trial; doubled each time that it wins again."""
 _LONGEST_REST: Final = 6.4
 _ALWAYS: Final = sys.maxsize
 _WORTH: Final = 0.9
-"""Share of the time of the caller alone that threads together may take: trials are short."""
+"""Ratio of all threads' time to the caller's below which they work together: trials are short."""
 
 
 def _semaphore_function(name: str) -> Any:
@@ -94,14 +94,14 @@ _yield = types.ExternalFunction("sched_yield", types.int32())
 
 
 def nothing() -> None:
-    """Read nothing after a turn."""
+    """Do nothing after a turn."""
 
 
 class Threads:
     """A number of threads that share `count` items; the calling thread is one of them.
 
-    They work together while that is clearly faster than the calling thread without the others, which trials
-    decide. Between trials, the calling thread without the others is as fast as a `Threads` of one.
+    They work together while trials show that to be clearly faster than the calling thread alone. Between
+    trials, the calling thread alone is as fast as a `Threads` of one.
     Where threads cannot wait for each other in compiled code, the calling thread does all the work.
     """
 
@@ -119,8 +119,8 @@ class Threads:
 
         Args:
             function: claims items; see above.
-            shared: the same in every call.
-            then: reads what was done, in the calling thread. Trials count its time, too, because it is
+            shared: further arguments, the same in every call.
+            then: reads the results, in the calling thread. Trials include its time, because it is
                 longer where another core has written.
         """
         gate = self._gate
@@ -156,13 +156,13 @@ class Threads:
             given = (self._gate, self._errors, function, worker, *shared)
             self._workers.append(Thread(target=_work, args=given, name="worker", daemon=True))
             self._workers[-1].start()
-        # Threads that nobody closes end with this object; at the end of the program they stay asleep.
+        # Threads that are not closed end with this object; at the end of the program they stay asleep.
         self._leave = weakref.finalize(self, _end, self._gate)
         self._leave.atexit = False
 
 
 def _gate(threads: int, count: int) -> Gate:
-    """Return a gate for so many threads, or for one where there are no such semaphores."""
+    """Return a gate for so many threads, or for one where compiled code cannot use semaphores."""
     library = ctypes.CDLL(None)
     if config.DISABLE_JIT or not hasattr(library, "sem_init"):  # type: ignore[attr-defined]
         threads = 1
@@ -186,7 +186,7 @@ def _end(gate: Gate) -> None:
 def _work(
     gate: Gate, errors: list[BaseException], function: Callable[..., None], worker: int, *shared: Any
 ) -> None:
-    """Take turns until all is over, or until an error, which is kept for the caller."""
+    """Take turns until the workers must end, or until an error, which is kept for the caller."""
     try:
         function(gate, worker, *shared)
     except BaseException as error:
@@ -197,12 +197,12 @@ def _work(
 def _choices() -> Generator[tuple[bool, int], float, None]:
     """Yield whether the threads work together in the next timed call, and the number of calls before it.
 
-    The calling thread makes those without the others. Receive the seconds that the timed call took.
+    The calling thread makes those calls alone. Receive the seconds that the timed call took.
     """
     rest = _REST
     while True:
         yield True, 0  # wakes the workers
-        first = yield from _timed(True)  # memory that was not used before takes long
+        first = yield from _timed(True)  # the first use of memory is slow
         alone = yield from _timed(False)
         together = min(first, (yield from _timed(True)))
         if together < _WORTH * alone:
@@ -225,7 +225,7 @@ def _timed(together: bool) -> Generator[tuple[bool, int], float, float]:
 
 @jit
 def begin_turn(gate: Gate, worker: int) -> bool:
-    """As the caller, release workers; as a worker, wait for that. Return False if workers are to end."""
+    """As the caller, release workers; as a worker, wait for that. Return False if workers must end."""
     if worker == CALLER:
         for share in range(len(gate)):
             gate[share, _NEXT] = gate[share, _FIRST]
@@ -255,7 +255,7 @@ def end_turn(gate: Gate, worker: int) -> bool:
     """As the caller, wait for all workers that have begun; as a worker, report. Return whether to leave."""
     if worker == CALLER:
         for other in range(1, gate[CALLER, RELEASED] + 1):
-            if _trywait(np.uintp(gate[other, _GO])) != 0:  # it has begun; any other is not needed any more
+            if _trywait(np.uintp(gate[other, _GO])) != 0:  # it has begun; any other is no longer needed
                 _await(gate[other, _DONE])
         return True
     _post(np.uintp(gate[worker, _DONE]))
@@ -269,14 +269,14 @@ def _await(semaphore: int) -> None:
             return
         if spin % _SPINS_IN_A_ROW == 0:
             _yield()
-    while _wait(np.uintp(semaphore)) != 0:  # a signal came
+    while _wait(np.uintp(semaphore)) != 0:  # interrupted by a signal
         pass
 
 
 if config.DISABLE_JIT:  # type: ignore[attr-defined]
 
     def _fetch_and_add(gate: Gate, share: int, piece: int) -> int:
-        """Claim a piece of a share, where there is one thread."""
+        """Claim a piece of a share, with a single thread; return its first item."""
         gate[share, _NEXT] += piece
         return int(gate[share, _NEXT]) - piece
 

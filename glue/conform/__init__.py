@@ -1,1 +1,1 @@
-"""The kit that judges a client in any language: it acts as the hub, which is all that a client talks to."""
+"""The kit that judges a client in any language: it acts as the hub, a client's only peer."""

@@ -51,12 +51,12 @@ class Verdict:
 
     @property
     def violation(self) -> bool:
-        """Whether the client does not conform: a broken SHOULD is reported, but is no violation."""
+        """Whether the client violates the rule; a broken SHOULD is reported, but is no violation."""
         return self.outcome is Outcome.FAILED and self.rule.level is not Level.SHOULD
 
 
 def rules_of(role: Role, tier: Tier = Tier.COMPLETE) -> list[Rule]:
-    """Return the rules for a role, those of `tier` and of the tiers before it, as they are judged."""
+    """Return the rules for a role in `tier` and the tiers before it, in the order of judging."""
     tiers = list(Tier)[: list(Tier).index(tier) + 1]
     return [rule for rule in all_rules(role) if rule.tier in tiers]
 

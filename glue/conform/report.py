@@ -11,7 +11,7 @@ from glue.conform.judge import Outcome, Verdict
 _PAGE: Final = "docs/protocol.md"
 
 _SHOWN: Final = 64
-"""Bytes of a frame that a line shows."""
+"""Maximum number of bytes of a frame shown in a line."""
 
 _MARKS: Final = {Outcome.PASSED: "ok", Outcome.FAILED: "FAILED", Outcome.NOT_JUDGED: "-"}
 
@@ -24,9 +24,9 @@ def _mark(verdict: Verdict) -> str:
 
 
 def reached(verdicts: Sequence[Verdict]) -> dict[Tier, bool]:
-    """Return for each tier that was judged whether it, and those before it, are reached.
+    """Return, for each judged tier, whether it and those before it are reached.
 
-    Rules that were not judged are no obstacle; nor are broken ones that say SHOULD.
+    Rules that were not judged do not prevent that, nor do broken SHOULD rules.
     """
     judged = [tier for tier in Tier if any(verdict.rule.tier is tier for verdict in verdicts)]
     found: dict[Tier, bool] = {}
@@ -36,7 +36,7 @@ def reached(verdicts: Sequence[Verdict]) -> dict[Tier, bool]:
 
 
 def line(verdict: Verdict) -> str:
-    """Return a verdict as a line, and if it is not passed some more with the reason."""
+    """Return a verdict as a line, followed by lines with the reason if it is not passed."""
     rule = verdict.rule
     text = (
         f"{_mark(verdict):<7}{verdict.transport}  {rule.tier:<9} {rule.level:<7} {rule.name}: {rule.text}"
@@ -52,7 +52,7 @@ def line(verdict: Verdict) -> str:
 
 
 def _clipped(hex_bytes: str) -> str:
-    """Return the first bytes of some in hex, as many as a person may want to look at."""
+    """Return bytes in hex, clipped to the first `_SHOWN` bytes."""
     size = (len(hex_bytes) + 1) // 3
     return hex_bytes if size <= _SHOWN else f"{hex_bytes[: 3 * _SHOWN]}... ({size} bytes)"
 
@@ -75,7 +75,7 @@ def summary(verdicts: Sequence[Verdict]) -> str:
 
 
 def document(role: str, command: Sequence[str], verdicts: Sequence[Verdict]) -> Mapping[str, Any]:
-    """Return everything, for JSON."""
+    """Return all verdicts, for JSON."""
     return {
         "role": role,
         "command": list(command),

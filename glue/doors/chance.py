@@ -6,4 +6,4 @@ import os
 from typing import Final
 
 random_bytes: Final = os.urandom
-"""Bytes that nobody can predict, as many as asked for."""
+"""Function that returns the requested number of unpredictable bytes."""

@@ -7,7 +7,7 @@ import time
 from typing import Final
 
 monotonic: Final = time.monotonic
-"""Seconds since an arbitrary moment; never set back."""
+"""Seconds since an arbitrary time; never set back."""
 
 sleep: Final = time.sleep
 
@@ -17,4 +17,4 @@ def _keep_on() -> None:
 
 
 give_way: Final = getattr(os, "sched_yield", _keep_on)
-"""Yield this core: whoever waits for it may be the one that is to answer."""
+"""Yield this core: the peer that is to answer may be waiting for it."""

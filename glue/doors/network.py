@@ -64,7 +64,7 @@ AF_UNIX: Final[int] = getattr(_socket, "AF_UNIX", -1)
 
 
 class PortablePoller:
-    """`select.poll` in the form of `select.epoll`, for systems that have none."""
+    """`select.poll` in the form of `select.epoll`, for systems without the latter."""
 
     def __init__(self) -> None:
         self._poller = poll()
@@ -81,7 +81,7 @@ class PortablePoller:
 
 
 Poller: Final = getattr(_select, "epoll", PortablePoller)
-"""Class of objects that wait for many descriptors."""
+"""Class of objects that wait for events on many descriptors."""
 
 
 def tcp_option(name: str) -> int | None:

@@ -1,4 +1,4 @@
-"""Threads, and what they wait for each other with."""
+"""Threads, and the means by which they wait for each other."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""RL-Glue's rules without I/O: the engine, the calls on a player, sessions, and all of it in one process."""
+"""RL-Glue's rules without I/O: the engine, the calls on a player, and all three roles in one process."""

@@ -1,12 +1,12 @@
 """Carry out RL-Glue's calls on a user's agent or environment.
 
-For each role there is one table of functions by message kind. Each calls the user's method and checks the
-answer, because a wrong answer is best reported where it was made. `glue.engine.local` and `glue.client` share
-these tables.
+For each role there is one table of functions by message kind. Each function calls the user's method and
+checks the answer, because a wrong answer is best reported where it was made. `glue.engine.local` and
+`glue.client` share these tables.
 
-An action or observation must have as many ints, doubles and chars as the task spec says, if it does. That
-is checked when it is returned, by comparing the twelve bytes of its counts: `_body` in place of `body` keeps
-that below one percent of the fastest step. That each number is in its range is for `glue.testing` to check.
+An action or observation must have as many ints, doubles and chars as the task spec says, if it says so. This
+is checked on return, by comparing the twelve bytes of the counts; using `_body` instead of `body` keeps the
+check below one percent of the fastest step. `glue.testing` checks that each number is in its range.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _DONE: Final[Answer] = ((), None)
 
 
 def name_of(player: object) -> str:
-    """Return the name of a user's agent or environment in messages; for a wrapper, of what it wraps."""
+    """Return the name of a player for messages; for a wrapper, the name of the object that it wraps."""
     return type(getattr(player, "__wrapped__", player)).__name__
 
 
@@ -186,7 +186,7 @@ def unsupported(kind: Kind, role: Role, name: str) -> str:
 
 
 def unfit_for_batch(environment: Container[str], agent: Container[str], name: str) -> str:
-    """Return why an agent cannot act in an environment, by the capabilities of both, or ""."""
+    """Return why an agent cannot act in an environment, given the capabilities of both; "" if it can."""
     if "batch" in environment and "batch" not in agent:
         return (
             f"agent {name} does not support this: it has no agent_batch, and the environment is many games "
@@ -250,7 +250,7 @@ _COUNTS: Final = struct.Struct("<3I")
 
 
 def _counts(task_spec: str) -> tuple[bytes, bytes]:
-    """Return the first bytes of every observation's and every action's body; empty where unspecified."""
+    """Return the first bytes of the body of observations and of actions; empty where unspecified."""
     try:
         spec = parse_task_spec(task_spec)
     except TaskSpecError:
@@ -278,7 +278,7 @@ def _miscounted(player: object, method: str, value: AbstractType, start: bytes) 
 
 
 def _blame_sender(error: Exception, given: AbstractType, start: bytes, sender: Role) -> None:
-    """Raise PeerFailed if `error` was raised because a player was given what the task spec does not allow."""
+    """Raise PeerFailed if the input on which a player raised `error` does not have the task spec's counts."""
     if not given.body.startswith(start):
         raise PeerFailed(
             f"the {sender} sent {_amounts(given.counts)}, and the task spec says "

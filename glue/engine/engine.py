@@ -52,7 +52,7 @@ _NO_SCALARS: Final[tuple[Value, ...]] = ()
 _ENV_STEP: Final = Kind.ENV_STEP
 _AGENT_STEP: Final = Kind.AGENT_STEP
 _instruction: Final = tuple.__new__
-"""Makes a named tuple at half the cost of calling its class."""
+"""Constructor of a named tuple, at half the cost of calling its class."""
 
 _ENV_START: Final = Instruction(Kind.ENV_START)
 
@@ -70,7 +70,7 @@ class Engine:
         num_steps: 0 after init, 1 after start, one more with each step that did not end the episode.
         num_episodes: episodes that reached a terminal step, with agent_end called, since the last init.
         asked: the outstanding call; None while idle.
-        awaiting: its kind.
+        awaiting: the kind of `asked`.
         verb: the experiment's verb that is being carried out; None while idle.
     """
 
@@ -118,7 +118,7 @@ class Engine:
         """Take the answer to the outstanding call; return the next call, or the reply.
 
         Raises:
-            RemoteProtocolError: it is the answer to another call.
+            RemoteProtocolError: this is the answer to another call.
         """
         if kind is not self.awaiting:
             raise RemoteProtocolError(
@@ -163,7 +163,7 @@ class Engine:
             self._started = False
 
     def replace(self, role: Role) -> None:
-        """Note that a player is a new one: it is initialised before any other call.
+        """Note that a player was replaced: the new one is initialised before any other call to it.
 
         If a call to it is outstanding, `asked` may be another call afterwards.
         """
@@ -183,7 +183,7 @@ class Engine:
         return next(self._running)
 
     def _bring_up(self, role: Role, instruction: Instruction, verb: Verb) -> Verb:
-        """Bring a replaced player to where RL_init left the other, then go on from `instruction`."""
+        """Initialise a new player as RL_init did the previous one, then continue from `instruction`."""
         if role is Role.AGENT:
             yield from self._init_agent()
         else:
@@ -246,9 +246,9 @@ class Engine:
         return scalars, (observation, self.last_action)
 
     def _episode(self, scalars: tuple[Any, ...], _: Any) -> Verb:
-        """Start, then step to the end or to the limit; the loop is `_step`, without its frame.
+        """Start, then step to the end or to the limit; the loop is `_step`, inlined.
 
-        A second scalar, which no message has, leaves out the start: an episode under way goes on.
+        A second scalar, which no message has, skips the start and continues the episode under way.
         """
         max_steps = scalars[0]
         if len(scalars) == 1:
@@ -348,7 +348,7 @@ _VERBS: Final[Mapping[Kind, Callable[[Engine, tuple[Any, ...], Any], Verb]]] = {
 def role_seed(seed: int, role: Role) -> int:
     """Return the seed of `role` in an experiment with this seed; 0 <= result < 2**63.
 
-    The two differ, so that agent and environment never share a stream of random numbers.
+    The seeds of the roles differ, so that agent and environment never share a stream of random numbers.
     """
     spawn_key = {Role.ENVIRONMENT: 0, Role.AGENT: 1, Role.EXPERIMENT: 2}[role]
     words = np.random.SeedSequence(seed, spawn_key=(spawn_key,)).generate_state(1, np.uint64)

@@ -26,7 +26,7 @@ class Start(NamedTuple):
 
 
 class Experiment(Closing):
-    """RL-Glue's verbs. Their meaning, corner by corner, is in docs/protocol.md.
+    """RL-Glue's verbs. docs/protocol.md defines their meaning, including corner cases.
 
     Every verb may raise these errors.
 
@@ -43,10 +43,10 @@ class Experiment(Closing):
         raise NotImplementedError
 
     def close(self) -> None:
-        """Leave. RL_cleanup is not implied."""
+        """Leave, without RL_cleanup."""
 
     def rl_init(self, seed: int | None = None) -> str:
-        """Initialise the environment, then the agent; counters go to zero. Return the task spec.
+        """Initialise the environment, then the agent; reset the counters. Return the task spec.
 
         `seed`, 0 to 2**63 - 1, is passed to every player with the capability `seed`, before its init; agent
         and environment receive different numbers derived from it.
@@ -68,7 +68,7 @@ class Experiment(Closing):
     def rl_episode(self, max_steps: int = 0) -> bool:
         """Run an episode; return True if it reached its end, False if it was truncated (cut off).
 
-        It is cut off by `max_steps`, or by an environment with the capability `truncate`.
+        An episode is cut off by `max_steps`, or by an environment with the capability `truncate`.
 
         `max_steps`, 0 to 2**32 - 1, limits RL_num_steps, which is 1 after the start: the environment
         makes at most `max_steps` - 1 steps. 0 means no limit.
@@ -77,13 +77,13 @@ class Experiment(Closing):
         return bool(terminal) and terminal != CUT_OFF
 
     def rl_go_on(self, max_steps: int) -> bool | None:
-        """Go on with the episode that was started, until it ends or RL_num_steps is `max_steps`.
+        """Continue the episode under way until it ends or RL_num_steps is `max_steps`.
 
-        It may be called again. With RL_start before, it is `rl_episode` in parts, between which an experiment
-        may do anything else.
+        After RL_start, repeated calls are `rl_episode` in parts, between which an experiment may do anything
+        else.
 
         Returns:
-            True if the episode reached its end, False if the environment cut it off, None if it goes on.
+            True if the episode reached its end, False if the environment cut it off, None if it continues.
         """
         for _ in range(self.rl_num_steps(), max_steps):
             step = self.rl_step()
@@ -116,7 +116,7 @@ class Experiment(Closing):
         self._call(Kind.RL_CLEANUP)
 
     def rl_env_start(self) -> Observation:
-        """Half of RL_start: begin an episode in the environment alone."""
+        """Half of RL_start: begin an episode in the environment only."""
         return _observation(self._call(Kind.RL_ENV_START)[1])
 
     def rl_env_step(self, action: Action) -> Step:
@@ -125,7 +125,7 @@ class Experiment(Closing):
         return Step(reward, observation, bool(terminal), terminal == CUT_OFF)
 
     def rl_agent_start(self, observation: Observation) -> Action:
-        """Half of RL_start: begin an episode with the agent alone."""
+        """Half of RL_start: begin an episode with the agent only."""
         return _action(self._call(Kind.RL_AGENT_START, (), _given(observation, Observation))[1])
 
     def rl_agent_step(self, reward: float, observation: Observation) -> Action:
@@ -141,7 +141,7 @@ class Experiment(Closing):
         return bytes(self._call(Kind.RL_AGENT_SAVE)[1])
 
     def rl_agent_load(self, data: bytes) -> None:
-        """Restore in the agent what `rl_agent_save` returned."""
+        """Restore the agent from the result of `rl_agent_save`."""
         self._call(Kind.RL_AGENT_LOAD, (), _given(data, bytes))
 
     def rl_env_save(self) -> bytes:
@@ -149,16 +149,16 @@ class Experiment(Closing):
         return bytes(self._call(Kind.RL_ENV_SAVE)[1])
 
     def rl_env_load(self, data: bytes) -> None:
-        """Restore in the environment what `rl_env_save` returned."""
+        """Restore the environment from the result of `rl_env_save`."""
         self._call(Kind.RL_ENV_LOAD, (), _given(data, bytes))
 
     def rl_agent_metrics(self) -> dict[str, float]:
-        """Return the agent's own numbers by name (capability `metrics`), also during an episode."""
+        """Return the agent's metrics by name (capability `metrics`); callable during an episode, too."""
         return unpack_metrics(_observation(self._call(Kind.RL_AGENT_METRICS)[1]))
 
 
 def _whole(number: Any, bits: int, what: str) -> int:
-    """Return `number` as an int; it may be one of NumPy's."""
+    """Return `number`, which may be one of NumPy's, as an int."""
     try:
         whole = operator.index(number)
     except TypeError:
@@ -169,7 +169,7 @@ def _whole(number: Any, bits: int, what: str) -> int:
 
 
 def _given(value: _T, kind: type[_T]) -> _T:
-    """Return `value` if it is of the type that is sent."""
+    """Return `value`, after checking its type."""
     if not isinstance(value, kind):
         raise LocalProtocolError(f"expected a value of type {kind.__name__}, not {value!r:.80}")
     return value

@@ -1,4 +1,4 @@
-"""The numbers of an agent as the body of a message: doubles, with their names as chars, a line for each."""
+"""An agent's metrics as the body of a message: the values as doubles, the names as chars, one per line."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def checked_metrics(metrics: Mapping[str, float]) -> dict[str, float]:
     """Return an agent's metrics as floats.
 
     Raises:
-        AttributeError, TypeError: they are not a mapping, or a value is not a number.
+        AttributeError, TypeError: `metrics` is not a mapping, or a value is not a number.
         ValueError: there are too many, or a name is not a text, is empty, too long or has a line break.
     """
     found = {name: float(value) for name, value in metrics.items()}
@@ -27,7 +27,7 @@ def checked_metrics(metrics: Mapping[str, float]) -> dict[str, float]:
 
 
 def pack_metrics(metrics: Mapping[str, float]) -> Observation:
-    """Return the body for metrics that `checked_metrics` has returned."""
+    """Return the body for the result of `checked_metrics`."""
     return Observation([], [*metrics.values()], "\n".join(metrics).encode())
 
 
@@ -35,7 +35,7 @@ def unpack_metrics(body: Observation) -> dict[str, float]:
     """Return the metrics of a body.
 
     Raises:
-        PeerFailed: the names do not fit the numbers, or the limits.
+        PeerFailed: the names do not match the numbers, or exceed the limits.
     """
     names = tuple(body.chars.decode(errors="replace").split("\n")) if body.chars else ()
     values = body.doubles.tolist()
@@ -49,7 +49,7 @@ def unpack_metrics(body: Observation) -> dict[str, float]:
         ) from None
 
 
-@lru_cache  # an agent's names are nearly always those of the time before
+@lru_cache  # an agent's names hardly ever change
 def _check_names(names: tuple[object, ...]) -> None:
     if not len(names) == len(set(names)) <= MAX_METRICS or not all(map(_is_name, names)):
         raise ValueError(f"metrics are at most {MAX_METRICS} numbers with names in one line")

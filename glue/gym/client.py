@@ -1,7 +1,7 @@
-"""Any RL-Glue environment as a `gymnasium.Env`, also one behind a hub, in any language.
+"""Any RL-Glue environment as a `gymnasium.Env`, including one behind a hub, in any language.
 
-Over a hub the program is the experiment of a session. It plays the agent's part itself, by RL_env_start and
-RL_env_step; the agent that the session needs to be initialised is a stand-in, served from a thread.
+At a hub, the program is the experiment of a session. It plays the agent's part itself, by RL_env_start and
+RL_env_step; the agent that the session needs for its init is a stand-in, served from a thread.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def wrap(environment: Environment) -> GlueEnv:
     """Return an RL-Glue environment of this process as a `gymnasium.Env`.
 
     Raises:
-        ConfigError: its task spec does not say what its actions are.
+        ConfigError: its task spec does not state its actions.
     """
     return GlueEnv(local(_StandIn(), environment))
 
@@ -40,16 +40,16 @@ def wrap(environment: Environment) -> GlueEnv:
 def connect(hub: str = DEFAULT_HUB, session: str = DEFAULT_SESSION, *, wait: float | None = None) -> GlueEnv:
     """Return the environment of a session at a hub as a `gymnasium.Env`.
 
-    The session must have no agent and no experiment. Waits until the environment is there.
+    The session must have no agent and no experiment. Waits until the environment has joined.
 
     Args:
         hub: address of the hub.
         session: name of the session.
-        wait: seconds after which a hub that does not answer is given up; None waits forever.
+        wait: seconds to wait for the hub to answer; None waits forever.
 
     Raises:
         HubUnreachable: no hub has answered in that time.
-        ConfigError: the task spec does not say what actions are.
+        ConfigError: the task spec does not state the actions.
     """
     glue = remote.connect(hub, session, name="gymnasium", wait=wait)
     stand_in = threads.Thread(
@@ -72,7 +72,7 @@ def connect_vec(
         hub: address of the hub.
         sessions: names of the sessions; their environments have the same task spec.
         wait: as for `connect`.
-        options: of Gymnasium's SyncVectorEnv, such as `autoreset_mode`.
+        options: options of Gymnasium's SyncVectorEnv, such as `autoreset_mode`.
     """
     makers = [functools.partial(connect, hub, session, wait=wait) for session in sessions]
     return SyncVectorEnv(makers, **options)
@@ -82,13 +82,13 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
     """The environment of an experiment, whose agent is never asked for an action.
 
     Its spaces are read from the task spec; see `glue.gym.spaces.read_spaces`. A reset with a seed is an
-    RL_init with that seed, of which the environment gets a number of its own.
+    RL_init with that seed, from which the environment's own seed is derived.
 
     Args:
         glue: the experiment; it is closed with the environment.
 
     Raises:
-        ConfigError: the task spec does not say what actions are.
+        ConfigError: the task spec does not state the actions.
     """
 
     def __init__(self, glue: Experiment) -> None:
@@ -133,7 +133,7 @@ class GlueEnv(gymnasium.Env[Any, Any]):  # type: ignore[misc]
         """Carry out an action.
 
         Raises:
-            SimulatorError: it is not in the space, or there is no episode to step in.
+            SimulatorError: the action is not in the space, or no episode is under way.
             GlueError: see `Experiment`.
         """
         if not self._playing:

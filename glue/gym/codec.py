@@ -51,12 +51,12 @@ class Codec:
         return ints, doubles, chars.tobytes()
 
     def unpack(self, value: AbstractType) -> Any:
-        """Return the value of the space that ints, doubles and chars stand for.
+        """Return the value of the space that ints, doubles and chars encode.
 
-        Doubles outside of their bounds are clipped to them.
+        Doubles outside their bounds are clipped.
 
         Raises:
-            SimulatorError: the counts are wrong, a number is NaN, or another one is not in the space.
+            SimulatorError: the counts are wrong, a number is NaN, or a value is not in the space.
         """
         wrong = self.ranges_wrong(value)
         if wrong:
@@ -74,7 +74,7 @@ class Codec:
             numbers = runs[leaf.run][start : at[leaf.run]]
             if clips:
                 low, high = ends_of(leaf)
-                # NumPy's clip would make -0.0 of a 0.0 that may be there.
+                # NumPy's clip could turn a legal 0.0 into -0.0.
                 numbers = np.where(numbers < low, low, np.where(numbers > high, high, numbers))
             one = numbers.astype(leaf.dtype).reshape(leaf.shape)
             part = one[()] if isinstance(leaf.space, spaces.Discrete) else one
@@ -95,7 +95,7 @@ class Codec:
 
 
 def _runs(leaf: Leaf) -> Iterator[tuple[int, Range]]:
-    """Yield the ranges of a leaf's numbers, equal neighbours together."""
+    """Yield the ranges of a leaf's numbers as runs of equal neighbours."""
     low, high = ends_of(leaf)
     if not leaf.size:
         return

@@ -1,4 +1,4 @@
-"""Infos of Gymnasium's vector environments, taken apart: a dict for each game."""
+"""Infos of Gymnasium's vector environments, split into a dict for each game."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ def split(infos: dict[str, Any], count: int) -> list[dict[str, Any]]:
 
 
 def infos_of_step(infos: dict[str, Any], terminated: Flags, truncated: Flags) -> list[dict[str, Any]]:
-    """Return the infos of each game after a step, as Stable-Baselines3 wants them.
+    """Return the infos of each game after a step, as Stable-Baselines3 expects them.
 
-    Of a game whose episode is over they are those of its last step and what wrappers say of the episode, such
-    as its statistics, with the last observation as `terminal_observation` and with `TimeLimit.truncated`.
+    For a game whose episode is over, they are the infos of its last step and those of wrappers on the
+    episode, such as its statistics, with the last observation as `terminal_observation` and with
+    `TimeLimit.truncated`.
 
     Args:
-        infos: of a vector environment whose episodes begin in the same step.
+        infos: infos of a vector environment whose episodes begin in the same step.
         terminated, truncated: which episodes are over, shape (N,).
     """
     final, last = infos.get("final_info", {}), infos.get("final_obs")

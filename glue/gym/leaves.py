@@ -31,7 +31,7 @@ class Leaf(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of numbers in the leaf."""
+        """Number of elements in the leaf."""
         return int(np.prod(self.shape, dtype=np.int64))
 
 

@@ -25,7 +25,7 @@ __all__ = ["AutoresetMode", "read_mode"]
 
 
 def read_mode(mode: object) -> AutoresetMode:
-    """Return the mode that a user gave, as itself or by its value.
+    """Return the mode that a user gave, as a member or by its value.
 
     Raises:
         ConfigError: there is no such mode.

@@ -1,8 +1,8 @@
 """Stable-Baselines3: any Gymnasium vector environment for its algorithms, and its policies for RL-Glue.
 
-Stable-Baselines3 takes vector environments of its own kind alone. `SB3VecEnv` makes one of a Gymnasium vector
-environment that begins episodes in the same step. Policies come from local files, which may execute code when
-they are loaded: load only what you trained yourself. Nothing here reads one from the wire.
+Stable-Baselines3 takes only vector environments of its own kind. `SB3VecEnv` makes one from a Gymnasium
+vector environment that begins episodes in the same step. Policies come from local files, which may execute
+code when they are loaded: load only those that you trained yourself. Nothing here reads one from the wire.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from glue.errors import ConfigError
 from glue.roles import Agent
 
-# First of all, as it needs Gymnasium itself: the message names the extra that installs both.
+# Imported first, because it needs Gymnasium itself: the message names the extra that installs both.
 try:
     import stable_baselines3
     from stable_baselines3.common.vec_env import VecEnv
@@ -36,7 +36,7 @@ _ALGORITHMS: Final = ("PPO", "A2C", "DQN", "SAC", "TD3", "DDPG")
 
 
 class SB3VecEnv(VecEnv):  # type: ignore[misc]
-    """A Gymnasium vector environment as Stable-Baselines3 wants it.
+    """A Gymnasium vector environment in the form that Stable-Baselines3 expects.
 
     When an episode is over, `infos[i]` has its last observation as `terminal_observation`, and
     `TimeLimit.truncated`: whether it was only truncated, so that values are bootstrapped.
@@ -93,7 +93,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         raise ConfigError(f"{attr_name} cannot be set: the games of a vector environment share it")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Refuse: the games are no objects of their own.
+        """Refuse: the games are not separate objects.
 
         Raises:
             ConfigError: always.
@@ -101,7 +101,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         raise ConfigError(f"{method_name} cannot be called: the games are no environments of their own")
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """Return false for each game: it has no wrappers of its own."""
+        """Return False for each game: games have no wrappers of their own."""
         return [False] * len(self._chosen(indices))
 
     def get_images(self) -> Sequence[npt.NDArray[np.uint8] | None]:

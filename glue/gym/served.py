@@ -1,8 +1,8 @@
 """Any Gymnasium environment as an RL-Glue environment: `glue-env gymnasium:CartPole-v1`.
 
-Its spaces become the task spec (see `glue.gym.spaces`), and its truncation that of the steps. Infos
-do not cross the wire. An action of floats is clipped to its bounds; any other that is not in the space is
-refused, and the environment is not stepped.
+Its spaces become the task spec (see `glue.gym.spaces`), and its truncations those of the steps. Infos
+are not sent. An action of floats is clipped to its bounds; any other action that is not in the space is
+refused without stepping the environment.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ class GymnasiumEnvironment(Environment):
     """A Gymnasium environment, served to RL-Glue.
 
     Args:
-        make: makes the environment. It is called once at first, to learn the spaces, and again after a
-            cleanup.
+        make: makes the environment. It is called once by the constructor, for the spaces, and again after
+            a cleanup.
 
     The capability `save` is offered if the environment itself has methods `env_save` and `env_load`, as in
-    `glue.roles`: Gymnasium has no way to save one that is safe to load.
+    `glue.roles`: Gymnasium has no save format that is safe to load.
 
     Raises:
         ConfigError: a space cannot be described by a task spec.
@@ -59,7 +59,7 @@ class GymnasiumEnvironment(Environment):
             self.env_load: Callable[[bytes], None] = own.env_load
 
     def env_seed(self, seed: int) -> None:
-        """Seed the next episode; those after it follow from it."""
+        """Seed the next episode, and thereby those after it."""
         self._seed = seed
 
     def env_init(self) -> str:
@@ -80,7 +80,7 @@ class GymnasiumEnvironment(Environment):
         """Carry out an action.
 
         Raises:
-            SimulatorError: it is not in the space, or no episode is being played.
+            SimulatorError: the action is not in the space, or no episode is being played.
         """
         env = self._opened()
         if not self._playing:

@@ -1,15 +1,16 @@
 """Gymnasium's spaces as task specs, and back.
 
 A space becomes a run of ints, one of doubles and one of chars, its leaves one after the other: those of a
-Dict in the order of its keys, those of a Tuple in its own.
+Dict in the order of its keys, those of a Tuple in order.
 
     Discrete, MultiDiscrete, MultiBinary    ints
     Box of integers other than uint8        ints, if they fit 32 bits
     Box of uint8                            chars
     Box of float16, float32 or float64      doubles
 
-What the ranges of a task spec do not say (shapes, types, names, the bounds of chars) is the *layout*: JSON
-behind the word LAYOUT in the task spec's EXTRA. A space read back from text and layout is equal to the first.
+Properties that the ranges of a task spec do not state (shapes, types, names, the bounds of chars) are the
+*layout*: JSON after the word LAYOUT in the task spec's EXTRA. A space read back from text and layout is equal
+to the original.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ def task_spec(observations: Codec, actions: Codec) -> str:
     """Return the task spec of an environment with these spaces.
 
     Raises:
-        TaskSpecError: it would be longer than a task spec may be.
+        TaskSpecError: the task spec would be too long.
     """
     layout = json.dumps(
         {"observation": _layout(observations.space), "action": _layout(actions.space)}, separators=(",", ":")
@@ -48,9 +49,9 @@ def task_spec(observations: Codec, actions: Codec) -> str:
 def read_spaces(spec: TaskSpec) -> tuple[SpaceLike, SpaceLike]:
     """Return the spaces of observations and actions that a task spec describes.
 
-    Where there is no layout, one bounded int is Discrete, several are MultiDiscrete, other ints, doubles and
-    chars are Boxes, and of more than one kind a Dict of `ints`, `doubles` and `chars`. What is not stated is
-    a Dict of sequences of any length.
+    Without a layout, one bounded int is a Discrete, several are a MultiDiscrete, other ints, doubles and
+    chars are Boxes, and numbers of more than one kind a Dict of `ints`, `doubles` and `chars`. A space that
+    is not stated is a Dict of sequences of any length.
 
     Raises:
         ConfigError: the layout is damaged or does not fit the ranges.
@@ -85,13 +86,13 @@ def _layout(space: SpaceLike) -> Any:
 
 
 def _shortened(bounds: npt.NDArray[np.uint8]) -> int | list[int]:
-    """Return equal bounds as one."""
+    """Return bounds, as one number if they are equal."""
     flat: list[int] = bounds.reshape(-1).tolist()
     return flat[0] if len(set(flat)) == 1 else flat
 
 
 class _Reader:
-    """Takes ranges from a task spec's runs, in order."""
+    """Reader of the ranges in a task spec's runs, in order."""
 
     def __init__(self, space: Space) -> None:
         self._ends = tuple(
@@ -149,7 +150,7 @@ def _shape(described: Any) -> tuple[int, ...]:
 def _read_discrete(described: Any, reader: _Reader) -> SpaceLike:
     low, high = reader.take(INT, ()).astype(np.int64).tolist()
     dtype = _integers(described)
-    # Gymnasium 1.0 has no other.
+    # Gymnasium 1.0 has no other dtype.
     other: dict[str, Any] = {} if dtype == np.int64 else {"dtype": dtype}
     return spaces.Discrete(high - low + 1, start=low, **other)
 

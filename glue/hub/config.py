@@ -1,7 +1,7 @@
 """Settings of a hub and its peers: frozen values, made by the command line or by a program.
 
 Each address of a hub can be limited to some roles and sessions. A program that starts some of the players
-itself reserves their roles in this way, whatever role a peer from outside claims:
+itself reserves their roles in this way, regardless of the role that a peer from outside claims:
 
     inside = Bind(f"ipc://{folder}/hub", roles=frozenset({Role.EXPERIMENT, Role.ENVIRONMENT}))
     outside = Bind("tcp://127.0.0.1:4097", roles=frozenset({Role.AGENT}))
@@ -15,7 +15,7 @@ An address that requires a known key, which decides the role and the sessions of
 
     Bind("tcp://0.0.0.0:4097", keys=Keys(secret, {public: Permit("carol", frozenset({Role.AGENT}))}))
 
-Agents can be limited in time, see `glue.hub.time_bank`:
+The time of agents can be limited, see `glue.hub.time_bank`:
 
     HubConfig(time=TimeLimits(step_seconds=0.5, bank_seconds=30))
 """
@@ -39,20 +39,20 @@ DEFAULT_HUB: Final = "tcp://127.0.0.1:4097"
 DEFAULT_SESSION: Final = "default"
 
 HUB_VARIABLE: Final = "GLUE_HUB"
-"""The environment variable of the option `--hub`, in every command and client that has it; and so on."""
+"""Environment variable of the option `--hub`, in every command and client that has it; others likewise."""
 
 SESSION_VARIABLE: Final = "GLUE_SESSION"
 KEY_VARIABLE: Final = "GLUE_KEY"
 HUB_KEY_VARIABLE: Final = "GLUE_HUB_KEY"
 
 _IPC_PATH_LIMIT: Final = 107
-"""Bytes in the path of a Unix socket; Linux, sockaddr_un."""
+"""Maximum number of bytes in the path of a Unix socket; Linux, sockaddr_un."""
 
 _BODIES: Final = 4
-"""Bodies that a single session may have to keep: task spec, action, call and reply."""
+"""Number of bodies that a single session may have to keep: task spec, action, call and reply."""
 
 _MAX_TIMEOUT: Final = 7 * 86400.0
-"""Seconds; libzmq counts milliseconds in 31 bits."""
+"""Maximum timeout in seconds; libzmq counts milliseconds in 31 bits."""
 
 _TCP: Final = re.compile(r"tcp://(?P<host>\[[0-9a-fA-F:]+\]|[^:/\[\]]+):(?P<port>\d{1,9}|\*)")
 _LEGACY: Final = re.compile(
@@ -65,11 +65,11 @@ class Bind:
     """An address of a hub, and the roles and sessions that peers can join there.
 
     Args:
-        url: address to listen at: `tcp://host:port` or `ipc://path`; `tcp://host:*` takes any free port.
+        url: address to listen on: `tcp://host:port` or `ipc://path`; `tcp://host:*` takes any free port.
         roles: the roles that are open there; all by default.
         sessions: the sessions that are open there; None for all.
-        keys: permissions of public keys, by CURVE; None admits everybody, unencrypted. A key opens
-            what both its permit and this address open.
+        keys: permits by public key, for CURVE; None admits everybody, unencrypted. A key opens only the
+            roles and sessions that both its permit and this address open.
 
     Raises:
         ConfigError: the URL is malformed, or no role or no session is open there.
@@ -87,7 +87,7 @@ class Bind:
 
     @property
     def warning(self) -> str:
-        """A warning of who else can join, to begin a line with; empty if keys or a file mode prevent it."""
+        """Start of a line that warns who else can join; empty if keys or a file mode prevent it."""
         if self.keys is not None or (self.url.startswith("ipc://") and self.url[6] != "@"):
             return ""
         who = "any user of this machine" if _is_local(self.url) else "anyone who reaches this machine"
@@ -102,14 +102,14 @@ class Bind:
 class TimeLimits:
     """The time that an agent has in a session.
 
-    An answer that takes longer than `step_seconds` drains the rest from a bank of `bank_seconds`. An agent
+    An answer that takes longer than `step_seconds` drains the excess from a bank of `bank_seconds`. An agent
     whose time is over is dismissed. See `glue.hub.time_bank`.
 
     Args:
-        step_seconds: per answer, without loss.
-        bank_seconds: in all, for what answers take beyond that.
-        start_seconds: to initialise, that is for `agent_seed` and `agent_init`.
-        total_seconds: for all answers together.
+        step_seconds: seconds per answer that do not drain the bank.
+        bank_seconds: seconds in all for the excess of answers.
+        start_seconds: seconds to initialise, for `agent_seed` and `agent_init`.
+        total_seconds: seconds for all answers together.
 
     Raises:
         ConfigError: a time is negative, or not a number of seconds up to a week.
@@ -137,14 +137,14 @@ class HubConfig:
     """Settings of a hub.
 
     Args:
-        bind: addresses to listen at; a mere URL is open to every role of every session.
+        bind: addresses to listen on; a plain URL is open to every role of every session.
         heartbeat: seconds between heartbeats, and so the time within which a cut connection is noticed.
         timeout: seconds that a peer may be unreachable before it is given up and its episode is void.
         max_body: maximum size of an observation, action or text, in bytes.
         max_sessions: maximum number of sessions at once; a peer that would open one more is refused.
-        max_memory: maximum number of bytes kept in all: bodies in transit, incomplete messages, and what
-            peers have not read. When it is exceeded, the session or connection that uses most is ended. By
-            default a quarter of the machine's memory.
+        max_memory: maximum number of bytes kept in all: bodies in transit, incomplete messages, and data
+            that peers have not read. When it is exceeded, the session or connection that uses most is ended.
+            By default a quarter of the machine's memory.
         insecure: allow addresses without keys that other machines can reach. Peers are not authenticated.
         time: limits of the agent in every session; None for none.
 

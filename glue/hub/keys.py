@@ -10,7 +10,7 @@ from glue.errors import ConfigError
 from glue.wire.messages import Role
 
 KEY_SIZE: Final = 32
-"""Bytes of a CURVE key, public or secret."""
+"""Size of a CURVE key, public or secret, in bytes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,8 +19,8 @@ class Permit:
 
     Args:
         name: the name that the owner of the hub gives to the owner of the key.
-        roles: the roles that it may take.
-        sessions: the sessions in which it may take them; None for all.
+        roles: the roles that the owner may take.
+        sessions: the sessions in which the owner may take them; None for all.
     """
 
     name: str

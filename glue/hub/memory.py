@@ -1,11 +1,11 @@
-"""A bound on the memory of a hub, and the choice of what is evicted when it is exceeded."""
+"""A limit on the memory of a hub, and the choice of the holders to evict when it is exceeded."""
 
 from __future__ import annotations
 
 from typing import Final, Protocol
 
 _SMALL: Final = 65_536
-"""Bytes that a connection may hold before it joins a session, and not be evicted before others."""
+"""Bytes that a connection may hold before it joins a session without being evicted before others."""
 
 
 class Holder(Protocol):
@@ -17,7 +17,7 @@ class Holder(Protocol):
         ...
 
     def evict(self, why: str) -> None:
-        """Release all memory that is used for it, and send its peers the reason."""
+        """Release all memory used for it, and send its peers the reason."""
         ...
 
 
@@ -25,7 +25,7 @@ class Memory:
     """Memory used by all holders; when its total exceeds `limit`, `relieve` evicts the largest holder.
 
     Args:
-        limit: bytes.
+        limit: maximum total, in bytes.
 
     Attributes:
         exceeded: whether the total exceeds the limit.
@@ -45,7 +45,7 @@ class Memory:
         self.exceeded = self._total > self._limit
 
     def relieve(self) -> None:
-        """Evict the largest holders until the total is within the limit; none may be in use afterwards."""
+        """Evict the largest holders until the total is within the limit; callers must not use them again."""
         while self.exceeded:
             largest = max(
                 self._held,

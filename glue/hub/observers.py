@@ -1,8 +1,9 @@
 """Observers of a session: the messages that they are shown, and their number.
 
-An observer asks for a number of moments, and is shown the next ones; all others are missed. So whoever looks
-thirty times a second costs the session thirty messages a second, however fast it plays. What cannot be sent
-at once, because the observer has not read the previous ones, is missed, too: nothing is kept for it.
+An observer asks for a number of moments, and is shown the next ones; it misses all others. An observer that
+asks thirty times a second thus costs the session thirty messages a second, however fast it plays. A message
+that cannot be sent at once, because the observer has not read the previous ones, is missed, too: no messages
+are kept for it.
 """
 
 from __future__ import annotations
@@ -19,12 +20,12 @@ if TYPE_CHECKING:
     from glue.hub.peer import Peer
 
 MAX_OBSERVERS: Final = 8
-"""Observers of one session at most."""
+"""Maximum number of observers of one session."""
 
 
 @dataclass(slots=True)
 class _View:
-    """Moments that an observer still wants, the number of the latest, and whether it lacks the spec."""
+    """Number of moments that an observer still wants, number of the latest, and whether it lacks the spec."""
 
     wanted: int = 0
     number: int = 0
@@ -32,7 +33,7 @@ class _View:
 
 
 class Observers:
-    """The observers of one session. For each, moments and answers are numbered; what it misses leaves a gap.
+    """The observers of one session. Moments and answers are numbered for each; a missed one leaves a gap.
 
     Args:
         session: the session's name.
@@ -43,7 +44,7 @@ class Observers:
         self._session = session
         self._send = send
         self._views: dict[Peer, _View] = {}
-        self._episode = 0  # begun since the first observer joined
+        self._episode = 0  # number of episodes begun since the first observer joined
 
     @property
     def peers(self) -> list[Peer]:
@@ -51,7 +52,7 @@ class Observers:
         return list(self._views)
 
     def join(self, peer: Peer, engine: Engine) -> None:
-        """Let `peer` look on; it is sent the task spec, if there is one."""
+        """Let `peer` observe, and send it the task spec, if there is one."""
         self._views[peer] = _View()
         self._tell_spec(engine)
 
@@ -60,18 +61,18 @@ class Observers:
         del self._views[peer]
 
     def want(self, peer: Peer, moments: int) -> None:
-        """Show `peer` the next `moments` moments, whatever it has asked for before."""
+        """Show `peer` the next `moments` moments, in place of any earlier request."""
         self._views[peer].wanted = moments
 
     def show(self, call: Message, scalars: tuple[Value, ...], body: bytes, engine: Engine) -> None:
-        """Show the answer to `call`, which `engine` has taken, if observers are shown such answers."""
+        """Show the answer to `call`, which `engine` has received, if observers are shown such answers."""
         kind = call.kind
         if kind is Kind.ENV_STEP:
             counters = (self._episode, engine.num_steps, engine.total_reward)
             self._show(Kind.OBSERVED_STEP, (*counters, *scalars), body, call.body)
         elif kind is Kind.ENV_START:
             self._episode += 1
-            self._tell_spec(engine)  # to those to whom it could not be sent before
+            self._tell_spec(engine)  # to observers to which it could not be sent before
             self._show(Kind.OBSERVED_START, (self._episode,), body)
         elif kind is Kind.ENV_INIT:
             for view in self._views.values():
@@ -83,7 +84,7 @@ class Observers:
                 self._tell(peer, view, Kind.OBSERVED_MESSAGE, (message,), body)
 
     def _show(self, kind: Kind, scalars: tuple[Value, ...], *bodies: bytes) -> None:
-        """Show a moment to those who want one."""
+        """Show a moment to the observers that want one."""
         for peer, view in self._views.items():
             if not view.wanted:
                 view.number += 1

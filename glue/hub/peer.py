@@ -1,4 +1,4 @@
-"""The peers of a session, the routes to them, and the interface of the hub to a session."""
+"""The peers of a session, the routes to them, and the hub's interface for sessions."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Route(Protocol):
 class Peer:
     """The program that fills a role, and the route to it.
 
-    `name` is what error messages call it; `label` adds its language and library, for notices and the log.
+    `name` is its name in error messages; `label` adds its language and library, for notices and the log.
     """
 
     __slots__ = (
@@ -65,13 +65,13 @@ class Peer:
 
 
 class Board(Protocol):
-    """The interface of the hub to a session; see `glue.hub.sessions.Switchboard`."""
+    """The hub's interface for sessions; see `glue.hub.sessions.Switchboard`."""
 
     memory: Memory
     log: Callable[[str], None]
 
     def deliver(self, peer: Peer, message: Message) -> None:
-        """Send `message` to `peer`, or note that it cannot be reached."""
+        """Send `message` to `peer`, or note that the peer cannot be reached."""
         ...
 
     def end(self, session: Session, why: str) -> None:
@@ -79,5 +79,5 @@ class Board(Protocol):
         ...
 
     def dismiss(self, player: Peer, why: str) -> None:
-        """Say goodbye to a player that failed, and go on without it; `why` completes a sentence about it."""
+        """Say goodbye to a failed player, and continue without it; `why` completes a sentence about it."""
         ...

@@ -1,9 +1,9 @@
-"""One session: an engine, up to three peers, and each step exactly once however often the network drops.
+"""One session: an engine, up to three peers, and each step exactly once however often connections break.
 
-- Every call carries a sequence number, and its answer names it. An answer to anything but the outstanding
-  call changes nothing.
+- Every call carries a sequence number, and its answer repeats that number. An answer to any other call than
+  the outstanding one changes nothing.
 - When a known peer returns over a new connection, the outstanding call is sent again; a peer that has already
-  answered it repeats its answer. An experiment is sent its last reply again in the same way.
+  answered it repeats its answer. Likewise, an experiment is sent its last reply again.
 - When a player is lost, the episode under way is void, and the experiment is notified.
 """
 
@@ -27,17 +27,17 @@ _CALLEES: Final = {kind: call.callee for kind, call in CALLS.items()}
 _ALWAYS: Final = frozenset(
     kind for kind, call in CALLS.items() if call.capability is None and kind is not Kind.AGENT_INIT
 )
-"""Calls that every player of the role can be asked."""
+"""Calls that every player of the role accepts."""
 
 # Bound once: looking up a member of an enum takes longer than comparing with it.
 _ENV_STEP: Final = Kind.ENV_STEP
 _ERROR: Final = Kind.ERROR
 
 _message: Final = tuple.__new__
-"""Makes a named tuple at half the cost of calling its class."""
+"""Constructor of a named tuple, at half the cost of calling its class."""
 
 _LIGHT: Final = 65_536
-"""Bytes of bodies that a session may keep unaccounted for: 64 MiB in 1024 sessions."""
+"""Total size in bytes of bodies that a session may keep without accounting: 64 MiB in 1024 sessions."""
 
 
 class Session:
@@ -45,7 +45,7 @@ class Session:
 
     Args:
         board: the hub.
-        name: of the session.
+        name: the session's name.
         time: limits the time of the agent; None for no limit.
     """
 
@@ -81,7 +81,7 @@ class Session:
         self._outstanding: Message | None = None
         self._request_seq = 0
         self._reply: Message | None = None
-        # Labels of players that were lost since the reply before the last request, and since the reply to it.
+        # Labels of lost players: from the reply before the last request to the reply to it, and since then.
         self._lost: dict[Role, str] = {}
         self._lost_since_reply: dict[Role, str] = {}
         self._slow = SlowCalls()
@@ -94,15 +94,15 @@ class Session:
 
     @property
     def seated(self) -> bool:
-        """True: connections that take part in no session are evicted first."""
+        """Always true: connections that take part in no session are evicted first."""
         return True
 
     def evict(self, why: str) -> None:
-        """End the session: it uses too much memory."""
+        """End the session, which uses too much memory."""
         self._board.end(self, why)
 
     def _weigh(self) -> None:
-        """Account for the bodies that are kept, unless all of them are small."""
+        """Account for the bodies that are kept, unless they are small."""
         engine, call, reply = self._engine, self._outstanding, self._reply
         bodies = (call and call.body, reply and reply.body, engine.last_action, engine.task_spec)
         size = sum(len(body) for body in bodies if body)
@@ -112,8 +112,8 @@ class Session:
     def knows(self, role: Role, instance: bytes) -> bool:
         """Return whether `instance` was the last in that role, and has sent a request or an answer.
 
-        Until it has, it may not have read its first WELCOME, which makes it forget what it did at another
-        hub: that WELCOME may have been lost with its connection.
+        Until then it may not have read its first WELCOME, which makes it forget its state at another hub:
+        that WELCOME may have been lost with the connection.
         """
         return instance == self._confirmed.get(role)
 
@@ -123,15 +123,15 @@ class Session:
         self._confirmed[peer.role] = peer.instance
 
     def join(self, peer: Peer, same: bool, announce: bool) -> None:
-        """Let `peer` take its role, and send it what is waiting for it.
+        """Let `peer` take its role, and send it the messages that wait for it.
 
         Args:
             peer: the peer.
-            same: whether it is the last peer of the role, over a new connection or after it was lost.
+            same: whether it is the previous peer of the role, over a new connection or after it was lost.
             announce: whether the role was empty.
 
-        An experiment that returns is told again which players were lost, in the order in which it would have
-        learned of it: before the reply that is repeated, or after it.
+        An experiment that returns is notified again of lost players, in the original order: before the
+        repeated reply, or after it.
         """
         role = peer.role
         if not same:
@@ -165,13 +165,13 @@ class Session:
             self.repeat(peer)
 
     def repeat(self, peer: Peer) -> None:
-        """Send again what `peer` may have missed; it ignores what it has already received."""
+        """Resend the message that `peer` may have missed; a peer ignores messages it has already received."""
         missed = self._reply if peer.role is Role.EXPERIMENT else self._outstanding
         if missed is not None and (peer.role is Role.EXPERIMENT or CALLS[missed.kind].callee is peer.role):
             self._board.deliver(peer, missed)
 
     def observe(self, peer: Peer, send: Callable[[Peer, Message], bool]) -> None:
-        """Let `peer` look on: `send` sends it a message, or returns False."""
+        """Let `peer` observe; `send` sends it a message, or returns False."""
         if self.observers is None:
             self.observers = Observers(self.name, send)
         self.observers.join(peer, self._engine)
@@ -199,7 +199,7 @@ class Session:
             self._fail(code, reason)
 
     def enforce_time(self) -> None:
-        """Dismiss an agent that has not answered, and whose time is over."""
+        """Dismiss an agent that has run out of time without answering."""
         agent = self.peers.get(Role.AGENT)
         why = None if self._time is None else self._time.overdue()
         if agent is not None and why is not None:
@@ -219,7 +219,7 @@ class Session:
             self._notify(Event.SLOW, player.role, text)
 
     def explain(self, player: Peer, message: Message) -> None:
-        """Pass on, once for each call, why the player's answer will take long."""
+        """Pass on, once per call, why the player's answer will take long."""
         asked = self._outstanding
         if asked is None or asked.seq != message.seq or asked.seq == self._explained:
             return
@@ -238,7 +238,7 @@ class Session:
                     f"sequence numbers increase from 1"
                 )
                 self._error(peer, message, ErrorCode.NOT_ASKED, text)
-            # Otherwise it is a repetition; if its reply was lost, it was sent again after the HELLO.
+            # Otherwise it is a repetition; a lost reply has been sent again after the HELLO.
             return False
         engine = self._engine
         if engine.verb is not None:
@@ -263,7 +263,7 @@ class Session:
         return True
 
     def answer(self, peer: Peer, message: Message) -> bool:
-        """Take an answer to the outstanding call, and make the next one; return whether it was in turn."""
+        """Take an answer to the outstanding call, and make the next call; return whether it was in turn."""
         kind, _, seq, scalars, body = message
         outstanding = self._outstanding
         if outstanding is None or seq != outstanding[2] or _CALLEES[outstanding[0]] is not peer.role:
@@ -280,7 +280,7 @@ class Session:
             self._fail(ErrorCode.PEER_FAILED, f"{peer.role} {peer.name} raised in {what}: {text}")
             return True
         if kind is _ENV_STEP and scalars[1] == CUT_OFF and "truncate" not in peer.capabilities:
-            scalars = (scalars[0], True)  # to an older environment every number but 0 is true
+            scalars = (scalars[0], True)  # to an older environment every nonzero number is true
         try:
             instruction = self._engine.resume(kind, scalars, body)
         except RemoteProtocolError as error:
@@ -293,10 +293,10 @@ class Session:
         return True
 
     def _answered_out_of_turn(self, peer: Peer, message: Message) -> None:
-        """Refuse an answer to a call that was never made; ignore one that is late or repeated.
+        """Refuse an answer to a call that was never made; ignore a late or repeated answer.
 
-        An answer to an older call is a repetition, or belongs to an episode that is now void. Either shows
-        that the player has been welcomed.
+        An answer to an older call is a repetition, or belongs to an episode that is now void. Both show that
+        the player has been welcomed.
         """
         seq = message.seq
         never = seq > self._seq or seq == 0
@@ -347,7 +347,7 @@ class Session:
             self._fail(ErrorCode.UNSUPPORTED, unsupported(kind, role, player.name))
 
     def _fail(self, code: ErrorCode, text: str) -> None:
-        """End the verb that is being carried out with an error."""
+        """End the current verb with an error."""
         self._engine.abort()
         self._outstanding = None
         self._answer_experiment(Message(Kind.ERROR, self.name, self._request_seq, (str(code), clip(text))))

@@ -1,12 +1,11 @@
-"""The hub without its sockets: the members of sessions, and the consequences of losing one.
+"""The hub without its sockets: the members of sessions, and the consequences of losing a member.
 
 A `Switchboard` takes messages and the time, and hands messages to the routes of the peers.
 
-- A peer identifies itself, in its HELLO, by a random number of its own: its instance. The same instance over
-  a new connection is the same peer, and goes on where it was (see `glue.hub.session`). Until an instance has
-  sent a request or an answer, every WELCOME says that it is unknown: the one that said so before may have
-  been lost.
-- A peer is lost when it is unreachable for longer than the hub's timeout, or when another takes its role
+- A peer identifies itself, in its HELLO, by a random number: its instance. The same instance over a new
+  connection is the same peer, and continues where it was (see `glue.hub.session`). Until an instance has
+  sent a request or an answer, every WELCOME says that it is unknown: an earlier WELCOME may have been lost.
+- A peer is lost when it is unreachable for longer than the hub's timeout, or when another peer takes its role
   meanwhile.
 """
 
@@ -26,7 +25,7 @@ from glue.wire.codec import UnknownKind, clip
 from glue.wire.messages import CALLS, PROTOCOL_VERSION, ErrorCode, Event, Kind, Message, Role
 
 INSTANCE_SIZE: Final = 16
-"""Bytes of the random number by which a peer is known across connections."""
+"""Size in bytes of the random number that identifies a peer across connections."""
 
 ONE_RUN: Final = "one-run"
 """Capability of a player that takes part in a single run: it is dismissed when the experiment leaves."""
@@ -64,7 +63,7 @@ class Switchboard:
         """The peers of each connection, by session."""
 
     def num_seats(self, route: Route) -> int:
-        """Return in how many sessions a route takes part."""
+        """Return the number of sessions in which a route takes part."""
         seats = self._seats.get(route)
         return 0 if seats is None else len(seats)
 
@@ -81,7 +80,7 @@ class Switchboard:
     def receive(self, route: Route, message: Message, now: float) -> bool:
         """Act on a message from `route`; return whether it was in turn.
 
-        In turn are the answer to the outstanding call, and a request while none is being carried out.
+        The answer to the outstanding call is in turn, and so is a request while none is being carried out.
         """
         self._now = now
         seats = self._seats.get(route)
@@ -111,7 +110,10 @@ class Switchboard:
         return False
 
     def malformed(self, route: Route, error: RemoteProtocolError, now: float) -> None:
-        """Act on bytes from `route` that are not a message: their sender loses its seats."""
+        """Act on bytes from `route` that are not a message: their sender loses its seats.
+
+        A message of an unknown kind, which may be of a newer protocol, is only answered with an ERROR.
+        """
         self._now = now
         if isinstance(error, UnknownKind):
             message = Message(Kind.ERROR, error.session, error.seq)
@@ -121,7 +123,7 @@ class Switchboard:
         self.lose(route, f"sent a malformed message: {error}", now, ErrorCode.PEER_FAILED)
 
     def lose(self, route: Route, why: str, now: float, code: ErrorCode = ErrorCode.PEER_LOST) -> None:
-        """Go on without the peers of `route`; `why` completes a sentence about them."""
+        """Continue without the peers of `route`; `why` completes a sentence about them."""
         self._now = now
         for peer in list(self._seats.get(route, {}).values()):
             self._lose(peer, why, code)
@@ -135,7 +137,7 @@ class Switchboard:
                 if not reached:
                     self._mark_unreachable(peer)
                 elif peer.unreachable_since is not None:
-                    # Its connection holds, but its queue was full, and something was dropped.
+                    # Its connection is intact, but its queue was full and a message was dropped.
                     peer.unreachable_since = None
                     peer.session.repeat(peer)
                 since = peer.unreachable_since
@@ -147,7 +149,7 @@ class Switchboard:
         self.memory.relieve()
 
     def close(self, reason: str) -> None:
-        """Say goodbye to every peer: the hub ends."""
+        """Say goodbye to every peer, as the hub ends."""
         for route, seats in self._seats.items():
             for session in seats:
                 self.send(route, Message(Kind.GOODBYE, session, 0, (reason,)))
@@ -166,7 +168,7 @@ class Switchboard:
             self.send(route, Message(Kind.REFUSE, message.session, message.seq, (str(code), clip(text))))
 
     def _greet(self, route: Route, message: Message) -> tuple[ErrorCode, str] | None:
-        """Let the sender of a HELLO in, or return why not."""
+        """Admit the sender of a HELLO, or return why not."""
         versions, role_name, instance, name, codec, capabilities = message.scalars
         assert isinstance(versions, tuple)
         assert isinstance(instance, bytes)
@@ -217,12 +219,12 @@ class Switchboard:
             self._lose(current, "was replaced by another")
             current = None
         known = session.knows(role, instance)
-        # Over one connection nothing is lost: the sender has read, or will read, the WELCOME before this one.
+        # Over one connection nothing is lost: the sender has read, or will read, the previous WELCOME.
         resumed = known or (current is not None and current.route == route)
         self._welcome(route, message, resumed)
         if current is not None:
             if current.route == route:
-                # It has missed nothing. To send more again would let it fill the hub's memory.
+                # It has missed nothing. Sending more again would let it fill the hub's memory.
                 return None
             self._unseat(current)
         offered = frozenset(map(str, capabilities))
@@ -235,7 +237,7 @@ class Switchboard:
         return None
 
     def _welcome(self, route: Route, message: Message, resumed: bool) -> None:
-        """Answer a HELLO whose sender is let in."""
+        """Answer a HELLO whose sender is admitted."""
         config = self._config
         welcome = (PROTOCOL_VERSION, resumed, config.heartbeat, config.timeout, config.max_body)
         self.send(route, Message(Kind.WELCOME, message.session, message.seq, welcome))
@@ -243,7 +245,7 @@ class Switchboard:
     def _greet_observer(
         self, route: Route, message: Message, instance: bytes, name: str, codec: str
     ) -> tuple[ErrorCode, str] | None:
-        """Let the sender of a HELLO look on, or return why not. It takes no role, and opens no session."""
+        """Admit the sender of a HELLO as an observer, which opens no session, or return why not."""
         session = self._sessions.get(message.session)
         if session is None:
             return ErrorCode.NO_SESSION, f"there is no session {message.session!r} yet; say HELLO again later"
@@ -280,12 +282,12 @@ class Switchboard:
                 self.send(peer.route, goodbye)
 
     def dismiss(self, player: Peer, why: str) -> None:
-        """Say goodbye to a player that failed, and go on without it; `why` completes a sentence about it."""
+        """Say goodbye to a failed player, and continue without it; `why` completes a sentence about it."""
         self.send(player.route, Message(Kind.GOODBYE, player.session.name, 0, (clip(f"it {why}"),)))
         self._lose(player, why, ErrorCode.PEER_FAILED)
 
     def _end_run(self, session: Session) -> None:
-        """The run is over: say goodbye to the players that take part in a single run."""
+        """Say goodbye to the players that take part in a single run, which is over."""
         for player in list(session.peers.values()):
             if ONE_RUN in player.capabilities:
                 goodbye = Message(Kind.GOODBYE, session.name, 0, ("the experiment is over",))
@@ -321,7 +323,7 @@ class Switchboard:
         self.send(route, Message(Kind.ERROR, message.session, message.seq, (str(code), clip(text))))
 
     def deliver(self, peer: Peer, message: Message) -> None:
-        """Send `message` to `peer`; if it cannot be reached, its timeout begins."""
+        """Send `message` to `peer`; start its timeout if it cannot be reached."""
         if not peer.route.deliver(message):
             self._mark_unreachable(peer)
 
@@ -331,5 +333,5 @@ class Switchboard:
 
 
 def _named(name: str, codec: str) -> tuple[str, str]:
-    """Return the name of a peer in error messages, and its name in notices and the log."""
+    """Return the name of a peer for error messages, and its label for notices and the log."""
     return clip(name, _MAX_LABEL), clip(f"{name} ({codec})", _MAX_LABEL)

@@ -12,12 +12,12 @@ _FACTOR: Final = 6.0
 
 
 class SlowCalls:
-    """Decides when a call without an answer is reported, at growing intervals."""
+    """Decides when to report a call without an answer, at growing intervals."""
 
     __slots__ = ("_call", "_report_after", "_since")
 
     def __init__(self) -> None:
-        self._call: int | None = None  # its sequence number: a message may be large, and is not kept here
+        self._call: int | None = None  # only its sequence number, as a message may be large
         self._since = 0.0
         self._report_after = _FIRST_SECONDS
 
@@ -25,10 +25,10 @@ class SlowCalls:
         """Return the seconds to report if it is time to report `call`, otherwise None.
 
         Args:
-            call: the sequence number of the outstanding one, if there is one; it is timed from when it is
-                first passed.
+            call: the sequence number of the outstanding call, if any; a call is timed from when it is first
+                passed.
             now: the time in seconds.
-            explained: whether the player has said why it takes long; its first report is left out.
+            explained: whether the player has said why it takes long; the first report is then omitted.
         """
         if call is None or call != self._call:
             self._call, self._since, self._report_after = call, now, _FIRST_SECONDS

@@ -1,8 +1,8 @@
 """The time that an agent has used in a session, and its limit.
 
-It is measured at the hub, from the moment a call is sent until its answer is read. What an answer takes
-beyond its limit is drained from a bank, as in Kaggle's environments: an agent may think long now and then,
-but not always. `agent_seed` and `agent_init`, in which an agent loads what it needs, have their own limit.
+The hub measures the time from sending a call until reading its answer. The time of an answer beyond its limit
+is drained from a bank, as in Kaggle's environments: an agent may think for long now and then, but not always.
+`agent_seed` and `agent_init`, in which an agent loads its data, have their own limit.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ class TimeBank:
     """The time of one agent.
 
     Args:
-        limits: the time that it has.
-        clock: returns seconds, from any beginning.
+        limits: the limits of its time.
+        clock: returns seconds since an arbitrary time.
     """
 
     __slots__ = ("_bank", "_called_at", "_clock", "_limits", "_start", "_starting", "_total")
@@ -36,14 +36,14 @@ class TimeBank:
         self._called_at: float | None = None
 
     def called(self, kind: Kind) -> None:
-        """Note that the agent is sent a call."""
+        """Note that a call is sent to the agent."""
         self._starting = kind in _STARTING
         self._called_at = self._clock()
 
     def answered(self) -> str | None:
-        """Take the time of an answer; return why the agent's time is over, or None.
+        """Account for the time of an answer; return why the agent is out of time, or None.
 
-        A reason completes a sentence about the agent.
+        The reason completes a sentence about the agent.
         """
         if self._called_at is None:
             return None
@@ -58,11 +58,11 @@ class TimeBank:
         return self._over(0.0)
 
     def overdue(self) -> str | None:
-        """Return why the agent's time is over although it has not answered yet; None if it has some left."""
+        """Return why the agent is out of time before it has answered; None if it has time left."""
         return None if self._called_at is None else self._over(self._clock() - self._called_at)
 
     def _over(self, waiting: float) -> str | None:
-        """Return why the time is over, the outstanding call having lasted `waiting` seconds so far."""
+        """Return why the time is over, or None, if the outstanding call has lasted `waiting` seconds."""
         limits = self._limits
         if self._starting:
             if waiting > self._start:

@@ -11,8 +11,8 @@
     session = ["a", "b"]                      # left out: every session
     key = "carol.pub"                         # left out: carol.key or carol.pub; or the 40 characters
 
-The permissions of a key are in this one file of the hub's owner, not in the file of the key, which comes from
-the key's owner.
+The permissions of all keys are in this one file of the hub's owner, not in the file of a key, which comes
+from the owner of the key.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from glue.keys.files import read_own
 
 PUBLIC: Final = ".key"
 SECRET: Final = ".key_secret"
-"""The suffix of the file with the secret key of a pair; that of its public key is `PUBLIC`."""
+"""Suffix of the file with the secret key of a pair; the file of its public key has the suffix `PUBLIC`."""
 
 _ALPHABET: Final = "0123456789abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ.-:+=^!/*?&<>()[]{}@%$#"
 _VALUES: Final = {character: value for value, character in enumerate(_ALPHABET)}
@@ -35,7 +35,7 @@ _MAX_FILE: Final = 65_536
 
 _PUBLIC_FILE: Final = """\
 #   ZeroMQ CURVE Public Certificate of {name}
-#   Hand it out in a way in which it cannot be exchanged for another.
+#   Give it to others over a channel where nobody can swap it for another key.
 
 metadata
 curve
@@ -44,7 +44,7 @@ curve
 
 _SECRET_FILE: Final = """\
 #   ZeroMQ CURVE **Secret** Certificate of {name}
-#   Who has this file is taken for you: give it to nobody, and leave it readable by you alone.
+#   Anyone who has this file can impersonate you: keep it private (mode 600).
 
 metadata
 curve
@@ -93,7 +93,7 @@ def write_pair(directory: Path, name: str, pair: KeyPair) -> tuple[Path, Path]:
     A directory that does not exist is created, readable only by this user.
 
     Raises:
-        ConfigError: the name cannot be that of a file, one of the files exists, or they cannot be written.
+        ConfigError: the name is not valid, one of the files exists, or they cannot be written.
     """
     if not _NAME.fullmatch(name):
         raise ConfigError(f"the name of a key has letters, digits and any of _.@-, not {name!r:.120}")
@@ -112,8 +112,8 @@ def write_pair(directory: Path, name: str, pair: KeyPair) -> tuple[Path, Path]:
             raise
     except FileExistsError as error:
         raise ConfigError(
-            f"{error.filename} exists already, and is not replaced: whoever trusts that key would not know "
-            f"a new one. Choose another name, or remove {public} and {secret} first"
+            f"{error.filename} exists already, and is not replaced: peers that trust that key would not "
+            f"know a new one. Choose another name, or remove {public} and {secret} first"
         ) from None
     except OSError as error:
         raise ConfigError(f"cannot write {error.filename}: {error.strerror}") from None
@@ -125,10 +125,11 @@ def read_public(source: str | Path, setting: str = "hub_key") -> bytes:
 
     Args:
         source: the key as text; or the path of a file with this text, or in the format of `zmq.auth`.
-        setting: the name of the setting that gave it, for error messages.
+        setting: the name of the setting that holds `source`, for error messages.
 
     Raises:
-        ConfigError: it is neither a key nor a file with one, or other users can change or replace the file.
+        ConfigError: `source` is neither a key nor a file with a key, or other users can change or replace the
+            file.
     """
     path = Path(source)
     if not _exists(path):
@@ -151,10 +152,11 @@ def read_pair(path: Path, setting: str = "key") -> KeyPair:
 
     Args:
         path: the file.
-        setting: the name of the setting that gave it, for error messages.
+        setting: the name of the setting that holds `path`, for error messages.
 
     Raises:
-        ConfigError: it cannot be read, has no secret key, or other users can read, change or replace it.
+        ConfigError: the file cannot be read or has no secret key, or other users can read, change or replace
+            it.
     """
     if not _exists(path):
         raise ConfigError(
@@ -173,7 +175,7 @@ def read_pair(path: Path, setting: str = "key") -> KeyPair:
 def _exists(path: Path) -> bool:
     try:
         return path.exists()
-    except (OSError, ValueError):  # too long, or a zero in it
+    except (OSError, ValueError):  # the path is too long, or contains a zero byte
         return False
 
 

@@ -13,7 +13,7 @@ _OTHERS: Final = 0o077
 _OTHERS_WRITE: Final = 0o022
 
 _MAX_LINKS: Final = 40
-"""Maximum number of symbolic links on the way to a file, as of Linux."""
+"""Maximum number of symbolic links on the way to a file, as in Linux."""
 
 
 def read_own(path: Path, limit: int, secret: bool = False) -> bytes:
@@ -29,7 +29,8 @@ def read_own(path: Path, limit: int, secret: bool = False) -> bytes:
 
     Raises:
         FileNotFoundError: there is no such file.
-        ConfigError: others can change or replace it, or it cannot be read, is not a file, or is too large.
+        ConfigError: others can change or replace the file, or it cannot be read, is not a regular file, or is
+            too large.
     """
     try:
         _check_links(path)
@@ -59,7 +60,8 @@ def check_directory(path: Path) -> None:
     """Check that no other user can replace files in a directory.
 
     Raises:
-        ConfigError: it belongs to another user, others can write to it, or replace a link on the way to it.
+        ConfigError: the directory belongs to another user, or others can write to it or replace a link on the
+            way to it.
     """
     try:
         _check_links(path)

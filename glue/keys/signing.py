@@ -1,7 +1,7 @@
 """Signatures made with a CURVE key pair, which can be checked with the public key of a hub.
 
 A secret key of Curve25519 signs as the Ed25519 key with the same x-coordinate; the sign of the point is
-fixed. A signature is 64 bytes, and is checked like any other of Ed25519.
+fixed. A signature is 64 bytes, and is checked like any other Ed25519 signature.
 
 Source: T. Perrin, The XEdDSA and VXEdDSA Signature Schemes, revision 1, 2016 (XEd25519).
 """

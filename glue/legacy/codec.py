@@ -1,9 +1,9 @@
 """The binary format of the original RL-Glue 3.x, without I/O: bytes in, messages out, and back.
 
     frame          int32 kind, uint32 payload size, payload
-    payload        the scalars, then the body, as `glue.wire.messages.CALLS` has them for its kind,
-                   but the scalars in reverse order: terminal before reward
-    terminal       int32; anything but zero means true
+    payload        the scalars, then the body, as in `glue.wire.messages.CALLS` for its kind, except that
+                   the scalars are in reverse order: terminal before reward
+    terminal       int32; nonzero means true
     reward, return float64
     steps, counts  int32; max_steps uint32
     text           uint32 byte count, bytes

@@ -139,7 +139,7 @@ class LegacyExperiment(LegacyPeer):
         request = self._next_request()
         early = request is not None and self._request is not None
         if request is None:
-            # Not before, so that requests made before the connection was closed are executed.
+            # Only now, so that requests made before the connection was closed are executed.
             data = connection.receive() if self._sending is not Sending.CLOSED or not self._is_free else b""
             if data:
                 decoder.receive_data(data)

@@ -11,8 +11,8 @@ switchboard, and the switchboard's messages are translated into frames, one at a
   experiment leaves, when the hub closes, when its role is taken, and when it violates the protocol. If the
   connection were merely closed, C programs would continue with stale data and Python programs would hang.
 - The protocol cannot report a failed call to an experiment. If a player was lost, and the call can be
-  repeated from its beginning with another, it is. If not, the connection is reset: if it were merely closed,
-  C programs would continue with stale data, and Python programs would hang.
+  repeated from its beginning with another player, it is. If not, the connection is reset: if it were merely
+  closed, C programs would continue with stale data, and Python programs would hang.
 
 The first two rules, and the consequences of a lost player, are the tables of `glue.legacy.states`.
 
@@ -70,8 +70,7 @@ class Gateway:
         ports: the ports to listen on, with their sessions.
         log: called with a line about each connection that is refused, dropped or has an error, in a separate
             thread, so that the hub does not wait for it. Or a `Log`, which its owner closes.
-        opened: those of `ports` that are open already, see `open_legacy_port`; they stay open when the hub
-            closes.
+        opened: the `ports` that are already open, see `open_legacy_port`; they stay open when the hub closes.
 
     Attributes:
         ports: the same ports, with the numbers of free ports resolved.

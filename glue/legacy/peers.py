@@ -91,7 +91,7 @@ class LegacyPeer:
         return self._pending.hub.switchboard.num_seats(self) > 0
 
     def evict(self, why: str) -> None:
-        """Drop the connection: it uses too much memory."""
+        """Drop the connection, which uses too much memory."""
         self._connection.reset()
         self._pending.hub.switchboard.lose(self, f"was dropped: {why}", clock.monotonic())
 

@@ -16,10 +16,10 @@ MAX_PENDING: Final = 256
 """Maximum number of connections without a role; one more closes the oldest."""
 
 _CLOSING_SECONDS: Final = 1.0
-"""Maximum delay of the end of the hub while programs finish and close."""
+"""Maximum number of seconds that the end of the hub is delayed while programs finish and close."""
 
 _SUMMARY_SECONDS: Final = 60.0
-"""Interval at which dropped connections are summed up in the log."""
+"""Interval in seconds at which dropped connections are summed up in the log."""
 
 _TERMINATE: Final = encode(Frame(Control.TERMINATE), TO_AGENT)
 

@@ -6,8 +6,8 @@ executes another one replaces the waiting call, if any, since the older one is n
 The protocol cannot report a failed request to an experiment. If a player was lost meanwhile, a request that
 can be executed from its beginning is repeated; otherwise the connection is reset.
 
-States and events are ints: the hash of any other enum is a function in Python, called several times for each
-message.
+States and events are ints: any other enum is hashed by a Python function, which would be called several times
+per message.
 """
 
 from __future__ import annotations

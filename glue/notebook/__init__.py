@@ -1,4 +1,4 @@
-"""Notebooks: players of a cell served to a hub in the background, and the curve of a run below its cell.
+"""Notebooks: serve a cell's players to a hub in the background, and draw a run's curve below its cell.
 
 from glue.notebook import run_live, serve
 

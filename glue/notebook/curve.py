@@ -1,4 +1,4 @@
-"""The learning curve of a run, drawn below its cell while the run goes on."""
+"""The learning curve of a run, drawn below its cell during the run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _POINTS: Final = 400
 def run_live(
     experiment: Experiment, episodes: int, max_steps: int = 0, seed: int | None = None
 ) -> list[float]:
-    """Run episodes and draw the mean return below the cell; return their returns.
+    """Run episodes and draw the mean return below the cell; return the episodes' returns.
 
     Args:
         experiment: a connected experiment; `rl_init` is called first.
@@ -32,7 +32,7 @@ def run_live(
 
     Raises:
         ConfigError: this is not a notebook: IPython is not installed.
-        GlueError: as the verbs of the experiment.
+        GlueError: raised by the verbs of the experiment.
     """
     handle = _display()
     experiment.rl_init(seed=seed)

@@ -13,10 +13,10 @@ from glue.roles import AgentLike, EnvironmentLike
 
 
 class Served:
-    """A player that a thread serves. Made by `serve`; as a context manager it is stopped at the end.
+    """A player that a thread serves. Made by `serve`; as a context manager, it is stopped at the end.
 
     Attributes:
-        error: the exception that ended it; None while it is served, or if it ended as it should.
+        error: the exception that ended it; None while it is served, or if it ended normally.
     """
 
     error: Exception | None
@@ -33,10 +33,10 @@ class Served:
         return self._thread.is_alive()
 
     def stop(self) -> None:
-        """Leave the session, and wait for the end of the thread: a few seconds at most, or one call.
+        """Leave the session, and wait for the thread to end: a few seconds at most, or one call.
 
         Raises:
-            GlueError: the player had ended before, by this error.
+            GlueError: the player had ended before, with this error.
         """
         self._end()
         if self.error is not None:

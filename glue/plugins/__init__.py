@@ -1,1 +1,1 @@
-"""Agents and environments by name: finding a class, and starting it with what it learned before."""
+"""Agents and environments by name: finding a class, and starting it with a learned state."""

@@ -1,7 +1,7 @@
-"""Several environments as one, whose session holds them all: `glue-env NAME --batch 64`.
+"""Several environments served as one, in one session: `glue-env NAME --batch 64`.
 
-An environment whose name stands in the entry-point group `glue.batches` too has a class of its own for many
-games, which takes the environment and the number of games.
+An environment whose name is also in the entry-point group `glue.batches` has its own class for many games,
+which takes the environment and the number of games.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def make_batch(name: str, make: Callable[[], Environment], games: int) -> Enviro
         games: number of games, at least one.
 
     Raises:
-        ConfigError: so many do not fit.
+        ConfigError: so many games do not fit.
     """
     for point in entry_points(group="glue.batches", name=name):
         batch: Environment = point.load()(make(), games)
@@ -38,9 +38,9 @@ def make_batch(name: str, make: Callable[[], Environment], games: int) -> Enviro
 
 
 class BatchedEnvironments(Environment):
-    """`environments`, of one kind, stepped together; a game that is over begins anew at once.
+    """`environments`, of one kind, stepped together; a game that is over starts again at once.
 
-    Each gets a seed of its own, made from the one given. A batch never ends: the experiment limits its steps.
+    Each gets its own seed, derived from the one given. A batch never ends: the experiment limits its steps.
 
     Args:
         environments: at least one.
@@ -71,7 +71,7 @@ class BatchedEnvironments(Environment):
         """Initialise each environment; return the task spec of all.
 
         Raises:
-            ConfigError: they have different ones.
+            ConfigError: their task specs differ.
         """
         specs = [self._call(game, Kind.ENV_INIT)[1] for game in range(len(self._environments))]
         if len({*specs}) > 1:
@@ -102,12 +102,12 @@ class BatchedEnvironments(Environment):
         return Step(float(rewards.sum()), pack_batch(batch), False)
 
     def env_cleanup(self) -> None:
-        """Clean each environment up."""
+        """Clean up each environment."""
         for game in range(len(self._environments)):
             self._call(game, Kind.ENV_CLEANUP)
 
     def env_message(self, message: str) -> str:
-        """Pass a message to each environment; return the answers, a line each, or one if they are equal."""
+        """Pass a message to each environment; return the answers, one per line, or one if they are equal."""
         answers = [self._call(game, Kind.ENV_MESSAGE, message)[1] for game in range(len(self._environments))]
         return answers[0] if len({*answers}) == 1 else "\n".join(answers)
 

@@ -19,7 +19,7 @@ def keywords(
 
     Args:
         creator: the constructor: a class or a function.
-        help_text: for the help of each.
+        help_text: the help text of each parameter.
         defaults: values in place of the constructor's own defaults.
     """
     known = defaults or {}

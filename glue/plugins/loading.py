@@ -1,11 +1,11 @@
 """Find an agent or environment by name.
 
-A name is one of four: that of an installed entry point (group `glue.agents` or `glue.environments`),
-`module:Class`, `path/to/file.py:Class`, or `adapter:NAME` for what another library makes, such as
+A name has one of four forms: an installed entry point (group `glue.agents` or `glue.environments`),
+`module:Class`, `path/to/file.py:Class`, or `adapter:NAME` for an object of another library, such as
 `gymnasium:CartPole-v1`. The entry point of an adapter is a function from NAME to a class.
 
-A file called random.py or agents.py in the user's folder takes no module's place: the folder is looked
-in after everything that is installed.
+A file called random.py or agents.py in the user's folder shadows no module: the folder is searched
+after everything that is installed.
 """
 
 from __future__ import annotations
@@ -62,9 +62,9 @@ def make_agent(name: str, /, **options: Value) -> Agent:
 
 
 def construct(factory: type, options: Mapping[str, Value]) -> Any:
-    """Return an instance of `factory` for a command, which shows where the constructor fails if it does.
+    """Return an instance of `factory` for a command; if its constructor fails, print the traceback.
 
-    If the player takes no seed, Python's and NumPy's global generators are seeded with it instead.
+    If the player takes no seed, Python's and NumPy's global generators are seeded instead.
 
     Raises:
         ConfigError: an option is unknown, of another type or out of bounds.
@@ -87,11 +87,11 @@ def construct(factory: type, options: Mapping[str, Value]) -> Any:
 def without_seed(role: Role, label: str, factory: type) -> str | None:
     """Return a line that says that players of a user's class take no seed; None if they do.
 
-    The classes of this program without a seed are deterministic, as the contract tests show.
+    Classes of this program without a seed are deterministic; the contract tests check that.
 
     Args:
         role: agent or environment.
-        label: the player's name for people.
+        label: the player's name in the line.
         factory: the class.
     """
     method = "env_seed" if role is Role.ENVIRONMENT else "agent_seed"
@@ -109,9 +109,9 @@ def names(role: Role) -> list[str]:
 
 
 def example(role: Role) -> str:
-    """Return the name that messages suggest: of the role's entry point in the group `glue.examples`.
+    """Return the name that messages suggest: that of the role's entry point in the group `glue.examples`.
 
-    If there is none, it is NAME.
+    The default is NAME.
     """
     suggested = {point.name: point.value for point in entry_points(group="glue.examples")}.get(role)
     return next((name for name, point in _installed(role).items() if point.value == suggested), "NAME")
@@ -128,7 +128,7 @@ def summaries(role: Role) -> dict[str, str]:
 
 
 def find(role: Role, name: str) -> type:
-    """Return the class that `name` stands for.
+    """Return the class called `name`.
 
     Raises:
         ConfigError: there is none, or its module cannot be imported; near misses are named.
@@ -166,7 +166,7 @@ def file_in(name: str) -> str:
 
 
 def located(name: str, folder: Path) -> str:
-    """Return a name whose file, if it has one and that is relative, is resolved against `folder`."""
+    """Return a name in which a relative path of a file is resolved against `folder`."""
     file = file_in(name)
     return name.replace(file, str(folder.absolute() / file), 1) if file else name
 
@@ -215,7 +215,7 @@ def _docstrings(path: Path) -> dict[str, str]:
 
 
 def _spec(module: str) -> ModuleSpec | None:
-    """Return where a module is. Unlike importlib's `find_spec` this does not import its packages."""
+    """Return the spec of a module. Unlike importlib's `find_spec`, this does not import its packages."""
     package, _, _ = module.rpartition(".")
     if not package:
         return importlib.util.find_spec(module)
@@ -232,7 +232,7 @@ def _import(module: str) -> ModuleType:
             raise ConfigError(f"there is no module {module!r} here") from None
         raise ConfigError(_broken(module, error)) from error
     except ConfigError:
-        raise  # it says itself what it needs
+        raise  # its message says what it needs
     except (Exception, SystemExit) as error:
         raise ConfigError(_broken(module, error)) from error
 

@@ -43,7 +43,7 @@ class NamingCommand(click.Command):
 
 
 def _as_player_option(option: str, args: Sequence[str]) -> str | None:
-    """Return how to give `option` if it is one of a player that `args` name, else None."""
+    """Return the way to give `option` if a player named in `args` has it, else None."""
     wanted = option.lstrip("-")
     for flag, role in _FLAGS.items():
         name = _value_of(flag, args)

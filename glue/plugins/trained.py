@@ -1,4 +1,4 @@
-"""An agent that begins every run with what it learned in another."""
+"""An agent that begins every run with the state learned in another."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ class Trained:
     """`agent`, with `learned` loaded after every init; otherwise unchanged.
 
     Args:
-        agent: offers the capability `save`.
-        learned: result of `agent_save` of the same class.
+        agent: an agent with the capability `save`.
+        learned: the result of `agent_save` of the same class.
     """
 
     def __init__(self, agent: Any, learned: bytes) -> None:
@@ -33,7 +33,7 @@ class Trained:
 
 
 def load_trained(agent: Any, path: Path) -> Trained:
-    """Return `agent` with what the file at `path` holds, as `glue-results agent` writes it.
+    """Return `agent` with the state in the file at `path`, as `glue-results agent` writes it.
 
     Raises:
         ConfigError: the agent cannot load, or the file cannot be read.

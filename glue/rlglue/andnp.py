@@ -24,9 +24,9 @@ _TaskSpec = Annotated[str, Option("the task spec, which the environment does not
 class AndnpAgent(Adapter, Agent):
     """An agent of rlglue-andnp. A new one is made for each task.
 
-    An observation of one int is an int to it, one of ints or doubles an array, one of chars an array of
-    bytes, and one of several kinds a dictionary of `ints`, `doubles` and `chars`. `extra` is empty, as it
-    does not cross the wire.
+    It receives an observation of one int as an int, one of ints or doubles as an array, one of chars as an
+    array of bytes, and one of several kinds as a dictionary of `ints`, `doubles` and `chars`. `extra` is
+    empty, as it is not sent.
     """
 
     seeded_by: ClassVar[str] = "agent_seed"
@@ -52,7 +52,7 @@ class AndnpEnvironment(Adapter, Environment):
     """An environment of rlglue-andnp. A new one is made for each task.
 
     Args:
-        task_spec: for agents that need one.
+        task_spec: a task spec, for agents that need one.
         options: keywords of the environment's constructor.
     """
 
@@ -91,7 +91,7 @@ def _action(value: Any) -> Action:
 
 
 def _observation(value: Any) -> Observation:
-    """Return an observation: of bytes as chars, of other whole numbers as ints, of others as doubles."""
+    """Return `value` as an observation: bytes as chars, other whole numbers as ints, others as doubles."""
     try:
         numbers = np.asarray(value)
     except ValueError:  # of rows with different lengths

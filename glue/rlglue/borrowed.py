@@ -1,4 +1,4 @@
-"""Adapters of objects from elsewhere, whose options are the keywords of their constructor."""
+"""Adapters of other packages' objects, whose options are the keywords of the objects' constructor."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ class Adapter:
     """
 
     source: ClassVar[type]
-    """The class from elsewhere."""
+    """The class of the other package."""
 
     seeded_by: ClassVar[str]
     """The method by which an experiment seeds the adapter."""
 
     needs_seed: ClassVar[bool] = False
-    """Whether the constructor has a parameter `seed` without default; if nobody gives a seed, it is 0."""
+    """Whether the constructor has a parameter `seed` without default; if no seed is given, it is 0."""
 
     own_options: ClassVar[tuple[inspect.Parameter, ...]] = ()
     """Options of the adapter itself."""
@@ -42,11 +42,11 @@ class Adapter:
         return self._made
 
     def _same(self) -> Any:
-        """Return the object that was made last, the first one if there was none."""
+        """Return the object made last; make the first one if there is none."""
         return self._new() if self._made is None else self._made
 
     def _seed(self, seed: int) -> None:
-        """Have the next object made with this seed."""
+        """Make the next object with this seed."""
         self._options[_SEED] = seed
         self._made = None
 
@@ -76,7 +76,7 @@ def adapted(adapter: type[Adapter], source: type) -> type[Adapter]:
     members: dict[str, Any] = {
         "__doc__": source.__doc__,
         "__init__": with_options(__init__, options),
-        "__module__": source.__module__,  # whether it can be repeated without a seed is its author's affair
+        "__module__": source.__module__,  # repeatability without a seed is up to its author
         "source": source,
     }
     if _SEED in signature:

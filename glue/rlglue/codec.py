@@ -1,4 +1,4 @@
-"""Players of RL-Glue's Python codec: methods as ours, with values of `rlglue.types`.
+"""Players of RL-Glue's Python codec: the methods are ours, the values those of `rlglue.types`.
 
 A value of `rlglue.types` has lists: `intArray`, `doubleArray`, and `charArray` of texts of one character.
 Source: RL-Glue Python Extension 2.02, rlglue/types.py and rlglue/network/Network.py.
@@ -87,7 +87,7 @@ def _ours(kind: type[T], value: Any) -> T:
     """Return a value of `rlglue.types` as one of ours.
 
     Raises:
-        LocalProtocolError: it is none.
+        LocalProtocolError: `value` is not one.
     """
     try:
         chars = b"".join(c if isinstance(c, bytes) else c.encode("latin-1") for c in value.charArray)

@@ -1,6 +1,6 @@
 """The modules called rlglue that players import, provided where they are not installed.
 
-RL-Glue's Python codec has never been released for Python 3; what its players import from it is little.
+RL-Glue's Python codec has never been released for Python 3; its players import little from it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class _Environment:
 
 
 def _refusing(role: str) -> Callable[[object], None]:
-    """Return the codec's function that connects a player, which is of no use here."""
+    """Return a replacement for the codec's function that connects a player; it raises ConfigError."""
 
     def load(player: object) -> None:
         raise ConfigError(f"run it with glue-{role} rlglue:FILE.py:{type(player).__name__}")
@@ -57,11 +57,11 @@ _MODULES: Final[Mapping[str, Mapping[str, object]]] = {
 
 
 def provide() -> None:
-    """Let the modules be imported: those that are installed and work, and ours in place of the others."""
+    """Make the modules importable: those that are installed and work, and ours in place of the others."""
     for name, contents in _MODULES.items():
         try:
             import_module(name)
-        except (ImportError, SyntaxError):  # of Python 2
+        except (ImportError, SyntaxError):  # written for Python 2
             module: Any = ModuleType(name)
             module.__path__ = []
             vars(module).update(contents)

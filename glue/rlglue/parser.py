@@ -1,4 +1,4 @@
-"""The parser of task specs that came with RL-Glue's Python codec, for its agents, by its names."""
+"""The task spec parser of RL-Glue's Python codec, for its agents, with its original names."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class TaskSpecParser:
         return 1.0 if self._spec.discount is None else float(self._spec.discount)
 
     def getExtra(self) -> str:
-        """Return the text behind EXTRA."""
+        """Return the text after EXTRA."""
         return self._spec.extra
 
     def getIntObservations(self) -> list[Bounds]:
@@ -79,7 +79,7 @@ class TaskSpecParser:
         return self._spec.actions.chars
 
     def getRewardRange(self) -> list[Bounds]:
-        """Return the bounds of the reward, in a list of their own."""
+        """Return the bounds of the reward, in a list of one."""
         return [_pair(self._spec.rewards)]
 
     def isSpecial(self, bound: object) -> bool:

@@ -1,1 +1,1 @@
-"""Sockets, as a hub and its peers use them alike."""
+"""Parts of socket code that a hub and its peers share."""

@@ -10,16 +10,16 @@ _PROBES: Final = 3
 """Unanswered probes after which a silent host is considered gone."""
 
 _MAX_SILENCE: Final = 32_767
-"""Seconds; Linux, MAX_TCP_KEEPIDLE."""
+"""Maximum silence in seconds; Linux, MAX_TCP_KEEPIDLE."""
 
 
 def unix_address(path: str) -> str:
-    """Return the address of a Unix socket; a `path` that begins with `@` is Linux's abstract kind."""
+    """Return the address of a Unix socket; a `path` that begins with `@` is an abstract address of Linux."""
     return "\0" + path[1:] if path.startswith("@") else path
 
 
 def probe_when_silent(connected: network.socket, seconds: float) -> None:
-    """Have the system probe a host that has been silent for so many seconds, and give it up after three."""
+    """Have the kernel probe a host that is silent for `seconds`, and give it up after three failed probes."""
     if connected.family == network.AF_UNIX:
         return
     connected.setsockopt(network.SOL_SOCKET, network.SO_KEEPALIVE, 1)
@@ -31,7 +31,7 @@ def probe_when_silent(connected: network.socket, seconds: float) -> None:
 
 
 def limit_silence(connected: network.socket, seconds: float) -> None:
-    """Consider the other side gone when what was sent to it stays unacknowledged for so many seconds."""
+    """Consider the other side gone when data sent to it stays unacknowledged for `seconds`."""
     option = network.tcp_option("TCP_USER_TIMEOUT")
     if connected.family != network.AF_UNIX and option is not None:
         connected.setsockopt(network.IPPROTO_TCP, option, max(1, int(seconds * 1000)))

@@ -1,4 +1,4 @@
-"""Poll for an expected message for a moment before sleeping: waking up takes longer than many answers.
+"""Poll briefly for an expected message before sleeping: waking up takes longer than many answers.
 
 An idle processor sleeps too, and in a virtual machine takes 50 to 100 microseconds to wake up. A step of many
 games would wait for that four times: on its way to the hub, to the agent, and back.
@@ -13,22 +13,22 @@ from typing import Final, TypeVar
 from glue.doors import clock
 
 LONG_SPIN_SECONDS: Final = 300e-6
-"""Seconds to poll for a message of many games: 64 games of Infinite Mario are stepped within them."""
+"""Seconds to poll for a message of many games: 64 games of Infinite Mario are stepped within this time."""
 
 SEVERAL_CORES: Final = not hasattr(os, "sched_getaffinity") or len(os.sched_getaffinity(0)) > 1
 """Whether this process may use several cores."""
 
 _LOST_SECONDS: Final = 250e-6
-"""Seconds after which a core that was yielded comes back too late: another program had it."""
+"""Seconds after which a yielded core comes back too late, because another program had it."""
 
 _REST: Final = 100.0
-"""Factor by which the time without yields after such a one exceeds it: at most 1 % is lost."""
+"""Ratio of the time without yields after such a loss to the time lost: at most 1 % is lost."""
 
 _MAX_REST: Final = 10.0
-"""Maximum number of seconds without yields, which double when the core is lost again soon."""
+"""Maximum number of seconds without yields; the number doubles when the core is lost again soon."""
 
 _MAX_MISSES: Final = 8
-"""After n spins in succession without success, the next 2**n waits do not spin; the maximum of n."""
+"""Maximum of n, where after n spins in a row without success the next 2**n waits do not spin."""
 
 T = TypeVar("T")
 
@@ -45,8 +45,8 @@ class Spin:
     def __init__(self, seconds: float) -> None:
         self.seconds: float = seconds
         self._misses = 0
-        self._skipped = 0  # the number of waits that are still to be without a spin
-        self._yield_at = 0.0  # the time from which on the core is yielded
+        self._skipped = 0  # the number of waits still to come without a spin
+        self._yield_at = 0.0  # the time from which the core is yielded
         self._rest = 0.0  # seconds without yields after the last loss
 
     def until_found(self, poll: Callable[[], T | None]) -> T | None:
@@ -57,7 +57,7 @@ class Spin:
         began = before = clock.monotonic()
         yielding = began >= self._yield_at
         if not yielding and not SEVERAL_CORES:
-            return None  # on a single core nobody could answer meanwhile
+            return None  # on a single core no peer could answer meanwhile
         while True:
             if yielding:
                 clock.give_way()

@@ -1,4 +1,4 @@
-"""Values drawn at random from a space, many at once: to draw one at a time takes NumPy longer than a step.
+"""Values drawn at random from a space, many at once: drawing one at a time takes NumPy longer than a step.
 
 The values are those of `Space.sample` called once for each: the same generator gives the same values, and
 ends in the same state.

@@ -41,7 +41,7 @@ _SPECIALS: Final[Mapping[str, Bound]] = {"NEGINF": NEGINF, "POSINF": POSINF, "UN
 _BOUND: Final = re.compile(r"(?:NEGINF|POSINF|UNSPEC)(?![^\s()])|[-+.0-9][^\s()]*+", re.IGNORECASE)
 _NUMBER: Final = re.compile(r"[+-]?(?:[0-9]++(?:\.[0-9]*+)?|\.[0-9]++)(?:[eE][+-]?[0-9]++)?")
 
-# No leading zeros, which C read as octal. 4.0 is a whole number because some environments print ints so.
+# No leading zeros, which C read as octal. 4.0 is a whole number since some environments print ints like that.
 _WHOLE: Final = re.compile(r"([+-]?(?:0|[1-9][0-9]{0,9}))(?:\.0*+)?")
 _SPACE: Final = re.compile(r"\s*+")
 _EXCERPT: Final = 24
@@ -340,7 +340,7 @@ class _Scanner:
         return rest
 
     def bound(self, at: int, word: str, specials: Mapping[str, Bound], *, whole: bool) -> Bound:
-        """Return the value of a bound, which began at `at`: a special, a double or an int.
+        """Return the value of a bound, which begins at `at`: a special, a double or an int.
 
         Raises:
             TaskSpecError: `word` is not a bound, or does not fit a double, or, if `whole`, 32 bits.
@@ -360,7 +360,7 @@ class _Scanner:
         return integer
 
     def integer(self, at: int, word: str) -> int:
-        """Return the value of a whole number, which began at `at`.
+        """Return the value of a whole number, which begins at `at`.
 
         Raises:
             TaskSpecError: `word` is not a whole number, or has leading zeros, or more than ten digits.
@@ -372,7 +372,7 @@ class _Scanner:
 
     @contextmanager
     def blaming(self, at: int) -> Iterator[None]:
-        """Add the position `at` to a TaskSpecError raised inside."""
+        """Add the position `at` to a TaskSpecError raised inside the block."""
         try:
             yield
         except TaskSpecError as error:
@@ -386,7 +386,7 @@ class _Scanner:
         )
 
     def error(self, at: int, complaint: str) -> TaskSpecError:
-        """Return an error at a position, which people count from 1."""
+        """Return an error at a position, which the message counts from 1."""
         return TaskSpecError(f"task spec, character {at + 1}: {complaint}")
 
 

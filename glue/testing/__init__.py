@@ -9,8 +9,8 @@
     def test_my_hub_keeps_the_protocol() -> None:
         check_hub("tcp://127.0.0.1:4097")
 
-No test framework is needed: a broken rule raises `ContractBroken`, which a framework takes for a failed
-assertion. A hub may be written in any language: all that is needed is its address.
+No test framework is needed: a broken rule raises `ContractBroken`, which a framework reports as a
+failed assertion. A hub may be written in any language: all that is needed is its address.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _HOMES: Final = {
 
 
 def __getattr__(name: str) -> Any:
-    """Import a check when it is first used, so that `glue-conform --help` waits for none."""
+    """Import a check when it is first used, so that `glue-conform --help` imports none."""
     if name not in _HOMES:
         raise AttributeError(f"module 'glue.testing' has no attribute {name!r}")
     found = globals()[name] = getattr(import_module(_HOMES[name]), name)

@@ -10,9 +10,9 @@ from glue.testing.rules import ContractBroken
 def check_hub(url: str, *, wait: float = 10.0) -> None:
     """Check that the hub at `url`, ours or your own, keeps the rules of `HubRule`.
 
-    Each rule is checked in a session of its own with a random name, so the hub may be in use. It takes about
-    as long as the hub's timeout. What cannot be seen without ending or filling the hub is not checked: its
-    farewell, its limits. `glue-conform hub` prints a verdict for each rule.
+    Each rule is checked in a session of its own with a random name, so the hub may be in use. The check
+    takes about as long as the hub's timeout. The hub's farewell and limits are not checked, as that would
+    take ending or filling the hub. `glue-conform hub` prints a verdict for each rule.
 
     Args:
         url: address of the hub, which must be running.

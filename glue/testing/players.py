@@ -1,9 +1,8 @@
 """Contract checks for agents and environments.
 
 They play a few episodes with random partners, through every turn that an experiment may take: messages
-at any time, a start after an unfinished episode, an init without a cleanup, two cleanups. What is
-returned is checked against the types of `glue.roles` and the task spec. Capabilities are checked when
-they are offered.
+at any time, a start after an unfinished episode, an init without a cleanup, two cleanups. Return values
+are checked against the types of `glue.roles` and the task spec. Capabilities are checked if offered.
 """
 
 from __future__ import annotations
@@ -35,12 +34,12 @@ def check_environment(
     """Check that the environments that `factory` makes keep the rules of `Rule`.
 
     Args:
-        factory: makes an environment, a new one at each call; a class will do.
+        factory: makes a new environment at each call; a class works.
         action: draws a legal action. Needed if the task spec does not state the actions, or leaves
             bounds open that the environment does not; without it, actions are drawn from the task spec.
         episodes: the number of episodes in each of at most seven rounds.
-        steps: after how many steps an episode is cut off.
-        seed: of the actions, and of an environment that offers the capability `seed`.
+        steps: the number of steps after which an episode is cut off.
+        seed: the seed of the actions, and of an environment that offers the capability `seed`.
 
     Raises:
         ContractBroken: the message names the rule that is broken, the call, and what it returned.
@@ -62,14 +61,14 @@ def check_agent(
     """Check that the agents that `factory` makes keep the rules of `Rule` in the task of `task_spec`.
 
     Args:
-        factory: makes an agent, a new one at each call; a class will do.
-        task_spec: given to agent_init. Rewards are drawn from its range, within 100 of zero or of its
-            one end if it is open.
+        factory: makes a new agent at each call; a class works.
+        task_spec: given to agent_init. Rewards are drawn from its range; if that is open, within 100
+            of its one end or of zero.
         observation: draws an observation. Needed if the task spec does not state them, or leaves bounds
             open that the agent does not; without it, observations are drawn from the task spec.
-        episodes: the number of episodes in each of at most seven rounds; every other is cut off.
+        episodes: the number of episodes in each of at most seven rounds; every other one is cut off.
         steps: the maximum number of steps in an episode.
-        seed: of observations and rewards, and of an agent that offers the capability `seed`.
+        seed: the seed of observations and rewards, and of an agent that offers the capability `seed`.
 
     Raises:
         ContractBroken: the message names the rule that is broken, the call, and what it returned.
@@ -94,7 +93,7 @@ _MESSAGES: Final = ("", "what is your name?", "größer\n" * 50)
 
 
 class _Player(ABC):
-    """An agent or environment of which every answer is checked, and the partner that it plays with."""
+    """An agent or environment whose every answer is checked, and the partner that it plays with."""
 
     prefix: str
     role: Any
@@ -112,11 +111,11 @@ class _Player(ABC):
 
     @abstractmethod
     def init(self, seed: int) -> Trace:
-        """Seed, where that is offered, and init; return the trace."""
+        """Seed the player, if it can be seeded, and init it; return the trace."""
 
     @abstractmethod
     def play(self, generator: np.random.Generator) -> Trace:
-        """Play the episodes against a partner who draws from `generator`; return the trace."""
+        """Play the episodes against a partner that draws from `generator`; return the trace."""
 
     @abstractmethod
     def start(self, generator: np.random.Generator) -> object:
@@ -153,7 +152,7 @@ class _Player(ABC):
         return data
 
     def refuse(self, data: bytes) -> None:
-        """Break a rule unless the player refuses to load `data`."""
+        """Raise ContractBroken unless the player refuses to load `data`."""
         try:
             getattr(self.player, f"{self.prefix}load")(data)
         except Exception:
@@ -275,7 +274,7 @@ class _AgentPlayer(_Player):
                 reward, observation = self.draw_reward(generator), self.observation(generator)
                 action = self.checked("step", self.call("step", reward, observation))
                 trace.append((f"agent_step {step} of episode {episode}", action))
-            if episode % 2 == 0:  # The others are truncated, which an agent does not learn.
+            if episode % 2 == 0:  # The others are truncated, of which an agent is not notified.
                 self.call("end", self.draw_reward(generator))
         return trace
 
@@ -326,7 +325,7 @@ def _check_rules(make: Callable[[], _Player], seed: int) -> None:
         _compare(Rule.AFRESH, first, in_mid_episode)
         _compare(Rule.AFRESH, first, after_cleanup)
     if player.saveable:
-        # In mid-episode for a player, which does not learn that an episode is truncated.
+        # In mid-episode for the player, which is not notified that the episode is truncated.
         data = player.save()
         loader = make()
         loader.init(seed + 1)
@@ -334,7 +333,7 @@ def _check_rules(make: Callable[[], _Player], seed: int) -> None:
         loader.call("load", data)
         _compare(Rule.SAVE, player.play(_partner(seed, 2)), loader.play(_partner(seed, 2)))
         for damaged in (data[:-1], data[: len(data) // 2], data[:1], b""):
-            # A player that has nothing to save may well load nothing.
+            # A player that has nothing to save may accept empty data.
             if damaged != data and (damaged or not stateless):
                 other = make()
                 other.init(seed)

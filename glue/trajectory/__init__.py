@@ -8,12 +8,12 @@
     for episode in TrajectoryReader("corridor.traj"):
         print(episode.ending, episode.episode_return)
 
-An actions-only recording has no observations, which a deterministic environment gives again: `ActionWriter`
+An actions-only recording has no observations, as a deterministic environment reproduces them: `ActionWriter`
 writes it, and `Episode.start` and the observations of its steps are None.
 
-The file is gzip, and what it unpacks to is records: one letter, then its fields, all little-endian.
-docs/trajectories.md has every byte. The packed stream is flushed at the end of every episode, so that a
-writer that is killed leaves all whole episodes behind.
+The file is gzip, and unpacks to records: one letter, then its fields, all little-endian.
+docs/trajectories.md describes every byte. The packed stream is flushed at the end of every episode, so that
+a writer that is killed leaves all complete episodes behind.
 """
 
 from glue.trajectory.actions import ActionSteps, ActionWriter, Block

@@ -1,6 +1,6 @@
 """Actions-only recordings: the actions and rewards of episodes, without their observations.
 
-A deterministic environment gives the observations again when it executes the actions. A step takes about one
+A deterministic environment reproduces the observations by executing the actions. A step takes about one
 byte, and blocks of steps are read as arrays, so that a competition's scores are quickly verified.
 """
 
@@ -26,14 +26,14 @@ from glue.types import Action
 _COUNTS: Final = struct.Struct("<III")
 
 _MAX_ACTIONS_SIZE: Final = 2**23
-"""Bytes of different actions after which the writer ends a block."""
+"""Bytes of distinct actions after which the writer ends a block."""
 
 
 class Block(NamedTuple):
     """Consecutive steps of an episode.
 
     Attributes:
-        actions: bodies of the different actions, k of them.
+        actions: bodies of the distinct actions, k of them.
         choices: index of each step's action, shape (n,), each below k.
         rewards: reward of each step, shape (n,).
     """
@@ -76,7 +76,7 @@ class ActionSteps(StepSequence):
 
 
 class ActionWriter:
-    """Write an actions-only recording in pieces of bytes, whole once `close` was called.
+    """Write an actions-only recording in pieces of bytes, complete once `close` has been called.
 
     Args:
         send: receives each piece.
@@ -122,7 +122,7 @@ class ActionWriter:
         """Add a step of the open episode: the body of its action, and its reward.
 
         Raises:
-            LocalProtocolError: no episode is open, or it exceeds a limit of a recording.
+            LocalProtocolError: no episode is open, or the episode exceeds a limit of a recording.
         """
         if not self._in_episode:
             raise LocalProtocolError("no episode is open: a recording needs start() before its steps")
@@ -185,11 +185,11 @@ def read_block(unpacked: Unpacked, end: int) -> Block:
     """Read the fields of a block of steps.
 
     Args:
-        unpacked: the contents of a recording, behind the block's letter.
+        unpacked: the contents of a recording, after the block's letter.
         end: offset that the block's actions may not pass.
 
     Raises:
-        TrajectoryError: they are malformed.
+        TrajectoryError: the fields are malformed.
     """
     steps, k, m = _COUNTS.unpack(unpacked.take(_COUNTS.size))
     if not (1 <= steps <= limits.MAX_BLOCK and 1 <= k <= steps and 1 <= m <= steps):
@@ -211,5 +211,5 @@ def read_block(unpacked: Unpacked, end: int) -> Block:
 
 
 def _width(count: int) -> str:
-    """Return the smallest dtype that has the integers below `count`."""
+    """Return the smallest dtype that holds the integers below `count`."""
     return "<u1" if count <= 2**8 else "<u2" if count <= 2**16 else "<u4"

@@ -34,22 +34,22 @@ from glue.trajectory.steps import Steps
 from glue.trajectory.unpacked import Torn, TrajectoryError, Unpacked
 from glue.types import Observation
 
-# The closing quote may be missing: a text that never ends is looked at once, not once per quote inside it.
+# The closing quote may be missing: a text that never ends is scanned once, not once per quote inside it.
 _TEXT_IN_JSON: Final = re.compile(r'"(?:[^"\\]|\\.)*+"?', re.DOTALL)
 
 
 class TrajectoryReader:
-    """The episodes of a file, one after the other; iterate over it.
+    """Iterable over the episodes of a file.
 
-    Nothing is trusted: sizes are checked against `glue.trajectory.limits` before memory is taken for them,
+    Nothing is trusted: sizes are checked against `glue.trajectory.limits` before allocating memory for them,
     and at most one episode is held at a time. Each iteration reads the file from its beginning.
 
     Attributes:
         torn: whether the file ends in the middle, as a writer that was killed leaves it; known once
-            the last episode was read. The episode it was in is left out.
+            the last episode has been read. An incomplete episode is left out.
 
     Raises, while iterating:
-        TrajectoryError: the file cannot be read or is malformed; the message has the place.
+        TrajectoryError: the file cannot be read or is malformed; the message says where.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:

@@ -44,8 +44,8 @@ class Run:
     """The source of episodes: an environment between its env_init and its env_cleanup.
 
     Attributes:
-        environment: its name for `glue-env`; "" if unknown.
-        options: its options, without those that have their default.
+        environment: the environment's name for `glue-env`; "" if unknown.
+        options: its options, without those at their defaults.
         task_spec: result of env_init.
         seed: argument of env_seed before env_init; None if it was not called.
         state: argument of env_load after env_init; b"" if it was not called.
@@ -59,7 +59,7 @@ class Run:
 
 
 class Answer(NamedTuple):
-    """The agent's answer to a message at a step: 0 is the start, n the moment after step n."""
+    """The agent's answer to a message at a step: 0 is the start, n the time after step n."""
 
     step: int
     message: str

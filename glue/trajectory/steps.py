@@ -28,7 +28,7 @@ class StepSequence(Sequence[Transition]):
 
     @abstractmethod
     def _step(self, index: int) -> Transition:
-        """Return the step of an index from 0 to the length less 1."""
+        """Return the step at an index from 0 to the length less 1."""
 
     @overload
     def __getitem__(self, index: int) -> Transition: ...
@@ -55,7 +55,7 @@ class StepSequence(Sequence[Transition]):
 
 
 class Steps(StepSequence):
-    """The steps of an episode that was recorded whole.
+    """The steps of an episode that was recorded with its observations.
 
     They are kept as bytes: a million small steps take 60 MB; as objects they would take ten times as much.
     """

@@ -31,8 +31,8 @@ class Unpacked:
         self._packed = b""
         self._gzip = zlib.decompressobj(GZIP)
         self._bytes = bytearray()
-        self._at = 0  # of the next byte, in self._bytes
-        self._gone = 0  # bytes before self._bytes
+        self._at = 0  # offset of the next byte, in self._bytes
+        self._gone = 0  # number of bytes before self._bytes
 
     def next_member(self, magic: bytes) -> bool:
         """Begin the next gzip stream of the file, which must begin with `magic`; False if there is none."""
@@ -49,15 +49,15 @@ class Unpacked:
         return True
 
     def at_end(self) -> bool:
-        """Whether this member has been taken to its end."""
+        """Return whether this member has been read to its end."""
         return self._at == len(self._bytes) and not self._unpack()
 
     def take(self, size: int) -> bytes:
         """Return the next `size` bytes.
 
         Raises:
-            TrajectoryError: the member ends before.
-            Torn: the file ends before.
+            TrajectoryError: the member ends before that.
+            Torn: the file ends before that.
         """
         self._fill(size)
         self._at += size
@@ -97,13 +97,13 @@ class Unpacked:
         )
 
     def _fill(self, size: int) -> None:
-        """Have the next `size` bytes in memory."""
+        """Unpack until the next `size` bytes are in memory."""
         while len(self._bytes) - self._at < size:
             if not self._unpack():
                 raise self.malformed("it ends inside a record")
 
     def _unpack(self) -> bool:
-        """Unpack at least one byte more; False if the member has ended."""
+        """Unpack at least one more byte; return False if the member has ended."""
         while not self._gzip.eof:
             if not self._packed:
                 self._packed = self._file.read(_PIECE)

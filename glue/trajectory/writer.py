@@ -57,7 +57,7 @@ class TrajectoryWriter(Closing):
         self._flush()
 
     def run(self, run: Run) -> None:
-        """Note which environment the episodes from here on come from. Cuts off an open episode.
+        """Record the environment that the following episodes come from. Cuts off an open episode.
 
         Raises:
             LocalProtocolError: the options are not plain values, the run takes more than `MAX_TEXT`, or
@@ -73,7 +73,7 @@ class TrajectoryWriter(Closing):
         self._has_run = True
 
     def message(self, text: str) -> None:
-        """Note a text that the environment was sent. It is kept with the next episode to start.
+        """Record a text that was sent to the environment, with the next episode to start.
 
         Raises:
             LocalProtocolError: there is no run yet, the text takes more than `MAX_TEXT`, or there are more
@@ -85,7 +85,7 @@ class TrajectoryWriter(Closing):
         self._messages.append(text_record(MESSAGE, text))
 
     def answer(self, message: str, answer: str) -> None:
-        """Note what the agent answered to a message at the moment that is noted next, a start or a step.
+        """Record the agent's answer to a message at the start or step that is recorded next.
 
         Raises:
             LocalProtocolError: there is no run yet, a text takes more than `MAX_TEXT`, or there are more
@@ -113,7 +113,7 @@ class TrajectoryWriter(Closing):
         self._in_episode = True
 
     def step(self, action: Action, reward: float, observation: Observation, terminal: bool) -> None:
-        """Note a step of the open episode; a terminal step ends it.
+        """Record a step of the open episode; a terminal step ends it.
 
         Raises:
             LocalProtocolError: no episode is open, or a limit of `glue.trajectory.limits` is exceeded.

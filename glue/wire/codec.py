@@ -1,8 +1,8 @@
-"""Messages to and from the frames that cross the wire.
+"""Encode messages as the frames that cross the wire, and decode them.
 
-A message is one msgpack array, the header frame `[kind, session, seq, scalar, ...]`, and, where its
-kind has a body, one more frame. Everything that comes in is checked here, sizes first, so that nothing
-behind this module meets a value of a type it did not expect.
+A message is a header frame, the msgpack array `[kind, session, seq, scalar, ...]`, and, if its kind has a
+body, a second frame. All input is checked here, sizes first, so that no code after this module sees a value
+of an unexpected type.
 
 The layout is described byte by byte in docs/protocol.md.
 """
@@ -20,10 +20,10 @@ from glue.wire.limits import MAX_BODY, MAX_HEADER, MAX_NAME
 from glue.wire.messages import CALLS, CONTROL, OBSERVING, Body, Kind, Message, Scalar, Shape, Value
 
 _MAX_NOTE: Final = 1000
-"""Bytes of a text for people. Beside the longest session name it leaves a header room to spare."""
+"""Length in bytes to which a text for people is cut; with the longest session name it still fits a header."""
 
 _NUMBERS_END: Final = 2**63
-"""Whole numbers of a header, sequence numbers among them, are from 0 to below this."""
+"""Exclusive upper bound of the whole numbers in a header, such as sequence numbers; they start at 0."""
 
 TO_HUB: Final[Mapping[Kind, Shape]] = {
     **{kind: call.request if call.callee is None else call.reply for kind, call in CALLS.items()},
@@ -51,7 +51,7 @@ _EXPECTED: Final[Mapping[type, str]] = {
 
 
 class UnknownKind(RemoteProtocolError):
-    """The header is well formed, but its kind is none that we know; `session` and `seq` are its own."""
+    """The header is well formed, but its kind is unknown; `session` and `seq` are those of the header."""
 
     def __init__(self, kind: int, session: str, seq: int) -> None:
         super().__init__(f"message kind {kind} is not one of protocol version 1")
@@ -79,11 +79,11 @@ def encode(message: Message, shapes: Mapping[Kind, Shape]) -> tuple[bytes, ...]:
 def decode(frames: Sequence[bytes], shapes: Mapping[Kind, Shape], max_body: int = MAX_BODY) -> Message:
     """Return the message that `frames` hold, fully checked.
 
-    `shapes` is TO_HUB or FROM_HUB, by the direction of the frames.
+    `shapes` is TO_HUB or FROM_HUB, depending on the direction of the frames.
 
     Raises:
         UnknownKind: the kind is not one of `shapes`.
-        RemoteProtocolError: anything else that is not as docs/protocol.md says.
+        RemoteProtocolError: the frames violate docs/protocol.md in any other way.
     """
     count = len(frames)
     if not 1 <= count <= 2:
@@ -143,7 +143,7 @@ def _decode_header(frame: bytes) -> tuple[int, str, int, list[Value]]:
 
 
 def _coerce_all(kind: Kind, shape: Shape, scalars: list[Value]) -> tuple[Value, ...]:
-    """Return the scalars as `shape` has them; those of the hot path need not come here."""
+    """Return the scalars converted to the types of `shape`; not needed on the hot path."""
     expected = shape.scalars if len(scalars) == len(shape.scalars) else shape.scalars + shape.more
     if len(scalars) != len(expected):
         raise RemoteProtocolError(f"{kind.name} has {len(shape.scalars)} scalars; {len(scalars)} received")
@@ -155,7 +155,7 @@ def _coerce_all(kind: Kind, shape: Shape, scalars: list[Value]) -> tuple[Value, 
 
 
 def _coerce(kind: Kind, scalar: Scalar, value: object) -> Value:
-    """Return `value` as the scalar's type where that loses nothing; the hot path rarely comes here."""
+    """Return `value` converted to the scalar's type if that is lossless; rarely called on the hot path."""
     wanted = scalar.type
     if value is None and scalar.optional:
         return None
@@ -164,7 +164,7 @@ def _coerce(kind: Kind, scalar: Scalar, value: object) -> Value:
     if wanted is float and type(value) is int and abs(value) <= 2**53:
         return float(value)
     if wanted is bool and type(value) is int:
-        # RL-Glue's terminal is an int; anything but 0 and 1 is treated differently by its own parts.
+        # RL-Glue's terminal is an int; its own code treats values other than 0 and 1 inconsistently.
         return value if scalar.cuts and value == CUT_OFF else value != 0
     if wanted is tuple and type(value) is list and all(type(item) is scalar.items for item in value):
         return tuple(value)
@@ -177,7 +177,7 @@ def _coerce(kind: Kind, scalar: Scalar, value: object) -> Value:
 def _check_body(kind: Kind, body_kind: Body, body: bytes, max_body: int) -> None:
     size = len(body)
     if body_kind is Body.OBSERVATION_ACTION:
-        # Each of the two was within the limit when the hub received it.
+        # The observation and the action were each within the limit when the hub received them.
         max_body *= 2
     if size > max_body:
         raise RemoteProtocolError(f"the body of {kind.name} has {size} bytes; {max_body} are allowed")

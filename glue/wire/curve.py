@@ -1,7 +1,7 @@
-"""CURVE, the mechanism by which ZeroMQ authenticates and encrypts, without I/O: both ends of one connection.
+"""CURVE, ZeroMQ's mechanism for authentication and encryption, without I/O: both ends of one connection.
 
 Each side has a long-term key pair, C of the client and S of the server, and makes a short-term pair for the
-connection, C' and S'. The client knows S beforehand, and the server decides whether it knows C:
+connection, C' and S'. The client knows S in advance, and the server checks whether it knows C:
 
     client                                             server
     HELLO     C', Box[64 zeros](C'->S)          ─────▶
@@ -14,11 +14,11 @@ The vouch is Box[C', S](C->S'): only the owner of C's secret key can make it, fo
 server.
 
 Between WELCOME and INITIATE the server keeps neither C' nor its own s': both are in the cookie, whose key is
-made for this one connection and forgotten when the cookie comes back. So nothing that was recorded of another
-connection, neither a HELLO nor an INITIATE, opens anything here.
+made for this connection only and forgotten when the cookie returns. A HELLO or INITIATE recorded from another
+connection therefore opens nothing here.
 
-A server refuses a handshake with ERROR: in answer to HELLO, because the client has another public key for
-this server; in answer to INITIATE, because the server does not know the client's key. A server of libzmq
+A server refuses a handshake with ERROR: in answer to HELLO, because the client expects a different public key
+of this server; in answer to INITIATE, because the server does not know the client's key. libzmq's server
 closes the connection in the first case.
 
 Source: ZeroMQ RFC 26 (CurveZMQ), RFC 25 (ZMTP CURVE), and libzmq 4.3, whose MESSAGE is not a command of ZMTP
@@ -57,7 +57,7 @@ _VERSION: Final = b"\x01\x00"
 _HELLO: Final = struct.Struct("6s2s72s32s8s80s")
 _INITIATE: Final = struct.Struct("9s96s8s")
 _LEAST_BOX: Final = 16 + _KEY + 96
-"""Bytes of INITIATE's box without metadata: its authenticator, C and the vouch."""
+"""Size of INITIATE's box without metadata, in bytes: its authenticator, C and the vouch."""
 
 _WELCOME: Final = struct.Struct("8s16s144s")
 _READY: Final = struct.Struct("6s8s")
@@ -67,39 +67,39 @@ _IGNORED_BIT: Final = 0x80
 
 _MESSAGE: Final = b"\x07MESSAGE"
 _MAC: Final = 16
-"""Bytes by which a box is longer than its content."""
+"""Overhead of a box over its content, in bytes."""
 
 _MAX_BUFFERED: Final = 4096
-"""Size of a connection's buffer, in bytes: room for the box of a usual observation."""
+"""Size of a connection's buffer, in bytes: room for the box of a typical observation."""
 
 _FLAGS: Final = [bytes((flags,)) for flags in range(256)]
 _LEAST_MESSAGE: Final = len(_MESSAGE) + 8 + 16 + 1
 
 _ERROR_400: Final = b"\x05ERROR\x03400"
-"""libzmq's monitor shows it as a failed authentication."""
+"""Body of the ERROR that libzmq's monitor reports as a failed authentication."""
 
 _NONCE: Final = struct.Struct(">Q")
 _SIZE: Final = struct.Struct(">BQ")
 
 
 def public_key(secret: bytes) -> bytes:
-    """Return the public key, 32 bytes, that belongs to a secret one."""
+    """Return the public key, 32 bytes, of a secret key."""
     key: bytes = crypto_scalarmult_base(secret)
     return key
 
 
 def _short_term_pair() -> tuple[bytes, bytes]:
-    """Return a new public key and its secret one."""
+    """Return a new public key and its secret key."""
     secret = chance.random_bytes(_KEY)
     return public_key(secret), secret
 
 
 class _Box:
-    """Boxes of one connection, sealed and opened in a buffer of its own.
+    """Boxes of one connection, sealed and opened in one buffer that is reused.
 
     `nacl.bindings` allocates memory and checks the key for every box, which takes longer than the encryption,
-    and copies large boxes three times. Only boxes that do not fit the buffer are in memory of their own. With
-    the buffer, a session makes 0.47 of the steps of one without keys; without it, 0.38.
+    and copies large boxes three times. Here only boxes too large for the buffer are allocated separately.
+    With the buffer, a session reaches 0.47 of the speed of one without keys; without the buffer, 0.38.
 
     Args:
         key: the key of C' and S', 32 bytes.
@@ -117,12 +117,12 @@ class _Box:
         return ffi.buffer(sealed, size + _MAC)
 
     def open(self, frame: bytes, start: int, nonce: bytes) -> Any:
-        """Return the content of the box from `start` on, valid until the next box.
+        """Return the content of the box that begins at `start`, valid until the next box.
 
-        The box has at least the bytes of its authenticator.
+        The box is at least as long as its authenticator.
 
         Raises:
-            CryptoError: it was not sealed with this key and nonce.
+            CryptoError: the box was not sealed with this key and nonce.
         """
         size = len(frame) - start
         opened = self._room(size)
@@ -131,7 +131,7 @@ class _Box:
         return ffi.buffer(opened, size - _MAC)
 
     def _room(self, size: int) -> Any:
-        """Return the buffer, or a new one for a box that does not fit it."""
+        """Return the buffer, or a new one for a box that is too large for it."""
         return self._buffer if size <= _MAX_BUFFERED else ffi.new("unsigned char[]", size)
 
 
@@ -144,7 +144,7 @@ class _Curve:
     """
 
     overhead: Final = _LEAST_MESSAGE
-    """Bytes by which the frame of a MESSAGE is longer than the frame in it."""
+    """Overhead of the frame of a MESSAGE over the frame in it, in bytes."""
 
     def __init__(self, own: bytes, other: bytes) -> None:
         self._box: _Box | None = None  # once the key of C' and S' is known
@@ -157,7 +157,8 @@ class _Curve:
         """Return the flags and the payload of a MESSAGE.
 
         Raises:
-            RemoteProtocolError: it is not a MESSAGE of this connection with a nonce greater than all before.
+            RemoteProtocolError: the frame is not a MESSAGE of this connection, or its nonce is not greater
+                than all earlier ones.
         """
         if len(frame) < _LEAST_MESSAGE or not frame.startswith(_MESSAGE):
             raise RemoteProtocolError("it sent something that is not encrypted")
@@ -173,7 +174,7 @@ class _Curve:
         return opened[0][0], opened[1:]
 
     def encrypt(self, flags: int, payload: bytes) -> bytes:
-        """Return the frame of a MESSAGE, its head included."""
+        """Return the frame of a MESSAGE, including its head."""
         nonce = self._next_nonce()
         assert self._box is not None
         box = self._box.seal(_FLAGS[flags] + payload, self._prefix + nonce)
@@ -201,7 +202,7 @@ class CurveServer(_Curve):
 
     Args:
         secret: the server's long-term secret key s, 32 bytes.
-        knows: tells from a client's long-term public key C, 32 bytes, if the client is let in.
+        knows: takes a client's long-term public key C, 32 bytes; returns whether the client is admitted.
 
     Attributes:
         client: the client's long-term public key; empty until its INITIATE has been accepted.
@@ -226,10 +227,10 @@ class CurveServer(_Curve):
 
         Args:
             command: the body of the client's command.
-            metadata: our own, for READY.
+            metadata: the server's metadata, for READY.
 
         Raises:
-            HandshakeRefused: the client is not known, or has another public key for this server.
+            HandshakeRefused: the client is unknown, or expects a different public key of this server.
             RemoteProtocolError: the command is malformed, out of place, or not made for this connection.
         """
         try:
@@ -318,11 +319,11 @@ class CurveClient(_Curve):
         return _HELLO.pack(b"\x05HELLO", _VERSION, _PADDING, self._short_public, nonce, box)
 
     def answer(self, command: bytes, metadata: bytes) -> tuple[bytes, bytes | None]:
-        """Return INITIATE in answer to WELCOME; or b"" and the server's metadata, which READY carries.
+        """Return INITIATE in answer to WELCOME, or b"" and the server's metadata in answer to READY.
 
         Args:
             command: the body of the server's command.
-            metadata: our own, for INITIATE.
+            metadata: the client's metadata, for INITIATE.
 
         Raises:
             RemoteProtocolError: the command is malformed, out of place, or not made by the owner of S.
@@ -336,7 +337,7 @@ class CurveClient(_Curve):
 
     @property
     def server_known(self) -> bool:
-        """Whether the server has proved that it has the secret key that belongs to S."""
+        """Whether the server has proved that it has the secret key of S."""
         return self._box is not None
 
     def _initiate(self, command: bytes, metadata: bytes) -> bytes:

@@ -1,8 +1,8 @@
 """Every message of the protocol: its sender, its contents and its answer.
 
 A message is a kind, a session, a sequence number, some scalars and at most one body. `CALLS` is the
-table of RL-Glue's calls and of the capabilities beyond them; `CONTROL` that of the messages that make
-and keep a connection. A reply has the kind and the sequence number of its request, so the direction
+table of RL-Glue's calls and of the capabilities beyond them; `CONTROL` is the table of the messages that
+set up and keep a connection. A reply has the kind and the sequence number of its request; only the direction
 tells them apart. The codes below 64 are RL-Glue's own message ids.
 
 Source of names, payloads and ids: RL-Glue 3.04, RL_network.h.
@@ -23,7 +23,7 @@ Value = None | bool | int | float | str | bytes | tuple[int, ...] | tuple[str, .
 
 
 OUTCOME: Final = "outcome"
-"""The capability of an experiment that accepts return and number of steps with the end of an episode."""
+"""Capability of an experiment that accepts the return and number of steps with the end of an episode."""
 
 
 class Role(StrEnum):
@@ -36,14 +36,14 @@ class Role(StrEnum):
 
 
 THREE_ROLES: Final = (Role.AGENT, Role.ENVIRONMENT, Role.EXPERIMENT)
-"""The programs that a session is made of."""
+"""The roles that make up a session."""
 
 
 class Kind(IntEnum):
     """The kind of a message; its number on the wire.
 
-    Below 64 are the numbers of RL-Glue's own calls; 64 to 79 are of messages about connections and observers,
-    80 to 89 of further calls to players, and 90 to 99 of further calls of experiments.
+    Numbers below 64 are RL-Glue's own calls; 64 to 79 are messages about connections and observers, 80 to 89
+    further calls to players, and 90 to 99 further calls from experiments.
     """
 
     AGENT_INIT = 4
@@ -110,9 +110,9 @@ class Body(StrEnum):
 
 
 class Scalar(NamedTuple):
-    """One scalar of a header: its name and its type; `items` is what an array holds.
+    """One scalar of a header: its name and type; `items` is the type of the items of an array.
 
-    A bool that `cuts` may also be `glue.types.CUT_OFF`.
+    A bool with `cuts` may also be `glue.types.CUT_OFF`.
     """
 
     name: str
@@ -128,7 +128,7 @@ class Shape:
 
     `more` are scalars that may follow, all or none, if the receiver has the capability for them.
     `plain` holds the types of the scalars if every value of these types is valid, so that one comparison
-    checks them all; None if one is optional or has a range of its own.
+    checks them all; None if a scalar is optional or has a restricted range.
     """
 
     scalars: tuple[Scalar, ...] = ()
@@ -144,7 +144,7 @@ class Shape:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A request and its reply. `callee` is who answers; None is the hub, asked by the experiment."""
+    """A request and its reply. `callee` is the role that answers; None is the hub, for the experiment."""
 
     callee: Role | None
     request: Shape
@@ -154,7 +154,7 @@ class Call:
 
 @final
 class Message(NamedTuple):
-    """One message. `body` is bytes on the wire, and whatever the engine's host uses elsewhere."""
+    """One message. `body` is bytes on the wire; elsewhere it has the form that the engine's host uses."""
 
     kind: Kind
     session: str
@@ -164,7 +164,7 @@ class Message(NamedTuple):
 
 
 class ErrorCode(StrEnum):
-    """The first scalar of an ERROR or REFUSE: for programs. The second is for people."""
+    """The first scalar of an ERROR or REFUSE, for programs; the second is for people."""
 
     MALFORMED = "malformed"
     UNKNOWN_PEER = "unknown-peer"
@@ -292,4 +292,4 @@ OBSERVING: Final[Mapping[Kind, Shape]] = MappingProxyType(
         Kind.OBSERVED_MESSAGE: Shape((Scalar("message", str),), Body.TEXT),
     }
 )
-"""Messages of observers: OBSERVE, which they send, and those that they receive."""
+"""Messages of observers: OBSERVE, which they send, and the messages that they receive."""

@@ -1,9 +1,9 @@
 """The usual messages of a step, written and recognised as a whole, without a parser; for `glue.wire.stream`.
 
-Nearly all messages of an experiment are ENV_STEP and AGENT_STEP, one call at a time, each of them complete
-in what one system call receives. All of such a message but three numbers and the body is known before it
-arrives, so that one comparison replaces parsing. Whatever differs, be it as legal as a scalar of another
-type, is left to `zmtp.Decoder` and `codec.decode`, which check everything.
+Nearly all messages of an experiment are ENV_STEP and AGENT_STEP, one call at a time, each received completely
+by one system call. Except for three numbers and the body, such a message is known before it arrives, so that
+one comparison replaces parsing. A message that differs, even legally, as by a scalar of another type, is left
+to `zmtp.Decoder` and `codec.decode`, which check everything.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ STEPS: Final = frozenset({Kind.ENV_STEP, Kind.AGENT_STEP})
 """The calls of a step."""
 
 _MAX_FIXED_TEXT: Final = 31
-"""Bytes of the longest text of which msgpack writes the length into its first byte."""
+"""Maximum size in bytes of a text whose length msgpack writes into the first byte."""
 
 _FALSE: Final = 0xC2
 _TRUE: Final = 0xC3
@@ -32,32 +32,32 @@ _MORE: Final = 1
 _LONG: Final = 2
 _MAX_SHORT: Final = 255
 _HEAD: Final = 2
-"""Bytes of the flags and the length of the header's frame: with a session of 31 bytes it is a short one."""
+"""Bytes of the flags and length of the header's frame, which is short even with a session of 31 bytes."""
 
 _NO_SCALARS: Final[tuple[Value, ...]] = ()
 _NOTHING: Final = struct.Struct("")
-"""Unpacks nothing, so that the first message fits no shape."""
+"""Format that unpacks nothing, so that the first message fits no shape."""
 
 _COUNTS: Final = struct.Struct("<4I")
 _SCALARS: Final = ("", "Bd", "BdB")
-"""A reward is its type and eight bytes, a terminal is one byte."""
+"""Formats of 0, 1 and 2 scalars: a reward is a type and eight bytes, a terminal is one byte."""
 
 _MAX_FIXED: Final = 7
 _NUMBERS: Final = ((_MAX_FIXED, b"", "B"), (8, b"\xcc", "B"), (16, b"\xcd", "H"), (32, b"\xce", "I"))
-"""msgpack's whole numbers: the bits that each form has room for, its first byte, and what follows."""
+"""Forms of msgpack's whole numbers: bits of the largest number, first byte, and format of the rest."""
 
 _FORM_OF_BITS: Final = [next(i for i, form in enumerate(_NUMBERS) if bits <= form[0]) for bits in range(33)]
 _FORM_OF_FIRST: Final = {
     byte: i for i, (_, first, _) in enumerate(_NUMBERS) for byte in first or range(2**_MAX_FIXED)
 }
-"""The form of a number by the count of its bits, and the form that a first byte begins."""
+"""Index in `_NUMBERS` of the form of a number: by its count of bits, and by its first byte."""
 
 
 class _Layout(NamedTuple):
-    """The bytes before the body, with one form of the sequence number.
+    """The bytes before the body, for one form of the sequence number.
 
-    `start` is those before that number, and `numbers` the format of the number and the scalars; `short` and
-    `long` pack all of them and the head of the body's frame, which begins at `head`.
+    `start` holds the bytes before that number, and `numbers` is the format of the number and the scalars;
+    `short` and `long` pack all of these and the head of the body's frame, which begins at `head`.
     """
 
     start: bytes
@@ -68,14 +68,14 @@ class _Layout(NamedTuple):
 
 
 _struct: Final = lru_cache(struct.Struct)
-"""One for all sessions: many sessions are as fast as their formats fit into the processor's caches."""
+"""Shared by all sessions: many sessions are fast only if their formats fit into the processor's caches."""
 
 
 @lru_cache(maxsize=4096)
 def step_formats(kind: Kind, session: str) -> tuple[StepFormat, StepFormat] | None:
     """Return the formats of the request and the reply of ENV_STEP or AGENT_STEP in a session.
 
-    There are none for a session whose name has more than 31 bytes, as hardly any has.
+    Return None for a session whose name has more than 31 bytes, which is rare.
     """
     if len(session.encode()) > _MAX_FIXED_TEXT:
         return None
@@ -89,15 +89,15 @@ class StepFormat:
     Args:
         kind: ENV_STEP or AGENT_STEP.
         session: the session's name.
-        shape: what it carries: no scalar, a reward, or a reward and a terminal; and an abstract type.
+        shape: its contents: no scalar, a reward, or a reward and a terminal; and an abstract type.
 
     Attributes:
         kind: as given.
         session: as given.
-        lead: the bytes from the first frame's beginning to its sequence number, as `lead_of` finds them.
+        lead: the bytes of the first frame before its sequence number, as `lead_of` finds them.
         num_scalars: number of scalars.
         number_at: offset of the sequence number in the message.
-        max_seq: the largest sequence number that it has a form for, 2**32 - 1.
+        max_seq: the largest sequence number that it can encode, 2**32 - 1.
     """
 
     __slots__ = ("_layouts", "kind", "lead", "num_scalars", "number_at", "session")
@@ -116,7 +116,7 @@ class StepFormat:
         self._layouts = tuple(self._layout(first, letter) for _, first, letter in _NUMBERS)
 
     def _layout(self, first: bytes, letter: str) -> _Layout:
-        """Return the layout with a sequence number that begins with `first` and goes on as `letter` says."""
+        """Return the layout for a sequence number that consists of `first` and the format `letter`."""
         numbers = letter + _SCALARS[self.num_scalars]
         size = len(self.lead) + len(first) + struct.calcsize(">" + numbers)
         start = bytes((_MORE, size)) + self.lead + first
@@ -139,7 +139,7 @@ class StepFormat:
         """Return the layout of a message that begins at `at`, by the first byte of its sequence number.
 
         Raises:
-            LookupError: the bytes end before it, or no whole number begins with it.
+            LookupError: the bytes end before that byte, or no whole number begins with it.
         """
         return self._layouts[_FORM_OF_FIRST[data[at + self.number_at]]]
 
@@ -154,7 +154,7 @@ class StepReader:
         form: the format.
 
     Attributes:
-        size: bytes of the last message that was read.
+        size: size of the last message read, in bytes.
     """
 
     __slots__ = (
@@ -177,13 +177,13 @@ class StepReader:
         self._num_scalars = form.num_scalars
         self._unpack: Callable[[bytes, int], tuple[Any, ...]] = _NOTHING.unpack_from
         self._start = b""  # the bytes before the number
-        self._tail = b""  # those between the scalars and the elements of the body
+        self._tail = b""  # the bytes between the scalars and the elements of the body
         self._body_at = 0
 
     def read(self, data: bytes, at: int, max_body: int) -> Message | None:
-        """Return the message that begins at `at`; None unless it has this format and is complete.
+        """Return the message that begins at `at`.
 
-        None, too, if its body has more than `max_body` bytes.
+        Return None if it has another format, is incomplete, or has a body of more than `max_body` bytes.
         """
         try:
             if not self._num_scalars:
@@ -209,7 +209,7 @@ class StepReader:
         return _message(Message, (self._kind, self._session, seq, scalars, data[begin:end]))
 
     def _read_another(self, data: bytes, at: int, max_body: int) -> Message | None:
-        """As `read`, whatever the message's shape, which is remembered."""
+        """Return a message of any shape, like `read`, and remember its shape."""
         try:
             layout = self._form.layout_of(data, at)
             head = layout.long if data[at + layout.head] else layout.short
@@ -233,7 +233,7 @@ class StepReader:
         ):
             return None
         self.size = end - at
-        # A number of a single byte has no first byte that could be compared.
+        # A number of a single byte has no fixed first byte to compare.
         if len(start) > self._form.number_at:
             self._start = start
             self._tail = data[at + layout.head : body_at + PREFIX_SIZE]
@@ -243,7 +243,7 @@ class StepReader:
 
 
 _message: Final = tuple.__new__
-"""Makes a named tuple at half the cost of calling its class."""
+"""Constructor of a named tuple, at half the cost of calling its class."""
 
 
 def lead_of(data: bytes, at: int) -> bytes:

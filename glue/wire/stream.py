@@ -6,9 +6,9 @@
         ...                                  # a Message, or bytes to be sent at once
     head, body = stream.encode(message)
 
-Nearly all messages of an experiment are those of a step. Without encryption they are written and recognised
-as a whole, by the formats of `glue.wire.steps`; nobody else needs to know. A stream learns both formats of a
-session's steps when it writes the first one there: a hub has then sent a call, a player an answer.
+Nearly all messages of an experiment belong to steps. The formats of `glue.wire.steps` write and recognise
+them as a whole; no other module needs to know. A stream learns both formats of a
+session's steps when it writes the first message of a step there: at a hub a call, at a player an answer.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from glue.wire.messages import Kind, Message
 from glue.wire.steps import STEPS, StepFormat, StepReader, lead_of, step_formats
 
 _MAX_FORMATS: Final = 4096
-"""Maximum number of formats that a stream remembers; beyond it, all are forgotten and learnt again."""
+"""Maximum number of formats that a stream remembers; beyond it, all are forgotten."""
 
 
 class Malformed(RemoteProtocolError):
-    """Frames were received that are not a message; those after them may be."""
+    """The frames received are not a message; later frames may be valid."""
 
 
 class Stream:
@@ -36,13 +36,13 @@ class Stream:
 
     Args:
         own: this end of the connection, `zmtp.ROUTER` for the hub or `zmtp.DEALER` for a peer.
-        max_frame: size of the largest frame that is accepted, in bytes.
-        max_body: size of the largest body that is accepted, in bytes; may be set later.
+        max_frame: maximum size of a frame, in bytes.
+        max_body: maximum size of a body, in bytes; may be set later.
         mechanism: encryption; None for none.
 
     Attributes:
         max_body: as given.
-        empty: whether nothing is buffered: all bytes received were part of messages.
+        empty: whether nothing is buffered, as all bytes received were part of messages.
     """
 
     __slots__ = (
@@ -70,11 +70,11 @@ class Stream:
         self._at_hub = at_hub
         self._mechanism = mechanism
         self._decoder = zmtp.Decoder(own, max_frame, mechanism)
-        self._written: dict[str, StepFormat] = {}  # by their session
-        self._read: dict[bytes, StepReader] = {}  # by the lead of their format
-        self._only: StepReader | None = None  # if there is but one
-        self._data = b""  # begins with a message, of which the decoder knows nothing yet
-        self._at = 0  # bytes of it that have been read
+        self._written: dict[str, StepFormat] = {}  # by session
+        self._read: dict[bytes, StepReader] = {}  # by the lead of the format
+        self._only: StepReader | None = None  # if there is only one
+        self._data = b""  # begins with a message, and is not in the decoder yet
+        self._at = 0  # number of its bytes that have been read
 
     @property
     def ready(self) -> bool:
@@ -87,7 +87,7 @@ class Stream:
         return len(self._data) - self._at + self._decoder.buffered
 
     def receive_data(self, data: bytes) -> None:
-        """Take bytes that were received."""
+        """Add bytes received from the connection."""
         if self.empty and self._read and self._mechanism is None:
             self._data = data
         else:
@@ -96,13 +96,13 @@ class Stream:
         self.empty = False
 
     def next_event(self) -> Message | bytes | None:
-        """Return the next message, or bytes to be sent at once, which may be none; None if more must arrive.
+        """Return the next message, or bytes (possibly none) to send at once; None if more data is needed.
 
         Raises:
-            UnknownKind: a well-formed message has a kind that is not known; those after it can be read.
-            Malformed: frames are not a message; those after them can be read.
-            RemoteProtocolError: this is not ZMTP 3, not what a partner says, or too large: nothing that
-                follows can be read. As `zmtp.Decoder.next_event`.
+            UnknownKind: a well-formed message has an unknown kind; later messages can be read.
+            Malformed: frames are not a message; later frames can be read.
+            RemoteProtocolError: the data is not ZMTP 3, not what the partner may send, or too large, and
+                nothing after it can be read; see `zmtp.Decoder.next_event`.
         """
         if self.empty:
             return None
@@ -134,7 +134,7 @@ class Stream:
             raise Malformed(str(error)) from None
 
     def _decrypted_step(self, frames: list[bytes]) -> Message | None:
-        """Return the step in frames that were encrypted; None if they are not a step as usual."""
+        """Return the step in decrypted frames; None if they are not a usual step."""
         head, body = zmtp.encode_parts(frames)
         reader = self._read.get(lead_of(head, 0))
         if reader is None or len(frames) != 2:
@@ -142,7 +142,7 @@ class Stream:
         return reader.read(head + body, 0, self.max_body)
 
     def _decode_rest(self) -> None:
-        """Leave the bytes that are not a step as usual to the decoder."""
+        """Pass the bytes that are not a usual step to the decoder."""
         if self._data:
             self._decoder.receive_data(self._data[self._at :])
             self._data, self._at = b"", 0
@@ -169,7 +169,7 @@ class Stream:
         return zmtp.encode_parts(frames)
 
     def _learn(self, kind: Kind, session: str) -> StepFormat | None:
-        """Remember the formats of a call and its answer; return the one that is written here, if any."""
+        """Remember the formats of a call and its answer; return the format that this end writes, if any."""
         formats = step_formats(kind, session)
         if formats is None:
             return None

@@ -1,15 +1,15 @@
 """ZMTP 3, the protocol between ZeroMQ's sockets, without I/O: both ends of a DEALER's connection to a ROUTER.
 
-Bytes go in, messages come out, and bytes to answer at once:
+Bytes go in; messages come out, and bytes to send at once:
 
     decoder = Decoder(ROUTER, max_frame=2**20)
     decoder.receive_data(data)
     while (event := decoder.next_event()) is not None:
         ...
 
-It speaks NULL, or CURVE if it is given one of its ends as the mechanism (see `glue.wire.curve`).
-Commands that are not understood are ignored, as the standard requires. Sizes are checked before anything of
-that size is kept; frames beyond those that a caller wants to see are not kept.
+The mechanism is NULL, or CURVE if one of its ends is given (see `glue.wire.curve`). Unknown commands are
+ignored, as the standard requires. Sizes are checked before data of that size is kept; frames beyond those
+that a caller needs are discarded.
 
 Source: ZeroMQ RFC 23 (ZMTP 3.0) and RFC 37 (ZMTP 3.1).
 """
@@ -35,10 +35,10 @@ GREETING: Final = _greeting(b"NULL", 0)
 means nothing with this mechanism."""
 
 CURVE_GREETING: Final = _greeting(b"CURVE", 1)
-"""The server's greeting where CURVE is used."""
+"""The server's greeting with CURVE."""
 
 CURVE_CLIENT_GREETING: Final = _greeting(b"CURVE", 0)
-"""The client's greeting where CURVE is used."""
+"""The client's greeting with CURVE."""
 
 _MORE: Final = 1
 _LONG: Final = 2
@@ -49,13 +49,13 @@ _ENCRYPTED_COMMAND: Final = 2
 """The flag of a command inside an encrypted frame."""
 
 _MAX_COMMAND: Final = 4096
-"""The largest command, in bytes: room for any READY."""
+"""Maximum size of a command, in bytes: room for any READY."""
 
 _KEPT: Final = 3
-"""Frames of a message that are kept: one more than any message of ours has shows that it is too long."""
+"""Maximum number of frames kept of a message: one more than our longest has, to show that it is too long."""
 
 _AT_ONCE: Final = 16
-"""Frames after which the caller may serve another connection, even if no message is complete."""
+"""Number of frames after which the caller may serve another connection, even without a complete message."""
 
 _SIZE: Final = struct.Struct(">Q")
 _SHORT_HEADS: Final = [[bytes((flags, size)) for size in range(256)] for flags in (0, _MORE)]
@@ -67,7 +67,7 @@ def encode(frames: Sequence[bytes]) -> bytes:
 
 
 def encode_parts(frames: Sequence[bytes]) -> tuple[bytes, bytes]:
-    """Return the bytes of a message in two parts, of which the second is the content of its last frame."""
+    """Return the bytes of a message in two parts; the second is the content of its last frame."""
     parts = []
     more = len(frames) - 1
     for frame in frames:
@@ -83,7 +83,7 @@ def encode_parts(frames: Sequence[bytes]) -> tuple[bytes, bytes]:
 
 
 def _command(body: bytes) -> bytes:
-    """Return the frame of a command; b"" for none."""
+    """Return the frame of a command; b"" if its body is empty."""
     if not body:
         return b""
     size = len(body)
@@ -104,7 +104,7 @@ _PARTNER: Final = {DEALER: ROUTER, ROUTER: DEALER}
 
 
 class OtherMechanism(RemoteProtocolError):
-    """The other side speaks ZMTP 3, but authenticates in another way."""
+    """The other side speaks ZMTP 3, but with another security mechanism."""
 
 
 class HandshakeEnded(RemoteProtocolError):
@@ -112,14 +112,14 @@ class HandshakeEnded(RemoteProtocolError):
 
 
 class HandshakeRefused(RemoteProtocolError):
-    """The other side is not let in.
+    """The other side is not admitted.
 
     Args:
-        reason: why, for people on this side.
-        command: the body of the command that says so to the other side.
+        reason: the reason, for people on this side.
+        command: the body of the command that informs the other side.
 
     Attributes:
-        farewell: the bytes to be sent before the connection is ended.
+        farewell: the bytes to send before closing the connection.
     """
 
     def __init__(self, reason: str, command: bytes) -> None:
@@ -137,26 +137,26 @@ class Mechanism(Protocol):
 
     @property
     def overhead(self) -> int:
-        """Bytes by which an encrypted frame is longer than the frame in it, at most."""
+        """Maximum overhead of an encrypted frame over the frame in it, in bytes."""
         ...
 
     def begin(self) -> bytes:
-        """Return the body of this end's first command, once greetings were exchanged; b"" at the server."""
+        """Return the body of this end's first command after the greetings; b"" at the server."""
         ...
 
     def answer(self, command: bytes, metadata: bytes) -> tuple[bytes, bytes | None]:
         """Return the body of the answer to a command, and the other side's metadata.
 
-        The body is b"" if no answer is needed, the metadata None until the handshake is complete.
+        The body is b"" if no answer is needed; the metadata is None until the handshake is complete.
         """
         ...
 
     def decrypt(self, frame: bytes) -> tuple[int, bytes]:
-        """Return the flags of a frame, 1 for more to come and 2 for a command, and its payload."""
+        """Return the flags of a frame (1: more frames follow, 2: a command) and its payload."""
         ...
 
     def encrypt(self, flags: int, payload: bytes) -> bytes:
-        """Return a frame, its head included."""
+        """Return the encrypted frame, including its head."""
         ...
 
     def encode(self, frames: Sequence[bytes]) -> bytes:
@@ -165,15 +165,15 @@ class Mechanism(Protocol):
 
 
 class Decoder:
-    """Decoder of the bytes that one connection receives, from the first on.
+    """Decoder of all bytes that one connection receives.
 
     Args:
         own: this end of the connection, ROUTER or DEALER; the other end has to be its partner.
-        max_frame: the largest frame that is accepted, in bytes.
+        max_frame: maximum size of a frame, in bytes.
         mechanism: this end of CURVE; None for NULL.
 
     Attributes:
-        ready: the handshake is complete.
+        ready: whether the handshake is complete.
     """
 
     def __init__(self, own: bytes, max_frame: int, mechanism: Mechanism | None = None) -> None:
@@ -181,16 +181,16 @@ class Decoder:
         self._max_frame = max_frame
         self._mechanism = mechanism
         self._buffer = b""
-        self._at = 0  # what comes before it is done with
-        self._later = bytearray()  # what was received after it, until it is needed
-        self._size = 0  # bytes of both that are not done with
-        self._needed = len(GREETING)  # bytes without which there is nothing to do
-        self._frames: list[bytes] = []  # of a message that is not complete
+        self._at = 0  # offset of the first byte in the buffer that is still needed
+        self._later = bytearray()  # received after the buffer, and not needed yet
+        self._size = 0  # number of bytes still needed in both
+        self._needed = len(GREETING)  # number of bytes needed to proceed
+        self._frames: list[bytes] = []  # of an incomplete message
         self._greeted = False
         self.ready: bool = False
 
     def take_back(self) -> bytes:
-        """Return the bytes received that begin with a message in plain text, if any, and forget them."""
+        """Remove and return the bytes received, if they begin with an unencrypted message; otherwise b""."""
         if not self._size or not self.ready or self._frames or self._mechanism is not None:
             return b""
         data = b"".join((self._buffer[self._at :], self._later))
@@ -200,11 +200,11 @@ class Decoder:
 
     @property
     def buffered(self) -> int:
-        """Bytes that are kept, waiting for more or for `next_event`."""
+        """Number of bytes kept, waiting for more or for `next_event`."""
         return self._size + sum(map(len, self._frames)) if self._frames else self._size
 
     def receive_data(self, data: bytes) -> None:
-        """Take bytes that were received."""
+        """Add bytes received from the connection."""
         if not self._size:
             self._buffer = data
             self._at = 0
@@ -213,14 +213,14 @@ class Decoder:
         self._size += len(data)
 
     def next_event(self) -> list[bytes] | bytes | None:
-        """Return the frames of a message, or bytes that are to be sent at once; None if more must come.
+        """Return the frames of a message, or bytes to send at once; None if more data is needed.
 
-        There may be no bytes to be sent: what has come so far asks for nothing, but there is more of it.
+        The bytes may be empty: the input so far needs no reply, but there is more of it.
         Of a message of more than two frames, three are returned.
 
         Raises:
-            HandshakeRefused: the mechanism does not let the other side in.
-            RemoteProtocolError: this is not ZMTP 3, not what a DEALER says, or too large.
+            HandshakeRefused: the mechanism does not admit the other side.
+            RemoteProtocolError: the data is not ZMTP 3, not what the partner may send, or too large.
         """
         for _ in range(_AT_ONCE):
             if self._size < self._needed:
@@ -271,13 +271,13 @@ class Decoder:
         return b""
 
     def _take(self, skipped: int, size: int) -> bytes:
-        """Return the next bytes, after some that are skipped."""
+        """Skip bytes, and return the next `size` bytes."""
         start = self._at + skipped
         self._at = end = start + size
         self._size -= skipped + size
         taken = self._buffer[start:end]
         if 2 * end >= len(self._buffer):
-            # What is done with may be large, and should not stay.
+            # The consumed part may be large; release it.
             self._buffer = self._buffer[end:]
             self._at = 0
         return taken
@@ -325,7 +325,7 @@ class Decoder:
         end = command[0] + 1 if command else 0
         name, data = command[1:end], command[end:]
         if name == b"PING":
-            # Two bytes of time to live, which is the sender's own business, and a context to give back.
+            # A time to live of two bytes, which concerns only the sender, and a context to echo.
             pong = _name(b"PONG") + data[2:18]
             return (
                 _command(pong)

@@ -1,11 +1,11 @@
 """Many games stepped in one call: for planning, and for learning from many games at once.
 
-    with Batch([InfiniteMario(level_seed=seed).parameters for seed in range(64)]) as batch:
+    with MarioBatch([InfiniteMario(level_seed=seed).parameters for seed in range(64)]) as batch:
         batch.start()
         rewards, ended = batch.step(np.tile([1, 0, 1], (64, 1)))
         batch.start(ended)
 
-The games share nothing: each plays as it would alone, however many threads there are.
+The games share nothing: each plays as a single game would, whatever the number of threads.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from glue.errors import SimulatorError
 from glue.types import Observation
 
 _GAMES_PER_THREAD: Final = 128
-"""Games that make a further thread worth its wake-up."""
+"""Number of games that justifies waking another thread."""
 _CHOICES: Final = np.array([3, 2, 2])
 _LEFT: Final = np.array([1, 0, 0])
-"""From a direction of -1 to 1 to its number."""
+"""Added to a direction, -1 to 1, to get its number, 0 to 2."""
 
 
 class MarioBatch(Closing):
-    """N games as RL-Glue's agents see them. Close it at the end, or use it in a `with` statement.
+    """N games as RL-Glue's agents see them. Close the batch at the end, or use a `with` statement.
 
     Args:
         tasks: one for each game.
@@ -75,11 +75,11 @@ class MarioBatch(Closing):
             actions: shape (N, 3): direction -1 to 1, jump and run 0 or 1.
 
         Returns:
-            The rewards, shape (N,), and whether each episode ended, shape (N,). After an end the observation
-            is still the one before it, or that of the next episode if the batch `restarts`.
+            The rewards, shape (N,), and whether each episode ended, shape (N,). When it ended, the
+            observation is still the previous one, or that of the next episode if the batch `restarts`.
 
         Raises:
-            SimulatorError: an action is out of bounds, or a game has no episode being played. No game was
+            SimulatorError: an action is out of bounds, or a game has no episode being played. No game is
                 stepped then.
         """
         count = len(self)

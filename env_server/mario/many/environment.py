@@ -1,8 +1,8 @@
 """Many games of Infinite Mario as one RL-Glue environment: `glue-env mario --batch 64`.
 
-The name of this class stands in the entry-point group `glue.batches`: so `glue.plugins.batched` finds it. All
-games are stepped in one compiled call, and their observations gathered into one message by another. Each game
-is, to the byte, what an `InfiniteMario` of its own would be; the message is described in `glue.batches`.
+`glue.plugins.batched` finds this class in the entry-point group `glue.batches`. One compiled call steps all
+games, and another gathers their observations into one message, described in `glue.batches`. Each game equals
+an `InfiniteMario` of its own to the byte.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from glue.wire.limits import MAX_BODY
 
 _ACTION_INTS: Final = 3
 _BESIDE: Final = 24
-"""Bytes of a game in a message beside its observation: its reward, terminal and counts."""
+"""Bytes of a game in a message besides its observation: its reward, terminal and counts."""
 _MAX_GAMES: Final = MAX_BODY // 400
-"""No observation is smaller than that."""
+"""Maximum number of games: no observation is smaller than 400 bytes."""
 
 
 class InfiniteMarioBatch(Environment):
@@ -35,11 +35,11 @@ class InfiniteMarioBatch(Environment):
     A batch never ends: the experiment limits its steps. Nothing in the game is random, so there is no seed.
 
     Args:
-        environment: what each game is like. It answers the messages.
-        games: how many.
+        environment: provides the options of each game, and answers the messages.
+        games: number of games.
 
     Raises:
-        ConfigError: so many do not fit into a message.
+        ConfigError: so many games do not fit into a message.
     """
 
     def __init__(self, environment: InfiniteMario, games: int) -> None:
@@ -58,7 +58,7 @@ class InfiniteMarioBatch(Environment):
         return self._games
 
     def env_init(self) -> str:
-        """Make fresh games; return the task spec of all."""
+        """Make fresh games; return the task spec of the batch."""
         task_spec = self.__wrapped__.env_init()
         self._close()
         self._batch = MarioBatch([self.__wrapped__.parameters] * self._games, restarts=True)
@@ -67,10 +67,10 @@ class InfiniteMarioBatch(Environment):
         return batch_task_spec(self._games, task_spec)
 
     def env_start(self) -> Observation:
-        """Build the level of each game anew, and return the first observations.
+        """Rebuild the level of each game, and return the first observations.
 
         Raises:
-            SimulatorError: env_init was not called yet.
+            SimulatorError: env_init has not been called yet.
         """
         batch = self._playing()
         batch.start()
@@ -83,9 +83,9 @@ class InfiniteMarioBatch(Environment):
             The sum of the rewards, the batch, and False.
 
         Raises:
-            RemoteProtocolError: these are not the actions of so many games.
+            RemoteProtocolError: `action` does not hold the actions of so many games.
             SimulatorError: an action is out of bounds or misshapen, or there is no episode to step in. No
-                game was stepped then.
+                game is stepped then.
         """
         batch = self._playing()
         rewards, ended = batch.step(self._buttons(action))
@@ -97,7 +97,7 @@ class InfiniteMarioBatch(Environment):
         self.__wrapped__.env_cleanup()
 
     def env_message(self, message: str) -> str:
-        """Answer as each of the games would; a level that is asked for is that of all."""
+        """Answer as each of the games would; a requested level applies to all games."""
         before = self.__wrapped__.parameters
         answer = self.__wrapped__.env_message(message)
         task = self.__wrapped__.parameters
@@ -116,7 +116,7 @@ class InfiniteMarioBatch(Environment):
             self._batch = None
 
     def _buttons(self, action: Action) -> npt.NDArray[np.int32]:
-        # All of a good message but the buttons themselves is known before it arrives.
+        # Everything in a valid message except the buttons is known before it arrives.
         if action.body.startswith(self._head):
             return action.ints[-_ACTION_INTS * self._games :].reshape(-1, _ACTION_INTS)
         for game, one in enumerate(unpack_actions(action, self._games).values(Action)):
@@ -150,7 +150,7 @@ def _gather(
         chars += own_words[i, 2]
     words, reals = message.view(np.int32), message.view(np.float64)
     words[0], words[1], words[2], words[3] = ints, doubles, chars, 0
-    # Where the next number of each kind goes, counted in numbers of its size.
+    # Index of the next number of each kind, in units of its size.
     real = PREFIX_SIZE // 8
     word = PREFIX_SIZE // 4 + 2 * doubles
     char = 4 * (word + ints)
@@ -178,6 +178,6 @@ def _gather(
 
 @jit
 def _copy(source: npt.NDArray[Any], target: npt.NDArray[Any]) -> None:
-    """Copy a row to the beginning of another: eight times as fast as to assign a slice, in compiled code."""
+    """Copy a row to the beginning of another; compiled, that is eight times as fast as a slice assignment."""
     for i in range(len(source)):
         target[i] = source[i]

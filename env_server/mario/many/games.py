@@ -1,6 +1,6 @@
 """Many games: episodes that end, are cut off and begin again, in one compiled call.
 
-`Games` holds N games and what is shown of them. A game depends neither on the others nor on the threads.
+`Games` holds N games and their views. A game depends neither on the others nor on the threads.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ INFOS: Final = ("timeout", "goal", "level_seed", "level_type", "level_difficulty
 MAX_STEPS: Final = 2**31 - 1
 """Steps of an episode that is never cut off."""
 
-# What a call can order of a game: an action, by its number, or one of these.
+# The orders that a call can give a game: an action, by its number, or one of these.
 _BEGIN: Final = -1
 _LEAVE: Final = -2
 
@@ -44,15 +44,15 @@ Reals = npt.NDArray[np.float32]
 class Lane:
     """The state of a game besides its world."""
 
-    key: Word  # which levels its episodes are played on, with `episode`
-    episode: Int  # how many have begun since the seed
-    place: Int  # which record of `levels` it plays on
+    key: Word  # with `episode`, chooses the level of each episode
+    episode: Int  # number of episodes begun since the seed
+    place: Int  # index of its record of `levels`
     begun: Flag
     over: Flag  # the episode has ended or was cut off
     reward: Real
     terminated: Flag
     truncated: Flag
-    size: Int  # bytes of what is shown
+    size: Int  # bytes of the view
     info: Annotated[npt.NDArray[np.int64], np.int64, 5]
     final_info: Annotated[npt.NDArray[np.int64], np.int64, 5]
 
@@ -65,9 +65,9 @@ class Setup:
     max_steps: Int
     first_level: Int
     levels: Int  # 0: the task's own level
-    shared: Flag  # whether there is a record for each level, already made, for all games
+    shared: Flag  # whether all games share one record for each level, made in advance
     difficulties: Int
-    level_type: Int  # -1: as the level's number says
+    level_type: Int  # -1: that of the level's number
     level_difficulty: Int
 
 
@@ -81,19 +81,19 @@ class Games(Closing):
 
     Args:
         tasks: one for each game.
-        view: what is shown of a game.
+        view: the view of each game.
         mode: NEXT_STEP, SAME_STEP or DISABLED: when a game that is over begins its next episode.
         threads: threads that step the games.
         max_steps: steps after which an episode is cut off.
         levels: levels of the episodes; None for those of the tasks.
         level_type, level_difficulty: of all episodes on `levels`; -1 for those of the level's number.
-        finals: whether to keep what was shown last of episodes that ended in the same step.
+        finals: whether to keep the last views of episodes that ended in the same step.
 
     Attributes:
-        cells, reals: what is shown, shapes (N, bytes) and (N, reals) of the view.
-        final_cells, final_reals: what was shown last of episodes that are over.
+        cells, reals: the current views, shapes (N, bytes) and (N, reals) of the view.
+        final_cells, final_reals: the last views of episodes that are over.
         lanes: shape (N,); see `Lane`.
-        levels: the levels of the set if they are no more than the games, which share them; else each game's.
+        levels: the levels of the set, shared by the games if there are no more than games; else each game's.
     """
 
     def __init__(
@@ -172,11 +172,11 @@ class Games(Closing):
         Args:
             actions: shape (N, K): direction 0 to 2, jump and run, or their number; see `choices`.
             choices: number of choices of each, shape (K,).
-            then: reads what the games show now; see `Threads.run`.
+            then: reads the new views; see `Threads.run`.
 
         Returns:
-            -1; or `i`, if game `i` has no episode to step in, or `N + i`, if it has no such action. Then no
-            game was stepped.
+            -1; or, with no game stepped, `i` if game `i` has no episode to step in, or `N + i` if it has no
+            such action.
         """
         refused = int(_order(actions, choices, self.lanes, self._setup, self._orders))
         if refused < 0:
@@ -216,12 +216,12 @@ class Games(Closing):
             none = np.zeros((0, 1), np.int64), np.zeros(1, np.int64)
             _order(*none, self.lanes[:0], self._setup, self._orders)
             self._run()
-            # Only `render` asks for an observation, which may compile then.
+            # Only `render` asks for an observation; the code for it may compile then.
 
 
 @jit
 def _begin(world: World, levels: Levels, lane: Lane, setup: Setup) -> None:
-    """Begin the next episode of a game, on the level that is its turn."""
+    """Begin the next episode of a game, on the level chosen for it."""
     if setup.levels > 0:
         chosen = int(splitmix(lane.key + np.uint64(lane.episode)) % np.uint64(setup.levels))
         number = setup.first_level + chosen
@@ -251,7 +251,7 @@ def _order(
     setups: Array,
     orders: npt.NDArray[np.int8],
 ) -> int:
-    """Order a step of every game, or return why not; see `Games.step`."""
+    """Order a step of every game, or return the reason for refusing; see `Games.step`."""
     setup: Setup = setups[0]
     for i in range(len(lanes)):
         lane: Lane = lanes[i]
@@ -280,9 +280,9 @@ def _advance(
     final_cells: Bytes,
     final_reals: Reals,
 ) -> None:
-    """Do as ordered in the games that this thread claims, in every turn.
+    """Carry out the orders of the games that this thread claims, in every turn.
 
-    One function for all that can happen to a game, because the rules are compiled into each that calls them.
+    One function does everything, because the rules are compiled into every function that calls them.
     """
     setup: Setup = setups[0]
     while begin_turn(gate, worker):
@@ -312,7 +312,7 @@ def _advance(
                 if begins:
                     _begin(world, levels, lane, setup)
                     level = levels[lane.place]
-                # The observation of a terminal step is the one before it, as in the original.
+                # The observation of a terminal step is the previous one, as in the original.
                 if begins or not lane.terminated:
                     lane.size = write_view(world, level, setup.view_number, cells[i], reals[i])
             first, last = claim(gate, worker)
@@ -330,7 +330,7 @@ def _act(world: World, level: LevelMap, lane: Lane, setup: Setup, action: int) -
         lane.info[0] = world.win_timer == 0 and not was_dying and world.steps >= world.max_trial_steps
     else:
         lane.reward = ordinary_reward(world)
-    lane.truncated = world.steps >= setup.max_steps  # as Gymnasium has it, even if the episode ended as well
+    lane.truncated = world.steps >= setup.max_steps  # as in Gymnasium, even if the episode ended as well
     lane.over = lane.terminated or lane.truncated
 
 

@@ -21,7 +21,7 @@ _TILE: Final = 4
 _BESIDE: Final = 6  # tiles from the picture's border to Mario
 _SPARE: Final = COLUMNS_SHOWN - SIZE // _TILE  # columns of the window that are not in the picture
 _KINDS: Final = 12
-_ROOM: Final = 8  # pixels that the highest sprite takes
+_ROOM: Final = 8  # height of the tallest sprite, in pixels
 _SKY: Final = "123456"
 _NAMES: Final = {
     1: "ledge",
@@ -38,7 +38,7 @@ _NAMES: Final = {
 
 
 def _shrunk(lines: tuple[str, ...]) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
-    """Return a picture at a quarter of its size, on its feet, and which of its pixels are opaque."""
+    """Return a picture at a quarter of its size, aligned to the bottom, and the mask of its opaque pixels."""
     missing = -len(lines) % _TILE
     lines = ("." * len(lines[0]),) * missing + lines
     lines = tuple(line + "." * (-len(line) % _TILE) for line in lines)

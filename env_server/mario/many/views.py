@@ -1,19 +1,19 @@
 """The views of a game: tiles and sprites, planes, pixels or all numbers for a learner, bytes for the wire.
 
-Each is written by compiled code as two rows, of bytes and of single-precision numbers, of which `View` knows
-the shapes. Everything is in the game's own observation (`env_server.mario.observation`), nothing beyond it.
+Compiled code writes each as two rows, of bytes and of single-precision numbers, whose lengths `View` holds. A
+view shows nothing beyond the game's own observation (`env_server.mario.observation`).
 
 tiles    `tiles`, uint8 (16, 21): 0 nothing, 1 to 3 as in the observation, 4 solid, 5 brick, 6 question block,
          7 pipe, 8 coin, 9 the goal's column, 10 Mario
          `sprites`, float32 (16, 7): Mario, then the others, the nearest first; unused rows are 0.
-         present (1), kind, winged, x and y from Mario to it (y upwards), its velocity; in tiles and tiles per
-         step. In Mario's own row x and y are where he stands in his tile, 0 to 1.
+         present (1), kind, winged, x and y relative to Mario (y upwards), velocity; in tiles and tiles per
+         step. In Mario's own row x and y are his position within his tile, 0 to 1.
 planes   uint8 (22, 16, 21), 0 or 1: tiles 1 to 10; sprites of kind 1 to 9; winged sprites; Mario is large;
          Mario has fire (the last two everywhere)
 pixels   uint8 (64, 64, 3), red, green and blue: 16 of the 21 columns, a tile is 4 by 4
 raw      `ints` int32 (513,), `doubles` float64 (1024,), `chars` uint8 (352,), as in the observation and then
-         zeros, and `actors`, how many there are
-body     the observation as the body of an abstract type (`glue.types`), as long as `write_view` returns
+         zeros, and `actors`, their number
+body     the observation as the body of an abstract type (`glue.types`); `write_view` returns its length
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ Reals = npt.NDArray[np.float32]
 
 @jit
 def write_view(world: World, level: LevelMap, view: int, cells: Cells, reals: Reals) -> int:
-    """Write an observation of `world`, by the number of a `View`; return its bytes."""
+    """Write an observation of `world`, by the number of a `View`; return its length in bytes."""
     if view == BODY:
         return encode(world, level, cells)
     if view == TILES:
@@ -108,7 +108,7 @@ def _write_sprites(world: World, reals: Reals) -> None:
     mario = world.actors[0]
     x, y, vx, vy = place_of(world, mario)
     _write_sprite(reals, kind_of_mario(world), False, x - np.floor(x), y - np.floor(y), vx, vy)
-    # The others are few: look for the next one through all of them, of equally far ones the first.
+    # The others are few, so scan them all for the next nearest; of equally distant ones the first.
     last, last_far = -1, -1.0
     for j in range(1, SPRITES):
         found, found_far = -1, np.inf

@@ -1,4 +1,4 @@
-"""The effects of hitting a block, also on actors that stand on it."""
+"""The effects of hitting a block, including those on actors that stand on it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def take_coin(world: World, level: LevelMap, column: int, row: int) -> None:
 
 @jit
 def hit_block(world: World, level: LevelMap, column: int, row: int, can_break: bool) -> None:
-    """Hit a cell from below or from the side: it gives what it holds, or breaks."""
+    """Hit a cell from below or from the side: it yields its content, or breaks."""
     behavior = behavior_at(world, level, column, row)
     if behavior & tile.BUMPABLE:
         _jolt(world, level, column, row - 1)
@@ -72,7 +72,7 @@ def _add_item(world: World, column: int, row: int) -> None:
     kind = FLOWER if world.large else MUSHROOM
     x = np.float32(16 * column + 8)
     item = add_actor(world, kind, x, np.float32(16 * row + 8), 1, 12)
-    # Its first update, which every actor makes on being added: items rise.
+    # Its first update, as for every added actor: items rise.
     item.y -= np.float32(1)
     item.age = 1
 

@@ -22,7 +22,7 @@ EXTRA_COLUMNS: Final = 50
 _ROOM_FOR_ZONE: Final = 64
 _OVERGROUND: Final = 0
 _DRESS_OF_TYPE: Final = np.array([0, 12, 8])
-# What a ground cell becomes by which of its corners are buried: 8 north-west, 4 north-east,
+# The tile of a ground cell by its buried corners: 8 north-west, 4 north-east,
 # 2 south-west, 1 south-east. With none buried it stays as it is.
 _DRESSED: Final = np.array(
     [0, 128, 130, 129, 160, 144, 145, 131, 162, 145, 146, 147, 161, 179, 163, 145],
@@ -31,7 +31,7 @@ _DRESSED: Final = np.array(
 
 @jit
 def generate(level: LevelMap, seed: int, kind: int, difficulty: int, columns: int) -> None:
-    """Make `level` that of a seed, type, difficulty and width, unless it is that level already."""
+    """Generate the level of a seed, type, difficulty and width, unless `level` is that level already."""
     is_same_level = level.seed == seed and level.type == kind and level.difficulty == difficulty
     if is_same_level and level.columns == columns:
         return

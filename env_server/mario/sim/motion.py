@@ -19,13 +19,13 @@ _ZERO: Final = np.float32(0)
 _ONE: Final = np.float32(1)
 _TILE: Final = np.float32(16)
 _SUBSTEP: Final = np.float32(8)
-_HALF_WIDTH: Final = 4  # of everything that meets tiles
+_HALF_WIDTH: Final = 4  # of every actor that collides with tiles
 _REACH: Final = np.float32(_HALF_WIDTH)
 
 
 @jit
 def move_sideways(world: World, level: LevelMap, actor: Actor, amount: np.float32) -> bool:
-    """Move by `amount` pixels or up to an obstacle, which clears `vx`; return whether there was one."""
+    """Move by `amount` pixels or up to an obstacle, which clears `vx`; return whether it was blocked."""
     head = tile_of(actor.y - np.float32(actor.height))
     middle = tile_of(actor.y - np.float32(actor.height // 2))
     feet = tile_of(actor.y)
@@ -69,7 +69,7 @@ def move_sideways(world: World, level: LevelMap, actor: Actor, amount: np.float3
 def move_vertically(world: World, level: LevelMap, actor: Actor, amount: np.float32) -> None:
     """Move by `amount` pixels or up to an obstacle: a ceiling clears `vy`, a floor grounds the actor.
 
-    Landing does not clear `vy`: what remains of it keeps a standing actor grounded.
+    Landing does not clear `vy`: the remaining speed keeps a standing actor grounded.
     """
     falls = amount > _ZERO
     blocked = False
@@ -141,7 +141,7 @@ def _substep_down(world: World, level: LevelMap, actor: Actor, dy: np.float32) -
 
 @jit
 def _fall_onto_coins(world: World, level: LevelMap, mario: Actor, dy: np.float32) -> bool:
-    """Take the coins that Mario's probes meet before the first that is blocked; return whether one is."""
+    """Take the coins that Mario's probes meet up to the first blocked probe; return whether there is one."""
     for probe in range(4):
         column = tile_of(mario.x - _REACH if probe % 2 == 0 else mario.x + _REACH)
         row = tile_of(mario.y + dy if probe < 2 else mario.y + dy + _ONE)

@@ -85,7 +85,7 @@ def grow(world: World, fire: bool) -> None:
 
 @jit
 def bounce(world: World, level: LevelMap, y: np.float32, height: int) -> None:
-    """Let Mario bounce off a thing whose feet are at `y`."""
+    """Let Mario bounce off an actor whose feet are at `y`."""
     mario = world.actors[0]
     move_vertically(world, level, mario, y - np.float32(height // 2) - mario.y)
     world.jump_vx = _ZERO
@@ -117,7 +117,7 @@ def show_size(world: World, large: bool, fire: bool) -> None:
 
 @jit
 def _change_size(world: World, mario: Actor) -> None:
-    """Flicker between the new size and the previous one, which also counts in collisions."""
+    """Flicker between the new and the previous size; the size shown also counts in collisions."""
     world.change_timer -= 1 if world.change_timer > 0 else -1
     if abs(world.change_timer) // 3 % 2 == 0:
         show_size(world, world.new_large, world.new_fire)

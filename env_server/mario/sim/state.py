@@ -1,7 +1,7 @@
 """Every field of a game, with its unit. A game is a record of `WORLD` and the level that it is played on.
 
-Play never changes a level, a record of `LEVEL`: games may share it. Used blocks, coins that were taken and
-enemies that are dead are in the game's record, as one bit for each cell. Copying the record copies the game.
+Play never changes a level, a record of `LEVEL`, so games may share one. Used blocks, taken coins and dead
+enemies are in the game's record, one bit for each cell. Copying the record copies the game.
 
 `World`, `LevelMap` and `Actor` name the fields and their types, once, for the type checker and for the layout
 of the records. The rules take records; compiled or not, `world.coins` reads and writes their memory.
@@ -57,7 +57,7 @@ class Actor:
     """Mario, an enemy, an item, a shell or a fireball."""
 
     kind: Tiny
-    x: Single  # of the middle of its feet line
+    x: Single  # of the middle of its feet
     y: Single  # of its feet
     vx: Single
     vy: Single
@@ -87,7 +87,7 @@ class Actors(Protocol):
 
 
 class LevelMap:
-    """A level as it was generated, and what from."""
+    """A level as it was generated, and its parameters."""
 
     seed: Long
     type: Int
@@ -99,13 +99,13 @@ class LevelMap:
     cells: Annotated[npt.NDArray[np.int64], np.int64, (COLUMNS,)]  # four bits for each row: see `cells_at`
     bumpable: Annotated[npt.NDArray[np.uint16], np.uint16, (COLUMNS,)]  # a bit for each row, as in `changed`
     spawns: Annotated[npt.NDArray[np.uint8], np.uint8, (COLUMNS, ROWS)]  # then call `write_cells`
-    spawning: Annotated[npt.NDArray[np.uint16], np.uint16, (COLUMNS,)]  # a bit for each row that has one
+    spawning: Annotated[npt.NDArray[np.uint16], np.uint16, (COLUMNS,)]  # a bit for each row with a spawn
 
 
 class World:
-    """A game: the task, what outlives an episode, and the episode."""
+    """A game: the task, the state kept between episodes, and the episode."""
 
-    # The task. Units and ranges stand with the options of env_server.mario.environment.
+    # The task. Units and ranges are given with the options of env_server.mario.environment.
     level_seed: Long
     level_type: Int
     level_difficulty: Int
@@ -125,7 +125,7 @@ class World:
     slidejump_time: Int
     start_ticks: Int
     alpha: Single
-    draws_at_checkins: Flag  # and not after every tick
+    draws_at_checkins: Flag  # instead of after every tick
     velocity_of_jar: Flag
 
     # Kept between episodes.
@@ -135,7 +135,7 @@ class World:
     button_run: Flag
     started: Flag  # whether an episode has begun before
 
-    # What play has changed of the level: for each column, a bit for each row, the highest row's the lowest.
+    # The changes of the level in play: for each column, a bit for each row, the lowest for the highest row.
     changed: Annotated[npt.NDArray[np.uint16], np.uint16, (COLUMNS,)]  # tiles
     dead: Annotated[npt.NDArray[np.uint16], np.uint16, (COLUMNS,)]  # spawn points whose enemy is dead
 
@@ -161,7 +161,7 @@ class World:
     fire: Flag
     new_large: Flag  # after the size change under way
     new_fire: Flag
-    last_large: Flag  # before it
+    last_large: Flag  # before that change
     last_fire: Flag
     was_grounded: Flag
     wall_slide: Flag
@@ -193,8 +193,8 @@ Levels = npt.NDArray[np.void]
 def _record(fields: type) -> np.dtype[np.void]:
     """Return the record layout of an annotated class.
 
-    Numbers stand together, so that those of a step share a few lines of the cache, behind the actors and
-    before the long arrays; the widest come first, so that all are aligned.
+    Single numbers come after the actors and before the long arrays, so that those of a step share a few cache
+    lines; the widest come first, so that all are aligned.
     """
     layout: list[tuple[Any, ...]] = []
     for name, hint in typing.get_type_hints(fields, include_extras=True).items():
@@ -218,8 +218,8 @@ WORLD: Final = _record(World)
 def add_actor(world: World, kind: int, x: np.float32, y: np.float32, facing: int, height: int) -> Actor:
     """Return a new actor, which is put in front of the list at the end of the tick.
 
-    If all slots are in use, it gets a spare one and is never listed. No level has been seen to need a
-    quarter of them.
+    If all slots are in use, the actor gets a spare one and is never listed. No level seen so far needs a
+    quarter of the slots.
     """
     slot = 1
     while slot < ACTORS and world.actors[slot].kind != FREE:
@@ -234,7 +234,7 @@ def add_actor(world: World, kind: int, x: np.float32, y: np.float32, facing: int
 
 @jit
 def fill_actor(actor: Actor, kind: int, x: np.float32, y: np.float32, facing: int, height: int) -> None:
-    """Write every field of a new actor, which rests at its place."""
+    """Write every field of a new actor, at rest."""
     actor.kind = kind
     actor.x = x
     actor.y = y

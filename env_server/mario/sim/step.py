@@ -120,7 +120,7 @@ def press_buttons(world: World, all_buttons: bool) -> None:
 
 @jit
 def reset(world: World, level: LevelMap) -> None:
-    """Generate the level, if it is another, and reset everything but the buttons for a new episode."""
+    """Generate the level if it differs, and reset everything except the buttons for a new episode."""
     columns = world.level_width + EXTRA_COLUMNS
     generate(level, world.level_seed, world.level_type, world.level_difficulty, columns)
     clear(world)
@@ -128,7 +128,7 @@ def reset(world: World, level: LevelMap) -> None:
 
 @jit
 def clear(world: World) -> None:
-    """Reset everything but the buttons for a new episode on the same level."""
+    """Reset everything except the buttons for a new episode on the same level."""
     world.changed[:] = 0
     world.dead[:] = 0
     world.playing = True
@@ -233,14 +233,14 @@ def _has_enemy(world: World, column: int, row: int) -> bool:
 
 @jit
 def _towards(world: World, column: int) -> int:
-    """Return where an enemy of a column faces at first: -1 left, if Mario is over a tile that way, else 1."""
+    """Return the initial facing of an enemy of a column: -1 if Mario is over a tile to its left, else 1."""
     middle = np.float32(16 * column + 8)
     return -1 if middle > world.actors[0].x + np.float32(16) else 1
 
 
 @jit
 def _tidy_list(world: World) -> None:
-    """Put new actors in front of the list, as a block, oldest first; then remove those that are marked."""
+    """Put new actors in front of the list, as a block, oldest first; then remove the marked actors."""
     added = world.added
     if added:
         for i in range(world.listed - 1, -1, -1):
@@ -256,7 +256,7 @@ def _tidy_list(world: World) -> None:
         if actor.leaving:
             actor.kind = FREE
             if world.carrying == slot:
-                world.carrying = 0  # the shell that he carries is gone, which no observation shows
+                world.carrying = 0  # the carried shell is gone, which no observation shows
         else:
             world.order[kept] = slot
             kept += 1

@@ -57,7 +57,7 @@ BEHAVIOR: Final = np.array(
 """Shape (256,): the bits STOPS_FALL to PICKUP of each tile code (128 is cosmetic)."""
 
 CHANGED: Final = np.where(BEHAVIOR & BUMPABLE, USED_BLOCK, EMPTY).astype(np.uint8)
-"""Shape (256,): the tile that each changes to in play: hit blocks are used, bricks break, coins are taken."""
+"""Shape (256,): the tile that each becomes in play: hit blocks are used, bricks break, coins are taken."""
 
 # How observations show a cell: 0 nothing, 1 stops only falling, 2 stops only rising, 3 both, and these.
 SHOWN_SOLID: Final = 4
@@ -123,13 +123,13 @@ def behavior_at(world: World, level: LevelMap, column: int, row: int) -> int:
 
 @jit
 def row_bit(row: int) -> int:
-    """Return the lowest bit of a row's cell, for FLOORS to COINS. Rows go on as in `tile_at`."""
+    """Return the lowest bit of a row's cell, for FLOORS to COINS. Rows extend as in `tile_at`."""
     return 1 << 4 * min(row, ROWS - 1) if row >= 0 else 0
 
 
 @jit
 def cells_at(world: World, level: LevelMap, column: int) -> int:
-    """Return how the cells of a column look now, four bits for each row. Columns go on as in `tile_at`."""
+    """Return the present look of a column's cells, four bits for each row. Columns extend as in `tile_at`."""
     column = min(max(column, 0), level.columns - 1)
     cells = int(level.cells[column])
     changed = int(world.changed[column])
@@ -141,7 +141,7 @@ def cells_at(world: World, level: LevelMap, column: int) -> int:
 
 @jit
 def _spread(bits: int) -> int:
-    """Return the bits of the rows, each as the lowest of its cell's four."""
+    """Return the bits of the rows, each moved to the lowest of its cell's four bits."""
     bits = (bits | bits << 24) & 0x000000FF000000FF
     bits = (bits | bits << 12) & 0x000F000F000F000F
     bits = (bits | bits << 6) & 0x0303030303030303
@@ -150,7 +150,7 @@ def _spread(bits: int) -> int:
 
 @jit
 def write_cells(level: LevelMap, column: int) -> None:
-    """Write what a level keeps of a column in bits, after its tiles and spawn points were written."""
+    """Update the bit fields of a column after its tiles and spawn points were written."""
     cells = 0
     bumpable = 0
     spawning = 0
@@ -166,7 +166,7 @@ def write_cells(level: LevelMap, column: int) -> None:
 
 @jit
 def set_tile(level: LevelMap, column: int, row: int, code: int) -> None:
-    """Let a cell inside the level hold another tile from the beginning of the game."""
+    """Set the tile that a cell inside the level has from the beginning of the game."""
     level.tiles[column, row] = code
     write_cells(level, column)
 

@@ -1,6 +1,6 @@
 """Drawings of our environments for the page of runs: entry points of the group `glue.drawings`.
 
-Each is a table of files by name, with a function that returns the content; the page imports `drawing.js`.
+Each maps the names of files to functions that return their content; the page imports `drawing.js`.
 docs/view.md describes the script.
 """
 
@@ -32,7 +32,7 @@ MARIO: Final[Mapping[str, Callable[[], bytes]]] = {
     "artwork.json": _artwork,
     "sheet.png": sheet_png,
 }
-"""Infinite Mario; the sprites are one picture, which takes Pillow."""
+"""Infinite Mario; the sprites are one picture, which needs Pillow."""
 
 TOYS: Final[Mapping[str, Callable[[], bytes]]] = {
     "drawing.js": (_FOLDER / "toys.js").read_bytes,

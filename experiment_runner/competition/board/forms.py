@@ -24,7 +24,7 @@ _FORMULA: Final = ("=", "+", "-", "@")
 
 
 def number(value: float) -> str:
-    """Return a score for people."""
+    """Return a score as text."""
     return f"{value:,.2f}"
 
 
@@ -101,7 +101,7 @@ def _options(options: object) -> str:
 
 
 def _cell(text: str) -> str:
-    """Return a text as a cell that no spreadsheet takes for a formula."""
+    """Return a text as a cell that no spreadsheet reads as a formula."""
     return f"'{text}" if text.startswith(_FORMULA) else text
 
 

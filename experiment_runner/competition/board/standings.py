@@ -1,9 +1,9 @@
-"""The ranks of a competition's entrants, by their verified trials.
+"""The ranks of a competition's entrants, from their verified trials.
 
 The score of a trial is the sum of the rewards over all its steps, with learning included, as in the
 RL Competition; that of a task is the mean over its trials. Entrants are placed by the mean of their ranks in
-the tasks, and by the total of their scores. A trial that was forfeited scores what a passive agent earns, or
-the lowest verified score of the entrants who played it to the end if that is lower: leaving never pays.
+the tasks, and by the total of their scores. A forfeited trial scores what a passive agent earns, or the
+lowest verified score of the entrants who played it to the end if that is lower, so that leaving never pays.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from glue.errors import ExperimentError
 
 _RESAMPLES: Final = 10_000
 _MOST_BYTES: Final = 2**20
-"""Bytes of the file that says which program held the competition."""
+"""Maximum size in bytes of the file that names the program that held the competition."""
 
 _INTERVAL: Final = (2.5, 97.5)
 _CURVE_POINTS: Final = 200
-"""Points of a learning curve, at most."""
+"""Number of intervals of a learning curve."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +45,9 @@ class TaskScore:
     Args:
         score: mean over the trials.
         trials: the score of each trial.
-        rank: among those who are ranked; those who share a rank have the mean of their places.
-        curve: mean over the trials of the reward up to each of some fractions of the task's steps or
-            episodes, shape (points,); empty if the task was forfeited in every trial.
+        rank: among the ranked entrants; ties get the mean of their places.
+        curve: mean over the trials of the reward up to each of some fractions of the trial's steps, shape
+            (points,); empty if the task was forfeited in every trial.
     """
 
     score: float
@@ -71,15 +71,15 @@ class Standing:
 
     Args:
         name: of the entrant.
-        place: by the mean of the ranks, from 1; shared by those who are equal; None without a verified score
-            in every trial.
+        place: by the mean of the ranks, from 1; ties share a place; None without a verified score in every
+            trial.
         mean_rank: mean of the ranks in the tasks.
         place_by_total: by the total.
         total: sum of the tasks' scores, and its 95 % bootstrap interval over trials.
         low, high: the interval.
         tasks: by name.
-        forfeits: trials that it did not play to the end.
-        missing: why it has no place, in short.
+        forfeits: trials that the entrant did not play to the end.
+        missing: short reason for having no place.
     """
 
     name: str
@@ -167,7 +167,7 @@ def ranks(scores: Sequence[float]) -> list[float]:
 
 
 def _lowest(results: Results) -> dict[tuple[str, int], float]:
-    """Return the lowest verified score of those who played to the end, by task and number of the trial."""
+    """Return the lowest verified score of trials played to the end, by task and number of the trial."""
     lowest: dict[tuple[str, int], float] = {}
     outcomes = results.outcomes()
     for trial_id, verdict in results.verdicts().items():
@@ -222,7 +222,7 @@ class _Entrant:
 
     @property
     def missing(self) -> str:
-        """Why it has no place; empty if it has one."""
+        """Reason for having no place; empty if the entrant has one."""
         if self._missing:
             return (
                 self._missing[0]
@@ -284,7 +284,7 @@ def _interval(scores: Sequence[Sequence[float]]) -> tuple[float, float]:
 
 
 def _curve(episodes: Sequence[EpisodeResult]) -> FloatArray:
-    """Return the reward earned up to each of `_CURVE_POINTS` fractions of a trial's steps."""
+    """Return the reward earned up to each of `_CURVE_POINTS` + 1 fractions of a trial's steps, 0 to 1."""
     if not episodes:
         return np.zeros(0)
     steps = np.cumsum([episode.steps for episode in episodes])

@@ -1,6 +1,6 @@
 """The record of a trial: an actions-only recording (docs/trajectories.md), as a file of the run.
 
-The organiser's database holds the SHA-256 of each finished record, so that no byte of it can change unseen.
+The organiser's database holds the SHA-256 of each finished record, so no byte of it can change unnoticed.
 """
 
 from __future__ import annotations

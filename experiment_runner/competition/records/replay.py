@@ -33,7 +33,7 @@ def made_for(spec: TrialSpec) -> Environment:
     """Return the environment of a trial, seeded if it can be.
 
     Raises:
-        ConfigError: there is none of this name, or it has not this option.
+        ConfigError: there is no such environment, or it lacks one of the options.
     """
     assert spec.environment is not None
     environment: Environment = build(find(Role.ENVIRONMENT, spec.environment.name), spec.environment.options)
@@ -56,7 +56,7 @@ class Replay(Protocol):
 
         Args:
             actions: the different actions.
-            choices: which of them to carry out, shape (N,).
+            choices: indices of the actions to carry out, shape (N,).
         """
         ...
 
@@ -65,7 +65,7 @@ def replay_of(spec: TrialSpec) -> tuple[Replay, str]:
     """Return a replay of a trial's environment, from its beginning, and the environment's task spec.
 
     Raises:
-        ConfigError: there is no such environment any more, or it has not this option.
+        ConfigError: the environment no longer exists, or lacks one of the options.
     """
     environment = made_for(spec)
     task_spec = environment.env_init()
@@ -118,7 +118,7 @@ def passive_score(spec: TrialSpec, steps: int) -> float:
 
     Args:
         spec: the trial.
-        steps: how many steps it has; 0 if it is the number of episodes that counts.
+        steps: number of steps; 0 if the number of episodes counts.
     """
     replay, task_spec = replay_of(spec)
     action = [passive_action(task_spec)]

@@ -1,8 +1,8 @@
 """The seal of a competition: digests of everything that its board shows, in the run's file `seal.json`.
 
 `played` covers the competition's file, the trials and their outcomes, and is renewed with each outcome;
-`verified` covers each verdict and the episodes behind it. An edit of the directory breaks the seal. Whoever
-may write to the directory can also make a new seal: only a signature shows others who has made it.
+`verified` covers each verdict and the episodes behind it. An edit of the directory breaks the seal. Anyone
+who may write to the directory can also make a new seal; only a signature shows who made it.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def record_outcome(store: Store, trial_id: str, outcome: Outcome) -> None:
     """Store how a trial ended, and renew the seal.
 
     The new digest is written before the outcome, and the old one is kept with it: a process that is killed
-    between the two leaves a seal that fits.
+    between the two leaves a valid seal.
     """
     found = _read(store.directory)
     found["played"] = [_played(store, {}), _played(store, {trial_id: outcome})]
@@ -62,7 +62,7 @@ def sign(directory: Path, key: str, signed: Callable[[bytes], bytes]) -> None:
 
     Args:
         directory: of the run.
-        key: the public key, for people.
+        key: the public key, as text.
         signed: returns the signature of a message.
     """
     found = _read(directory)
@@ -70,7 +70,7 @@ def sign(directory: Path, key: str, signed: Callable[[bytes], bytes]) -> None:
 
 
 def broken(results: Results) -> str:
-    """Name the part that was changed since it was sealed; empty if nothing was, or there is no seal.
+    """Return the part that was changed since it was sealed; empty if none was, or there is no seal.
 
     Raises:
         ExperimentError: the seal cannot be read.
@@ -79,7 +79,7 @@ def broken(results: Results) -> str:
     if not (directory / SEAL_FILE).exists():  # of version 0.1.0
         return ""
     verdicts = results.verdicts()
-    # Of a competition that is being held, an outcome may have come between the database and the seal.
+    # While a competition is held, an outcome may be stored between reading the seal and the database.
     for found in (_read(directory) for _ in range(_TRIES)):
         if _played(results, {}) in found["played"]:
             break
@@ -92,7 +92,7 @@ def broken(results: Results) -> str:
 
 
 def signed_message(directory: Path) -> tuple[bytes, bytes]:
-    """Return the message that a seal is signed for, and the signature.
+    """Return the signed message of a seal, and its signature.
 
     Raises:
         ExperimentError: the seal cannot be read, or has no signature.
@@ -139,7 +139,7 @@ def _content(path: Path) -> bytes:
 
 
 def _read(directory: Path) -> dict[str, Any]:
-    """Return the seal; its digests are lists, of which the newest is the last."""
+    """Return the seal; its digests are lists, newest last."""
     path = directory / SEAL_FILE
     try:
         with path.open("rb") as file:

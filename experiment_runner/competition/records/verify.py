@@ -38,11 +38,11 @@ class Mismatch(ExperimentError):
 
 
 def verify(store: Store, steps: Mapping[str, int], say: Callable[[str], None]) -> int:
-    """Replay every trial that is over, and store the verdicts; return how many have a problem.
+    """Replay every trial that is over, and store the verdicts; return the number of trials with a problem.
 
     Args:
         store: of the run.
-        steps: how many steps each task has; 0 if its episodes count.
+        steps: number of steps of each task; 0 if its episodes count.
         say: shows a line for each problem.
 
     Raises:
@@ -68,7 +68,7 @@ def verify(store: Store, steps: Mapping[str, int], say: Callable[[str], None]) -
                 score = passive[task, number]
         except GlueError as error:
             problem, score = str(error), math.nan
-        except Exception as error:  # of an environment, which may have changed since
+        except Exception as error:  # from an environment, which may have changed since
             problem, score = f"the environment failed: {type(error).__name__}: {error}", math.nan
         record_verdict(store, spec.id, Verdict(sha256, problem, score))
         if problem is not None:
@@ -175,5 +175,5 @@ def _compare_episodes(stored: Sequence[EpisodeResult], replayed: Sequence[Replay
 
 
 def _add(total: float, rewards: npt.NDArray[np.float64]) -> float:
-    """Return the sum, added up one by one as in a trial: the last bits depend on it."""
+    """Return the sum, added up one by one as in a trial: the last bits depend on the order."""
     return float(np.add.accumulate(np.concatenate(([total], rewards)))[-1])

@@ -1,7 +1,7 @@
 """A benchmark of generalisation as trials of a run, and the scores in that run.
 
-A trial plays every level of the scored sets with one seed. If nothing is learned before, and the scores are
-wanted for each difficulty, it plays the levels of one difficulty, so that a set can be shared by workers.
+A trial plays every level of the scored sets with one seed. If nothing is learned before, and there are scores
+for each difficulty, it plays only the levels of one difficulty, so that workers can share a set.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ class Benchmark:
         agent: the agent, as `glue.plugins.loading.find` takes it.
         agent_options: its options as NAME=VALUE; `{seed}` in one becomes the seed of the trial.
         train: set of the levels for learning.
-        test: set of unseen levels; scored are this set and `train`.
-        sets: sets to be scored instead, for each difficulty.
+        test: set of unseen levels; this set and `train` are scored.
+        sets: sets to score instead, for each difficulty.
         learn: number of episodes of learning.
         relearn: number of episodes on a level before the scored one.
         seeds: one for each trial of a level.
         questions: messages sent to the agent after each episode.
-        noise: probability of an action to be replaced by a random one.
+        noise: probability that an action is replaced by a random one.
 
     Raises:
         ConfigError: a set or an agent is unknown, or an option is wrong.
@@ -88,7 +88,7 @@ class Benchmark:
         return [self._trial(joined, part, seed) for part in parts for seed in self.seeds]
 
     def player(self, seed: int) -> RoleSpec:
-        """Return the agent, with its options, as it plays with a seed.
+        """Return the agent and its options for a seed.
 
         Raises:
             ConfigError: the agent is unknown, or an option is wrong.
@@ -147,8 +147,8 @@ def open_benchmark(directory: Path, benchmark: Benchmark, say: Callable[[str], N
 
     Raises:
         ConfigError: the directory is not a run of `glue-generalise`.
-        ExperimentError: it is the run of another benchmark or of an agent's file that has changed since, is
-            in use, or cannot be written to.
+        ExperimentError: the run is of another benchmark, or of an agent's file that has changed since, is in
+            use, or cannot be written to.
     """
 
     def check(store: Store) -> None:

@@ -4,9 +4,9 @@
     python -m experiment_runner.study.generalisation.imitation --seed 1 --states 1000000 --out imitation.npz
     glue-generalise --set test-1000 --agent network --agent-option policy=imitation.npz
 
-A teacher that knows the level prices every action, and the network learns how much more than the cheapest
-each costs: the mean, as a mistake that kills one time in five is worth avoiding. The states are those that
-the network itself comes to.
+A teacher that knows the level prices every action, and the network learns how much more each costs than the
+cheapest, on average, as a mistake that kills one time in five is worth avoiding. The states are those that
+the network itself reaches.
 
 Source: Ross, Gordon and Bagnell (2011), A reduction of imitation learning and structured prediction to
 no-regret online learning; Ross and Bagnell (2014), Reinforcement and imitation learning via interactive
@@ -36,21 +36,21 @@ from experiment_runner.study.generalisation.teacher import Teacher
 _GAMES: Final = 256
 _EPISODE: Final = 350  # steps; a level takes 100 to 250
 _ROUND: Final = 16_000  # states between two trainings
-_PRICED: Final = 0.3  # of the states
-_TAUGHT: Final = 0.15  # of those, in which the teacher acts
-_RANDOM: Final = 0.03  # of the actions, and in the first round, in which the teacher acts in all states,
-_FIRST_RANDOM: Final = 0.15
+_PRICED: Final = 0.3  # share of the states that are priced
+_TAUGHT: Final = 0.15  # share of those in which the teacher acts
+_RANDOM: Final = 0.03  # share of the actions that are random
+_FIRST_RANDOM: Final = 0.15  # the same in the first round, in which the teacher acts in all states
 
 _BATCH: Final = 1024
 _BATCHES: Final = 400  # after each round
-_PASSES: Final = 8  # through all states after the last, while the rate falls
+_PASSES: Final = 8  # through all states after the last round, while the rate falls
 _RATE: Final = 1e-3
 _LAST_RATE: Final = 1e-5
-_DEAREST: Final = 12.0  # steps more than the best: whatever is worse counts as this
+_DEAREST: Final = 12.0  # maximum steps above the best; higher prices are clipped
 
 
 class States:
-    """The states that were priced: what is seen of them, and the prices above the cheapest."""
+    """The states that were priced: their features, and the prices above the cheapest."""
 
     def __init__(self) -> None:
         self._seen: list[npt.NDArray[np.float16]] = []
@@ -64,7 +64,7 @@ class States:
         self.count += len(seen)
 
     def gathered(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return all of them, shapes (S, F) and (S, 12)."""
+        """Return the features and prices of all states, shapes (S, F) and (S, 12)."""
         self._seen, self._prices = [np.concatenate(self._seen)], [np.concatenate(self._prices)]
         return torch.from_numpy(self._seen[0]), torch.from_numpy(self._prices[0])
 
@@ -87,7 +87,7 @@ class Player:
         self.won: int = 0
 
     def play(self, network: Network | None, states: States, count: int) -> None:
-        """Play until so many states have been added; without a network, the teacher plays."""
+        """Play until `count` states have been added; without a network, the teacher plays."""
         until = states.count + count
         self.ended = self.won = 0
         while states.count < until:
@@ -115,7 +115,7 @@ class Player:
 
 
 class Learner:
-    """The network while it learns."""
+    """The network in training."""
 
     def __init__(self, seed: int) -> None:
         torch.manual_seed(seed)
@@ -129,7 +129,7 @@ class Learner:
         self._optimizer = torch.optim.Adam(self._layers.parameters(), _RATE)
 
     def train(self, states: States, batches: int, last_rate: float = _RATE) -> float:
-        """Train by so many batches, with a rate that ends at `last_rate`; return the mean squared error."""
+        """Train on `batches` batches, with a rate that ends at `last_rate`; return the mean squared error."""
         seen, prices = states.gathered()
         total = 0.0
         for batch in range(batches):
@@ -143,13 +143,13 @@ class Learner:
         return total / batches
 
     def network(self) -> dict[str, Reals]:
-        """Return the weights as the agent has them: it prefers what costs less."""
+        """Return the weights for the agent, which prefers actions that cost less."""
         weights, last = of_linear(list(self._layers)[::2]), LAYERS - 1
         return weights | {name: -weights[name] for name in (f"weight{last}", f"bias{last}")}
 
 
 def learn(levels: int, seed: int, count: int, out: str) -> None:
-    """Learn from `count` states on so many levels, print how it goes, and save each network to `out`."""
+    """Learn from `count` states on `levels` levels, print the progress, and save each network to `out`."""
     player, learner, states = Player(levels, seed), Learner(seed), States()
     network, began = None, time.perf_counter()
     while states.count < count:

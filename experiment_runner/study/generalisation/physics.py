@@ -1,4 +1,4 @@
-"""How well `planner-learns` identifies physical constants, beside the planner that is told them.
+"""How well `planner-learns` identifies physical constants, compared to a planner that knows them.
 
 Both play one episode on each level: the levels of test-1000 with the constants of a published task or
 with random ones, or the published tasks themselves.
@@ -36,15 +36,15 @@ class Outcome(NamedTuple):
     """An episode of the agent that learns, and one of the agent that is told the constants."""
 
     identified: float  # steps until five constants were within 0.001; infinite if they never were
-    predicted: float  # share of the steps since then in which Mario was predicted to move as he did
+    predicted: float  # share of the steps since then in which Mario moved as predicted
     learned: bool  # whether the first agent reached the goal
-    told: bool  # whether the second did
+    told: bool  # whether the second agent did
     learned_return: float
     told_return: float
 
 
 def outcomes(group: str, levels: int) -> Iterator[Outcome]:
-    """Play a group of tasks, on the first so many levels of test-1000.
+    """Play a group of tasks, on the first `levels` levels of test-1000.
 
     Raises:
         ConfigError: there is no such group.

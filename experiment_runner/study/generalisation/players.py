@@ -1,9 +1,9 @@
-"""The players of `glue-generalise`: an environment that plays numbered levels, and an agent that is set back.
+"""The players of `glue-generalise`: an environment that plays numbered levels, and an agent that is reset.
 
 With them a benchmark is a run of ordinary trials. Episodes of learning come first, each on a training level
 drawn evenly. Then every scored level has a block: some episodes of relearning, and the scored one. Before
-each block the agent is set back to what it had learned (agent_save, agent_load), so that neither the order of
-the levels nor learning on them matters. An agent that cannot save plays on as it is.
+each block the agent is reset to its learned state (agent_save, agent_load), so that neither the order of the
+levels nor learning on them matters. An agent that cannot save continues as it is.
 
 With noise, each action is replaced by a random one with a given probability; `Noise` draws the same for
 the same trial, level and attempt.
@@ -57,7 +57,7 @@ def level_set(name: str) -> LevelSet:
     """Return the set of levels with this name; for NAME:N its first N levels.
 
     Raises:
-        ConfigError: there is none, or it has fewer levels.
+        ConfigError: there is no such set, or it has fewer levels.
     """
     name, colon, count = name.partition(":")
     found = resolve_levels(name)
@@ -75,7 +75,7 @@ def scored_levels(sets: str, difficulty: int = -1) -> list[tuple[LevelSet, int]]
 
     Args:
         sets: names of sets, separated by commas.
-        difficulty: the only one that is scored; -1 for all.
+        difficulty: the only difficulty that is scored; -1 for all.
 
     Raises:
         ConfigError: a set is unknown.
@@ -102,7 +102,7 @@ def play(agent: AgentLike, game: Game, observation: Observation, chosen: Callabl
     """Play the episode that a game has begun; return the sum of its rewards.
 
     Args:
-        agent: initialised. It is not told of the end of the episode.
+        agent: initialised; it is not notified of the end of the episode.
         game: of Infinite Mario.
         observation: the first one.
         chosen: called with each action before it is carried out.
@@ -119,12 +119,12 @@ def play(agent: AgentLike, game: Game, observation: Observation, chosen: Callabl
 
 
 class Noise:
-    """Random actions in place of some of an episode's.
+    """Random actions that replace some of an episode's.
 
     Args:
-        probability: of an action to be replaced.
+        probability: that an action is replaced.
         seed: of the trial.
-        level: its number.
+        level: number of the level.
         attempt: number of earlier episodes on the level in its block.
     """
 
@@ -158,11 +158,11 @@ class NumberedLevels(Environment):
         Args:
             train: set of the levels for learning.
             sets: sets of the scored levels; see `scored_levels`.
-            difficulty: the only one that is scored; -1 for all.
+            difficulty: the only difficulty that is scored; -1 for all.
             learn: number of episodes of learning.
             relearn: number of episodes of relearning on each level.
             seed: seed of the order of the training levels and of the noise, at least 0.
-            noise: probability of an action to be replaced by a random one.
+            noise: probability that an action is replaced by a random one.
 
         Raises:
             ConfigError: a set is unknown.

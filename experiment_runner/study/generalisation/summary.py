@@ -66,7 +66,7 @@ def table(documents: Sequence[Document], solvable: Set[int] = frozenset()) -> st
         solvable: numbers of levels; the share of these that were solved is a column of a table by difficulty.
 
     Raises:
-        ConfigError: some have scores for each difficulty, and others have not.
+        ConfigError: some have scores for each difficulty, and others do not.
         ExperimentError: SciPy is not installed.
     """
     kinds = {bool(document.get("sets")) for document in documents}

@@ -1,7 +1,7 @@
-"""A teacher that knows the level: what each action costs, by a search from the state after it.
+"""A teacher that knows the level, and prices each action by a search from the state after it.
 
-The price of an action is the number of steps until Mario has come a dozen columns further, in a place where
-he can stop, with something added for not reaching it.
+The price of an action is the number of steps until Mario has come a dozen columns further, to a place where
+he can stop, with a penalty for not reaching one.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ _AHEAD: Final = 12  # columns
 _WINDOW: Final = 60  # columns that may change during a search
 _PLAN: Final = 64
 DEATH: Final = 40.0  # steps
-_UNSAFE: Final = 25.0  # steps for a plan after which he cannot stop,
-_SHORT: Final = 10.0  # and for one that does not come far enough
+_UNSAFE: Final = 25.0  # steps added for a plan after which he cannot stop
+_SHORT: Final = 10.0  # steps added for a plan that does not get far enough
 _LOSS_OF_SIZE: Final = 2.0
-_BACK: Final = 5.0  # steps more than the best for going left, where going on is possible
-_POSSIBLE: Final = 12.0  # steps: whatever costs less is a way to go on
+_BACK: Final = 5.0  # steps above the best for going left, where going on is possible
+_POSSIBLE: Final = 12.0  # steps: going on is possible by an action that costs less
 _UNKNOWN: Final = -1.0
 
 _step = model.step
@@ -74,7 +74,7 @@ class Teacher:
         return np.where(found == _UNKNOWN, best + _BACK, found).astype(np.float32)
 
     def follow(self, actions: npt.NDArray[np.int64]) -> None:
-        """Keep the plans that go on with what the games did, shape (N,)."""
+        """Keep the plans that begin with the actions taken, shape (N,)."""
         kept = self.plans[:, 0] == actions
         self.plans[:, :-1] = self.plans[:, 1:].copy()
         self.plans[~kept] = -1
@@ -129,7 +129,7 @@ def _price(
                     plan[:-1] = plans[game, 1:]
                 search(copy, level, scratch, memory, rows, nodes, heap, table, settings, plan)
                 safe = how.safe
-                if not safe and expected:  # what was safe a step ago still is
+                if not safe and expected:  # a plan that was safe a step ago still is
                     plan[:-1] = plans[game, 1:]
                     safe = True
                 k = 0

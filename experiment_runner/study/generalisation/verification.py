@@ -2,8 +2,8 @@
 
 Both are documents, see `experiment_runner.study.generalisation.benchmark.document`. A score holds the
 actions of its episode, so that anybody can play them in the simulator and compare what they earn.
-Certificates are found by a search of the whole level. Without a solution, a score holds no actions, and
-the model steps spent.
+Certificates are found by a search of the whole level. Without a solution, a score holds no actions, only the
+model steps spent.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ _DIGITS: Final = "".join(ACTIONS)
 
 
 def differences(document: Document, say: Callable[[str], None]) -> Iterator[str]:
-    """Play the actions of every score again; yield each score that is not what they earn, in words.
+    """Play the actions of every score again; yield a description of each score that is not what they earn.
 
     Args:
-        document: from anybody.
-        say: takes the number of scores that were replayed, at the end.
+        document: scores that may come from anybody.
+        say: receives the number of scores that were replayed, at the end.
 
     Raises:
         ConfigError: the document is not of these sets, or its fields are missing or of another type.
@@ -69,7 +69,7 @@ def differences(document: Document, say: Callable[[str], None]) -> Iterator[str]
 
 
 def _difference(score: dict[str, Any], levels: LevelSet, noise: Noise) -> str:
-    """Return the difference of a score from a replay of its actions, in words; empty without one."""
+    """Return in words how a score differs from a replay of its actions; empty if it does not."""
     actions = str(score["actions"])
     if not actions:
         return "" if not score["goal"] and score.get("sims") else "its actions are not recorded"
@@ -98,7 +98,7 @@ def _replay(levels: LevelSet, number: int, actions: str, noise: Noise | None = N
 
 
 def solvable(document: Document) -> set[int]:
-    """Return the numbers of the levels of which certificates hold a solution."""
+    """Return the numbers of the levels for which certificates hold a solution."""
     scores = (score for trial in document["trials"] for name in document["sets"] for score in trial[name])
     return {score["level"] for score in scores if score["goal"]}
 
@@ -108,8 +108,8 @@ def certify(name: str, known: Document | None, keep: Callable[[Document], None])
 
     Args:
         name: of the set, as `level_set` takes it.
-        known: certificates that were found before; their levels are left out of the work.
-        keep: is called with the certificates so far, every 100 levels and at the end.
+        known: certificates that were found before; their levels are skipped.
+        keep: called with the certificates so far, every 100 levels and at the end.
 
     Raises:
         ConfigError: there is no such set, or `known` are certificates of other levels.
@@ -134,7 +134,7 @@ def certify(name: str, known: Document | None, keep: Callable[[Document], None])
 
 
 def _certificate(levels: LevelSet, number: int) -> dict[str, Any]:
-    """Return the score of the way to the goal that was found, or one without actions."""
+    """Return the score of the way found to the goal, or a score without actions."""
     game = Game(levels.level(_TASK, number))
     game.start()
     way, sims = find_way(game.world, game.level_map, _SIMS)

@@ -1,4 +1,4 @@
-"""The experiments of Mohan (2010) as data: which agents on which levels, and the paper's numbers.
+"""The experiments of Mohan (2010) as data: agents, levels, and the paper's numbers.
 
 Each experiment is an ordinary plan with a run directory, which `glue-results` and `glue-plot` read too.
 Source: S. Mohan (2010), "Reinforcement Learning in Infinite Mario".
@@ -84,7 +84,7 @@ def plan_of(experiment: PaperExperiment, episodes: int | None = None, trials: in
 
 
 def level_of(environment: RoleSpec) -> Level:
-    """Return the level of an environment of such a plan.
+    """Return the level of an environment of a plan of `plan_of`.
 
     Raises:
         ExperimentError: the environment does not set the level.

@@ -19,7 +19,7 @@ _IN_CURVES: Final = (_SAMPLE, "4", "5", "6", "7", "8", _BEST)
 
 
 def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
-    """Return the figures that can be drawn of these outcomes, by name.
+    """Return the figures that can be drawn from these outcomes, by name.
 
     figure-2, ...        the paper's: every episode of every trial as a dot, on the paper's level
     soar-3, ...          the same for experiments on the Soar kernel, with our own agent

@@ -32,7 +32,7 @@ from glue.wire.messages import Role
 
 WINDOW: Final = 100
 TOLERANCE: Final = 2.0
-"""A running mean of `WINDOW` episodes has converged within this distance, in reward, of its final value."""
+"""Distance in reward from its final value within which a running mean of `WINDOW` episodes has converged."""
 FINISHED: Final = 90.0
 """The minimum return of an episode that reached the goal: 100, less 0.01 for each of at most 1000 steps.
 
@@ -44,9 +44,9 @@ No level has enough coins and monsters for an episode that ends in death to get 
 class Outcome:
     """The results of one agent of an experiment on one level.
 
-    experiment  that it belongs to
+    experiment  the experiment
     agent       the agent's label in the plan
-    level       that was played
+    level       the level
     planned     number of trials in the plan
     curves      returns of the finished trials, (trials, episodes); see `Setting.curves`
     values      number of learned values at the newest checkpoint, for each trial that has one
@@ -54,7 +54,7 @@ class Outcome:
     seconds     total duration of all episodes
     cycles      mean number of decision cycles of an episode up to the newest checkpoint, for each trial whose
                 agent counts them
-    episodes    number of all trials, also of unfinished ones
+    episodes    number in all trials, also in unfinished ones
     """
 
     experiment: PaperExperiment
@@ -91,7 +91,7 @@ class Outcome:
 
     @property
     def trials_reached(self) -> list[int]:
-        """The value of each trial, ascending."""
+        """The value of `reached` of each trial, ascending."""
         return _ascending(map(reach_episode, self.curves))
 
     @property
@@ -104,7 +104,7 @@ class Outcome:
 
     @property
     def trials_settled(self) -> list[int]:
-        """The value of each trial that settled, ascending."""
+        """The value of `settled` of each trial that settled, ascending."""
         return _ascending(convergence_episode(trial, WINDOW, TOLERANCE) for trial in self.curves)
 
     @property
@@ -121,7 +121,7 @@ class Outcome:
 def reach_episode(returns: FloatArray) -> int | None:
     """Return the episode at which the running mean is first at least its final value less `TOLERANCE`.
 
-    It measures how fast an agent learns, regardless of later relapses. None for fewer than `WINDOW` episodes.
+    It shows how fast an agent learns, regardless of later relapses. None for fewer than `WINDOW` episodes.
     """
     means = running_mean(returns, WINDOW)
     return int(np.argmax(means >= means[-1] - TOLERANCE)) + WINDOW if means.size else None

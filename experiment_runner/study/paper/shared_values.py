@@ -1,4 +1,4 @@
-"""Rank correlation of the values that agents on the Soar kernel and our own have learned of the same states.
+"""Rank correlation of the values that agents on the Soar kernel and our own learned for the same states.
 
 Both hold a value for each keystroke in a state, for each operator with its object, and for each operator in
 a context. Ours are under hashed keys, so each of Soar's rules is looked up by the key of its conditions. Rank
@@ -35,7 +35,7 @@ Values = Mapping[int, float]
 
 _SETTINGS: Final = {"grid": 2, "tile_above": False}
 _FEWEST: Final = 10
-"""Fewer shared values than these say nothing."""
+"""Minimum number of shared values for a meaningful correlation."""
 
 _KINDS: Final = {code: number for number, code in SPRITES.items()}
 _DIRECTIONS: Final = {"left": LEFT, "stay": STAY, "right": RIGHT}
@@ -56,9 +56,9 @@ _SIGNS: Final = {"left": -1, "down": -1, "not": 0, "right": 1, "up": 1}
 
 
 class Agreement(NamedTuple):
-    """Similarity of values of one kind: rank correlations, means over pairs of trials; None without any.
+    """Similarity of values of one kind: rank correlations, means over pairs of trials; None without pairs.
 
-    shared  number of values that two trials, one on Soar and one of ours, have both updated, on average
+    shared  mean number of values that two trials, one on Soar and one of ours, have both updated
     """
 
     experiment: str
@@ -103,7 +103,7 @@ def key_of(learned: Learned) -> int:
     """Return the key under which our agents keep the value of one of Soar's rules.
 
     Raises:
-        SaveError: the rule describes nothing that our agents see.
+        SaveError: the rule describes something that our agents do not see.
     """
     try:
         return int(_key_of(learned))
@@ -112,7 +112,7 @@ def key_of(learned: Learned) -> int:
 
 
 def spearman(first: Sequence[float], second: Sequence[float]) -> float:
-    """Return the rank correlation of two rows of numbers; equal numbers share their mean rank."""
+    """Return the rank correlation of two sequences of numbers; equal numbers share their mean rank."""
     one, other = _ranks(first), _ranks(second)
     if not np.ptp(one) or not np.ptp(other):
         return 0.0
@@ -187,7 +187,7 @@ def _key_of(learned: Learned) -> np.uint64:
 
 
 def _row(first: int, *others: int) -> np.uint64:
-    """Return the key of a row of numbers: those that `flo.describe` and its callers put there."""
+    """Return the key of a row of numbers, as `flo.describe` and its callers write them."""
     key = feature(first)
     for number in others:
         key = extend(np.uint64(key), number)

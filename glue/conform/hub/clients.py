@@ -21,24 +21,24 @@ class Client(Protocol):
     """A started client."""
 
     def wait(self, seconds: float) -> int | None:
-        """Return its exit code, negative for a signal; None if it does not end within `seconds`."""
+        """Return the exit code, negative for a signal; None if the client does not end within `seconds`."""
         ...
 
     def kill(self) -> None:
-        """Kill it."""
+        """Kill the client."""
         ...
 
     def output(self) -> str:
-        """Return its output so far."""
+        """Return the client's output so far."""
         ...
 
     def awake(self) -> bool | None:
-        """Return whether it is running or runnable; None if unknown."""
+        """Return whether the client is running or runnable; None if unknown."""
         ...
 
 
 Start = Callable[[str, str], Client]
-"""A function of a hub's address and a session that starts a client."""
+"""A function that starts a client, given a hub's address and a session."""
 
 
 def starter(command: Sequence[str]) -> Start:
@@ -96,7 +96,7 @@ class ClientProcess:
 
 
 def is_awake(pid: int | None) -> bool | None:
-    """Return whether a thread of a process is running or runnable; None where the system does not tell."""
+    """Return whether a thread of a process is running or runnable; None where the system does not say."""
     try:
         stats = [(task / "stat").read_text() for task in Path(f"/proc/{pid}/task").iterdir()]
     except OSError:

@@ -1,4 +1,4 @@
-"""Comparison of messages with those expected, and their text in verdicts."""
+"""Comparison of messages with expected ones, and their text in verdicts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from glue.wire.codec import TO_HUB, encode
 from glue.wire.messages import Message
 
 _SHOWN: Final = 300
-"""Characters of a message that a verdict shows."""
+"""Maximum number of characters of a message in a verdict."""
 
 
 def shown(message: Message) -> str:
@@ -35,7 +35,7 @@ def same(wanted: Message, got: Message) -> bool:
 
 
 def _plain(message: Message) -> list[Any]:
-    """Return scalars and body such that each NaN is the same, and negative zero another than zero."""
+    """Return scalars and body in a form in which all NaNs are equal, and negative zero differs from zero."""
     values: list[Any] = [_bits(v) if isinstance(v, float) else v for v in message.scalars]
     body = message.body
     shape = TO_HUB[message.kind].body.name

@@ -32,7 +32,7 @@ class Listener:
     """
 
     def __init__(self, scheme: str) -> None:
-        # Not glue-...: runs of earlier versions knock at the sockets in such folders.
+        # Not glue-...: runs of earlier versions connect to the sockets in such folders.
         self._folder = tempfile.TemporaryDirectory(prefix="conform-") if scheme == "ipc" else None
         self._port = 0
         self._socket: network.socket | None = None
@@ -101,15 +101,15 @@ class Connection:
             connected.setsockopt(network.IPPROTO_TCP, network.TCP_NODELAY, 1)
         self._socket = connected
         self._decoder = zmtp.Decoder(zmtp.ROUTER, _MAX_FRAME)
-        self._raw = b""  # what was received in the handshake
+        self._raw = b""  # bytes received in the handshake
         self._early: list[bytes] | None = None  # a message received along with READY
-        self._heard = b""  # what was received of late
+        self._heard = b""  # bytes received recently
 
     def greet(self, wait: float, hold: float = 0.0) -> None:
         """Carry out ZMTP's handshake, with READY delayed by `hold` seconds.
 
         Raises:
-            Broken: the client does not carry it out within `wait` seconds.
+            Broken: the client does not complete it within `wait` seconds.
             Gone: the client closes the connection.
         """
         deadline = clock.monotonic() + wait
@@ -143,7 +143,7 @@ class Connection:
         self.send_bytes(zmtp.encode(frames))
 
     def send_bytes(self, data: bytes, wait: float = 30.0) -> None:
-        """Send bytes, and receive meanwhile.
+        """Send bytes, receiving meanwhile.
 
         Raises:
             Gone: the client closed the connection.
@@ -200,9 +200,9 @@ class Connection:
         return True
 
     def receive_bytes(self, wait: float) -> bytes:
-        """Return bytes that were received, as they come; none if none come in time.
+        """Return bytes as they are received; empty if none arrive in time.
 
-        Only where no message is under way.
+        Only for use while no message is under way.
         """
         self._wait_for_data(clock.monotonic() + wait)
         try:
@@ -226,7 +226,7 @@ class Connection:
         return False
 
     def close(self, reset: bool = False) -> None:
-        """Close the connection; with `reset`, as the end of a killed program does."""
+        """Close the connection; with `reset`, as when a program is killed."""
         if reset:
             self._socket.setsockopt(network.SOL_SOCKET, network.SO_LINGER, _RESET)
         self._socket.close()

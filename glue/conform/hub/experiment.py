@@ -44,7 +44,7 @@ class Order:
 
 
 class _Replying(Experiment):
-    """A hub of our own mirror: records the request of a verb and replies."""
+    """A hub for our own mirror: records the request of a verb and replies."""
 
     def __init__(self, order: Order) -> None:
         self._order = order

@@ -23,7 +23,7 @@ MAX_BODY: Final = 2**20
 """Bytes of the largest body that the kit accepts, as its WELCOME says."""
 
 QUIET: Final = 0.25
-"""Seconds of silence after which no message is expected any more; a wrong one would come at once."""
+"""Seconds of silence after which no message is expected any more: a wrong message would come at once."""
 
 _LOOK: Final = 0.02
 """Seconds between two polls."""
@@ -57,7 +57,7 @@ class Harness(ABC):
         self.instance: bytes = b""  # of the last HELLO
         self.capabilities: tuple[Value, ...] = ()
         self.name: str = ""
-        self.mirror: bool = True  # unless it is found to be another program
+        self.mirror: bool = True  # unless the client turns out to be another program
         self._start = start
         self._client: Client | None = None
         self._connection: Connection | None = None
@@ -85,7 +85,7 @@ class Harness(ABC):
         """Provide a client that has been welcomed and is idle: the current one, or a new one.
 
         Raises:
-            NotJudged: the client does not get that far.
+            NotJudged: the client does not reach that state.
         """
         if self._client is not None and self._client.wait(0) is None and self.connected:
             try:
@@ -101,7 +101,7 @@ class Harness(ABC):
             raise NotJudged(f"the client did not get as far as that: {broken}") from None
 
     def fresh(self, session: str | None = None) -> None:
-        """Replace the client by a new one, and welcome it."""
+        """Replace the client with a new one, and welcome it."""
         self.drop()
         self.start(session)
         self.connect()
@@ -116,7 +116,7 @@ class Harness(ABC):
         self._client = self._start(self.listener.url, self.session)
 
     def abandon(self) -> None:
-        """Kill the client: its state is unknown."""
+        """Kill the client, whose state is unknown."""
         self.cut()
         self.drop()
 
@@ -269,7 +269,7 @@ class Harness(ABC):
                 return message, frames
 
     def decoded(self, frames: Sequence[bytes], expected: str = "a message") -> Message:
-        """Return the message in frames of the client."""
+        """Return the message in the client's frames."""
         try:
             return decode(frames, TO_HUB)
         except UnknownKind as error:
@@ -278,7 +278,7 @@ class Harness(ABC):
             raise Broken(expected, f"a malformed message: {error}", frames) from None
 
     def heard(self, seconds: float = QUIET) -> Sequence[bytes] | None:
-        """Return the frames of the next message but HEARTBEAT and NOTICE; None if there is none in time.
+        """Return the frames of the next message except HEARTBEAT and NOTICE; None if none comes in time.
 
         Raises:
             Gone: the client ended the connection.
@@ -290,13 +290,13 @@ class Harness(ABC):
         return frames
 
     def nothing(self, why: str, seconds: float = QUIET) -> None:
-        """Expect no message but HEARTBEATs for a while."""
+        """Expect no message except HEARTBEATs for a while."""
         frames = self.kept(lambda: self.heard(seconds))
         if frames is not None:
             raise Broken(f"nothing {why}", described(self.decoded(frames)), frames)
 
     def nothing_but_hello(self, seconds: float = QUIET) -> None:
-        """Expect nothing between HELLO and WELCOME but another HELLO, which is merely superfluous."""
+        """Expect nothing between HELLO and WELCOME except another HELLO, which is merely redundant."""
         while (frames := self.kept(lambda: self.heard(seconds))) is not None:
             message = self.decoded(frames)
             if message.kind is not Kind.HELLO:
@@ -315,7 +315,7 @@ class Harness(ABC):
         return self.take(exchange.expected)
 
     def matches(self, expected: Message, got: Message, frames: Sequence[bytes]) -> None:
-        """Check that a message is as expected, then note it."""
+        """Check that a message is as expected, then record it."""
         if not self._agrees(expected, got):
             wanted = self.numbered(expected, got)
             raise Broken(described(wanted), f"{described(got)}{difference(wanted, frames)}", frames)
@@ -346,7 +346,7 @@ class Harness(ABC):
 
     @abstractmethod
     def prepare(self) -> Exchange:
-        """Return the next exchange of such an episode; the caller has to carry it out."""
+        """Return the next exchange of an episode; the caller has to carry it out."""
 
     @abstractmethod
     def resume(self) -> None:
@@ -362,7 +362,7 @@ class Harness(ABC):
 
     @abstractmethod
     def took(self, message: Message) -> None:
-        """Note a message that was expected."""
+        """Record an expected message."""
 
     def exchange(self) -> None:
         """Carry out the next exchange."""

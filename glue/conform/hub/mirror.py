@@ -1,9 +1,9 @@
-"""The mirror: the player or experiment with which a client is judged; docs/clients.md says what it does.
+"""The mirror: the player or experiment that a client is compared with; docs/clients.md describes it.
 
     python -m glue.testing.mirror agent            (or environment, experiment)
     python -m glue.testing.mirror agent --libzmq
 
-It finds its hub by GLUE_HUB and GLUE_SESSION. `glue-conform` compares a client with these very classes.
+The mirror finds its hub by GLUE_HUB and GLUE_SESSION. `glue-conform` compares clients with these classes.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ FAILURE: Final = "asked to fail"
 END: Final = b"!"
 """The last char of an action that ends the episode."""
 CUT: Final = b"?"
-"""The last char of an action that has the episode cut off."""
+"""The last char of an action that cuts the episode off."""
 
 
 class _Mirror:
@@ -53,7 +53,7 @@ class _Mirror:
         self.count, self.seed = map(int, saved.split())
 
     def runs(self, shown: AbstractType, *more: float) -> tuple[list[int], list[float], bytes]:
-        """Return the mirrored ints, doubles and chars of what was shown, with what is added to them."""
+        """Return the mirrored ints, doubles and chars of `shown`, with the mirror's additions."""
         if shown.counts == (0, 0, 0):
             return [], [], b""
         ints = [*shown.ints[::-1].tolist(), self.count]
@@ -133,7 +133,7 @@ def result(ints: Sequence[int] = (), doubles: Sequence[float] = (), chars: bytes
 
 
 def play(glue: Experiment, notices: list[str]) -> None:
-    """Carry out one order after the other until one is `end`; `notices` is filled by someone else."""
+    """Carry out orders until one is `end`; `notices` is filled elsewhere."""
     shown = Action(chars=b"ready")
     while True:
         reward, order, *_ = glue.rl_env_step(shown)
@@ -249,14 +249,14 @@ def run_mirror(role: Role, hub: str, session: str, context: Context | None = Non
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run a mirror in the role that is named."""
+    """Run a mirror in the given role."""
     parser = argparse.ArgumentParser(prog="python -m glue.testing.mirror")
     parser.add_argument("role", choices=[str(role) for role in THREE_ROLES])
     parser.add_argument("--libzmq", action="store_true", help="connect with libzmq, not with plain sockets")
     options = parser.parse_args(arguments)
     context = None
     if options.libzmq:
-        from glue.client.libzmq import Context  # libzmq takes long to load, and few need it
+        from glue.client.libzmq import Context  # libzmq is slow to load and rarely needed
 
         context = Context()
     target = find_target(None, None, None, None)

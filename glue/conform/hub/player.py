@@ -30,16 +30,16 @@ _KINDS: Final = {
 """Each role's calls by their names without the role: AGENT_STEP is `STEP`."""
 
 SPEC: Final = "a task for a mirror, größer als nötig".encode()
-"""The mirror's task: no task spec, so that any answer is legal."""
+"""The mirror's task: not a task spec, so that any answer is legal."""
 
 TASK: Final = (
     b"VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1.0 OBSERVATIONS INTS (0 20) "
     b"ACTIONS INTS (0 1) REWARDS (-1.0 1.0)"
 )
-"""The task of any other agent: one int, of which the kit shows 0."""
+"""The task of any other agent: one int, which the kit shows as 0."""
 
 SHOWN: Final = Observation([0], chars=b"ab")
-"""An observation that even a client which confuses numbers understands: all of them are zero."""
+"""An observation that even a client that confuses numbers understands: every number is zero."""
 
 _PROBE: Final = b"are you a mirror?"
 
@@ -68,7 +68,7 @@ class PlayerHarness(Harness):
         self._plot: Iterator[tuple[str, tuple[Value, ...], bytes]] = cycle(self._episode())
 
     def _recognise(self) -> bool:
-        """Return whether the client is the mirror: by its name, or because it returns any text."""
+        """Return whether the client is the mirror, judged by its name or because it echoes any text."""
         if "mirror" in self.name:
             return True
         self.send_frames(self.call("MESSAGE", body=_PROBE).frames)
@@ -117,7 +117,7 @@ class PlayerHarness(Harness):
         return exchange
 
     def call(self, name: str, *scalars: Value, body: bytes = b"", seq: int | None = None) -> Exchange:
-        """Return a call, by default with the next number, and its answer."""
+        """Return a call, by default with the next number, and the expected answer."""
         self.seq = self.seq + 1 if seq is None else seq
         kind = self.kinds[name]
         asked = Message(kind, self.session, self.seq, scalars, body)
@@ -133,14 +133,14 @@ class PlayerHarness(Harness):
         return self.run(exchange)
 
     def step(self, shown: Observation | Action, reward: float = 0.0) -> Exchange:
-        """Return a step that shows this to the mirror; other players get a message, legal at any time."""
+        """Return a step that shows `shown` to the mirror; other players get a message, legal at any time."""
         if not self.mirror:
             return self.call("MESSAGE", body=shown.chars)
         scalars = (reward,) if self.role is Role.AGENT else ()
         return self.call("STEP", *scalars, body=shown.body)
 
     def steps(self, *all_shown: Observation | Action) -> None:
-        """Ask for a step with each of these."""
+        """Carry out a step with each of `all_shown`."""
         for each in all_shown:
             exchange = self.step(each)
             self.run(exchange)
@@ -162,7 +162,7 @@ class PlayerHarness(Harness):
             raise Broken("the same bytes as the first time", described(self.decoded(again)), again)
 
     def took(self, message: Message) -> None:
-        """Keep a legal action of an environment whose actions are not the mirror's."""
+        """Keep a legal action for an environment that is not the mirror."""
         if message.kind is not Kind.ENV_INIT or self.mirror:
             return
         generator = np.random.default_rng(0)
@@ -175,4 +175,4 @@ class PlayerHarness(Harness):
             else:
                 self._action = Action(*parse_task_spec(message.body.decode()).actions.sample(generator)).body
         except (GlueError, UnicodeDecodeError):
-            pass  # The empty action is as good as any that its task spec does not tell.
+            pass  # Without legal actions in its task spec, the empty action is as good as any.

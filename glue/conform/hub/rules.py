@@ -66,7 +66,7 @@ class Rule:
         roles: the roles that it applies to.
         scene: its test.
         needs: names of rules that the scene depends on; its failure is not counted if one of them failed.
-        level: the requirement level. MAY: the client need not offer it, but what it offers has to work.
+        level: the requirement level. MAY: the client need not offer it, but anything it offers has to work.
         capability: the capability that it tests; a client without it is not judged.
         mirror: whether the scene can only judge the mirror of docs/clients.md.
     """
@@ -97,8 +97,8 @@ class Rules(list[Rule]):
     def add(self, tier: Tier, section: str, **more: Any) -> Callable[[Scene], Scene]:
         """Return a decorator that adds the rule of a scene.
 
-        The scene's docstring is the text of the rule, and its name the rule's name unless `more`, the other
-        fields of `Rule`, has another.
+        The scene's docstring is the text of the rule, and its name is the rule's name unless `more`, the
+        other fields of `Rule`, gives another.
         """
 
         def keep(scene: Scene) -> Scene:

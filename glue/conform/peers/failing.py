@@ -83,13 +83,13 @@ def unknown_kind(scene: Scene) -> None:
 
 
 def _unknown(session: str) -> bytes:
-    """Return a header of kind 63, which is none, and number 5: the array [63, session, 5]."""
+    """Return a header of kind 63, which does not exist, and number 5: the array [63, session, 5]."""
     name = session.encode()
     return bytes([0x93, 63, 0xD9, len(name), *name, 5])
 
 
 def exception(scene: Scene) -> None:
-    """A player fails in a call, and goes on."""
+    """A player fails in a call, and continues."""
     scene.init()
     scene.start()
     scene.experiment.ask(Kind.RL_STEP)
@@ -100,7 +100,7 @@ def exception(scene: Scene) -> None:
 
 
 def malformed(scene: Scene) -> None:
-    """Malformed bytes from an unknown peer, and every malformed answer that clients are shown as calls."""
+    """Malformed bytes from an unknown peer, and answers malformed in each way that calls to clients are."""
     scene.init()
     scene.start()
     unknown = scene.peer(Role.AGENT)
@@ -189,7 +189,7 @@ def lost(scene: Scene) -> None:
 
 
 def silent(scene: Scene) -> None:
-    """An environment's connection ends without a word."""
+    """An environment's connection ends without GOODBYE."""
     scene.init()
     scene.start()
     heartbeat, timeout = map(number, scene.agent.join(resumed=True).scalars[2:4])
@@ -202,7 +202,7 @@ def silent(scene: Scene) -> None:
 
 
 def replaced(scene: Scene) -> None:
-    """Others take the roles of environment and agent."""
+    """New peers take the roles of environment and agent."""
     scene.init()
     scene.environment.leave()
     scene.experiment.expects_notice(Event.LOST, Role.ENVIRONMENT)

@@ -44,7 +44,7 @@ def role_taken(scene: Scene) -> None:
 
 
 def heartbeat(scene: Scene) -> None:
-    """A Heartbeat from either side."""
+    """A HEARTBEAT from either side."""
     heartbeat = number(scene.agent.join().scalars[2])
     scene.agent.send(Kind.HEARTBEAT, seq=9)
     scene.agent.expects(Kind.HEARTBEAT, 9)
@@ -194,7 +194,7 @@ def seed(scene: Scene) -> None:
 
 
 def unsupported(scene: Scene) -> None:
-    """Save and load, of an environment that can and an agent that cannot."""
+    """Save and load, for an environment that can and an agent that cannot."""
     scene.environment = scene.peer(Role.ENVIRONMENT, "save")
     scene.init()
     saved = bytes(range(256))
@@ -211,7 +211,7 @@ def unsupported(scene: Scene) -> None:
 
 
 def sessions(scene: Scene) -> None:
-    """An agent in two sessions over one connection; one goes on while the other waits."""
+    """An agent in two sessions over one connection; one continues while the other waits."""
     scene.init()
     scene.start()
     names = scene.session, f"{scene.session}-{'🏃' * 200}"  # of over 800 bytes
@@ -219,7 +219,7 @@ def sessions(scene: Scene) -> None:
     second.session = scene.agent.session = names[1]
     second.join()
     scene.agent.join()
-    scene.experiment.ask(Kind.RL_STEP)  # It stays under way while the other session goes on.
+    scene.experiment.ask(Kind.RL_STEP)  # It stays under way while the other session continues.
     second.ask(Kind.RL_AGENT_MESSAGE, body=b"two")
     call = scene.agent.expects(Kind.AGENT_MESSAGE)
     scene.agent.send(Kind.AGENT_MESSAGE, seq=call.seq, body=call.body)
@@ -232,7 +232,7 @@ def sessions(scene: Scene) -> None:
 
 
 def goodbye(scene: Scene) -> None:
-    """An agent, then the experiment leaves; an environment offers one-run."""
+    """An agent leaves, then the experiment; an environment offers one-run."""
     scene.environment = scene.peer(Role.ENVIRONMENT, "one-run")
     scene.init()
     scene.agent.leave()

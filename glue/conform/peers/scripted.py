@@ -1,7 +1,7 @@
 """Scripted peers of a hub, driven message by message.
 
 A scene is one session with an agent, an environment and an experiment. One thread drives all three, so that
-the order of their messages is the scene's choice, never chance.
+the order of their messages is decided by the scene, never by chance.
 """
 
 from __future__ import annotations
@@ -34,18 +34,18 @@ def did(step: int) -> bytes:
 
 
 def reward(step: int) -> float:
-    """Return the reward of step `step`, from 1; sums of them are exact, and all different."""
+    """Return the reward of step `step`, from 1; sums of rewards are exact, and all different."""
     return (-0.5) ** step
 
 
 def number(scalar: Value) -> float:
-    """Return a scalar of a WELCOME as the number that it is."""
+    """Return a scalar of a WELCOME as a number."""
     assert isinstance(scalar, (int, float))
     return float(scalar)
 
 
 class ScriptedPeer:
-    """A peer of a hub: an instance, and one connection after the other."""
+    """A peer of a hub: an instance, and its connections one after the other."""
 
     def __init__(self, scene: Scene, role: Role, capabilities: tuple[str, ...] = ()) -> None:
         self.role = role
@@ -112,7 +112,7 @@ class ScriptedPeer:
     ) -> Message:
         """Return the next message, which must be of this kind and, if one is given, this `seq`.
 
-        HEARTBEATs are passed over, and NOTICEs kept, unless they are what is expected.
+        HEARTBEATs are skipped, and NOTICEs kept, unless they are expected.
         """
         named = self.session if session is None else session
         expected = kind.name if seq is None else f"{kind.name} {seq}"
@@ -146,7 +146,7 @@ class ScriptedPeer:
         self.notices.clear()
 
     def expects_nothing(self) -> None:
-        """Expect that nothing else was sent: messages of a connection keep their order."""
+        """Check by a HEARTBEAT that nothing else was sent: messages of a connection keep their order."""
         self.send(Kind.HEARTBEAT, seq=77)
         self.expects(Kind.HEARTBEAT, 77)
 
@@ -170,13 +170,13 @@ class ScriptedPeer:
         self.send(kind, *reply, seq=self.expects_call(kind, *scalars, body=body), body=gives)
 
     def expects_reply(self, kind: Kind, *scalars: Value, body: bytes = b"") -> None:
-        """Expect the reply to the request that was asked last, with just these scalars and body."""
+        """Expect the reply to the last request, with just these scalars and body."""
         reply = self.expects(kind, self.seq)
         wanted = reply._replace(scalars=scalars, body=body)
         self.check(reply == wanted, f"{shown(reply)} received instead of {shown(wanted)}")
 
     def gets(self, kind: Kind, *scalars: Value) -> None:
-        """Ask something that concerns no player, and expect a reply with these scalars."""
+        """Send a request that concerns no player, and expect a reply with these scalars."""
         self.ask(kind)
         self.expects_reply(kind, *scalars)
 
@@ -185,19 +185,19 @@ class ScriptedPeer:
         self.send(Kind.GOODBYE, "the scene is over")
 
     def part(self) -> None:
-        """Say goodbye if there is a connection, and end it."""
+        """Say goodbye and close the connection, if there is one."""
         if self._connection is not None:
             self.leave()
             self._connection.close()
             self._connection = None
 
     def check(self, kept: bool, what: str) -> None:
-        """Break the rule of the scene unless it was `kept`."""
+        """Raise Broken unless the scene's rule was `kept`."""
         if not kept:
             raise self.broken(what)
 
     def broken(self, what: str) -> Broken:
-        """Return the error for what this peer received."""
+        """Return the error that says `what` this peer received."""
         return Broken("the messages of the protocol", f"at the {self.role}, {what}")
 
     def _receive(self, deadline: float) -> Message | None:
@@ -216,11 +216,11 @@ class ScriptedPeer:
 
 
 class Scene:
-    """A session of its own, in which one rule is checked.
+    """A separate session in which one rule is checked.
 
     Args:
         name: a prefix of the session's name.
-        context: of the connections.
+        context: context of the connections.
         url: address of the hub.
         wait: timeout of each message, in seconds.
     """
@@ -242,12 +242,12 @@ class Scene:
         return self._peers[-1]
 
     def gather(self) -> None:
-        """Let all three join."""
+        """Let all three peers join."""
         for peer in (self.experiment, self.agent, self.environment):
             peer.join()
 
     def init(self) -> None:
-        """Let all three join, and the experiment begin."""
+        """Let all three peers join, and carry out RL_INIT."""
         self.gather()
         self.experiment.ask(Kind.RL_INIT, None)
         self.environment.answers(Kind.ENV_INIT, gives=TASK_SPEC.encode())
@@ -268,11 +268,11 @@ class Scene:
         self.experiment.expects_reply(Kind.RL_STEP, reward(step), terminal, body=saw(step) + last)
 
     def episode(self, limit: int, length: int) -> None:
-        """Carry out RL_EPISODE; its end is at step `length`."""
+        """Carry out RL_EPISODE; the episode ends at step `length`."""
         self.experiment.expects_reply(Kind.RL_EPISODE, self.played(limit, length))
 
     def played(self, limit: int, length: int) -> bool:
-        """Ask for RL_EPISODE, and answer the players' calls; return whether it reaches its end."""
+        """Ask for RL_EPISODE, and answer the players' calls; return whether the episode reaches its end."""
         self.experiment.ask(Kind.RL_EPISODE, limit)
         self.started()
         last = length if limit == 0 else min(length, limit - 1)
@@ -296,12 +296,12 @@ class Scene:
             self.agent.answers(Kind.AGENT_STEP, reward(step), body=saw(step), gives=did(step))
 
     def counted(self, total: float, steps: int, episodes: int) -> None:
-        """Ask for the return, the number of steps, the number of episodes, and expect these."""
+        """Ask for return, number of steps and number of episodes, and expect these values."""
         self.experiment.gets(Kind.RL_RETURN, total)
         self.experiment.gets(Kind.RL_NUM_STEPS, steps)
         self.experiment.gets(Kind.RL_NUM_EPISODES, episodes)
 
     def close(self) -> None:
-        """Let everybody leave."""
+        """Let all peers leave."""
         for peer in self._peers:
             peer.part()

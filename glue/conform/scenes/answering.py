@@ -113,7 +113,7 @@ def forgets(kit: PlayerHarness) -> None:
         kit.cut()
         kit.connect()
         kit.welcome(resumed=False)
-        # With `last`, it has the number of a call that was answered, but is another.
+        # With `last`, the call has the number of one that was answered, but is another call.
         kit.ask("MESSAGE", body=b"a hub that was restarted", seq=seq)
         kit.seq = last
         kit.steps(Observation([0], chars=b"6a"))
@@ -154,7 +154,7 @@ def _error(kit: PlayerHarness, code: ErrorCode) -> str:
 
 @RULES.add(Tier.COMPLETE, "what-a-peer-must-should-and-may-do")
 def ignores(kit: PlayerHarness) -> None:
-    """ERRORs and NOTICEs that do not concern it are ignored, and never answered."""
+    """ERRORs and NOTICEs that do not concern the player are ignored, and never answered."""
     for code in ("not-asked", "a-code-from-the-future"):
         kit.send(Kind.ERROR, code, "for nobody in particular", seq=kit.seq)
         kit.send(Kind.NOTICE, Event.JOINED, Role.EXPERIMENT, "someone")

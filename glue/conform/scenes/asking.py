@@ -57,7 +57,7 @@ def metrics(kit: ExperimentHarness) -> None:
 
 
 def _shows(*shown: AbstractType) -> list[Order]:
-    """Return orders whose replies bring these, as observations and as actions."""
+    """Return orders whose replies carry `shown`, as observations and as actions."""
     orders = []
     for each in shown:
         orders.append(Order("RL_ENV_START", body=each.body))
@@ -151,7 +151,7 @@ def widths(kit: ExperimentHarness) -> None:
 
 @RULES.add(Tier.PLAYS, "the-header")
 def integer_terminal(kit: ExperimentHarness) -> None:
-    """Terminal may be an integer: all but 0 are true."""
+    """Terminal may be an integer: all except 0 are true."""
     for terminal, form in forms.truths():
         order = Order("RL_STEP", scalars=(1.0, terminal), body=SEEN.body + DONE.body)
         kit.asks(order)

@@ -31,7 +31,7 @@ RULES: Final = Rules()
 _GAMES: Final = 3
 
 _STEPS: Final = 60
-"""Steps in each of which the environment's batch is checked."""
+"""Number of steps in which the environment's batch is checked."""
 
 
 @RULES.add(Tier.COMPLETE, "batches", name="batch", roles=(Role.AGENT,), level=Level.MAY, capability="batch")
@@ -49,7 +49,7 @@ def acting(kit: PlayerHarness) -> None:
             unpack_actions(Action.from_body(answer.body), _GAMES)
         except GlueError as error:
             raise Broken(f"the actions of {_GAMES} games: {error}", described(answer)) from None
-    kit.drop()  # Its numbers are not those of the kit's own model.
+    kit.drop()  # The client's numbers are not those of the kit's own model.
 
 
 @RULES.add(

@@ -78,7 +78,7 @@ def handshakes_lost(kit: Harness) -> None:
 
 @RULES.add(Tier.SURVIVES, "transport", level=Level.SHOULD, needs=("silent-until-welcomed",))
 def absent(kit: Harness) -> None:
-    """It waits for a hub that is not there for a while."""
+    """The client waits for a hub that is absent for a while."""
     kit.listener.close()
     try:
         kit.cut()

@@ -1,4 +1,4 @@
-"""Scripts of faults: an episode in which the connection breaks at random, drawn from a seed."""
+"""Scripts of faults: episodes in which the connection breaks at random, as drawn from a seed."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from glue.wire.messages import ErrorCode, Kind, Message, Role
 _EPISODES: Final = 2
 _MOST_PIECES: Final = 12
 _LONGEST: Final = 0.05
-"""Seconds between two pieces of a message, at most, and before a break."""
+"""Maximum time between two pieces of a message, and before a break, in seconds."""
 
 _LONGEST_ABSENCE: Final = 0.3
-"""Seconds without a hub, at most."""
+"""Maximum time without a hub, in seconds."""
 
 Fault = Callable[[Harness, np.random.Generator, Exchange], None]
-"""Carries out an exchange in spite of something."""
+"""A function that carries out an exchange in spite of a fault."""
 
 
 def play_script(kit: Harness, seed: int) -> None:
-    """Carry out episodes, with a fault at most exchanges.
+    """Carry out episodes, with faults in most exchanges.
 
     Args:
         kit: the harness of a client that is idle.
-        seed: of the choices; the same one chooses the same faults.
+        seed: seed of the choices; the same seed chooses the same faults.
 
     Raises:
-        Broken: an answer was not as expected; the message has the faults until then.
+        Broken: an answer was not as expected; the message lists the faults until then.
     """
     rng = np.random.default_rng(seed)
     known = [fault for fault in _FAULTS if kit.role is not Role.EXPERIMENT or fault not in _OF_PLAYERS]
@@ -85,7 +85,7 @@ def _broken_within(kit: Harness, rng: np.random.Generator, exchange: Exchange) -
 
 
 def _broken_behind(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
-    """A break behind a call, whose answer is lost or has not been given."""
+    """A break after a call, whose answer is lost or has not been given."""
     kit.send_frames(exchange.frames)
     clock.sleep(rng.choice([0.0, rng.uniform(0, _LONGEST)]))
     _break(kit, rng)
@@ -101,7 +101,7 @@ def _repeated(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> Non
 
 
 def _answers_lost(kit: Harness, rng: np.random.Generator, exchange: Exchange) -> None:
-    """A break behind an answer, as if that were lost, and again."""
+    """Breaks after an answer, as if it had been lost."""
     frames = kit.run(exchange)
     for _ in range(rng.integers(1, 4)):
         _break(kit, rng)
@@ -154,7 +154,7 @@ def _break(kit: Harness, rng: np.random.Generator) -> None:
 
 
 _OF_PLAYERS: Final = (_broken_behind, _repeated)
-"""An experiment is not tried with these: its next request may have been sent or not, and both are right."""
+"""Faults for players only: an experiment may or may not have sent its next request, and both are right."""
 
 _FAULTS: Final[tuple[Fault, ...]] = (
     *(_undisturbed, _pieces, _heartbeats, _broken_within, _broken_behind),

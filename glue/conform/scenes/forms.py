@@ -56,7 +56,7 @@ def header(
     session_bits: int = 8,
     seq_form: str = "uint 64",
 ) -> bytes:
-    """Return a header whose scalars are msgpack already; `array` is the bits of the array's length."""
+    """Return a header whose scalars are already msgpack; `array` is the bits of the array length."""
     items = [number(kind, kind_form), text(session, session_bits), number(seq, seq_form), *scalars]
     count = len(items)
     head = {4: bytes([0x90 | count]), 16: b"\xdc" + count.to_bytes(2, "big")}
@@ -71,7 +71,7 @@ VARIANTS: Final[list[dict[str, Any]]] = [
     {"session_bits": 32},
     *({"seq_form": form} for form in _NUMBERS if not form.endswith(" 8")),
 ]
-"""Options of `header`: each item of it in each of its formats, as long as `seq` has no more than 15 bits."""
+"""Options of `header` for each item in each of its formats, provided that `seq` has at most 15 bits."""
 
 
 def rewards() -> Iterator[tuple[float, bytes]]:
@@ -89,7 +89,7 @@ def rewards() -> Iterator[tuple[float, bytes]]:
 
 
 def truths() -> Iterator[tuple[bool, bytes]]:
-    """Yield truth values, each as an integer; 2 is left out, for it may mean that an episode was cut off."""
+    """Yield truth values, each as an integer; 2 is left out, as it may mean that an episode was cut off."""
     yield False, b"\x00"
     yield True, b"\x01"
     yield True, b"\x03"

@@ -61,7 +61,7 @@ def restart(kit: Harness) -> None:
 
 @LAST.add(Tier.PLAYS, "greeting")
 def goodbye(kit: Harness) -> None:
-    """GOODBYE ends it, without another message in the session."""
+    """GOODBYE ends the client, without another message in the session."""
     kit.exchange()
     code = _said_goodbye(kit, "the hub closes")
     if code and kit.mirror:
@@ -70,7 +70,7 @@ def goodbye(kit: Harness) -> None:
 
 @LAST.add(Tier.PLAYS, "greeting")
 def refusal(kit: Harness) -> None:
-    """REFUSE ends it, with an exit code other than 0."""
+    """REFUSE ends the client, with an exit code other than 0."""
     if _refused(kit, "this hub is full") == 0 and kit.mirror:
         raise Broken("an exit code other than 0 after REFUSE", "0")
 

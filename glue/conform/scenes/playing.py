@@ -23,13 +23,13 @@ def calls(kit: PlayerHarness) -> None:
     kit.episode()
     if not kit.mirror:
         kit.episode()
-        return  # Another order may be a mistake in its task.
+        return  # Another order may be an error in the client's task.
     kit.ask("MESSAGE", body=b"between two episodes")
     start = SHOWN.body if kit.role is Role.AGENT else b""
     init = SPEC if kit.role is Role.AGENT else b""
     for name in ("INIT", "INIT", "START", "START", "CLEANUP", "CLEANUP", "INIT", "START"):
         kit.ask(name, body=start if name == "START" else init if name == "INIT" else b"")
-    kit.steps(Action(chars=b"!"), SHOWN)  # On, after the end of the episode.
+    kit.steps(Action(chars=b"!"), SHOWN)  # Steps continue after the end of the episode.
 
 
 @RULES.add(Tier.PLAYS, "what-the-calls-mean", mirror=True)
@@ -46,7 +46,7 @@ def before_init(kit: PlayerHarness) -> None:
 def doubles(kit: PlayerHarness) -> None:
     """Doubles keep all their bits: negative zero, NaN, infinities."""
     kit.steps(Observation([], DOUBLES), *(Observation([], [number]) for number in DOUBLES))
-    exchange = kit.step(SHOWN, reward=-0.1)  # From the header into the doubles.
+    exchange = kit.step(SHOWN, reward=-0.1)  # The reward goes from the header into the doubles.
     kit.run(exchange)
 
 
@@ -77,7 +77,7 @@ def counts(kit: PlayerHarness) -> None:
 @RULES.add(Tier.PLAYS, "bodies", needs=("doubles", "counts"), mirror=True)
 def large(kit: PlayerHarness) -> None:
     """Bodies may be as large as WELCOME's max_body."""
-    # What the mirror adds to it: an int, and one or two doubles.
+    # Room for the mirror's additions: an int, and one or two doubles.
     spare = MAX_BODY - 16 - 4 - (16 if kit.role is Role.AGENT else 8)
     count = np.arange(spare // 24)
     rest = spare - 12 * len(count)

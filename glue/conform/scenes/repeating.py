@@ -139,7 +139,7 @@ def truncate(kit: ExperimentHarness) -> None:
 
 
 def _cut_off(kit: ExperimentHarness, order: Order) -> None:
-    """Expect that the result of an order shows a truncation; a client without them shows an end."""
+    """Expect the result of an order to show a truncation; a client that does not know them shows an end."""
     expected = kit.reply(order).expected
     got, frames = kit.next(described(expected))
     end = replace(order, scalars=(*order.scalars[:-1], True))
@@ -189,7 +189,7 @@ def unknown_kind(kit: ExperimentHarness) -> None:
 
 @RULES.add(Tier.COMPLETE, "bodies")
 def broken_text(kit: ExperimentHarness) -> None:
-    """A text that is not UTF-8 does not crash it."""
+    """A text that is not UTF-8 does not crash the experiment."""
     for text in NOT_UTF_8:
         kit.asks(Order("RL_AGENT_MESSAGE", b"?"))
         kit.send(Kind.RL_AGENT_MESSAGE, seq=kit.request.seq, body=text)
@@ -206,7 +206,7 @@ def forgotten(kit: ExperimentHarness) -> None:
     kit.exchange()
     kit.cut()
     kit.connect()
-    Harness.welcome(kit, resumed=False)  # It may be gone before any NOTICE.
+    Harness.welcome(kit, resumed=False)  # The client may be gone before any NOTICE.
     _gives_up(kit, "the request of before", lambda message: message == kit.request)
 
 
@@ -226,7 +226,7 @@ def max_body(kit: ExperimentHarness) -> None:
 
 
 def _gives_up(kit: ExperimentHarness, what: str, wrong: Any) -> None:
-    """Expect anything but one message: the client leaves, says something else, or nothing."""
+    """Expect anything except one message: the client leaves, sends another message, or sends nothing."""
     with suppress(Gone):
         while (frames := kit.heard(4 * QUIET)) is not None:
             got = kit.decoded(frames)
@@ -237,7 +237,7 @@ def _gives_up(kit: ExperimentHarness, what: str, wrong: Any) -> None:
 
 @RULES.add(Tier.PLAYS, "greeting", level=Level.SHOULD)
 def end(kit: ExperimentHarness) -> None:
-    """It says GOODBYE before it ends."""
+    """The experiment says GOODBYE before it ends."""
     kit.do()
     kit.send_frames(kit.ordering("end"))
     got, frames = kit.next("GOODBYE")

@@ -1,4 +1,4 @@
-"""Scenes of everything else on a connection, for any client: heartbeats, commands, malformed messages."""
+"""Scenes of all other traffic on a connection, for any client: heartbeats, commands, malformed messages."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from glue.wire.messages import PROTOCOL_VERSION, ErrorCode, Kind, Message
 RULES: Final = Rules(EVERYONE)
 
 _LOOKS: Final = 50
-"""Number of times that the client's state is looked up."""
+"""Number of times that the client's state is polled."""
 
 _BEATS: Final = 5
 _BEATS_WITHIN: Final = 1.5
-"""Seconds; generous for a heartbeat of 0.1 s, too few for the default of 1 s."""
+"""Maximum time for the heartbeats, in seconds: generous at 0.1 s each, too short at the default of 1 s."""
 
 
 @RULES.add(Tier.PLAYS, "greeting")
@@ -54,7 +54,7 @@ def torn(kit: Harness) -> None:
 
 @RULES.add(Tier.SURVIVES, "transport", needs=("heartbeats",))
 def crossing(kit: Harness) -> None:
-    """HEARTBEATs that arrive while it sends its frames do not block it."""
+    """HEARTBEATs that arrive while the client sends its frames do not block it."""
     beat = zmtp.encode(encode(Message(Kind.HEARTBEAT, "", 0), FROM_HUB))
     for _ in range(kit.exchanges()):
         exchange = kit.prepare()
@@ -82,7 +82,7 @@ def _command(name: bytes, data: bytes) -> bytes:
 
 @RULES.add(Tier.SURVIVES, "overview")
 def other_sessions(kit: Harness) -> None:
-    """Messages of other sessions change nothing in its own."""
+    """Messages of other sessions change nothing in the client's own."""
     other = f"{kit.session}-2"
     exchange = kit.prepare()
     asked = decode(exchange.frames, FROM_HUB)
@@ -95,7 +95,7 @@ def other_sessions(kit: Harness) -> None:
         Message(Kind.GOODBYE, other, 0, ("that session is over",)),
     ):
         kit.send_frames(encode(message._replace(session=other), FROM_HUB))
-        # It may report an error in the other session.
+        # The client may report an error in the other session.
         while (frames := kit.kept(lambda: kit.heard(QUIET / 2))) is not None:
             got = kit.decoded(frames)
             if got.kind is not Kind.ERROR or got.session == kit.session:
@@ -133,7 +133,7 @@ def hello_once(kit: Harness) -> None:
 
 @RULES.add(Tier.COMPLETE, "greeting", level=Level.SHOULD, needs=("silent-until-welcomed", "hello-once"))
 def silence(kit: Harness) -> None:
-    """A peer that receives nothing for WELCOME's heartbeat sends HEARTBEAT, and again."""
+    """A peer that receives nothing for WELCOME's heartbeat sends HEARTBEAT, repeatedly."""
     kit.cut()
     kit.connect()
     kit.welcome(heartbeat=0.1)
@@ -157,8 +157,8 @@ def silence(kit: Harness) -> None:
 
 @RULES.add(Tier.COMPLETE, "transport", level=Level.SHOULD)
 def idle(kit: Harness) -> None:
-    """It sleeps while it waits."""
-    # Not its CPU time: on a busy machine a client that never sleeps may get little of it.
+    """The client sleeps while it waits."""
+    # Not measured by CPU time: on a busy machine a client that never sleeps may get little of it.
     awake = []
     for _ in range(_LOOKS):
         kit.nothing("without a call", 0.02)
@@ -180,7 +180,7 @@ def huge_frame(kit: Harness) -> None:
         if not kit.connection.ends(kit.wait):
             raise Broken(f"the end of the connection after a frame of {size} bytes was announced", "nothing")
         kit.cut()
-        # libzmq ends a socket for good after that: whether the client comes back is its own affair.
+        # After that, libzmq ends a socket for good: the client may come back or not.
         code = kit.client.wait(QUIET)
         if code is not None and code < 0:
             raise Broken(f"an orderly end after a frame of {size} bytes", f"one by signal {-code}")
@@ -190,16 +190,14 @@ def huge_frame(kit: Harness) -> None:
 
 @RULES.add(Tier.COMPLETE, "what-a-peer-must-should-and-may-do", level=Level.SHOULD)
 def malformed(kit: Harness) -> None:
-    """Malformed headers and frames are not taken for a message, and do not crash it."""
+    """Malformed headers and frames are not accepted as a message, and do not crash the client."""
     for name, change in forms.SPOILED.items():
         _spoil(kit, name, change, kit.prepare)
 
 
 @RULES.add(Tier.COMPLETE, "bodies", level=Level.SHOULD)
 def malformed_bodies(kit: Harness) -> None:
-    """A body that is not as long as its counts say, or whose fourth word is not zero, is not taken for
-    one.
-    """
+    """A body that is not as long as its counts say, or whose fourth word is not zero, is not accepted."""
     for name, change in forms.SPOILED_BODIES.items():
         _spoil(kit, name, change, kit.with_body)
 
@@ -210,7 +208,7 @@ def _spoil(
     change: Callable[[tuple[bytes, ...]], tuple[bytes, ...]],
     prepare: Callable[[], Exchange],
 ) -> None:
-    """Send a malformed message; the client may report an error or end, but not answer it or crash."""
+    """Send a malformed message; the client may report an error or end, but must not answer it or crash."""
     kit.ready()
     for _ in range(2):
         kit.exchange()
@@ -225,7 +223,7 @@ def _spoil(
     if got is not None and got.kind is exchange.expected.kind:
         raise Broken(f"no answer to {name}", described(got), frames or ())
     if got is not None:
-        kit.cut()  # It reported an error, or said GOODBYE.
+        kit.cut()  # The client reported an error, or said GOODBYE.
     _orderly(kit, f"after {name}")
     kit.abandon()
 

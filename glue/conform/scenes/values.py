@@ -11,7 +11,7 @@ from glue.types import Observation
 
 _SOME: Final = [0, 1, -1, 127, 128, -128, 255, 256, 65536, 2**31 - 1, -(2**31)]
 INTS: Final = [*_SOME, -sum(_SOME)]
-"""Extremes of 32 bits. Their sum is 0, which even a client that writes doubles wrongly can show."""
+"""Extremes of 32 bits. Their sum is 0, which even a client that encodes doubles wrongly can show."""
 
 DOUBLES: Final = [
     *(0.0, -0.0, 1.0, -0.1, 1 / 3),

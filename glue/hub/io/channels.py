@@ -1,11 +1,11 @@
 """The hub's end of ZeroMQ: to its peers a ROUTER socket, here plain sockets in the hub's loop.
 
 libzmq's own ROUTER is not used: it keeps all of a message that never ends, it aborts the process when a
-connection breaks in the middle of a flood (its issue 4364), and its threads double the time of a step.
+connection breaks in the middle of a flood (libzmq's issue 4364), and its threads double the time of a step.
 
 A connection has to take a seat in a session soon after it is made. In a turn of the loop, one message is read
 from it for each of its seats, so that sessions share the hub fairly. If a message was out of turn, the next
-one waits in the loop's queue. A peer is read no faster than it reads what it is sent.
+one waits in the loop's queue. The hub reads from a peer no faster than the peer reads its own messages.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from glue.wire.steps import STEPS
 from glue.wire.stream import Malformed, Stream
 
 MAX_UNSENT: Final = 64 * 2**20
-"""Maximum number of bytes waiting to be sent to one peer; with more it is unreachable: it does not read."""
+"""Maximum number of bytes waiting to be sent to one peer; with more, the peer counts as unreachable."""
 
 MAX_UNSEATED: Final = 256
-"""Maximum number of connections without a seat; when there is one more, the oldest is dropped."""
+"""Maximum number of connections without a seat; one more, and the oldest is dropped."""
 
 GREETING_SECONDS: Final = 1.0
 """Seconds that a connection may be without a seat before it is dropped, at the next tick."""
 
 _MAX_COPIED: Final = 65_536
-"""Maximum size of a body that is sent together with its head, in bytes; a copy of more costs memory."""
+"""Maximum size of a body that is sent together with its head, in bytes; copying more costs memory."""
 
 _FAREWELL_SECONDS: Final = 1.0
-"""Seconds that the hub waits at most, when it closes, for its last messages to be read."""
+"""Maximum number of seconds that the hub waits, when it closes, for its last messages to be read."""
 
 _HELLO: Final = Kind.HELLO
 
@@ -53,7 +53,7 @@ class _Channel:
     """One connection, and the peer at its other end; a route of the switchboard.
 
     Attributes:
-        connection: its connection.
+        connection: the connection.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class _Channel:
         self._loop = channels.loop
         self._switchboard = channels.switchboard
         self._bind = bind
-        # A frame that is only a little too long is read, and answered with an error that says so.
+        # A frame that is only slightly too long is read, and answered with an error that says so.
         self._stream = Stream(zmtp.ROUTER, max_body + MAX_HEADER, max_body, mechanism)
         self._held = 0
         self._dismissed = False
@@ -122,11 +122,11 @@ class _Channel:
         return self._switchboard.num_seats(self) > 0
 
     def evict(self, why: str) -> None:
-        """Drop the connection: it uses too much memory."""
+        """Drop the connection, which uses too much memory."""
         self._channels.drop(self, why)
 
     def _weigh(self) -> None:
-        """Account for what is kept: messages that are not complete, and what the peer has not read."""
+        """Account for data that is kept: incomplete messages, and messages that the peer has not read."""
         held = self._stream.buffered + self.connection.unsent
         if held != self._held and not self.connection.closed:
             self._held = held
@@ -173,7 +173,7 @@ class _Channel:
             if self._channels.joined is not None:
                 self._channels.send_joined()
         if connection.unsent:
-            # The turn after everything was sent comes back to this.
+            # The turn after everything has been sent resumes here.
             connection.read(False)
         elif event is None or stream.empty:
             connection.read(True)
@@ -199,7 +199,7 @@ class _Channel:
         self.connection.close()
 
     def _dismiss(self, why: str) -> None:
-        """End the connection, once the peer has received what it was sent; from now on it is sent nothing."""
+        """End the connection once the peer has received all messages so far; send it no more."""
         self._dismissed = True
         self._stream = Stream(zmtp.ROUTER, 0)
         self._weigh()
@@ -209,7 +209,7 @@ class _Channel:
 
 
 class _KeyedChannel(_Channel):
-    """A connection at an address with keys: it speaks CURVE, and may join what both key and address open."""
+    """A connection at an address with keys: it uses CURVE, and may join where both key and address allow."""
 
     def __init__(
         self, channels: Channels, connection: Connection, bind: Bind, max_body: int, keys: Keys
@@ -226,7 +226,7 @@ class _KeyedChannel(_Channel):
         return super().admits(role, session) and permit.admits(role, session)
 
     def renew(self, keys: Keys) -> str | None:
-        """Take the hub's new keys; return why the connection has to end, if it has to."""
+        """Take the hub's new keys; return why the connection has to end, or None."""
         before, self._keys = self._keys, keys
         client = self._curve.client
         if keys.secret != before.secret:
@@ -238,7 +238,7 @@ class _KeyedChannel(_Channel):
 
 
 class Channels:
-    """All connections of a hub's peers: listens, and drops those that misbehave.
+    """All connections of a hub's peers: accepts connections, and drops those that misbehave.
 
     Args:
         loop: the loop it runs in, not yet running.
@@ -250,8 +250,8 @@ class Channels:
     Attributes:
         loop: as given.
         switchboard: as given.
-        joined: while several messages are acted on, the steps that follow from them, by channel; otherwise
-            None. Sent one by one, the first would wake a peer that finds only one of them to answer.
+        joined: while several messages are acted on, the resulting steps, by channel; otherwise None. Sent
+            one by one, the first step would wake the peer to find only one call waiting.
     """
 
     def __init__(
@@ -268,17 +268,17 @@ class Channels:
         self._config = config
         self._log = log
         self._complaint = ""
-        self._keys: Keys | None = None  # that have replaced those of the addresses
+        self._keys: Keys | None = None  # keys that have replaced those of the addresses
         self._open: dict[_Channel, None] = {}  # in the order in which they were accepted
         self._unseated: dict[_Channel, float] = {}
-        """Those without a seat, the oldest first, and since when."""
+        """Channels without a seat, the oldest first, each with the time since which it has had none."""
         self._listeners = [
             Listener(loop, address, partial(self._accept, bind), log) for bind, address in addresses
         ]
         loop.on_tick(self._tick)
 
     def close(self) -> None:
-        """Close, after a moment for the last messages to be read."""
+        """Close, after a short wait for the last messages to be read."""
         for listener in self._listeners:
             listener.stop()
         for channel in self._open:
@@ -296,7 +296,7 @@ class Channels:
                 self.switchboard.lose(channel, f"was dropped: {why}", now)
 
     def join(self) -> None:
-        """Let the steps that are delivered from now on leave together, at the next `send_joined`."""
+        """Hold the steps that are delivered from now on, to be sent together at the next `send_joined`."""
         if self.joined is None:
             self.joined = {}
 

@@ -1,7 +1,7 @@
-"""A connection in the hub's loop: it never waits, and keeps only what it was given to send.
+"""A connection in the hub's loop: it never blocks, and keeps only data to send.
 
-A connection that is `in_turn` is served as soon as it is ready. Any other waits in the loop's queue, and is
-not even watched meanwhile, so that its system holds the sender back.
+A connection that is `in_turn` is served as soon as it is ready. Any other connection waits in the loop's
+queue, and is not even watched meanwhile, so that the kernel holds the sender back.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from glue.hub.io.loop import FAILURE, READ, WRITE, Events, Loop
 from glue.sockets.options import probe_when_silent
 
 _CHUNK: Final = 65_536
-"""Maximum bytes to read at once; memory for more costs a system call, even if the message is short."""
+"""Maximum bytes to read at once; a larger buffer costs a system call, even if the message is short."""
 
 _AT_ONCE: Final = struct.pack("ii", 1, 0)
-"""SO_LINGER: what is unsent is dropped, and the other side sees a reset."""
+"""Value of SO_LINGER: unsent data is dropped, and the other side sees a reset."""
 
 
 class Owner(Protocol):
@@ -48,10 +48,10 @@ class Connection:
         silence: seconds after which the system probes a silent host.
 
     Attributes:
-        owner: whoever acts on what is received; set by it.
+        owner: handler of the connection's events; set by the owner itself.
         in_turn: whether the last message of the peer was in turn; set by the owner.
-        unsent: bytes that are still to be sent, since the peer does not read.
-        closed: nothing can be sent or received any more.
+        unsent: number of bytes still to be sent, as the peer does not read.
+        closed: whether the connection is closed.
     """
 
     def __init__(self, loop: Loop, connected: network.socket, name: str, silence: float) -> None:
@@ -87,20 +87,20 @@ class Connection:
         return (READ if self._reading else FAILURE) | (WRITE if self._unsent or self._later else FAILURE)
 
     def read(self, wanted: bool) -> None:
-        """Set whether to receive data, or to leave it where it holds the peer back."""
+        """Set whether to receive data, or to leave it unread, which holds the peer back."""
         if wanted != self._reading:
             self._reading = wanted
             self._watch()
 
     def later(self) -> None:
-        """Give the owner another turn, although nothing may happen."""
+        """Give the owner another turn, even if there is no event."""
         self._later = True
         self._watch()
 
     def receive(self) -> bytes | None:
         """Return the data received: None if none is available or reading is paused, empty at the end."""
         data, self._glanced = self._glanced, None
-        # What the peer sent before it went is still here.
+        # Data that the peer sent before it went can still be read.
         if data is None and (self._reading or self._gone):
             try:
                 data = self._socket.recv(_CHUNK)
@@ -111,7 +111,7 @@ class Connection:
         return data
 
     def glance(self) -> Events | None:
-        """Return the event of data received, which `receive` returns then; None if there is none."""
+        """Receive data for `receive` to return, and return its event; None if there is none."""
         if self._glanced is None and self._reading and not self.closed:
             try:
                 self._glanced = self._socket.recv(_CHUNK)
@@ -137,14 +137,14 @@ class Connection:
         self._watch()
 
     def finish(self) -> None:
-        """Close once everything is sent and the other side has closed; ignore what it still sends."""
+        """Close once everything is sent and the other side has closed; ignore data that it still sends."""
         self._finishing = True
         self.owner = _Discarding(self)
         self.read(True)
         self._end_if_sent()
 
     def close(self) -> None:
-        """Close, even if something is unsent."""
+        """Close, even if data is unsent."""
         if not self.closed:
             self.closed = True
             # The owner refers to this connection; break the cycle.
@@ -162,7 +162,7 @@ class Connection:
             self.close()
 
     def turn(self, now: float, at_once: bool = False) -> None:
-        """Send what is left and let the owner act; a connection that is out of turn queues for that."""
+        """Send unsent data and let the owner act; a connection that is out of turn is queued first."""
         if not self.in_turn and not at_once:
             if not self._queued:
                 self._queued = True
@@ -211,7 +211,7 @@ class Connection:
         """Return how many bytes of `data` need not be sent any more: all, if the other side is gone."""
         if isinstance(error, BlockingIOError):
             return 0
-        # Nothing may follow what is missing now. The loop reports the end.
+        # No data may follow the missing bytes. The loop reports the end.
         self._gone = True
         with suppress(OSError):  # it may have ended already
             self._socket.shutdown(network.SHUT_RDWR)
@@ -231,7 +231,7 @@ class Connection:
 
 
 class _Nobody:
-    """The owner of a connection that has none."""
+    """The placeholder for the owner of a connection that has none."""
 
     def ready(self, now: float) -> None:
         """Do nothing."""
@@ -250,7 +250,7 @@ class _Discarding(_Nobody):
         self._connection = connection
 
     def ready(self, now: float) -> None:
-        """Ignore what is received."""
+        """Ignore received data."""
         if self._connection.receive() == b"":
             self._connection.close()
 

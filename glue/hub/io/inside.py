@@ -1,11 +1,11 @@
-"""An experiment's end of a hub in its own process: messages are handed over, with no socket in between.
+"""An experiment's connection to a hub in its own process: messages are handed over without a socket.
 
 While a verb is carried out, the experiment's thread takes the turns of the hub's loop. So a verb costs no
 switch between threads, which would take longer than a step.
 
-A player, too, can be an object in this process, while the other one is a program of its own. Its calls are
-carried out by the experiment's thread between two turns of the loop. They wait in a queue until then: carried
-out as soon as the hub makes them, each would be nested in the one before.
+A player, too, can be an object in this process, while the other player is a separate program. The
+experiment's thread carries out its calls between two turns of the loop. They wait in a queue until then: if
+carried out as soon as the hub makes them, each call would be nested in the previous one.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class InsideTransport:
             self._hub.stop("the experiment was interrupted in the middle of a verb")
             raise
         if not received and loop.stopping is not None:
-            self._hub.join(self._wait)  # it says goodbye as it ends
+            self._hub.join(self._wait)  # the hub says goodbye as it ends
         return received.popleft() if received else None
 
     def _take_turns(self) -> None:
@@ -113,12 +113,12 @@ class InsideTransport:
                 receive(player, answer, clock.monotonic())
 
     def notice_connections(self) -> None:
-        """Do nothing: there is one."""
+        """Do nothing: there is always one connection."""
 
     def close(self, linger: float | None = None) -> None:
         """Do nothing: nothing is left to deliver."""
 
-    # The hub's side: it is a route of the switchboard.
+    # The hub's side, as a route of the switchboard.
 
     def deliver(self, message: Message) -> bool:
         """Hand the experiment a message."""
@@ -136,7 +136,7 @@ class _InsidePlayer:
     Args:
         role: its role.
         player: the agent or environment.
-        calls: takes each call to it.
+        calls: queue that receives each call to it.
     """
 
     def __init__(
@@ -159,7 +159,7 @@ class _InsidePlayer:
         return Message(Kind.HELLO, session, 1, scalars)
 
     def carry_out(self, call: Message) -> tuple[Message, ...]:
-        """Return the answer to a call; if the player raises, the error, and its goodbye."""
+        """Return the answer to a call; if the player raises, an ERROR and its GOODBYE."""
         try:
             answer = self._player.answer(call)
         except Exception as error:

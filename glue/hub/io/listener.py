@@ -1,4 +1,4 @@
-"""Addresses that are listened on, and connections accepted from them in the hub's loop.
+"""Listening addresses, and the connections accepted from them in the hub's loop.
 
 A hub opens its addresses itself. A program that runs several hubs one after the other, or that wants to know
 early whether an address is free, opens it once and hands it to each hub:
@@ -28,18 +28,18 @@ from glue.hub.io.loop import READ, Loop
 from glue.sockets.options import unix_address
 
 Accept = Callable[[network.socket, str, float], None]
-"""Takes a connection, the peer's address for people, and the time."""
+"""A function of a connection, the peer's address for people, and the time."""
 
 _BACKLOG: Final = 1024
-"""Connections that the system accepts before we do; Java programs try hundreds of times a second."""
+"""Maximum number of connections that wait to be accepted; Java programs try hundreds of times a second."""
 
 
 class OpenAddress(Closing):
-    """A socket that listens, until it is closed.
+    """A socket that listens until it is closed.
 
     Attributes:
         url: the address as it was given.
-        endpoint: the address, a free port resolved.
+        endpoint: the address, with a free port resolved.
         socket: the socket, which does not block.
     """
 
@@ -63,7 +63,7 @@ class OpenAddress(Closing):
         """Stop listening, and remove the path of a Unix socket."""
         path = self.socket.getsockname() if self.socket.family == network.AF_UNIX else b""
         self.socket.close()
-        # If it was removed meanwhile, another hub may listen there by now.
+        # If the path was removed meanwhile, another hub may listen there by now.
         if isinstance(path, str) and is_left_over(path):
             with suppress(OSError):
                 os.unlink(path)
@@ -72,11 +72,11 @@ class OpenAddress(Closing):
 def open_address(url: str, setting: str = "bind") -> OpenAddress:
     """Listen on an address of `glue.hub.config.check_url`; the port `*` takes any free one.
 
-    A name, and the host `*`, resolve to IPv4 addresses only: peers and original programs look for no others.
+    Names and the host `*` resolve to IPv4 addresses only: peers and original programs look for no others.
 
     Args:
         url: the address.
-        setting: name of the setting that gave it, for the error.
+        setting: name of the setting that holds the address, for the error.
 
     Raises:
         ConfigError: the address is in use, or is not one of this machine.
@@ -95,7 +95,7 @@ class Listener:
     Args:
         loop: the loop it runs in, not yet running.
         address: the open address of the connections; closed by the caller.
-        accept: takes each connection. It may raise OSError: the connection has gone already.
+        accept: takes each connection. It may raise OSError if the connection has already gone.
         log: takes a line for people when connections cannot be accepted.
     """
 
@@ -107,7 +107,7 @@ class Listener:
         self._queued = False
         self._stopped = False
         self._watch(0.0)
-        # Again, if there was no descriptor for a connection.
+        # Watch again after a lack of descriptors for a connection.
         loop.on_tick(self._watch)
 
     def stop(self) -> None:
@@ -120,7 +120,7 @@ class Listener:
             self._loop.watch(self._socket.fileno(), READ, self)
 
     def turn(self, now: float) -> None:
-        """Queue the acceptance of a connection that has arrived."""
+        """Queue the acceptance of a waiting connection."""
         self._queued = True
         self._loop.unwatch(self._socket.fileno())
         self._loop.queue(self._take)
@@ -135,7 +135,7 @@ class Listener:
             self._watch(now)
             return
         except OSError as error:
-            # Until the next tick.
+            # The next tick tries again.
             self._log(f"cannot accept a connection for now: {error.strerror}")
             return
         self._watch(now)
@@ -145,7 +145,7 @@ class Listener:
         try:
             self._accept(connected, name, now)
         except Exception as error:
-            if not isinstance(error, OSError):  # an OSError: it has gone already
+            if not isinstance(error, OSError):  # an OSError: the connection has already gone
                 report = traceback.format_exc()
                 self._loop.log(f"{name} was dropped after an error of the hub; please report this:\n{report}")
             self._loop.unwatch(connected.fileno())
@@ -167,10 +167,10 @@ def _listen_on_port(address: str) -> network.socket:
 
 
 def _listen_on_path(path: str) -> network.socket:
-    """Return a Unix socket that listens on `path`; one that no process listens on any more is replaced.
+    """Return a Unix socket that listens on `path`; replace a socket on which no process listens any more.
 
     Raises:
-        OSError: it cannot be listened on.
+        OSError: `path` cannot be listened on.
     """
     address = unix_address(path)
     listening = network.socket(network.AF_UNIX)

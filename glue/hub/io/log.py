@@ -1,7 +1,8 @@
-"""A log that never makes its callers wait, even if it is printed slowly or not at all.
+"""A log that never blocks its callers, even if it is printed slowly or not at all.
 
 The hub's loop must not wait for a terminal or a pipe that nobody reads. A `Log` keeps lines in a queue of
-limited length, from which a thread writes them. Lines that find the queue full are counted, and dropped.
+limited length, from which a thread writes them. Lines that arrive when the queue is full are counted and
+dropped.
 """
 
 from __future__ import annotations
@@ -15,17 +16,17 @@ from typing import Final
 from glue.doors import threads
 
 _CAPACITY: Final = 1000
-"""Lines that wait to be written."""
+"""Maximum number of lines that wait to be written."""
 
 _FLUSH_SECONDS: Final = 1.0
-"""Maximum time for which `close` waits for the last lines to be written."""
+"""Maximum number of seconds that `close` waits for the last lines to be written."""
 
 
 class Level(IntEnum):
     """The level of a log line; a log writes the lines up to a level."""
 
     ERROR = 0
-    """An error of the hub's own."""
+    """An internal error of the hub."""
 
     PEERS = 1
     """A peer that joins, leaves or is refused."""
@@ -35,11 +36,11 @@ class Level(IntEnum):
 
 
 class Log:
-    """A function that takes lines from any thread, and never waits.
+    """A function that takes lines from any thread, and never blocks.
 
     Args:
-        write: writes a line, in a thread of the log's own; it may take as long as it likes.
-        level: which lines to write.
+        write: writes a line, in the log's own thread; it may take any time.
+        level: the level up to which lines are written.
         stamped: whether each line begins with the local time at which it was taken.
     """
 
@@ -56,7 +57,7 @@ class Log:
         self._thread: threads.Thread | None = None
 
     def __call__(self, line: str, level: Level = Level.PEERS) -> None:
-        """Have `line` written, or dropped if too many wait already."""
+        """Have `line` written, or dropped if too many lines wait already."""
         if level > self._level:
             return
         if self._stamped:
@@ -72,15 +73,15 @@ class Log:
             self._changed.notify()
 
     def error(self, line: str) -> None:
-        """Take a line about an error of the hub's own."""
+        """Log a line about an internal error of the hub."""
         self(line, Level.ERROR)
 
     def connection(self, line: str) -> None:
-        """Take a line about a connection."""
+        """Log a line about a connection."""
         self(line, Level.CONNECTIONS)
 
     def close(self) -> None:
-        """Wait until all lines are written, but not for long; later ones are dropped."""
+        """Wait briefly until all lines are written; later lines are dropped."""
         with self._changed:
             self._closed = True
             self._changed.notify()

@@ -1,10 +1,10 @@
-"""The loop that a hub runs in: one thread that waits for descriptors and for time to pass.
+"""The hub's event loop: one thread that waits for descriptors and for time to pass.
 
-Nothing called from it may wait for anything itself.
+Nothing called from it may block.
 
-Unsolicited work, such as accepting connections or reading what was sent out of turn, goes through a
-queue. One piece of it is done in each turn of the loop, and all of it together takes at most a fifth of the
-time: however many peers flood the hub, a session that plays has the rest.
+Unsolicited work, such as accepting connections or reading messages sent out of turn, goes through a queue.
+Each turn of the loop does one piece of it, and all of it takes at most a fifth of the time: however many
+peers flood the hub, a session that plays has the rest.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ FAILURE: Final = 0
 """Descriptors with no registered interest still report errors."""
 
 _SHARE: Final = 0.2
-"""Of the time, for the queue."""
+"""Maximum share of the time for the queue."""
 
 _MAX_SAVED: Final = 0.02
-"""Seconds of the queue's share that can be saved up while it is empty."""
+"""Seconds of its share that the queue can save up while it is empty."""
 
 _SPIN_SECONDS: Final = 50e-6
-"""Seconds to poll for an expected answer before the loop sleeps: fast players answer within them."""
+"""Seconds to poll for an expected answer before the loop sleeps: fast players answer within this time."""
 
 _DIRECT: Final = 32
-"""Before one of so many spins, which only read from the peer that was sent a call, everybody has a turn."""
+"""Number of spins, which read only from the peer that was sent a call, per poll of all descriptors."""
 
 _GRACE_SECONDS: Final = 0.05
-"""Seconds for which the thread in `run` leaves the loop to another that has taken it."""
+"""Seconds for which the thread in `run` leaves the loop to another thread that has taken it."""
 
 _WAKE_SIZE: Final = 4096
 
 Events = list[tuple[int, int]]
-"""Descriptors, each with what has happened to it."""
+"""Descriptors, each with its events."""
 
 Work = Callable[[float], None]
-"""Takes the time, as `time.monotonic` returns it."""
+"""A function of the time, as `time.monotonic` returns it."""
 
 Result = TypeVar("Result")
 
@@ -53,7 +53,7 @@ class Watched(Protocol):
     """The owner of a descriptor."""
 
     def turn(self, now: float) -> None:
-        """Act: the descriptor is ready, or has failed."""
+        """Handle the descriptor, which is ready or has failed."""
         ...
 
 
@@ -61,22 +61,22 @@ class Source(Watched, Protocol):
     """A connection whose answer can be expected."""
 
     def glance(self) -> Events | None:
-        """Return the event of something to read, having read it; None if there is nothing."""
+        """Read data, and return its event; None if there is none."""
         ...
 
 
 class Loop:
-    """Serves descriptors that are ready, calls functions when time has passed, and works off a queue.
+    """Serves ready descriptors, calls functions at ticks, and works through a queue.
 
-    One thread takes the turns at any time: the one in `run`, or another that is in `alone`.
+    Only one thread takes turns at any time: the thread in `run`, or another in `alone`.
 
     Args:
         every: seconds between ticks.
-        log: takes a line for people, about errors that cost a connection.
+        log: takes a line for people, about errors that end a connection.
 
     Attributes:
         log: as given.
-        stopping: why it ends or has ended; None until `stop`.
+        stopping: the reason for which it ends or has ended; None until `stop`.
     """
 
     def __init__(self, every: float, log: Callable[[str], None]) -> None:
@@ -94,7 +94,7 @@ class Loop:
         self._several = False  # answers of several sources are expected
         self._spin = Spin(_SPIN_SECONDS)
         self._spins = 0
-        self._mutex = threads.RLock()  # which knows whether this thread has it
+        self._mutex = threads.RLock()  # it knows whether this thread holds it
         self._times_asked = 0
         self._wake = _Wake()
         self.watch(self._wake.fileno(), READ, self._wake)
@@ -113,7 +113,7 @@ class Loop:
             self._poller.unregister(fd)
 
     def queue(self, work: Work) -> None:
-        """Call `work` once, after all that was queued before, as the queue's share of the time allows."""
+        """Call `work` once, after all work queued before, as the queue's share of the time allows."""
         self._queue.append(work)
 
     def on_tick(self, tick: Work) -> None:
@@ -127,7 +127,7 @@ class Loop:
         self._expected = source
 
     def spin_longer(self) -> None:
-        """Note that a peer has joined that is many games, or acts in many: its answers take longer."""
+        """Note that a peer with many games, or an agent for them, has joined: its answers take longer."""
         self._spin.seconds = LONG_SPIN_SECONDS
 
     def run(self) -> None:
@@ -148,8 +148,8 @@ class Loop:
     def alone(self, work: Callable[[], Result]) -> Result:
         """Call `work`, which may take turns, while no other thread does; return its result."""
         self._times_asked += 1
-        # Ctrl-C may be raised after any call, also after one that has acquired a lock. So it is released even
-        # if this thread seems not to have it, which a `with` would not do.
+        # KeyboardInterrupt may be raised after any call, even one that has acquired the lock. So the lock is
+        # released even if this thread seems not to hold it, which a `with` would not do.
         try:
             mine = self._mutex.acquire(blocking=False)
             while not mine:
@@ -161,13 +161,13 @@ class Loop:
         finally:
             try:  # noqa: SIM105  # another call here could be interrupted before the release
                 self._mutex.release()
-            except RuntimeError:  # it was interrupted before it had it
+            except RuntimeError:  # interrupted before the lock was acquired
                 pass
 
     def turn(self, seconds: float = math.inf) -> None:
-        """Wait up to `seconds` until there is something to do, and do it.
+        """Wait up to `seconds` until there is work, and do it.
 
-        That is: what is ready, one piece of the queue, and a tick.
+        The work is ready descriptors, one piece of the queue, and a tick.
         """
         events = None
         expected = self._expected
@@ -188,7 +188,7 @@ class Loop:
             events = self._poller.poll(max(wait, 0))
             now = clock.monotonic()
         for fd, _ in events:
-            # What was called before it may have ended the wait for it.
+            # A turn before this one may have unwatched the descriptor.
             watched = self._watched.get(fd)
             if watched is not None:
                 watched.turn(now)
@@ -208,12 +208,12 @@ class Loop:
             self._saved -= clock.monotonic() - now
 
     def stop(self, reason: str) -> None:
-        """Let `run` end; may be called from any thread or signal handler."""
+        """Make `run` end; may be called from any thread or signal handler."""
         self.stopping = self.stopping or reason
         self._wake.up()
 
     def close(self) -> None:
-        """Close what the loop itself holds."""
+        """Close the loop's own descriptors."""
         self._wake.close()
         self._poller.close()
 
@@ -229,11 +229,11 @@ class _Wake:
 
     def up(self) -> None:
         """Wake the loop."""
-        with suppress(OSError):  # full or closed: the loop is awake or over
+        with suppress(OSError):  # full or closed: the loop is awake or has ended
             self._writer.send(b"\0")
 
     def turn(self, now: float) -> None:
-        """Forget how often it was woken."""
+        """Discard the wake-ups."""
         self._reader.recv(_WAKE_SIZE)
 
     def close(self) -> None:

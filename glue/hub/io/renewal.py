@@ -17,12 +17,12 @@ from glue.keys.allowed import read_keys
 
 @contextmanager
 def renewed_on_hangup(hub: Hub, directory: Path) -> Iterator[None]:
-    """Let the hub read its keys again whenever this process receives SIGHUP. For the main thread.
+    """Make the hub read its keys again whenever this process receives SIGHUP. For the main thread.
 
-    A thread of its own reads them: a slow disk must not stop the sessions. If they cannot be read, they stay
-    as they were.
+    A separate thread reads the keys: a slow disk must not stop the sessions. If they cannot be read, the old
+    keys stay in use.
     """
-    asked: SimpleQueue[bool] = SimpleQueue()  # whose `put` is safe in a signal handler
+    asked: SimpleQueue[bool] = SimpleQueue()  # its `put` is safe in a signal handler
 
     def read() -> None:
         while asked.get():

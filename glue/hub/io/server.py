@@ -29,14 +29,14 @@ _NONE: Final[Mapping[str, OpenAddress]] = {}
 
 
 class Hub(Closing):
-    """A hub, listening from the moment it is made until it is closed.
+    """A hub, listening from construction until it is closed.
 
-    It closes when `run` ends; one that is never run is closed by `close`, or as a context manager.
+    It closes when `run` ends; a hub that is never run is closed by `close`, or as a context manager.
 
     Args:
         config: addresses, times and limits.
-        log: takes a line for people about each peer that joins or leaves, in a thread of its own: nothing in
-            the hub waits for it. Or a `Log` to choose more; the hub closes it.
+        log: called with a line for people about each peer that joins or leaves, in a separate thread, so that
+            the hub does not wait for it. Or a `Log`, for more options; the hub closes it.
         opened: addresses of `config.bind`, by URL, that are open already; they stay open when the hub closes.
         clock: returns seconds, to measure the time of agents if `config` limits it; by default the system's.
 
@@ -45,7 +45,7 @@ class Hub(Closing):
         log: passes lines on to the log that was given.
         loop: the loop it runs in; a tick is a heartbeat.
         switchboard: receiver of all messages.
-        endpoints: the addresses listened on, free ports resolved.
+        endpoints: the addresses listened on, with free ports resolved.
 
     Raises:
         ConfigError: an address is in use or cannot be listened on.
@@ -87,30 +87,30 @@ class Hub(Closing):
 
     def close(self) -> None:
         """Say goodbye to every peer, and stop listening. A running hub is ended by `stop` instead."""
-        self.loop.alone(self._closing.close)  # an experiment inside may be in the middle of a turn
+        self.loop.alone(self._closing.close)  # an experiment in this process may be in a turn
 
     def wait(self) -> None:
         """Wait until a hub in the background ends.
 
         Raises:
-            GlueError: it was not stopped, but failed.
+            GlueError: the hub was not stopped, but failed.
         """
         self._ended.wait()
         if self.loop.stopping is None:
-            raise GlueError("the hub failed, by a mistake of its own; please report what is shown above")
+            raise GlueError("internal error in the hub; please report the traceback above")
 
     def join(self, seconds: float) -> bool:
-        """Wait at most so long for a hub in the background to end; return whether it has."""
+        """Wait up to `seconds` for a hub in the background to end; return whether it has."""
         return self._ended.wait(seconds)
 
     def stop(self, reason: str) -> None:
-        """Let `run` end; may be called from any thread or signal handler. Peers are sent `reason`."""
+        """Make `run` end; may be called from any thread or signal handler. Peers are sent `reason`."""
         self.loop.stop(reason)
 
     def renew_keys(self, keys: Keys) -> None:
         """Replace the keys of every address that has any, at the next heartbeat; callable from any thread.
 
-        Peers whose key is gone, or has other permits now, lose their connection and their seats.
+        Peers whose key is gone, or now has another permit, lose their connection and their seats.
         """
         self._new_keys = keys
 
@@ -132,7 +132,7 @@ class Hub(Closing):
             thread.join()
 
     def on_close(self, close: Callable[[], None]) -> None:
-        """Call `close` when the hub closes, after its peers were sent a goodbye."""
+        """Call `close` when the hub closes, after its peers have been sent a goodbye."""
         self._closers.append(close)
 
     def _run_in_background(self) -> None:

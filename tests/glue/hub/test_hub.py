@@ -1,4 +1,4 @@
-"""The hub as a program's part: addresses it can listen on, and how it ends."""
+"""The hub as part of a program: the addresses that it can listen on, and its end."""
 
 from __future__ import annotations
 
@@ -161,7 +161,7 @@ def test_a_hub_that_fails_notifies_its_peers_and_raises_in_wait() -> None:
 
     with failing.in_background(), connect(failing.endpoints[0]) as glue:
         failing.loop.on_tick(fail)
-        with pytest.raises(GlueError, match="the hub failed, by a mistake of its own"):
+        with pytest.raises(GlueError, match="internal error in the hub"):
             failing.wait()
         with pytest.raises(HubClosed, match="the hub failed"):
             glue.rl_init()
@@ -214,7 +214,7 @@ def test_everything_sent_before_a_reset_is_received() -> None:
             assert all(joined.acquire(timeout=TIMEOUT) for _ in sessions)
             goodbyes = [peer.frames_of(Kind.GOODBYE, 0, "the end", session=name) for name in sessions]
             peer.send_bytes(b"".join(framed(*goodbye) for goodbye in goodbyes))
-            # Since it has not read its welcomes, this is a reset.
+            # The peer has not read its welcomes, so its close is a reset.
         assert all(left.acquire(timeout=TIMEOUT) for _ in sessions)
 
 
