@@ -1,4 +1,4 @@
-# Two commands for everybody: `make demo` and `make test`. Both set up what they need.
+# Two commands for everyone: `make demo` and `make test`. Both set up everything they need.
 
 PYTHON ?= python3
 VENV   := .venv
@@ -7,10 +7,10 @@ DEMO   := runs/demo
 READY  := $(VENV)/.ready
 FOUND  := $(VENV)/.found
 
-# Twice as many as two cores, as they often wait; each takes a module at a time, in the order of tests/conftest.py.
+# Four processes for two cores, as they often wait; each takes one module at a time, in the order of tests/conftest.py.
 PARALLEL := --numprocesses=4 --dist=loadfile --no-loadscope-reorder
 
-# The tests start hundreds of processes: each finds its modules compiled, whatever the shell says.
+# The tests start hundreds of processes: each must find its modules compiled, whatever the shell's setting.
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo test pytest proof check compile games agents coverage picture screenshots vectors bench docs release clean
@@ -52,7 +52,7 @@ check: $(READY)
 	$(BIN)/python -m tests.house.users_code build/users
 	MYPYPATH=build/users:docs/examples/python $(BIN)/mypy build/users docs/examples/python
 
-# Once; else each process of the tests would compile the simulator, the agents and the modules that the tests import.
+# Once; otherwise each test process would compile the simulator, the agents and the modules that the tests import.
 compile: games agents $(FOUND)
 
 games agents: $(READY)
@@ -62,7 +62,7 @@ $(FOUND): $(READY)
 	$(BIN)/python -m pytest --collect-only --quiet > /dev/null
 	@touch $(FOUND)
 
-# What takes longest begins first, and the checks where a core is free.
+# The slowest part begins first; the checks run once a core is free.
 test: $(READY)
 	$(MAKE) --jobs=2 pytest check
 
@@ -73,7 +73,7 @@ pytest: compile
 proof: compile
 	GLUE_PROOF=full $(BIN)/python -m pytest -m proof --timeout=1200 $(PARALLEL)
 
-# A few tests fail here, as coverage imports modules and writes files of its own: the report follows all the same.
+# A few tests fail here, as coverage imports modules and writes files of its own; the report follows anyway.
 coverage: compile
 	$(BIN)/coverage erase
 	-$(BIN)/coverage run -m pytest $(PARALLEL)
@@ -94,7 +94,7 @@ docs: $(READY)
 	$(BIN)/sphinx-build --fail-on-warning --keep-going --quiet docs build/site
 	@echo 'build/site/index.html'
 
-# All of a release but the upload: the version, the changelog and the tag agree, and the wheel is proved from outside.
+# A release without the upload: version, changelog and tag agree, and the wheel is tested outside the checkout.
 release: $(READY)
 	$(BIN)/python -m tests.package.release
 	$(BIN)/python -m nox --non-interactive --session package names

@@ -36,11 +36,11 @@ MATRIX = [
         ),
     ),
 ]
-"""Tests of each Python: all of the protocol, and the players that compile nothing."""
+"""Tests for each Python: the whole protocol, and the players that compile nothing."""
 
 
 def build(session: nox.Session) -> dict[str, str]:
-    """Build wheel and sdist anew, and return the variable that names their folder to the tests."""
+    """Rebuild wheel and sdist; return the environment variable that names their folder to the tests."""
     shutil.rmtree(DIST, ignore_errors=True)
     session.install("build", *TESTING, "--editable", ".")
     session.run("pyproject-build", "--outdir", str(DIST))
@@ -49,13 +49,13 @@ def build(session: nox.Session) -> dict[str, str]:
 
 @nox.session
 def package(session: nox.Session) -> None:
-    """Build wheel and sdist, check their contents, and try everything from the wheel alone."""
+    """Build wheel and sdist, check their contents, and try everything with only the wheel installed."""
     session.run("pytest", "tests/package/test_distributions.py", *session.posargs, env=build(session))
 
 
 @nox.session(default=False)
 def mutation(session: nox.Session) -> None:
-    """Make mistakes in engine and codec, one by one, and list those that no test notices: an hour or less."""
+    """Mutate engine and codec, and list the mutants that no test notices: an hour or less."""
     session.install("mutmut==3.8.1", "--editable", ".[dev]")
     session.run("mutmut", "run", *session.posargs)
     session.run("mutmut", "results")
@@ -63,13 +63,13 @@ def mutation(session: nox.Session) -> None:
 
 @nox.session(default=False)
 def names(session: nox.Session) -> None:
-    """Beside distributions with packages of the same names, in both orders of installation."""
+    """Test next to distributions with packages of the same names, in both orders of installation."""
     session.run("pytest", "tests/package/test_names.py", *session.posargs, env=build(session))
 
 
 @nox.session(default=False)
 def docs(session: nox.Session) -> None:
-    """Build the site without a warning, and look at it in Chromium, with axe-core where AXE_CORE names it."""
+    """Build the site without warnings, and check it in Chromium, with axe-core if AXE_CORE names it."""
     session.install("--editable", ".[docs]", *TESTING, "selenium>=4.20")
     session.run("sphinx-build", "--fail-on-warning", "--keep-going", "--quiet", "docs", SITE)
     session.run("pytest", "tests/package/test_site.py", *session.posargs, env={"GLUE_SITE": SITE})
@@ -84,7 +84,7 @@ def notebooks(session: nox.Session) -> None:
 
 @nox.session(default=False)
 def coming_from(session: nox.Session) -> None:
-    """Play the experiments of docs/coming-from.md with the libraries that people come from, and with ours."""
+    """Play the experiments of docs/coming-from.md with the other libraries, and with ours."""
     libraries = ["dm-env", "PyExpUtils-andnp", "rlglue-andnp"]
     session.install("--editable", ".[gym,pandas,polars]", *libraries, *TESTING)
     session.run("pytest", "tests/package/test_coming_from.py", *session.posargs, env={"GLUE_COMING": "1"})
@@ -92,14 +92,14 @@ def coming_from(session: nox.Session) -> None:
 
 @nox.session(default=False)
 def loggers(session: nox.Session) -> None:
-    """Send runs to TensorBoard, W&B, MLflow and Trackio, and compare what their own servers show."""
+    """Send runs to TensorBoard, W&B, MLflow and Trackio, and compare them with their servers' data."""
     session.install("--editable", ".[tensorboard,trackio,wandb]", "mlflow", *TESTING)
     session.run("pytest", "tests/experiment_runner/loggers", *session.posargs)
 
 
 @nox.session(default=False)
 def repository(session: nox.Session) -> None:
-    """Review the files that are about the repository: metadata, workflows, citation."""
+    """Review the repository's metadata, workflows and citation."""
     session.install("cffconvert", "sp-repo-review[cli]", "zizmor")
     session.run("cffconvert", "--validate")
     session.run("repo-review", ".")
@@ -108,7 +108,7 @@ def repository(session: nox.Session) -> None:
 
 @nox.session(default=False, venv_backend="none")
 def pythons(session: nox.Session) -> None:
-    """Run tests on every Python that is here, with the lowest and the newest dependencies."""
+    """Run tests on every installed Python, with the lowest and the newest dependencies."""
     found = {version: path for version in PYTHONS if (path := interpreter(version))}
     session.log(f"found {found}")
     for version, path in found.items():
@@ -126,7 +126,7 @@ def pythons(session: nox.Session) -> None:
 
 
 def interpreter(version: str) -> str | None:
-    """Return a Python of this version: of the path, or of pyenv."""
+    """Return a Python of this version, from the path or from pyenv."""
     pyenv = sorted(Path.home().glob(f".pyenv/versions/{version}.*/bin/python"))
     for candidate in filter(None, [shutil.which(f"python{version}"), *pyenv]):
         asked = [candidate, "-c", "import sys; print(*sys.version_info[:2], sep='.')"]

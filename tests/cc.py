@@ -1,4 +1,4 @@
-"""Programs in C against libzmq."""
+"""C programs linked with libzmq."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 
 def compiled(source: Path, folder: Path) -> Path:
-    """Return the program of a source file; skip the test where no compiler or no zmq.h is installed."""
+    """Compile a source file and return the program; skip the test if the compiler or zmq.h is missing."""
     compiler = shutil.which("cc")
     if compiler is None:
         pytest.skip(f"there is no C compiler here to build {source.name}")

@@ -1,7 +1,7 @@
-"""Compile the simulator and the agents once, before several processes of tests need them.
+"""Compile the simulator and the agents once, before several test processes need them.
 
-The programs `python -m tests.compile games` and `python -m tests.compile agents` may run side by side.
-Machine code is kept on disk, so a second time does nothing.
+The programs `python -m tests.compile games` and `python -m tests.compile agents` may run at the same time.
+Machine code is cached on disk, so a second run does nothing.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Configuration of all tests: modules such as `tests.players` can be imported; Ctrl-C works.
+"""Configuration of all tests: makes modules such as `tests.players` importable, and Ctrl-C work.
 
-Modules with slow tests run first, so that the other processes do not wait for one of them at the end. A
-module stays in one process (`--dist=loadfile` in the Makefile), which makes once what its tests share.
+Modules with slow tests run first, so that the other processes do not wait for one of them at the end. All
+tests of a module run in one process (`--dist=loadfile` in the Makefile), which creates shared objects once.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from hypothesis import settings
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-# Where a shell has put us in the background it may have interrupts ignored, and so would all that we start.
+# A shell may start background jobs with interrupts ignored, and every process that we start inherits that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# No test asserts on time: the first example of a property may have to compile or import.
+# No test asserts timing: the first example of a property may have to compile or import.
 settings.register_profile("glue", deadline=None)
 settings.load_profile("glue")
 

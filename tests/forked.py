@@ -1,7 +1,7 @@
-"""Processes that are forked from one which has imported everything: each starts in no time.
+"""Processes forked from one that has already imported everything: each starts almost instantly.
 
-Most of the time of a short command goes into imports, and the tests run hundreds of them. What is to be
-proved of a command's start needs `tests.terminal.run_anew`.
+A short command spends most of its time on imports, and the tests run hundreds of commands. Use
+`tests.terminal.run_anew` to test a command's start-up.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ SERVER.set_forkserver_preload(
 class Forked:
     """A function in a forked process; its result is the exit code.
 
-    Threads may use several at a time. `multiprocessing` lets whoever starts a process look for the end of all
-    others: of two threads that read the same exit code, one would take it for 255.
+    Several threads may use it at once. When one starts a process, `multiprocessing` polls all others: of two
+    threads that read the same exit code, one would get 255.
     """
 
     _alone = threading.Lock()
@@ -69,12 +69,12 @@ class Forked:
 
     @property
     def pid(self) -> int:
-        """The number of the process."""
+        """The process ID."""
         assert self._process.pid is not None
         return self._process.pid
 
     def wait(self, seconds: float | None = None) -> int | None:
-        """Return its exit code when it has ended, -N by signal N; None if `seconds` pass before."""
+        """Wait for the end; return the exit code, -N after signal N, or None if `seconds` pass first."""
         multiprocessing.connection.wait([self._process.sentinel], seconds)
         with self._alone:
             return self._process.exitcode
@@ -86,7 +86,7 @@ class Forked:
 
 
 class Recorded(Forked):
-    """A function in a forked process, with what it prints."""
+    """A function in a forked process, with its output."""
 
     def __init__(self, run: Callable[..., int], *arguments: Any) -> None:
         self._folder = tempfile.TemporaryDirectory()
@@ -104,7 +104,7 @@ class Recorded(Forked):
 def run(
     *command: str, cwd: Path, env: Mapping[str, str] | None = None, timeout: float = 120
 ) -> subprocess.CompletedProcess[str]:
-    """Run one of our commands to its end, as a script would; `env` is that of `subprocess.run`."""
+    """Run one of our commands to its end, as a script would; `env` is as in `subprocess.run`."""
     with tempfile.TemporaryDirectory() as folder:
         printed = [Path(folder) / name for name in ("stdout", "stderr")]
         process = start(*command, cwd=cwd, env=env, printed=printed)
@@ -118,12 +118,12 @@ def run(
 def start(*command: str, cwd: Path, env: Mapping[str, str] | None = None, printed: Sequence[Path]) -> Forked:
     """Start one of our commands; its standard output and its errors are appended to two files."""
     environment = dict(os.environ if env is None else env)
-    # A daemon could start no processes.
+    # A daemonic process cannot start processes.
     return Forked(_main, command, cwd, environment, printed, daemon=False)
 
 
 def redirect(descriptor: int, path: Path) -> None:
-    """Let what this process writes to `descriptor` be appended to a file."""
+    """Append to a file everything that this process writes to `descriptor`."""
     opened = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_APPEND)
     os.dup2(opened, descriptor)
     os.close(opened)
@@ -144,7 +144,7 @@ def _main(command: Sequence[str], cwd: Path, env: Mapping[str, str], printed: Se
         redirect(stream.fileno(), path)
     os.environ.clear()
     os.environ.update(env)
-    # Python reads it only at its start.
+    # Python reads the variable only at start-up.
     sys.path[:0] = filter(None, env.get("PYTHONPATH", "").split(os.pathsep))
     os.chdir(cwd)
     sys.argv = [str(BIN / command[0]), *command[1:]]

@@ -1,4 +1,4 @@
-"""A hub on a real socket, with players in threads: the cheapest way over the wire."""
+"""A hub on a real socket, with players in threads: the cheapest setup that uses the wire."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from glue.roles import AgentLike, EnvironmentLike
 
 Player = AgentLike | EnvironmentLike
 Players = Player | Mapping[str, AgentLike] | Mapping[str, EnvironmentLike]
-"""A player, or the players of one role by the name of their session."""
+"""A player, or the players of one role by session name."""
 
 
 @contextmanager
 def serving(url: str, *players: Players) -> Iterator[None]:
-    """Serve players, each in a thread; the hub has to end before the `with` does."""
+    """Serve players, each in a thread; the hub must stop before the `with` block ends."""
     threads = [Thread(target=_serve, args=(player, url)) for player in players]
     for thread in threads:
         thread.start()
@@ -45,6 +45,6 @@ def hub_with(*players: Players, bind: str = "tcp://127.0.0.1:*") -> Iterator[str
 
 @contextmanager
 def over_the_hub(agent: AgentLike, environment: EnvironmentLike) -> Iterator[Experiment]:
-    """Yield an experiment with these players; between any two of the three is a hub."""
+    """Yield an experiment with these players; all three are connected by a hub."""
     with hub_with(agent, environment) as address, connect(address) as glue:
         yield glue

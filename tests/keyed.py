@@ -1,4 +1,4 @@
-"""A directory of a hub's keys, and the pairs of those who join it."""
+"""A directory of a hub's keys, and the key pairs of the peers that join it."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from glue.keys.certificates import PUBLIC, SECRET, write_pair
 
 
 class KeyFolder:
-    """The keys of a hub in `path`, and beside them the secret keys of whoever is to join.
+    """The keys of a hub in `path`, and in another folder the key pairs of its entrants.
 
     Attributes:
-        hub_key: for `--hub-key`.
+        hub_key: the file for `--hub-key`.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -23,11 +23,11 @@ class KeyFolder:
         self.allow("")
 
     def allow(self, text: str) -> None:
-        """Write the list of who may join."""
+        """Write the list of peers that may join."""
         (self.path / "allow.toml").write_text(text)
 
     def entrant(self, name: str) -> Path:
-        """Make a pair, and hand in its public key; return the file with the secret one."""
+        """Create a key pair and copy its public key to the hub's folder; return the secret key's file."""
         public, secret = write_pair(self._entrants, name, new_pair())
         assert secret.suffix == SECRET
         (self.path / public.name).write_bytes(public.read_bytes())

@@ -1,4 +1,4 @@
-"""An agent and an environment that write down what is asked of them, and are easily set up for a case."""
+"""Agents and environments for tests: the scripted ones record their calls and are easily configured."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from glue.types import Action, Observation
 from glue.wire.messages import Role
 
 WITH_EXTRAS = ("sb3", "soar")
-"""How the names of players begin that need more than is installed for the tests; they have their own."""
+"""Name prefixes of players that need more than the tests install; those players have tests of their own."""
 
 Hook = Callable[[str], None]
 
 
 def installed(role: Role) -> list[str]:
-    """Return the names of all agents or environments, but for those that need an extra."""
+    """Return the names of all agents or environments, except those that need an extra."""
     return [name for name in names(role) if not name.startswith(WITH_EXTRAS)]
 
 
@@ -28,10 +28,10 @@ def nothing(call: str) -> None:
 
 
 class ScriptedEnvironment(Environment):
-    """Shows how many steps were made, rewards each with `reward`, ends at step `length`.
+    """Shows the number of steps, rewards each step with `reward`, and ends at step `length`.
 
-    `calls` gets one line for each call; the same list may be handed to the agent, to see the order of
-    both. `before` is called with each line first, to let something happen just then.
+    `calls` receives one line per call; the agent may share the list, which then shows the order of all
+    calls. `before` is called with each line first, so that a test can act at that point.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class ScriptedEnvironment(Environment):
 
 
 class ScriptedAgent(Agent):
-    """Answers each observation of one int n with the action n + 100; writes down as the environment does."""
+    """Answers an observation of one int n with the action n + 100; records calls as the environment does."""
 
     def __init__(self, calls: list[str] | None = None, before: Hook = nothing) -> None:
         self.calls: list[str] = [] if calls is None else calls
@@ -139,21 +139,21 @@ class SeededAgent(ScriptedAgent):
 
 
 class TellingAgent(SeededAgent):
-    """Answers a message with the calls it has had before it."""
+    """Answers a message with the calls received before it."""
 
     def agent_message(self, message: str) -> str:
         return "\n".join(self.calls)
 
 
 class TellingEnvironment(SeededEnvironment):
-    """Answers a message with the calls it has had before it."""
+    """Answers a message with the calls received before it."""
 
     def env_message(self, message: str) -> str:
         return "\n".join(self.calls)
 
 
 class ChainEnvironment(Environment):
-    """Each reward depends on every call that came before: one too many, or too few, shows in the return."""
+    """Each reward depends on every earlier call, so an extra or a missing call changes the return."""
 
     def __init__(self) -> None:
         self._chain = 0
@@ -181,7 +181,7 @@ class ChainEnvironment(Environment):
 
 
 class ChainAgent(Agent):
-    """The same for actions."""
+    """Each action depends on every earlier call."""
 
     def __init__(self) -> None:
         self._chain = 0

@@ -1,6 +1,6 @@
-"""Tests that prove more the longer they run: some seconds in `make test`, minutes in `make proof`.
+"""Sizes of the tests that check more the longer they run: seconds in `make test`, minutes in `make proof`.
 
-They have the marker `proof`, and take their sizes from here.
+These tests have the marker `proof`.
 """
 
 from __future__ import annotations
@@ -14,5 +14,5 @@ FULL = os.environ.get("GLUE_PROOF") == "full"
 
 
 def size(usual: _T, full: _T) -> _T:
-    """Return the size of a proof in `make test`, or in `make proof`."""
+    """Return `usual` in `make test`, and `full` in `make proof`."""
     return full if FULL else usual

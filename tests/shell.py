@@ -1,6 +1,6 @@
-"""Text for a shell, run by bash: our commands in it are forked, see `tests.forked`.
+"""Shell scripts, run by bash: our commands in them are forked, see `tests.forked`.
 
-A command that another starts, as in `timeout 5 glue-experiment`, starts as it does for people.
+A command started by another one, as in `timeout 5 glue-experiment`, starts as it does for users.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ASKING: Final = Path(__file__).parent / "scripted" / "asking.py"
 
 
 def bash(text: str, cwd: Path, timeout: float) -> subprocess.CompletedProcess[str]:
-    """Run text to its end, or to the first command that fails."""
+    """Run a script to its end, or to the first command that fails."""
     with (
         tempfile.TemporaryDirectory() as folder,
         socketserver.ThreadingUnixStreamServer(f"{folder}/socket", _Forking) as server,

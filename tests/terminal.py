@@ -1,4 +1,4 @@
-"""Commands in a terminal of their own, and what a person sees there."""
+"""Commands in a terminal of their own, and their output there."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ESCAPE: Final = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
 
 
 def run_anew(*command: str, cwd: Path, timeout: float = 120) -> subprocess.CompletedProcess[str]:
-    """As `tests.forked.run`, but with all imports: for tests of how a command starts."""
+    """Run a command like `tests.forked.run`, but with all imports, to test its start-up."""
     return subprocess.run(
         [BIN / command[0], *command[1:]],
         cwd=cwd,
@@ -33,7 +33,7 @@ def run_anew(*command: str, cwd: Path, timeout: float = 120) -> subprocess.Compl
 
 
 class Terminal:
-    """One of our commands while it runs: what it says, on either stream, can be waited for."""
+    """One of our commands while it runs; tests can wait for its output on either stream."""
 
     def __init__(self, *command: str, cwd: Path) -> None:
         self._folder = tempfile.TemporaryDirectory()
@@ -66,7 +66,7 @@ class Terminal:
         os.kill(self.process.pid, number)
 
     def end(self) -> int:
-        """Wait for the command to end by itself; return its status."""
+        """Wait for the command to end; return its exit status."""
         status = self.process.wait(120)
         assert status is not None, self.lines
         self._reader.join()
@@ -99,7 +99,7 @@ def run_in_terminal(*command: str, cwd: Path, columns: int = 80) -> tuple[int, s
 
 @contextmanager
 def watched_terminal() -> Iterator[tuple[int, list[bytes]]]:
-    """A terminal: where to write, and what was written there, all of it when the context is left."""
+    """Yield a terminal's descriptor, and the output written to it, complete once the context has ended."""
     looking, writing = pty.openpty()
     seen: list[bytes] = []
     reader = threading.Thread(target=lambda: seen.extend(iter(lambda: _read(looking), b"")))
@@ -113,12 +113,12 @@ def watched_terminal() -> Iterator[tuple[int, list[bytes]]]:
 
 
 def drawings(text: str) -> list[str]:
-    """Return the drawings in what was written to a terminal, each without its colors."""
+    """Return the drawings in a terminal's output, each without its colors."""
     return [_ESCAPE.sub("", part).replace("\r", "") for part in text.split("\x1b[H")[1:]]
 
 
 def _read(descriptor: int) -> bytes:
     try:
         return os.read(descriptor, 2**16)
-    except OSError:  # Linux says so when the last writer has closed a terminal.
+    except OSError:  # Linux raises this when the last writer has closed a terminal.
         return b""

@@ -1,4 +1,4 @@
-"""An agent of one's own, to be copied and changed."""
+"""An example agent to copy and change."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _RIGHT, _JUMP = Action(ints=[1, 0, 1]), Action(ints=[1, 1, 1])
 
 
 class Runner(Agent):
-    """Plays Mario running to the right, and lets go of jump every tenth step."""
+    """Plays Mario: runs to the right, and releases jump every tenth step."""
 
     def __init__(self) -> None:
         self._steps = 0

@@ -1,4 +1,4 @@
-"""Screens drawn by hand, and what an agent learned, key by key."""
+"""Screens drawn by hand, and the values that an agent has learned, by key."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def task_spec() -> str:
 def draw() -> Draw:
     """Draw a screen: its lowest rows from top to bottom, M for Mario; the rest is blank.
 
-    Mario stands in the middle of his tile, a sixteenth above its floor, unless `at` says where.
+    Mario stands in the middle of his tile, a sixteenth above its floor, unless `at` gives his position.
     """
 
     def drawn(
@@ -87,7 +87,7 @@ class Watcher:
 
 @pytest.fixture
 def watch() -> type[Watcher]:
-    """Make a watcher, with the senses that an argument names."""
+    """Return the class of watchers; keywords set the senses."""
     return Watcher
 
 

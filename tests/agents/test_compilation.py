@@ -1,4 +1,4 @@
-"""Agents say that they are compiled, once."""
+"""Agents report their compilation once."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from glue.taskspec.spaces import Box, Chars, Discrete, task_spec
 
 
 class Hill(Environment):
-    """A car in a valley, without bounds of its speed: each step costs 1 until it is at the top."""
+    """A car in a valley, of unbounded speed: each step costs 1 until the car is at the top."""
 
     def env_init(self) -> str:
         low, high = [-1.2, -float("inf")], [0.6, float("inf")]

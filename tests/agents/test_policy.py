@@ -1,4 +1,4 @@
-"""Epsilon-greedy choice: its chances, its ties, its decay, its generator."""
+"""Epsilon-greedy choice: probabilities, ties, decay, generator."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def chooser(epsilon: float, reduction: float = 1.0, cycles: int = 0) -> Chooser:
 
 
 def choices(chooser: Chooser, values: list[float]) -> Counter[int]:
-    """Return how often each value is chosen, the last two being beyond the count."""
+    """Return how often each value is chosen; two more values lie beyond the count."""
     array = np.array([*values, 99.0, 99.0])
     return Counter(epsilon_greedy(chooser, array, len(values)) for _ in range(DRAWS))
 

@@ -1,4 +1,4 @@
-"""PPO: the same seed learns the same, and a network to begin with plays until its values are known."""
+"""PPO: the same seed learns the same, and an initial network is unchanged until its values are known."""
 
 from __future__ import annotations
 

@@ -63,14 +63,14 @@ def test_a_value_moves_towards_its_target_by_the_step_size() -> None:
 
 
 def test_an_update_is_shared_out_equally_among_the_features() -> None:
-    """The sum of 1 and 2 moves towards 6 by a half of the difference, a quarter through each."""
+    """The sum of 1 and 2 moves towards 6 by half of the difference, a quarter through each."""
     table = table_of(keys_of(5, 9), np.array([1.0, 2.0]))
     update(learner(0.5), table, taken(5, 9), 6.0)
     assert values_of(table) == {5: pytest.approx(1.75), 9: pytest.approx(2.75)}
 
 
 def test_the_sum_of_shared_updates_is_the_mean_of_equal_ones() -> None:
-    """Experiment 2's mean of values updated alike is the same function as this sum."""
+    """Experiment 2's mean of equally updated values is the same function as this sum."""
     table = empty()
     mean = np.zeros(3)
     for target in (4.0, -1.0, 2.5):

@@ -29,7 +29,7 @@ def test_task_that_is_not_one_int_for_one_int_is_refused(task_spec: str, complai
 
 
 def test_the_table_learns_the_same_to_the_last_bit() -> None:
-    # As recorded when the table was NumPy's.
+    # As recorded when the table used NumPy.
     with local(SarsaAgent(epsilon=0.2), MinesEnvironment()) as glue:
         glue.rl_init(seed=1)
         returns = []

@@ -11,7 +11,7 @@ from tests.hubs import over_the_hub
 
 
 def check_same_over_sockets(agent: Callable[[], Agent], environment: Callable[[], Environment]) -> None:
-    """Play twenty episodes in each topology, with players made anew; the outcomes must be equal."""
+    """Play twenty episodes in each topology, with new players; the outcomes must be equal."""
     with local(agent(), environment()) as glue:
         expected = _outcomes(glue)
     with over_the_hub(agent(), environment()) as remote:

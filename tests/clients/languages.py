@@ -1,4 +1,4 @@
-"""The client libraries: what each needs, how it is built, and the programs that come of it."""
+"""The client libraries: the tools, the build and the example programs of each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ROOT: Final = Path(__file__).parents[2]
 CLIENTS: Final = ROOT / "clients"
 
 SWITCH: Final = "GLUE_CLIENTS"
-"""The environment variable with which the libraries are compiled, and all that takes long is tested."""
+"""The environment variable that enables compiling the libraries and running the long tests."""
 
 _BUILD_SECONDS: Final = 600.0
 
@@ -28,8 +28,8 @@ class Language:
     """A client library.
 
     Args:
-        name: of its folder.
-        tools: the programs that it is built and run with, and Debian's packages of them.
+        name: name of its folder.
+        tools: the programs that build and run it, and their Debian packages.
         build: commands that build its examples, in its folder.
         tests: the commands that run its own tests, in its folder.
         programs: the commands of its examples: random, skeleton, experiment and mirror.
@@ -46,7 +46,7 @@ class Language:
         return CLIENTS / self.name
 
     def ready(self) -> None:
-        """Build it, if that is to be done here; else skip the test, with one line that says why."""
+        """Build the library, if possible and enabled; otherwise skip the test with a one-line reason."""
         for tool, package in self.tools.items():
             if shutil.which(tool) is None:
                 pytest.skip(f"there is no {tool} here for clients/{self.name} (Debian: {package})")
@@ -62,7 +62,7 @@ class Language:
 def run(
     command: Sequence[str], cwd: Path, seconds: float = _BUILD_SECONDS, **environment: str
 ) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end, which has to be a good one."""
+    """Run a command, which must succeed."""
     done = subprocess.run(
         command, cwd=cwd, env={**os.environ, **environment}, capture_output=True, text=True, timeout=seconds
     )
@@ -118,6 +118,6 @@ CPP: Final = Language(
 _PEER: Final = (sys.executable, str(Path(__file__).with_name("python_programs.py")))
 
 PYTHON: Final = Language("python", {}, (), (), {each: (*_PEER, each) for each in _EXAMPLES[:3]})
-"""Ours, for comparison."""
+"""Our own library, for comparison."""
 
 LANGUAGES: Final = (JAVASCRIPT, CPP, JAVA, RUST)

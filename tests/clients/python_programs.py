@@ -17,7 +17,7 @@ _MAX_STEPS = 1000
 
 
 def few_episodes(hub: str, session: str, episodes: int = 10, seed: int = 1) -> None:
-    """Play some episodes, and print what came of each."""
+    """Play some episodes, and print the outcome of each."""
     with connect(hub, session) as glue:
         glue.rl_init(seed)
         done = 0
@@ -33,7 +33,7 @@ def few_episodes(hub: str, session: str, episodes: int = 10, seed: int = 1) -> N
 
 
 def main(program: str, *arguments: str) -> None:
-    """Run a program where GLUE_HUB and GLUE_SESSION say."""
+    """Run a program at the hub and in the session that GLUE_HUB and GLUE_SESSION name."""
     hub = os.environ["GLUE_HUB"]
     session = os.environ.get("GLUE_SESSION", "default")
     if program == "random":

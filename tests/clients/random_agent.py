@@ -1,4 +1,4 @@
-"""The random agent that is an example of every client library, in Python: the same seed, the same actions."""
+"""The random agent, an example of every client library, in Python: the same seed gives the same actions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class Generator:
     """Numerical Recipes' linear congruential generator: 32 bits of state, of which the upper 16 are drawn.
 
     Args:
-        seed: of which the lower 32 bits count.
+        seed: only its lower 32 bits count.
     """
 
     def __init__(self, seed: int) -> None:
@@ -36,7 +36,7 @@ def bounds_of(task_spec: str) -> list[tuple[int, int]]:
 
 
 class RandomAgent(Agent):
-    """Acts at random within the bounds of the task spec, from a generator that any language has."""
+    """Acts at random within the bounds of the task spec, with a generator available to any language."""
 
     name = "random"
 

@@ -1,4 +1,4 @@
-"""A hub for programs of other languages, and whoever of ours plays with them."""
+"""A hub for programs in other languages, and our own programs that play with them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from glue.hub.io.server import Hub
 from glue.roles import Agent, Environment
 
 SECONDS: Final = 120.0
-"""More than anything here takes, unless it hangs."""
+"""Timeout in seconds: longer than anything here takes, unless it hangs."""
 
 MAX_STEPS: Final = 300
 
@@ -29,7 +29,7 @@ Episode = tuple[float, int]
 
 @contextmanager
 def hub(bind: str = "tcp://127.0.0.1:*") -> Iterator[str]:
-    """Run a hub; yields its URL."""
+    """Run a hub; yield its URL."""
     made = Hub(HubConfig(bind=(bind,)))
     with made.in_background():
         yield made.endpoints[0]
@@ -40,7 +40,7 @@ def hub(bind: str = "tcp://127.0.0.1:*") -> Iterator[str]:
 def program(
     command: Sequence[str], url: str, session: str = "default", **variables: str
 ) -> Iterator[subprocess.Popen[str]]:
-    """Run a program at a hub, with environment variables; it is killed at the end if need be."""
+    """Run a program at a hub, with environment variables; kill it at the end if it still runs."""
     place = {"GLUE_HUB": url, "GLUE_SESSION": session, **variables}
     with subprocess.Popen(
         command,

@@ -1,4 +1,4 @@
-"""The C++ library with keys, at a hub that wants them."""
+"""The C++ library with keys, at a hub that requires them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SEED: Final = 7
 CUTS: Final = 20
 
 ROLES: Final = {"agent": "random", "environment": "skeleton", "experiment": "experiment"}
-"""Each role, and the example that has it."""
+"""Each role, and the example that plays it."""
 
 
 class Keyed:
@@ -42,7 +42,7 @@ class Keyed:
 
     @contextmanager
     def hub(self) -> Iterator[str]:
-        """Run a hub that only those come into whose keys it has; yields its URL."""
+        """Run a hub that admits only the keys on its list; yield its URL."""
         made = Hub(HubConfig(bind=(Bind("tcp://127.0.0.1:*", keys=read_keys(self.folder.path)),)))
         with made.in_background():
             yield made.endpoints[0]

@@ -1,4 +1,4 @@
-"""Programs of every client library play the same episodes as ours, whatever happens to them on the way."""
+"""Programs of every client library play the same episodes as ours, even if killed or disconnected."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def bind(request: pytest.FixtureRequest) -> Iterator[str]:
     if request.param == "tcp":
         yield "tcp://127.0.0.1:*"
         return
-    with tempfile.TemporaryDirectory() as folder:  # that of a test may be too long for a socket
+    with tempfile.TemporaryDirectory() as folder:  # a test's own path may be too long for a socket
         yield f"ipc://{folder}/hub"
 
 
@@ -85,7 +85,7 @@ def test_agent_plays_mario_as_the_one_in_python(language: Language, bind: str, i
 
 
 def begin(glue: Experiment, seed: int) -> None:
-    """Begin an episode, as soon as the player is there that has taken the place of a killed one."""
+    """Begin an episode as soon as the replacement of a killed player has joined."""
     while True:
         try:
             glue.rl_init(seed)
@@ -124,7 +124,7 @@ def test_environment_is_killed_in_mid_episode_and_started_again(
 
 
 def walked(episodes: int, seed: int) -> list[Episode]:
-    """Return the episodes that the example of an experiment prints, played by our players."""
+    """Return the episodes that the example experiment prints, played by our players."""
     glue = local(RandomAgent(), SkeletonEnvironment())
     glue.rl_init(seed)
     result = []
@@ -151,7 +151,7 @@ def test_experiment_is_killed_in_mid_run_and_started_again(language: Language) -
 
 
 class Scissors(Proxy):
-    """Cuts so often that little more than a greeting gets through."""
+    """Cuts connections so often that little more than a greeting gets through."""
 
     def __init__(self, port: int) -> None:
         self._chance = random.Random(1)

@@ -1,4 +1,4 @@
-"""Each library as its users get it: its own tests, its documentation, its package, and what the kit says."""
+"""Each library as users get it: its own tests, its documentation, its package, and the kit's verdict."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_kit_finds_no_fault(language: Language, role: Role) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
     lines = done.stdout.splitlines()
     unjudged = [before for before, line in pairwise(lines) if line.strip().startswith("not judged")]
-    # They have all capabilities of players but `batch`; their experiments ask for return and number of steps.
+    # Players have all capabilities except `batch`; experiments ask for the return and the number of steps.
     assert all(" outcome: " in line or " batch: " in line for line in unjudged), done.stdout
     assert "broken" not in lines[-1]
 
@@ -103,7 +103,7 @@ PAGE: Final = ROOT / "docs" / "clients.md"
 
 
 def code_in(page: Path, language: str) -> str:
-    """Return the first piece of code in a language on a page."""
+    """Return the first code block in a language on a page."""
     code = re.search(rf"```{language}\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
     assert code is not None, f"{page} has no {language}"
     return code[1]
@@ -230,7 +230,7 @@ import("glue-rl").then(async ({ connect }) => {
 
 
 def copy_of_sources(folder: Path) -> Path:
-    """Return a copy of the library beside installed types, since its own folder has none."""
+    """Copy the library next to the installed types, which its own folder lacks; return the copy."""
     copy = folder / "sources"
     shutil.copytree(JAVASCRIPT.folder, copy, ignore=shutil.ignore_patterns("node_modules", "build"))
     return copy

@@ -43,7 +43,7 @@ def test_every_combination_of_languages_plays_the_same_episodes() -> None:
             for environment in ALL:
                 session = f"{agent.name} and {environment.name}"
                 for experiment in ALL:
-                    # The players stay for the experiment of the next language.
+                    # The players remain for the experiment in the next language.
                     with program((*experiment.programs["experiment"], *arguments), url, session) as process:
                         assert process.stdout is not None
                         assert read_episodes(process.stdout) == right, (session, experiment.name)

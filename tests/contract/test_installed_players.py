@@ -1,4 +1,4 @@
-"""Every installed agent and environment keeps the contract; a new entry point is covered by being there."""
+"""Every installed agent and environment keeps the contract; new entry points are covered automatically."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def observe(environment: str, generator: np.random.Generator) -> Observation:
 
 
 def can_play(agent: str, environment: str) -> bool:
-    """Whether an agent takes a task on, as it says itself in the first steps."""
+    """Return whether an agent accepts a task, by playing its first steps."""
     players: tuple[Any, Any] = find(Role.AGENT, agent)(), find(Role.ENVIRONMENT, environment)()
     try:
         with local(*players) as glue:

@@ -29,7 +29,7 @@ from tests.players import installed
 OLD: dict[str, dict[str, Any]] = json.loads(
     gzip.decompress(Path(__file__).parents[1].joinpath("golden", "old_saves.json.gz").read_bytes())
 )
-"""By agent: its task, what both saved after three episodes, and the three episodes after that."""
+"""By agent: its task, the saves of both players after three episodes, and the three episodes after that."""
 TASKS = {"linear": "mines", **{name: old["environment"] for name, old in OLD.items()}}
 OPTIONS: dict[str, dict[str, Any]] = {"mines": {"random_start": True}}
 SAVEABLE = {Role.AGENT: SaveableAgent, Role.ENVIRONMENT: SaveableEnvironment}
@@ -47,7 +47,7 @@ def make(role: Role, name: str) -> Any:
 
 @cache
 def played(role: Role, name: str) -> tuple[Any, bytes]:
-    """Return a player in the middle of a run, and what it saves."""
+    """Return a player in the middle of a run, and its save."""
     agent = name if role is Role.AGENT else {"mines": "sarsa", "skeleton": "skeleton"}.get(name, "random")
     environment = TASKS.get(name, "mario") if role is Role.AGENT else name
     players = make(Role.AGENT, agent), make(Role.ENVIRONMENT, environment)
@@ -93,7 +93,7 @@ def test_no_mutation_of_a_save_is_accepted(role: Role, name: str) -> None:
     rng = random.Random(f"{role} {name}")
     for _ in range(MUTATIONS):
         broken = mutated(saved, rng)
-        if broken and broken != saved:  # earlier versions saved nothing as nothing
+        if broken and broken != saved:  # earlier versions saved an empty state as no bytes
             with pytest.raises(SaveError):
                 load(role, player, broken)
     load(role, player, saved)
@@ -116,7 +116,7 @@ NUMBERS = [
 
 
 def forged(saved: bytes, rng: random.Random) -> bytes:
-    """Return a save with a changed header or changed arrays, and the digest that it then needs."""
+    """Return a save with a changed header or changed arrays, and a matching digest."""
     head, contents = saved[: saves._HEAD.size], saved[saves._HEAD.size : -saves._DIGEST_SIZE]
     size = saves._HEAD.unpack(head)[2]
     header, arrays = contents[:size], contents[size:]
@@ -157,7 +157,7 @@ def test_a_forged_save_is_refused_or_harmless(role: Role, name: str) -> None:
     assert save(role, player) == saved
 
 
-@pytest.mark.parametrize("agent", sorted(OLD))  # an agent that is new has none
+@pytest.mark.parametrize("agent", sorted(OLD))  # new agents have no old saves
 def test_saves_of_earlier_versions_are_continued_exactly(agent: str) -> None:
     old = OLD[agent]
     with local(make(Role.AGENT, agent), make(Role.ENVIRONMENT, old["environment"])) as glue:
@@ -176,7 +176,7 @@ def episodes(glue: Experiment) -> list[tuple[float, int]]:
 
 
 def test_keys_that_collide_are_refused_long_before_they_take_time() -> None:
-    """160,000 keys in one place took 26 seconds of compiled code that nothing could interrupt."""
+    """160,000 colliding keys took 26 seconds of compiled code that nothing could interrupt."""
     colliding = np.arange(1, 160_001, dtype=np.uint64) << np.uint64(24)
     with pytest.raises(SaveError, match="collide"):
         table_of(colliding, np.zeros(len(colliding)))

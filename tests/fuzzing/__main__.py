@@ -1,6 +1,6 @@
 """Fuzz, guided by coverage: python -m tests.fuzzing [--seconds 60] [TARGET...].
 
-Needs atheris. Each target has a process of its own. An input for which it fails is kept in
+Needs atheris. Each target runs in a process of its own. An input for which a target fails is kept in
 tests/fuzzing/found, where a test tries it from then on.
 """
 

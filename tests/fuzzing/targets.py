@@ -1,4 +1,4 @@
-"""Readers of untrusted bytes: each takes any bytes, and raises nothing but the package's own errors."""
+"""Readers of untrusted bytes: each takes any bytes, and raises only the package's own errors."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _pieces(data: bytes) -> Iterator[bytes]:
 
 
 def codec(data: bytes) -> None:
-    """Decode two frames, and encode what they were."""
+    """Decode two frames, and encode the message that they hold."""
     size = 2 * data[0] if data else 0
     frames = [data[1 : 1 + size], data[1 + size :]]
     for direction in (TO_HUB, FROM_HUB):
@@ -62,7 +62,7 @@ def wire(data: bytes) -> None:
 
 
 def curve(data: bytes) -> None:
-    """Read a CURVE handshake of which some bytes were changed: each three of `data` choose where, and how."""
+    """Read a CURVE handshake with some bytes changed: each three bytes of `data` choose where, and how."""
     from glue.wire.curve import CurveClient, CurveServer, public_key
 
     secret = bytes(range(32))
@@ -143,7 +143,7 @@ def recording(data: bytes) -> None:
 
 
 def results(data: bytes) -> None:
-    """Open a run's database, some of whose bytes were changed: each three choose where, and how."""
+    """Open a run's database with some bytes changed: each four bytes of `data` are a position and a value."""
     from experiment_runner.store.run_data import load_run
 
     folder = _folder() / "run"
@@ -181,7 +181,7 @@ TARGETS: Final[Mapping[str, Target]] = {
 
 
 def examples(name: str) -> list[bytes]:
-    """Return inputs from which to begin: what well-behaved programs send."""
+    """Return inputs to begin with: messages of well-behaved programs."""
     found = [b"", bytes(range(64)), b"\xff" * 40]
     vectors = json.loads((ROOT / "glue/testing/vectors.json").read_text(encoding="utf-8"))
     texts = [text for text in _strings(vectors) if len(text) > 8 and len(text) % 2 == 0]

@@ -1,4 +1,4 @@
-"""Readers of bytes that nobody vouches for raise nothing but the package's own errors."""
+"""Readers of untrusted bytes raise only the package's own errors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.fuzzing.targets import TARGETS, examples, run
 
 FOUND = sorted((Path(__file__).parent / "found").glob("*-*"))
-"""Inputs for which a target failed once."""
+"""Inputs for which a target once failed."""
 
 
 @pytest.mark.parametrize("name", TARGETS)

@@ -1,4 +1,4 @@
-"""Many games in one session: the bytes, what becomes of ends and cut-offs, and the capability."""
+"""Many games in one session: the bytes, ends and cut-offs, and the capability."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ VALUES = st.builds(
 
 
 def documented() -> list[bytes]:
-    """Return the bodies that the section on batches shows."""
+    """Return the bodies shown in the section on batches."""
     section = PROTOCOL[PROTOCOL.index("## Batches\n") : PROTOCOL.index("## Errors\n")]
     blocks = re.findall(r"```body\n(.*?)```", section, re.DOTALL)
     return [bytes.fromhex("".join(line.split(";")[0] for line in block.splitlines())) for block in blocks]
@@ -111,7 +111,7 @@ class CuttingEnvironment(ScriptedEnvironment):
 
 
 class Vector(ActingInAll):
-    """Writes down each batch, and answers observation n with the action n + 100 in every game."""
+    """Records each batch, and answers observation n with the action n + 100 in every game."""
 
     def __init__(self) -> None:
         self.seen: list[tuple[list[float], list[int], list[int]]] = []
@@ -164,7 +164,7 @@ def test_peers_of_many_games_spin_longer_before_they_sleep(monkeypatch: pytest.M
 
 
 class Answering:
-    """A source of events whose answer arrives after a while of looking."""
+    """A source of events whose answer arrives after 50 polls."""
 
     def __init__(self, loop: Loop, fd: int) -> None:
         self.looks = 0

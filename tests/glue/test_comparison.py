@@ -1,4 +1,4 @@
-"""The one rule by which replays of all recordings compare."""
+"""The comparison that replays of all recordings share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values drawn many at once: glue/taskspec/draws.py. Values and generator are those of single samples."""
+"""Batched draws: glue/taskspec/draws.py. Values and generator state are those of single samples."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def space_of(text: str) -> Space:
 def test_draws_are_those_of_single_samples(text: str, usual: int, full: int) -> None:
     space = space_of(text)
     one_by_one, ahead = np.random.default_rng(7), np.random.default_rng(7)
-    # Where the generator is looked at: after every value at first, then further and further apart.
+    # The generator is compared after every value at first, then at growing distances.
     draws, looked_at = Draws(space, ahead), 1
     for count in range(1, size(usual, full) + 1):
         assert draws.draw() == Action(*space.sample(one_by_one)).body

@@ -1,4 +1,4 @@
-"""Saves: what is packed is unpacked, and nothing broken is believed."""
+"""Saves: packed data is unpacked unchanged, and damaged data is refused."""
 
 from __future__ import annotations
 

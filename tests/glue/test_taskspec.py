@@ -96,7 +96,7 @@ def ranges_of(numbers: st.SearchStrategy[int] | st.SearchStrategy[float]) -> st.
             max(ends) if high == NEGINF else high,
         )
 
-    # The wrong infinity stands for the number drawn.
+    # The wrong infinity means the number drawn.
     lows = st.sampled_from([UNSPEC, NEGINF, POSINF, POSINF, POSINF])
     highs = st.sampled_from([UNSPEC, POSINF, NEGINF, NEGINF, NEGINF])
     return st.builds(build, st.tuples(numbers, numbers), lows, highs)
@@ -593,7 +593,7 @@ def test_examples_of_the_document_are_true() -> None:
 
 
 def table_of_the_document(heading: str) -> list[tuple[str, str, str]]:
-    """Return the rows below `heading`: a part of the example, what is written instead, what comes of it."""
+    """Return the rows below `heading`: a part of the example, its replacement, and the result."""
     section = DOCUMENT.read_text(encoding="utf-8").partition(f"## {heading}")[2].partition("\n## ")[0]
     rows = [row.split(" | ") for row in re.findall(r"^\| (`.*) \|$", section, re.MULTILINE)]
     assert len(rows) > 20

@@ -23,11 +23,11 @@ CHARACTERS: Final = {
     "any": r"[\s\S]",
     "word character": r"(?:(?!DISCOUNTFACTOR)[^\s()])",
 }
-"""The definitions, in the text below the grammar, of names that it leaves undefined."""
+"""Definitions of names that the grammar leaves undefined, as given in the text below it."""
 
 BEYOND: Final = (
     "is given twice",
-    "without leading zeros",  # ten digits, or more
+    "without leading zeros",  # ten digits or more
     "from 0 to 16777216",
     "more than the 16777216",
     "of 32 bits",
@@ -36,7 +36,7 @@ BEYOND: Final = (
     "cannot be POSINF",
     "a discount factor from 0 to 1, not",
 )
-"""Errors of texts that the grammar allows, for reasons that the text below it gives."""
+"""Parts of errors for texts that the grammar allows, for reasons given in the text below it."""
 
 
 def rules() -> dict[str, str]:
@@ -80,7 +80,7 @@ FROM_GRAMMAR: Final = st.from_regex(GRAMMAR, fullmatch=True, alphabet=st.charact
 
 @st.composite
 def mutated(draw: st.DrawFn) -> str:
-    """A text of the grammar with a few pieces put in, taken out or replaced."""
+    """A text of the grammar with a few pieces inserted, removed or replaced."""
     text = draw(st.sampled_from(EXAMPLES) | FROM_GRAMMAR)
     for _ in range(draw(st.integers(1, 3))):
         start = draw(st.integers(0, len(text)))
@@ -104,7 +104,7 @@ def test_examples_are_of_the_grammar(text: str) -> None:
 
 
 @pytest.mark.proof
-@settings(max_examples=size(15, 300))  # To make one takes some milliseconds.
+@settings(max_examples=size(15, 300))  # Each example takes some milliseconds to make.
 @given(FROM_GRAMMAR)
 def test_what_the_grammar_makes_is_read_but_for_what_the_document_says(text: str) -> None:
     error = refusal(text)

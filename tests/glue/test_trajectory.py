@@ -1,4 +1,4 @@
-"""Trajectories: what is written is read back, and no file, however broken, does harm."""
+"""Trajectories: written episodes are read back unchanged, and no broken file does harm."""
 
 from __future__ import annotations
 

@@ -109,7 +109,7 @@ def test_a_step_takes_less_than_four_bytes_even_in_short_episodes_at_random(tmp_
     for _ in range(200):
         paid, total, steps = 0.0, 0.0, []
         for n in range(int(rng.integers(10, 40))):
-            total = -0.01 * n + float(rng.integers(0, 2))  # as Mario's, whose last bits differ
+            total = -0.01 * n + float(rng.integers(0, 2))  # like Mario's rewards, whose last bits differ
             steps.append((legal[rng.integers(len(legal))], total - paid))
             paid = total
         episodes.append((steps, Ending.TERMINAL))

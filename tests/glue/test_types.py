@@ -164,7 +164,7 @@ def test_equality_is_by_bits() -> None:
     one, other = (np.frombuffer(struct.pack("<Q", 0x7FF8000000000000 + n), "<f8") for n in (0, 1))
     assert Observation(doubles=one) != Observation(doubles=other)
     assert Observation([0]) != Observation([0, 0])
-    # The same bytes behind the prefix, counted otherwise.
+    # The same bytes behind the prefix, with other counts.
     assert Observation(ints=[0x61616161]) != Observation(chars=b"aaaa")
 
 

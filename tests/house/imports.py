@@ -1,7 +1,7 @@
-"""Which folder of the program may import which, and which does.
+"""The allowed and the actual imports between the folders of the program.
 
-A unit is a folder that holds modules. `glue/__init__.py`, which re-exports what users write against, is a
-unit of its own above the folders of its package, with `glue/api.py`.
+A unit is a folder that holds modules. `glue/__init__.py`, which re-exports the public names, is a unit of its
+own above the folders of its package, with `glue/api.py`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ ROOT: Final = Path(__file__).parents[2]
 PACKAGES: Final = ("glue", "env_server", "agents", "experiment_runner")
 
 MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
-    # errors, types, roles, options: what users write against
+    # errors, types, roles, options: the names that users write against
     "glue": (),
     # time, network, chance and threads
     "glue/doors": (),
@@ -79,7 +79,7 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
     "experiment_runner/competition": ("experiment_runner/competition/records",),
     "experiment_runner/competition/board": ("experiment_runner/competition",),
     "experiment_runner/view": ("experiment_runner/competition/board",),
-    # The studies, and they alone, know Mario and the agents of the paper.
+    # Only the studies know Mario and the agents of the paper.
     "experiment_runner/study": (),
     "experiment_runner/study/generalisation": (
         "agents/network",
@@ -119,7 +119,7 @@ def tree(file: Path) -> ast.Module:
 
 
 def imported(file: Path, at_import: bool = False) -> Iterator[str]:
-    """Yield the dotted names of all modules that `file` imports, anywhere in it or at its own import."""
+    """Yield the dotted names of all modules that `file` imports, anywhere or only at its own import."""
     for node in tree(file).body if at_import else ast.walk(tree(file)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
@@ -135,7 +135,7 @@ def _module(name: str, member: str) -> str:
 
 
 def imported_files(file: Path, at_import: bool = False) -> Iterator[Path]:
-    """Yield the modules of this program that `file` imports, anywhere in it or at its own import."""
+    """Yield the modules of this program that `file` imports, anywhere or only at its own import."""
     for name in imported(file, at_import):
         path = Path(name.replace(".", "/"))
         if path.parts[0] in PACKAGES:
@@ -143,7 +143,7 @@ def imported_files(file: Path, at_import: bool = False) -> Iterator[Path]:
 
 
 def arrows() -> dict[str, set[str]]:
-    """Return for each unit the others that its modules import."""
+    """Return, for each unit, the other units that its modules import."""
     found: dict[str, set[str]] = {name: set() for name in MAY_IMPORT}
     for file in files():
         found.setdefault(unit(file), set()).update(map(unit, imported_files(file)))

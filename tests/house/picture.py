@@ -1,9 +1,9 @@
-"""Draw the folders of the program, and which imports which.
+"""Draw the folders of the program and their imports.
 
-A program: `make picture` runs it, and it writes docs/images/architecture.svg.
+`make picture` runs this program, which writes docs/images/architecture.svg.
 
-An arrow leads from a folder to one that its modules import. Where a longer way leads there too, the arrow is
-left out. Every folder stands above all that it imports.
+An arrow leads from a folder to a folder that its modules import. If a longer path leads there too, the arrow
+is left out. Every folder is drawn above all folders that it imports.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def package_of(unit: str) -> str:
 
 
 def reduced(edges: dict[str, set[str]]) -> dict[str, set[str]]:
-    """Return the arrows without those that a longer way makes superfluous."""
+    """Return the arrows without those that a longer path makes redundant."""
 
     @cache
     def reached(name: str) -> frozenset[str]:
@@ -62,7 +62,7 @@ def reduced(edges: dict[str, set[str]]) -> dict[str, set[str]]:
 
 
 def rows(units: list[str], edges: dict[str, set[str]]) -> list[list[str]]:
-    """Return the units of a package, row by row from the top: each stands right above what it imports."""
+    """Return the units of a package, row by row from the top: each directly above its imports."""
 
     @cache
     def height(name: str) -> int:
@@ -81,7 +81,7 @@ def rows(units: list[str], edges: dict[str, set[str]]) -> list[list[str]]:
 
 
 def frame(package: str, drawn: list[list[str]], x: float, y: float, width: float = 0) -> dict[str, Place]:
-    """Return where the boxes of a package are, and under its own name with a colon its frame."""
+    """Return the places of a package's boxes, and of its frame under the package's name with a colon."""
     widest = max(map(len, drawn))
     width = width or widest * (BOX[0] + GAP[0])
     places = {}
@@ -135,7 +135,7 @@ def drawing() -> str:
 
 
 def _between_packages(name: str, other: str) -> tuple[str, str]:
-    """A package as a whole imports glue; only the study of a paper has an arrow from a folder."""
+    """Return the ends of an arrow: whole packages for imports of glue, single folders for all others."""
     return (f"{package_of(name)}:", "glue:") if package_of(other) == "glue" else (name, other)
 
 

@@ -1,4 +1,4 @@
-"""Forked processes of several threads: none loses another's exit code."""
+"""Processes forked by several threads: no exit code is lost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The rules of imports and of dependencies: one test for each, over all modules."""
+"""The rules for imports and dependencies: one test per rule, over all modules."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tests.house.imports import (
 )
 
 PURE = ("glue", "glue/engine", "glue/hub", "glue/wire", "glue/taskspec", "glue/trajectory")
-"""These folders see no sockets, clocks or threads."""
+"""Folders that use no sockets, clocks or threads."""
 
 IMPURE = ("asyncio", "select", "signal", "socket", "subprocess", "threading", "time", "zmq")
 
@@ -38,10 +38,10 @@ DOORS = {
     "secrets": "glue/doors/chance.py",
     "threading": "glue/doors/threads.py",
 }
-"""The one module of `glue` that may import each of these: tests/simulation replaces it."""
+"""For each of these modules, the one file of `glue` that may import it: tests/simulation replaces it."""
 
 OUTSIDE_THE_DOORS = {"glue/compiled/jit.py"}
-"""A thread that watches for signals during a compilation, of which a simulation has none."""
+"""Exceptions: a thread that watches for signals during compilation, which a simulation does not do."""
 
 MODULES_IN_A_FOLDER = 14
 
@@ -71,7 +71,7 @@ HOMES: Mapping[str, Sequence[str]] = {
     "starlette": ["experiment_runner/view/*"],
     "uvicorn": ["experiment_runner/view/server.py", "experiment_runner/view/connections.py"],
 }
-"""Where a dependency may be imported. Everything else goes through these."""
+"""Files that may import a dependency. All other code uses it through these files."""
 
 FORBIDDEN = {
     "pickle": "peers and files are not trusted",
@@ -81,7 +81,7 @@ FORBIDDEN = {
 }
 
 GLOBAL_SEEDS = "glue/global_seeds.py"
-"""Seeds the global generators for users' players that draw from them."""
+"""The module that seeds the global generators, for users' players that draw from them."""
 
 
 def top(name: str) -> str:
@@ -124,7 +124,7 @@ def test_environments_and_agents_never_meet_and_need_glue_alone() -> None:
 
 
 def test_modules_do_not_import_each_other_in_a_circle() -> None:
-    """At import time, that is: `if TYPE_CHECKING` and imports within a function do not count."""
+    """Only imports at import time count, not those under `if TYPE_CHECKING` or within a function."""
     edges = {file: set(imported_files(file, at_import=True)) for file in files()}
     done: set[Path] = set()
 

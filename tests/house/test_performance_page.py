@@ -1,4 +1,4 @@
-"""docs/performance.md is what the benchmarks write: benchmarks/page.py."""
+"""docs/performance.md is as the benchmarks write it: benchmarks/page.py."""
 
 from __future__ import annotations
 

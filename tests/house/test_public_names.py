@@ -1,4 +1,4 @@
-"""Programs in the documentation import nothing but the public modules that docs/stability.md lists."""
+"""Programs in the documentation import only the public modules that docs/stability.md lists."""
 
 from __future__ import annotations
 

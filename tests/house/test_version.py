@@ -1,4 +1,4 @@
-"""The version stands in one place, and the first heading of the changelog is about it."""
+"""The version is defined in one place, and the first heading of the changelog names it."""
 
 from __future__ import annotations
 

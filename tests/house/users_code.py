@@ -1,6 +1,6 @@
 """The Python programs of README and the pages, as files for mypy: python -m tests.house.users_code FOLDER.
 
-Left out are sessions of an interpreter, and docs/gymnasium.md, which needs libraries of its own.
+Interpreter sessions are left out, as is docs/gymnasium.md, which needs libraries of its own.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _PROGRAM: Final = re.compile(
 
 
 def programs() -> dict[str, str]:
-    """Return the text of each program by its file name: the page's, or made of the page's name."""
+    """Return the text of each program by file name: as the page gives it, or made from the page's name."""
     found: dict[str, str] = {}
     for page in PAGES:
         for match in _PROGRAM.finditer((ROOT / page).read_text(encoding="utf-8")):

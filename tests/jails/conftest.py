@@ -1,6 +1,6 @@
-"""A container engine, and the entrants of this folder as images; without an engine, all is skipped.
+"""A container engine, and the entrants of this folder as images; without an engine, all tests are skipped.
 
-`docker/engine .venv/bin/python -m pytest tests/jails` brings an engine along.
+`docker/engine .venv/bin/python -m pytest tests/jails` provides an engine.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _BUILD_SECONDS = 600
 
 @pytest.fixture(autouse=True)
 def unclosed() -> Iterator[None]:
-    """Allow that Docker's SDK leaves its sockets to the garbage collector."""
+    """Allow Docker's SDK to leave its sockets to the garbage collector."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)
         yield
@@ -61,7 +61,7 @@ def build(engine: Any) -> Callable[[str], str]:
 
 @pytest.fixture
 def image(engine: Any) -> Iterator[Callable[..., str]]:
-    """Return a function that makes an image of the base image and some lines of a Dockerfile."""
+    """Return a function that builds an image from the base image and some lines of a Dockerfile."""
     made: list[str] = []
 
     def image(*lines: str) -> str:

@@ -62,7 +62,7 @@ def run(image: Callable[..., str], launch: Launch) -> Iterator[Run]:
 
 
 def printed(container: Container) -> str:
-    """Return the output of a program that ends."""
+    """Wait for a program to end, and return its output."""
     assert container.wait(_SECONDS)
     container.stop()
     return container.log.read_text(errors="replace")
@@ -115,7 +115,7 @@ print(*sorted(found))
 
 
 def test_it_can_make_sockets_of_its_hub_and_of_its_loopback_interface_only(run: Run) -> None:
-    """Without a profile of our own, Debian's engine lets a jail make AF_VSOCK and AF_XDP as well."""
+    """Without our own profile, Debian's engine lets a jail make AF_VSOCK and AF_XDP as well."""
     assert printed(run(_SOCKETS)) == "(1, 0) (2, 0) (10, 0) (16, 0)\n"
 
 

@@ -1,4 +1,4 @@
-"""The script that brings a container engine along, with short scripts in place of the programs it calls."""
+"""The script that provides a container engine, with short scripts in place of the programs it calls."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_it_exits_as_the_command_did(tmp_path: Path, status: int) -> None:
 
 
 def test_a_success_means_that_the_command_was_run(tmp_path: Path) -> None:
-    """Without an engine, and while apt fails for another reason than a lock."""
+    """Without an engine, and while apt fails for a reason other than a lock."""
     failed = engine(
         tmp_path, "true", docker="exit 1", dpkg="exit 1", apt_get="echo 'E: no network' >&2; exit 100"
     )
@@ -48,7 +48,7 @@ def test_a_success_means_that_the_command_was_run(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root starts an engine")
 def test_it_waits_for_another_apt(tmp_path: Path) -> None:
-    """Two calls meet a lock; then the packages are there, and what starts is no engine."""
+    """Two calls meet a lock; then the packages are installed, but no engine starts."""
     calls = tmp_path / "calls"
     apt = f"echo $1 >> {calls}; [ $(wc -l < {calls}) -gt 2 ] || {{ {_LOCKED}; }}"
     failed = engine(tmp_path, "true", docker="exit 1", dpkg="exit 1", apt_get=apt, unshare="exit 1")

@@ -1,4 +1,4 @@
-"""A competition in which all but one entrant are up to something; hostile/ has what each of them does."""
+"""A competition in which all entrants except one misbehave; hostile/ has their programs."""
 
 from __future__ import annotations
 
@@ -67,11 +67,11 @@ class Held:
     """A competition that was held.
 
     Attributes:
-        directory: of the run.
+        directory: the run's directory.
         printed: what the commands printed.
         verified: the exit status of `glue-compete verify`.
         board: the standings.
-        peak: the most memory that the process of a hub used, in KiB.
+        peak: the peak memory of a hub's process, in KiB.
     """
 
     directory: Path
@@ -193,7 +193,7 @@ def test_what_was_printed_was_kept_up_to_its_limit(held: Held) -> None:
 
 
 def test_the_memory_of_the_hubs_stayed_bounded(held: Held, alone: Held) -> None:
-    """The flood sends messages of the largest size from many connections, and never the end of one."""
+    """The flood sends messages of the largest size over many connections, and never completes one."""
     assert alone.peak > 0
     assert held.peak < alone.peak + 256 * 1024
 
@@ -216,7 +216,7 @@ def test_two_checks_at_once_leave_each_others_containers_alone(
 
 @pytest.fixture(autouse=True, scope="module")
 def shown(held: Held) -> Iterator[None]:
-    """Print the standings, for whoever reads the log of the tests."""
+    """Print the standings, for readers of the test log."""
     yield
     board = _compete("board", held.directory).stdout
     os.write(1, f"\n{board}\n".encode())

@@ -10,7 +10,7 @@ class Mutant(NamedTuple):
 
     mistake: str
     before: str
-    """Text that occurs in the model once."""
+    """Text that occurs in the model exactly once."""
 
     after: str
     breaks: str

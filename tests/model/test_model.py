@@ -89,7 +89,7 @@ def test_the_model_keeps_its_promises(config: str, tmp_path: Path) -> None:
 def test_a_mistake_breaks_a_promise(mutant: Mutant, tmp_path: Path) -> None:
     assert MODEL.count(mutant.before) == 1
     liveness = mutant.breaks == "RequestsEnd"
-    # Only this invariant: of several that are broken, TLC names the one that a thread of it finds first.
+    # Only this invariant: if several are broken, TLC names the first that one of its threads finds.
     config = LIVENESS if liveness else INVARIANTS.partition("INVARIANTS")[0] + f"INVARIANT {mutant.breaks}\n"
 
     output = check(tmp_path, MODEL.replace(mutant.before, mutant.after), config)

@@ -39,7 +39,7 @@ COMMANDS: Final = [
 
 @dataclass(frozen=True)
 class Installed:
-    """A virtual environment and a working directory for what runs in it."""
+    """A virtual environment, and a working directory for the programs in it."""
 
     folder: Path
     cwd: Path
@@ -63,7 +63,7 @@ class Installed:
         self.pip("install", "--only-binary=:all:", *requirements)
 
     def environ(self) -> Mapping[str, str]:
-        """Return the variables of programs there: no compiler, nothing of the checkout is on any path."""
+        """Return the variables of programs there: neither a compiler nor the checkout is on any path."""
         return {
             "PATH": str(self.folder / "bin"),
             "HOME": str(self.cwd),

@@ -1,4 +1,4 @@
-"""Check that a release can be made of this commit: `make release`."""
+"""Check that a release can be made from this commit: `make release`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.house.imports import ROOT
 
 
 def faults(changelog: str, citation: str, tags: list[str], changed: str) -> list[str]:
-    """Return a line for each thing that does not fit the version.
+    """Return a line for each obstacle to a release of the version.
 
     Args:
         changelog: text of CHANGELOG.md.
@@ -37,7 +37,7 @@ def _git(*arguments: str) -> str:
 
 
 def main() -> int:
-    """Print what is missing; return the exit code."""
+    """Print the obstacles; return the exit code."""
     changelog, citation = ((ROOT / name).read_text("utf-8") for name in ("CHANGELOG.md", "CITATION.cff"))
     missing = faults(
         changelog, citation, _git("tag", "--points-at", "HEAD").split(), _git("status", "--short").rstrip()

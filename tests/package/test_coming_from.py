@@ -1,4 +1,4 @@
-"""The page for those who come from elsewhere: each experiment there and here has the same returns.
+"""docs/coming-from.md: each experiment has the same returns in the other library and here.
 
 `nox -s coming_from` installs the other libraries.
 """
@@ -24,7 +24,7 @@ BLOCK: Final = re.compile(
     r"^<!-- (?P<note>.*?) -->\n```(?P<kind>\w+)\n(?P<body>.*?)^```", re.MULTILINE | re.DOTALL
 )
 RUNS: Final = {"andnp": 0, "codec": 0, "plan": 1, "gym": 2, "dm": 3}
-"""The program there whose returns each run here must have."""
+"""For each run here, the index of the other library's program with the same returns."""
 
 
 def test_every_block_is_run() -> None:

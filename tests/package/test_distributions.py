@@ -1,4 +1,4 @@
-"""The wheel and the sdist: what they hold, and all that works where nothing else is installed."""
+"""The wheel and the sdist: their contents, and everything that works with nothing else installed."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def test_building_again_gives_the_same_bytes(wheel: Path, sdist: Path, tmp_path:
     for name in sorted(TRACKED - {""}):
         if (ROOT / name).is_file() and name.split("/")[0] not in {"docs", "tests", "clients"}:
             (checkout / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(ROOT / name, checkout / name)  # of today, with other permissions
+            shutil.copyfile(ROOT / name, checkout / name)  # with today's date and other permissions
     subprocess.run(["pyproject-build", "--outdir", tmp_path, checkout], check=True, capture_output=True)
     assert (tmp_path / wheel.name).read_bytes() == wheel.read_bytes()
     assert (tmp_path / sdist.name).read_bytes() == sdist.read_bytes()
@@ -98,7 +98,7 @@ def test_metadata(wheel: Path) -> None:
     assert {url.split(",")[0] for url in found.get_all("Project-URL", [])} >= {"Documentation", "Source"}
     links = re.findall(r"\]\(([^)]+)\)", str(found.get_payload()))
     assert len(links) > 10
-    assert [link for link in links if not link.startswith("https://")] == []  # it stands alone on PyPI
+    assert [link for link in links if not link.startswith("https://")] == []  # PyPI shows only this page
 
 
 def test_everything_comes_from_the_wheel(plain: Installed) -> None:

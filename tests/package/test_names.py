@@ -1,4 +1,4 @@
-"""With the distributions that have packages of our names: glue-core, openai-agents, experiment-runner."""
+"""Other distributions whose packages have our names: glue-core, openai-agents, experiment-runner."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ THEIRS: Final = ["glue-core", "openai-agents", "experiment-runner"]
 
 @pytest.fixture(scope="module", params=["first", "last"])
 def mixed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Installed:
-    """An environment with all of them, ours installed first or last."""
+    """An environment with all of these distributions, ours installed first or last."""
     installed = Installed.make(tmp_path_factory.mktemp("mixed"))
     (wheel,) = Path(DIST).resolve().glob("*.whl")
     for requirements in ([str(wheel)], THEIRS)[:: 1 if request.param == "first" else -1]:
@@ -78,7 +78,7 @@ def test_importing_ours_after_the_other_glue_is_refused(mixed: Installed) -> Non
 
 @needs_dist
 def test_taking_the_others_away_leaves_ours_whole(mixed: Installed) -> None:
-    """The last test of an environment: `import glue` is ours again, and says what hides `agents`."""
+    """The last test of an environment: `import glue` is ours again, and names the file hiding `agents`."""
     mixed.pip("uninstall", "--yes", "glue-core")
     shown = mixed.python("import glue; glue.Agent")
     (line,) = [line for line in shown.stderr.splitlines() if "Warning" in line]

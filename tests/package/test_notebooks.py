@@ -1,4 +1,4 @@
-"""The notebooks of docs/notebooks: kept without output, executed as they are, with small numbers."""
+"""The notebooks of docs/notebooks: stored without output, and executed unchanged except for small numbers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_notebook_runs(
     try:
         client.execute()
     except nbclient.exceptions.CellTimeoutError:
-        # A line with `!` once did not end, and nothing said in which process; pytest ends the test at 300 s.
+        # A line with `!` once hung, and nothing said in which process; pytest ends the test at 300 s.
         with capfd.disabled():
             subprocess.run(["ps", "-eo", "pid,ppid,stat,etimes,wchan:20,args"], check=False)
         raise

@@ -1,4 +1,4 @@
-"""A release is made only where version, changelog, citation and tag agree."""
+"""A release is made only if version, changelog, citation and tag agree."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The site of documents: links, search from disk, and axe-core at each width and in both themes."""
+"""The documentation site: links, search from disk, and axe-core at each width and in both themes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ return axe.run(document, { resultTypes: ["violations"] }).then((found) => found.
 
 
 class Links(HTMLParser):
-    """The anchors of a page, and where its links lead."""
+    """The anchors of a page, and the targets of its links."""
 
     def __init__(self, page: Path) -> None:
         super().__init__()

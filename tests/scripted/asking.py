@@ -1,4 +1,4 @@
-"""Ask for a command, and end as it does: python -ISE asking.py SOCKET COMMAND...; see `tests.shell`."""
+"""Request a command, and exit with its status: python -ISE asking.py SOCKET COMMAND...; see `tests.shell`."""
 
 import json
 import os

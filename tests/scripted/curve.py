@@ -1,4 +1,4 @@
-"""The client's end of CURVE, from RFC 26 alone: it can be bent, as libzmq's cannot."""
+"""The client's end of CURVE, written from RFC 26 only: unlike libzmq's, it can be made to misbehave."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Pair:
 
 
 def command(body: bytes) -> bytes:
-    """A command of ZMTP."""
+    """Return a ZMTP command."""
     if len(body) < 256:
         return bytes((4, len(body))) + body
     return b"\x06" + struct.pack(">Q", len(body)) + body
@@ -48,13 +48,13 @@ def _open(sealed: bytes, nonce: bytes, key: bytes) -> bytes:
 
 @dataclass
 class CurveClient:
-    """One connection's client.
+    """The client of one connection.
 
     Args:
         own: its long-term keys.
         server: the server's long-term public key.
         short: its keys for this connection.
-        number: that of the latest nonce.
+        number: number of the latest nonce.
     """
 
     own: Pair
@@ -63,7 +63,7 @@ class CurveClient:
     number: int = 0
 
     def hello(self, zeros: bytes = bytes(64), version: bytes = b"\x01\x00") -> bytes:
-        """The body of HELLO."""
+        """Return the body of HELLO."""
         nonce = self._nonce()
         box = _seal(zeros, b"CurveZMQHELLO---" + nonce, crypto_box_beforenm(self.server, self.short.secret))
         return b"\x05HELLO" + version + bytes(72) + self.short.public + nonce + box
@@ -84,7 +84,7 @@ class CurveClient:
         claimed: bytes | None = None,
         cookie: bytes | None = None,
     ) -> bytes:
-        """The body of INITIATE; what it should hold can be replaced."""
+        """Return the body of INITIATE; its parts can be replaced."""
         nonce = os.urandom(16)
         vouch = nonce + _seal(
             self.short.public + self.server if vouched is None else vouched,
@@ -102,7 +102,7 @@ class CurveClient:
         return _open(body[14:], b"CurveZMQREADY---" + body[6:14], self.key)
 
     def message(self, payload: bytes, flags: int = 0) -> bytes:
-        """A frame with an encrypted one in it."""
+        """Return a frame that holds an encrypted frame."""
         nonce = self._nonce()
         body = (
             b"\x07MESSAGE" + nonce + _seal(bytes((flags,)) + payload, b"CurveZMQMESSAGEC" + nonce, self.key)

@@ -1,4 +1,4 @@
-"""A hub that says only what a test wants, on libzmq's ROUTER: all that is on the wire is a stranger's."""
+"""A hub that sends only the messages of a test, on libzmq's ROUTER: a foreign implementation of the wire."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _TIMEOUT: Final = 30.0
 
 
 class ScriptedHub:
-    """A hub that answers the peer which was heard last.
+    """A hub that answers the peer of the latest message.
 
     Args:
         url: address to listen at, of scheme `tcp` or `ipc`; `*` for any port.
@@ -41,7 +41,7 @@ class ScriptedHub:
         self.close()
 
     def start(self) -> None:
-        """Listen; after `stop`, at the same address, as another hub."""
+        """Listen; after `stop`, at the same address, as a new hub."""
         self._socket = self._context.socket(zmq.ROUTER)
         self._socket.setsockopt(zmq.RCVTIMEO, int(_TIMEOUT * 1000))
         self._socket.setsockopt(zmq.LINGER, 0)
@@ -58,7 +58,7 @@ class ScriptedHub:
         self.route = b""
 
     def stop(self) -> None:
-        """End every connection without a word."""
+        """End every connection without a goodbye."""
         self._socket.close()
 
     def close(self) -> None:

@@ -1,7 +1,7 @@
 """A peer of a hub, driven byte by byte or message by message, in plain text or with keys, in any role.
 
-It is a DEALER written from RFC 23 and RFC 26: it shares the codec of messages with the clients of this
-project, and nothing of their connections.
+It is a DEALER written from RFC 23 and RFC 26: it shares the message codec with the clients of this project,
+but none of their connection code.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ABORT: Final = struct.pack("ii", 1, 0)
 """SO_LINGER: closing drops unsent data and resets the connection, as a killed machine does."""
 
 TIMEOUT: Final = 60.0
-"""Seconds until a test gives up waiting for another process. Generous: machines are busy."""
+"""Seconds until a test gives up waiting for another process; generous, as machines are busy."""
 
 _MORE, _LONG, _COMMAND = 1, 2, 4
 
@@ -54,7 +54,7 @@ class ScriptedPeer:
 
     Args:
         url: address of the hub, of scheme `tcp` or `ipc`.
-        keys: the client's half of CURVE; without one, nothing is encrypted.
+        keys: the client's half of CURVE; without it, nothing is encrypted.
         session: name of the session of its messages, unless a message names another.
         timeout: seconds that the hub may take for each read and write.
         receive_buffer: size in bytes of the kernel's receive buffer; 0 for the system's choice.
@@ -98,7 +98,7 @@ class ScriptedPeer:
     # Bytes
 
     def connect(self) -> Self:
-        """Open a connection, on which nothing is sent yet; the previous one is closed."""
+        """Close the previous connection and open a new one, without sending anything."""
         self.close()
         self.buffer.clear()
         scheme, _, rest = self.url.partition("://")
@@ -128,7 +128,7 @@ class ScriptedPeer:
         self.buffer += more
 
     def read(self, size: int) -> bytes:
-        """Return exactly so many bytes."""
+        """Return exactly `size` bytes."""
         while len(self.buffer) < size:
             self.fill()
         data = bytes(self.buffer[:size])
@@ -190,12 +190,12 @@ class ScriptedPeer:
                 return frames
 
     def pinged(self, body: bytes) -> None:
-        """Answer a PING, which has a time to live and a context, by the context."""
+        """Answer a PING, which has a time to live and a context, with its context."""
         if body.startswith(b"\x04PING"):
             self.send_bytes(command(b"\x04PONG" + body[7:]))
 
     def encoded(self, *frames: bytes) -> bytes:
-        """Return a message as the bytes of this connection."""
+        """Return a message as bytes, encoded for this connection."""
         if self.keys is None:
             return framed(*frames)
         last = len(frames) - 1

@@ -3,8 +3,8 @@
     python -m tests.scripted.process agent tcp://127.0.0.1:4097 tests.players:ScriptedAgent
     python -m tests.scripted.process agent tcp://127.0.0.1:4097 tests.system.conformance:agents libzmq
 
-The third argument names what makes the player, or a mapping of players by session. The fourth connects it by
-libzmq's DEALER instead of a plain socket. `main` is the same for a forked process.
+The third argument names a callable that returns the player, or a mapping of players by session. The fourth
+connects through libzmq's DEALER instead of a plain socket. `main` does the same in a forked process.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ROOT = Path(__file__).parents[2]
 
 @contextmanager
 def running(*arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """Run a Python program with its standard error in a pipe; it is killed at the end if need be."""
+    """Run a Python program with its standard error in a pipe; kill it at the end if it still runs."""
     process = subprocess.Popen(
         [sys.executable, *arguments], cwd=ROOT, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )

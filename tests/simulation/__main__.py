@@ -14,7 +14,7 @@ from tests.simulation.shrinking import needed
 
 
 def one(seed: int, trace: bool) -> int:
-    """Run one seed; if a promise is broken, with no more faults than that needs."""
+    """Run one seed; if it breaks a promise, rerun it with only the faults needed."""
     outcome = simulate(seed, trace=trace)
     if outcome.problems:
         which = outcome.problems[0][:3]
@@ -37,7 +37,7 @@ def one(seed: int, trace: bool) -> int:
 
 
 def many(first: int, number: int, stop: bool) -> tuple[Outcome, int, float]:
-    """Run many seeds; return their sums, how many failed, and the seconds of processor time."""
+    """Run many seeds; return their summed outcome, the number of failures, and the processor seconds."""
     began = time.process_time()
     total = Outcome([], [], Counter(), 0, 0, [], 0.0)
     failed = 0

@@ -14,8 +14,8 @@ class Fault(NamedTuple):
 
     Attributes:
         at: number of the system call of the network at which it happens.
-        kind: name of what happens.
-        which: chooses what it happens to, and where in the bytes.
+        kind: name of the kind of fault.
+        which: selects the target, and the position in the bytes.
         seconds: duration or delay.
     """
 
@@ -46,22 +46,20 @@ WEIGHTS: Final[dict[str, int]] = {
     "stranger": 6,
     "observer": 2,
 }
-"""How often each kind is drawn, relative to the others.
+"""Relative frequencies of the kinds.
 
-`break` and `close` end a connection in or behind the bytes that are sent; `dribble` lets bytes arrive one by
+`break` and `close` end a connection in or after the bytes that are sent; `dribble` lets bytes arrive one by
 one; `late` delays some, `clog` all in one direction and then the other, `silence` beyond every timeout;
-`again` repeats what was sent; `narrow` leaves room for few bytes; `kill` ends a player, which is started
-again with its state or without, `twin` starts a second program of a role; `hub` and `experiment` restart
-these; `jump` sets the clock ahead; `stop` takes the core from a program; `stranger` connects and sends what
-nobody should; `observer` looks on. """
+`again` repeats sent bytes; `narrow` leaves room for few bytes; `kill` ends a player, which is started again
+with its state or without, `twin` starts a second program of a role; `hub` and `experiment` restart these;
+`jump` sets the clock ahead; `stop` takes the core from a program; `stranger` connects and misbehaves;
+`observer` observes."""
 
 QUIET: Final = frozenset({"hub", "experiment", "kill", "twin", "jump", "silence"})
-"""Kinds that make episodes void; some runs have none of them, so that every void episode would be a
-mistake."""
+"""Kinds that make episodes void; some runs have none of them, so that any void episode is an error."""
 
 SENDS: Final = 20
-"""Unit of a run's length, in system calls that send: faults go on for 10 to 100 of it, however dense they
-are."""
+"""Unit of a run's length, in system calls that send: faults last for 10 to 100 units at any density."""
 
 
 def drawn(seed: int) -> list[Fault]:

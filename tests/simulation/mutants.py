@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 ROOT: Final = Path(__file__).parents[2]
 
 SEEDS: Final = 2000
-"""Within which each mutant has to be found."""
+"""Number of seeds within which each mutant has to be found."""
 
 
 class Mutant(NamedTuple):
@@ -25,7 +25,7 @@ class Mutant(NamedTuple):
     mistake: str
     file: str
     before: str
-    """Text that occurs in the file once."""
+    """Text that occurs in the file exactly once."""
 
     after: str
 
@@ -141,7 +141,7 @@ MUTANTS: Final = (
 
 
 def first_seed(mutant: Mutant, seeds: int = SEEDS) -> tuple[int, str] | None:
-    """Return the first seed at which a promise is broken, and which; None if none is."""
+    """Return the first seed that breaks a promise, and the promise; None if no seed does."""
     with TemporaryDirectory() as folder:
         for part in ("glue", "tests/simulation"):
             shutil.copytree(ROOT / part, Path(folder) / part, ignore=shutil.ignore_patterns("__pycache__"))

@@ -1,7 +1,7 @@
 """A simulated network: stream sockets between processes of a world, as glue/doors/network.py offers them.
 
-Bytes arrive in order and once, or not at all, as with TCP. What goes wrong is decided by the faults:
-`on_send` is asked about each system call that sends."""
+Bytes arrive in order and once, or not at all, as with TCP. The faults decide what goes wrong:
+`on_send` is called for each system call that sends."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Socket:
         peer: the other end; None before there is one.
         inbox: bytes that have arrived and are unread.
         sent: number of bytes sent over it.
-        capacity: bytes on their way to the peer or unread there, at most.
-        dribble: how many more reads return a single byte.
+        capacity: maximum number of bytes on their way to the peer or unread there.
+        dribble: number of further reads that return a single byte.
         clogged_until: virtual time before which nothing that is sent over it arrives.
-        queue: what is on its way to the peer.
-        lost: whether whatever else is sent will not arrive.
+        queue: data on its way to the peer.
+        lost: whether all further data is lost.
     """
 
     def __init__(self, net: Net, process: Process, family: int = real.AF_INET) -> None:
@@ -196,7 +196,7 @@ class Socket:
         self.close()
 
     def room(self) -> int:
-        """Return how many bytes can be sent now."""
+        """Return the number of bytes that can be sent now."""
         return self.capacity - self.flying - (len(self.peer.inbox) if self.peer is not None else 0)
 
     def events(self) -> int:
@@ -215,7 +215,7 @@ class Socket:
         return found
 
     def notify(self) -> None:
-        """Wake whoever waits for something to happen here."""
+        """Wake the thread and the pollers that wait for this socket."""
         if self.reader is not None:
             self.world.wake(self.reader)
         for poller in self.pollers:
@@ -232,12 +232,12 @@ class Socket:
 
 
 class Poller:
-    """As `select.epoll`; and as `select.poll`, with milliseconds, through `PollerMs`."""
+    """Like `select.epoll`; `PollerMs` is like `select.poll`, with milliseconds."""
 
     def __init__(self, net: Net) -> None:
         self.net = net
         self._interest: dict[int, tuple[Socket, int]] = {}
-        self._hot: dict[int, None] = {}  # those to which something has happened, or that were ready before
+        self._hot: dict[int, None] = {}  # descriptors with news, or ready before
         self._waiting: Any = None
 
     def register(self, watched: Any, events: int) -> None:
@@ -302,7 +302,7 @@ class Poller:
 
 
 class PollerMs(Poller):
-    """As `select.poll`."""
+    """Like `select.poll`."""
 
     def poll(self, milliseconds: float | None = None) -> list[tuple[int, int]]:
         for watched, _ in self._interest.values():
@@ -312,7 +312,7 @@ class PollerMs(Poller):
         found = super().poll(None if milliseconds is None else milliseconds / 1000)
         for watched, _ in self._interest.values():
             if self in watched.pollers:
-                watched.pollers.remove(self)  # it may not be asked again
+                watched.pollers.remove(self)  # it may not be polled again
         return found
 
 
@@ -383,7 +383,7 @@ class Net:
         }
 
     def connect(self, client: Socket, listening: Socket) -> None:
-        """Establish a connection, after a moment."""
+        """Establish a connection, after a short delay."""
         world = self.world
         server = Socket(self, listening.process)
         latency = world.random.choice((20e-6, 100e-6, 1e-3))
@@ -405,7 +405,7 @@ class Net:
         raise BlockingIOError
 
     def carry(self, sender: Socket, data: bytes) -> None:
-        """Take bytes that were sent."""
+        """Take sent bytes, and let them arrive unless a fault decides otherwise."""
         if sender.family == real.AF_UNIX:
             assert sender.peer is not None
             sender.peer.inbox += data
@@ -461,7 +461,7 @@ class Net:
             end.notify()
 
     def cut(self, sender: Socket, clean: bool) -> None:
-        """End a connection: the peer receives what was sent so far, the sender nothing more."""
+        """End a connection: the peer receives the bytes sent so far, the sender nothing more."""
         peer = sender.peer
         assert peer is not None
         how = "end" if clean else "reset"

@@ -1,7 +1,6 @@
-"""Programs of a simulated run: players whose every answer depends on all that they were asked, and an
-experiment.
+"""Programs of a simulated run: players whose answers depend on all earlier calls, and an experiment.
 
-A call that was left out, made twice or made to another program changes the digest of a player, and with it
+A call that is left out, made twice or made to another program changes the digest of a player, and with it
 every observation, action and reward that follows."""
 
 from __future__ import annotations
@@ -123,7 +122,7 @@ class BusyAgent(Agent):
 
 
 class _Games(BusyEnvironment):
-    """Many games, whose batch of observations the hub does not look into."""
+    """Many games, as a batch of observations that the hub does not read."""
 
     def env_batch(self) -> int:
         return 2
@@ -150,11 +149,11 @@ def agent(bulk: int, many: bool, pause: Pause = nothing) -> BusyAgent:
 
 
 class Block(NamedTuple):
-    """From RL_init to RL_cleanup: all of it is void if a player is lost in it."""
+    """The verbs from RL_init to RL_cleanup: all of them are void if a player is lost meanwhile."""
 
     seed: int
     styles: tuple[int, ...]
-    """For each episode how it is played: by RL_episode, in steps, in half steps, with saves."""
+    """Style of each episode: by RL_episode, in steps, in half steps, with saves."""
 
     steps: int
     """Maximum number of steps of an episode."""
@@ -199,5 +198,5 @@ def play(glue: Experiment, block: Block, pause: Pause = nothing) -> list[Any]:
 
 @cache
 def expected(block: Block, bulk: int, many: bool) -> list[Any]:
-    """Return the view of an experiment on a block whose players are objects of its own process."""
+    """Return the results of a block whose players are objects in the experiment's own process."""
     return play(local(agent(bulk, many), environment(bulk, many)), block)

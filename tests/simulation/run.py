@@ -47,10 +47,10 @@ class Outcome(NamedTuple):
     Attributes:
         problems: promises that were broken; empty if none was.
         faults: the faults that happened.
-        reached: names of the situations that occurred, with how often each did.
+        reached: number of times that each situation occurred, by its name.
         blocks: number of blocks that were compared.
         voids: number of blocks that were void.
-        trace: what happened, a line each, if it was asked for.
+        trace: events, a line each; empty unless requested.
         seconds: virtual duration.
     """
 
@@ -176,7 +176,7 @@ class Run:
         return {"key": peer, "hub_key": hub}
 
     def start_hub(self) -> None:
-        """Start a hub, with the experiment inside or without."""
+        """Start a hub, with or without the experiment inside."""
         process = self.hub = Process(self.world, f"hub {len(self.hubs) + 1}")
         self.hubs.append(process)
         process.spawn(partial(self._run_hub, process))
@@ -188,7 +188,7 @@ class Run:
                 hub = Hub(self._config(), log)
                 break
             except GlueError:
-                clock.sleep(0.1)  # the port of the hub before is not free yet
+                clock.sleep(0.1)  # the port of the previous hub is not free yet
         self.watch.started(process, hub)
         if not self.inside:
             hub.run()
@@ -225,7 +225,7 @@ class Run:
                 clock.sleep(0.1)
 
     def _play(self, glue: Any, session: Session) -> None:
-        """Play one block, until it is not void."""
+        """Play one block, again and again until it is not void."""
         last = self._ends()
         block = session.next_block()
         began = self.world.now
@@ -290,7 +290,7 @@ class Run:
             self.watch.reached(f"observer: {type(error).__name__}")
 
     def _stranger(self, how: int) -> None:
-        """Connect, and send what nobody should."""
+        """Connect and misbehave."""
         random = Random(how)
         try:
             with network.socket() as raw:
@@ -313,7 +313,7 @@ class Run:
                 if kind == 1:
                     raw.send(random.randbytes(random.randrange(1, 300)))
                 elif kind == 2:
-                    # A frame that is announced, and never complete: as much of it as the hub keeps.
+                    # A frame that is announced but never complete: as much of it as the hub keeps.
                     for _ in range(20):
                         raw.send(
                             b"\x02" + (5000).to_bytes(8, "big") + random.randbytes(random.randrange(4900))
@@ -368,11 +368,11 @@ class Run:
         return late
 
     def _lasts(self, seconds: float) -> None:
-        """Note that the effects of a fault last for so long."""
+        """Note that the effects of a fault last for `seconds`."""
         self.calm_since = max(self.calm_since, self.world.now + seconds)
 
     def _apply(self, fault: Fault, sender: Socket, data: bytes) -> float | None:
-        """Let a fault happen to what is sent; return its delay, or None if it is on its way or lost."""
+        """Apply a fault to sent bytes; return their delay, or None if they are on their way or lost."""
         world, net, seconds = self.world, self.net, fault.seconds
         peer = sender.peer
         assert peer is not None
@@ -413,8 +413,7 @@ class Run:
                 end.notify()
 
     def _clog(self, sender: Socket, seconds: float) -> None:
-        """Let nothing arrive for a while; the system gives up a connection on which nothing is
-        acknowledged."""
+        """Let nothing arrive for a while; the system gives up a connection without acknowledgements."""
         world = self.world
         sender.clogged_until = max(sender.clogged_until, world.now + seconds)
         self.watch.trouble(sender, seconds)
@@ -426,11 +425,11 @@ class Run:
             self.net.reset(sender, errno.ETIMEDOUT)
             peer = sender.peer
             if peer is not None:
-                # It learns of it from its next packet that arrives.
+                # The peer notices when its next packet arrives.
                 self.world.at(sender.clogged_until, self.net.reset, peer)
 
     def _apply_elsewhere(self, fault: Fault) -> None:
-        """Let a fault happen that concerns a program."""
+        """Apply a fault that concerns a program."""
         world, seconds, kind = self.world, fault.seconds, fault.kind
         self._lasts(seconds)
         if kind in ("kill", "stop", "twin"):

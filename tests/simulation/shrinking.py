@@ -1,4 +1,4 @@
-"""The faults that a broken promise needs: all others are left out."""
+"""Reduction of a run's faults to those that a broken promise needs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Simulated runs keep every promise; the simulator is deterministic and finds what it is for."""
+"""Simulated runs keep every promise; the simulator is deterministic and finds known mistakes."""
 
 from __future__ import annotations
 

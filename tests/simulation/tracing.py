@@ -1,4 +1,4 @@
-"""Simulated runs of one session, written down so that TLC can follow them in docs/model/Glue.tla."""
+"""Recordings of simulated runs of one session, which TLC follows in docs/model/Glue.tla."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class _Agent(Agent):
 
 
 class _TracedRun(Run):
-    """A run of one session and three programs, whose events are written down once RL_INIT is over."""
+    """A run of one session and three programs, whose events are recorded once RL_INIT is over."""
 
     def __init__(self, seed: int, faults: list[Fault]) -> None:
         super().__init__(seed, [], trace=False)
@@ -84,9 +84,9 @@ class _TracedRun(Run):
     def note(
         self, event: str, peer: str, number: int = 0, instance: int = 0, of: Session | None = None
     ) -> None:
-        """Write a line down."""
+        """Record a line."""
         if self.tracing:
-            # What a killed program sent before is read until another of its role is heard of.
+            # Messages of a killed program are read until another program of its role appears.
             kills = self._kills[peer] if event == "replace" else instance - 1
             for _ in range(self._written[peer], kills):
                 self.events.append(Line("kill", peer, 0, 0, False, False))
@@ -143,7 +143,7 @@ class _TracedRun(Run):
 
 @contextmanager
 def _noting(run: _TracedRun) -> Iterator[None]:
-    """Write down what the hub does, while the body of the `with` runs."""
+    """Record the hub's events while the body of the `with` runs."""
 
     def welcome(board: Switchboard, route: Any, message: Message, resumed: bool) -> None:
         _, role, instance, *_ = message.scalars
@@ -184,7 +184,7 @@ def _noting(run: _TracedRun) -> Iterator[None]:
 
 
 def traced(seed: int) -> tuple[int, list[Line]]:
-    """Return the number of the last call before a run's events, and these."""
+    """Return the number of the last call before a run's events, and the events."""
     random = Random(seed)
     at, faults = 0, []
     for _ in range(random.randint(1, 8)):

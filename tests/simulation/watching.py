@@ -1,4 +1,4 @@
-"""The judges of a simulated run: calls carried out twice, episodes void for nothing, memory, situations
+"""Judges of a simulated run: calls carried out twice, episodes void without a cause, memory, situations
 reached."""
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Watch:
 
     Attributes:
         seen: number of times that each situation occurred.
-        lines: what happened, if it was asked for: time, who, what.
+        lines: time, program and description of each event; empty unless requested.
         last: virtual time of the last trouble.
         calls: number of the last call that was carried out.
     """
@@ -72,12 +72,12 @@ class Watch:
         self._incarnations: Counter[tuple[int, str]] = Counter()
         self._carried: set[tuple[int, str, int, int, int]] = set()
         self._roles: dict[int, tuple[Role, tuple[str, ...]]] = {}
-        self._troubles: list[tuple[float, float, int]] = []  # when, seconds, whose; 0 for everybody's
+        self._troubles: list[tuple[float, float, int]] = []  # time, duration in seconds, process; 0 for all
         self._killed: list[tuple[float, int]] = []
         # For sessions whose episode lost a player: the last request until then, and the first after it.
         self._void: dict[str, tuple[int, int]] = {}
 
-    # What the run tells.
+    # Events that the run reports.
 
     def reached(self, name: str) -> None:
         """Count a situation."""
@@ -144,7 +144,7 @@ class Watch:
         self.note(process.name, "killed", process.number)
 
     def restarted(self) -> None:
-        """Note that the running program begins again, as another peer."""
+        """Note that the running program starts again, as another peer."""
         current: Any = getcurrent()
         self._killed.append((self._run.world.now, current.process.number))
 
@@ -157,7 +157,7 @@ class Watch:
         cause = next((name for part, name in _CAUSES.items() if part in text), None)
         self.reached(f"void: {cause or text[:60]}")
         now = self._run.world.now
-        lost = _ROLE.search(text)  # the first one: a reason for leaving may name others
+        lost = _ROLE.search(text)  # the first role: a reason for leaving may name others
         role = Role(lost[0]) if lost else None
         timeout = self._run.timeout
         since = began - timeout - 10.0
@@ -190,7 +190,7 @@ class Watch:
             )
 
     def _not_void(self, reply: Message) -> None:
-        """Judge (c): an episode that has lost a player is not gone on with."""
+        """Judge (c): an episode that has lost a player is not continued."""
         last = self._void.get(reply.session)
         if last is not None and reply.seq >= last[1]:
             self._run.problems.append(
@@ -199,7 +199,7 @@ class Watch:
             )
 
     def closed(self, session: Any, error: Exception) -> None:
-        """Judge what an experiment was told when its session ended."""
+        """Judge the error that ended an experiment's session."""
         text = str(error)
         self.note(f"experiment of {session.name}", "closed", text)
         for part, name in (
@@ -217,7 +217,7 @@ class Watch:
             self._run.problems.append(f"(c) session {session.name} was ended without a cause: {text}")
 
     def _carry_out(self, session: str, seq: int, kind: Kind) -> None:
-        """Judge (a): a program carries a call of a hub out once."""
+        """Judge (a): a program carries out each call of a hub once."""
         current: Any = getcurrent()
         process: Process = current.process
         hub = process.heard or process.number
@@ -229,7 +229,7 @@ class Watch:
         self.calls = seq
 
     def _memory(self, hub: Hub) -> None:
-        """Judge (d): what connections and sessions keep is within the limit, and accounted for."""
+        """Judge (d): memory of connections and sessions is within the limit, and accounted for."""
         limit = hub.config.max_memory
         held = 0
         for channel in hub._channels._open:

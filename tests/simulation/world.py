@@ -1,7 +1,7 @@
-"""A world of its own: processes on one thread, a virtual clock, and every choice from one generator.
+"""A simulated world: processes on one thread, a virtual clock, and every choice from one generator.
 
-A `World` stands at the doors of `glue` (glue/doors): whatever the programs in it ask the system for, it
-answers. A program runs until it waits; then the world chooses who runs next."""
+A `World` stands behind the doors of `glue` (glue/doors) and answers every request of its programs to the
+system. A program runs until it waits; then the world chooses the next one."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from greenlet import GreenletExit, getcurrent, greenlet
 from glue.doors import chance, clock, network, threads
 
 READ_SECONDS: Final = 1e-6
-"""Virtual time that passes when the clock is read: otherwise a loop until some time would never end."""
+"""Virtual time that passes when the clock is read; without it, a loop until some time would never end."""
 
 YIELD_SECONDS: Final = 10e-6
 
 
 class Stuck(Exception):
-    """Nobody is ready and nothing will happen, or far too much happens."""
+    """No program is ready and no event is due, or the run takes far too many turns."""
 
 
 class Task(greenlet):
@@ -58,7 +58,7 @@ class Process:
         self.tasks: list[Task] = []
 
     def spawn(self, run: Callable[[], object]) -> Task:
-        """Begin a thread of the process."""
+        """Start a thread of the process."""
 
         def guarded() -> None:
             try:
@@ -75,7 +75,7 @@ class Process:
         return task
 
     def kill(self) -> None:
-        """End the process as SIGKILL does: nothing more is said, and its connections are reset."""
+        """End the process as SIGKILL does: it sends nothing more, and its connections are reset."""
         if not self.alive:
             return
         self.alive = False
@@ -100,7 +100,7 @@ class World:
         now: virtual time in seconds.
         failures: errors that no program may end with.
         turns: number of times that a program was given the core.
-        processes: all that were ever started.
+        processes: all processes ever started.
     """
 
     def __init__(self, seed: int) -> None:
@@ -154,7 +154,7 @@ class World:
                 raise Stuck("nothing will happen any more")
 
     def block(self, seconds: float | None = None) -> None:
-        """Wait until `wake`, or for so many seconds."""
+        """Wait until `wake`, or for `seconds`."""
         task: Any = getcurrent()
         if not task.process.alive:
             raise GreenletExit
@@ -168,21 +168,21 @@ class World:
             self.wake(task)
 
     def wake(self, task: Task) -> None:
-        """Let a task go on that has blocked."""
+        """Let a blocked task continue."""
         if task.blocked:
             task.blocked = False
             task.wakes += 1
             self.ready.append(task)
 
     def failed(self, process: Process, error: BaseException) -> None:
-        """Note that a program has ended with an error that is not its own to raise."""
+        """Note that a program has ended with an unexpected error."""
         import traceback
 
         if process.alive:
             text = "".join(traceback.format_exception(error))
             self.failures.append(f"{process.name} failed: {type(error).__name__}: {error}\n{text}")
 
-    # What the doors lead to.
+    # The functions behind the doors.
 
     def monotonic(self) -> float:
         """Return the virtual time."""
@@ -208,7 +208,7 @@ class World:
 
     @contextmanager
     def entered(self, net: Any) -> Iterator[None]:
-        """Replace what is behind the doors, while the body of the `with` runs."""
+        """Replace the functions behind the doors while the body of the `with` runs."""
         world = self
 
         class RLock(_RLock):

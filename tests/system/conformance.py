@@ -34,18 +34,18 @@ ENDLESS: Final = Observation(
 
 @lru_cache
 def fill(ints: int, doubles: int, chars: int) -> bytes:
-    """The suites' sample numbers, as a body: 0, 1, ..; 0/n, 1/n, ..; a, b, .."""
+    """Return the suites' sample numbers, as a body: 0, 1, ..; 0/n, 1/n, ..; a, b, .."""
     letters = bytes(ord("a") + i for i in range(chars))
     return Observation(np.arange(ints), np.arange(doubles) / max(doubles, 1), letters).body
 
 
 def counted(message: str, counter: int) -> str:
-    """The answer of A1 and E1 to a message."""
+    """Return the answer of A1 and E1 to a message."""
     return f"{message}|{counter % 3 * f'{counter}.'}|{message}"
 
 
 class MirrorAgent(Agent):
-    """A1: does what it sees, and counts its steps."""
+    """A1: repeats its observations as actions, and counts its steps."""
 
     def __init__(self) -> None:
         self._counter = 0
@@ -63,7 +63,7 @@ class MirrorAgent(Agent):
 
 
 class FiveStepEnvironment(Environment):
-    """E1: five steps, then the extreme values for whoever steps on."""
+    """E1: five steps, then the extreme values at any further step."""
 
     def __init__(self) -> None:
         self._counter = 0
@@ -124,7 +124,7 @@ class EmptyEnvironment(Environment):
 
 
 def answer(message: str) -> str:
-    """The answer of A-message and E-message; a null answer becomes the empty text on its way."""
+    """Return the answer of A-message and E-message; a null answer becomes the empty text on its way."""
     if message == "null":
         return None  # type: ignore[return-value]
     return {"": "empty", "empty": ""}.get(message, message)
@@ -258,7 +258,7 @@ def init_cleanup(glue: Experiment) -> Seen:
 
 
 def empty(glue: Experiment) -> Seen:
-    """test_empty: four episodes, empty in turn with full."""
+    """test_empty: four episodes, alternately full and empty."""
     seen: Seen = [glue.rl_init()]
     for episode in range(1, 5):
         observed, acted = ((2, 4, 5), (7, 3, 1)) if episode % 2 else ((0, 0, 0), (0, 0, 0))
@@ -351,10 +351,10 @@ SCENARIOS: Final = {
 
 
 def agents() -> dict[str, Any]:
-    """One agent for each scenario, by the scenario's name."""
+    """Return one agent for each scenario, by the scenario's name."""
     return {name: scenario.agent() for name, scenario in SCENARIOS.items()}
 
 
 def environments() -> dict[str, Any]:
-    """One environment for each scenario, by the scenario's name."""
+    """Return one environment for each scenario, by the scenario's name."""
     return {name: scenario.environment() for name, scenario in SCENARIOS.items()}

@@ -1,4 +1,4 @@
-"""A TCP proxy that breaks its connections: in the middle of whatever they carry, or for a while."""
+"""A TCP proxy that breaks its connections: in the middle of messages, or for a while."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Proxy:
 
     Args:
         port: the other port.
-        cuts: how often, after a few thousand bytes each time, all connections are reset.
-        seed: of the numbers of bytes between these cuts.
+        cuts: number of times that all connections are reset, each after a few thousand bytes.
+        seed: seed of the numbers of bytes between these cuts.
         piece: maximum number of bytes passed on at once; each piece is a segment of its own.
 
     Attributes:
@@ -49,7 +49,7 @@ class Proxy:
 
     @property
     def url(self) -> str:
-        """Where to connect to."""
+        """URL to connect to."""
         return f"tcp://127.0.0.1:{self._listener.getsockname()[1]}"
 
     @contextmanager
@@ -68,7 +68,7 @@ class Proxy:
             self._selector.close()
 
     def shut(self) -> None:
-        """Reset all connections, and let no other through; from any thread."""
+        """Reset all connections, and let no others through; from any thread."""
         self._waker.send(_SHUT)
 
     def cut(self, *limits: int) -> None:
@@ -130,7 +130,7 @@ class Proxy:
         if may_say is not None:
             self._may_say[source] = may_say - len(data)
         passed = data[: self._until_cut] if self._left else data[:may_say]
-        with suppress(OSError):  # nobody reads this way any more; what comes the other way is passed on
+        with suppress(OSError):  # this direction has no reader any more; the other one is still passed on
             for at in range(0, len(passed), self._piece):
                 self._partner[source].sendall(passed[at : at + self._piece])
         if may_say is not None and len(data) >= may_say:
@@ -145,7 +145,7 @@ class Proxy:
                     self.finished.set()
 
     def _end(self, source: socket.socket) -> None:
-        """Pass on that a side sends no more; what was sent before still arrives, as over a cable."""
+        """Pass on that a side sends no more; earlier bytes still arrive, as over a cable."""
         self._selector.unregister(source)
         partner = self._partner[source]
         with suppress(OSError):
@@ -175,12 +175,12 @@ class Proxy:
 
 
 class WelcomeThief:
-    """Passes bytes on to a hub and back; cuts its connections, and loses WELCOMEs, when it is told to.
+    """Passes bytes on to a hub and back; cuts its connections, and loses WELCOMEs, on request.
 
     Attributes:
-        cuts: how many connections were cut.
+        cuts: number of connections cut.
 
-    A WELCOME is lost as it is in life: the hub has sent it, and the connection ends before it arrives.
+    A WELCOME is lost as in practice: the hub has sent it, and the connection ends before it arrives.
     """
 
     def __init__(self) -> None:
@@ -208,11 +208,11 @@ class WelcomeThief:
 
     @property
     def lost(self) -> bool:
-        """Whether everything was lost that was to be lost."""
+        """Whether all WELCOMEs that should be lost were lost."""
         return self._left == 0
 
     def cut(self) -> None:
-        """Cut what is connected now; new connections are let through."""
+        """Cut the current connections; let new ones through."""
         while self._pairs:
             self.cuts += 1
             _end(*self._pairs.pop())

@@ -51,13 +51,13 @@ def contents(directory: Path) -> Contents:
 
 
 def metrics(directory: Path) -> list[list[list[str]]]:
-    """Return the values of the metrics of each trial that has any, which must also be the same."""
+    """Return the metric values of each trial that has any, which must be the same, too."""
     with Results.open(directory) as results:
         return [[[*map(str, row)] for row in rows] for rows in metric_table(results).rows]
 
 
 def children(pid: int, naming: str = "") -> list[int]:
-    """Return the processes that `pid` started, and they in turn, whose command line has `naming` in it."""
+    """Return the descendants of `pid` whose command line contains `naming`."""
     parents: dict[int, list[int]] = {}
     for entry in Path("/proc").iterdir():
         if entry.name.isdigit() and (parent := _parent(int(entry.name))) is not None:
@@ -71,7 +71,7 @@ def children(pid: int, naming: str = "") -> list[int]:
 
 
 def alive(pid: int) -> bool:
-    """Return whether there is such a process, and it has not ended."""
+    """Return whether a process exists and has not ended."""
     return _parent(pid) is not None
 
 

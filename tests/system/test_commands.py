@@ -57,7 +57,7 @@ ENDLESS_COMMANDS = {
     "glue-view": ["runs"],
     "glue-watch": ["--agent", "hierarchical", "--after", "100000"],
 }
-"""Arguments with which a command imports all that it needs."""
+"""Arguments with which a command imports everything that it needs."""
 
 IMPORTS = [
     *((command, "click") for command in ENDLESS_COMMANDS),
@@ -109,7 +109,7 @@ for module in {sorted(modules)!r}:
     __import__(module)
 print(*sorted(set(sys.modules) - before))
 """
-    # Without `site`, which imports whatever the installed packages tell it to.
+    # Without `site`, which imports modules that the installed packages name.
     shown = subprocess.run([sys.executable, "-SEc", program], capture_output=True, text=True, check=True)
     imported = shown.stdout.split()
     assert "glue.cli.entry" in imported
@@ -420,7 +420,7 @@ SHADOWS = ("agents", "env_server", "glue", "random", "numpy", "zmq", "click", "n
 
 @pytest.fixture
 def shadowed(tmp_path: Path) -> Path:
-    """A working directory with a file of the name of each module that everything depends on."""
+    """A working directory with files named like modules that everything depends on."""
     for module in SHADOWS:
         (tmp_path / f"{module}.py").write_text("raise AssertionError(__file__)", encoding="utf-8")
     (tmp_path / "beside.py").write_text("ACTION = 0", encoding="utf-8")

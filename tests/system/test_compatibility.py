@@ -1,9 +1,9 @@
 """Peers of the first version play with today's hub, and today's peers with the hub of the first version.
 
-tests/golden/conversation.jsonl is what a hub, an agent, an environment and an experiment of the first
-version (0.1.0, before its modules were put into folders) said to each other, without heartbeats: one line
-for each message, with the peer, whether it `sent` or `received` it, and its frames. Either side of it is
-played again here.
+tests/golden/conversation.jsonl holds the messages between a hub, an agent, an environment and an experiment
+of the first version (0.1.0, before its modules were put into folders), without heartbeats: one line for each
+message, with the peer, whether the peer `sent` or `received` it, and its frames. Both sides of the
+conversation are replayed here.
 """
 
 from __future__ import annotations

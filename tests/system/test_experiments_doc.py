@@ -1,4 +1,4 @@
-"""docs/experiments.md and the tutorials: all commands run, in order, with 20 episodes for hundreds."""
+"""docs/experiments.md and the tutorials: all commands run, in order, with 20 episodes instead of hundreds."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_text_can_be_followed(tmp_path: Path) -> None:
     for run in ("first", "trials", "try", "sweep", "killed", "both"):
         with Results.open(tmp_path / "runs" / run) as results:
             assert all(trial.finished for trial in results.trials()), run
-    # It goes on after the kill; were it over before, the text would show nothing.
+    # The run continues after the kill; had it ended before, the text would show nothing.
     with Results.open(tmp_path / "runs" / "killed") as results:
         assert [event.kind for event in results.events()][:2] == ["start", "resume"]
     assert "sarsa/mines/3" in contents(tmp_path / "runs" / "trials")

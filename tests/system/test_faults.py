@@ -42,7 +42,7 @@ HEARTBEAT = 0.1
 
 
 class Ends(NamedTuple):
-    """Whether peers connect by libzmq's DEALER instead of a plain socket: those in threads, and processes."""
+    """Whether peers in threads and in processes connect by libzmq's DEALER instead of a plain socket."""
 
     threads: bool
     processes: bool
@@ -95,12 +95,12 @@ def serving(hub: str, player: Any, session: str = "default") -> Iterator[None]:
 
 
 def port(hub: Hub) -> int:
-    """The TCP port of a hub."""
+    """Return the TCP port of a hub."""
     return int(hub.endpoints[0].rpartition(":")[2])
 
 
 class Processes:
-    """Players in processes of their own, any number after one another."""
+    """Players in processes of their own, any number one after another."""
 
     def __init__(self, hub: str, role: str, player: str) -> None:
         self._arguments = (role, hub, player, "libzmq" if _ends.processes else "plain")
@@ -115,11 +115,11 @@ class Processes:
             started.kill()
 
     def start(self) -> None:
-        """Start another."""
+        """Start another player."""
         self._started.append(Recorded(main, *self._arguments))
 
     def signal(self, number: int) -> None:
-        """Send the latest a signal."""
+        """Send a signal to the latest process."""
         os.kill(self.latest.pid, number)
 
     @property
@@ -129,7 +129,7 @@ class Processes:
 
 
 class At:
-    """Does something at one moment of a run: when the call `call` comes for the `count`th time."""
+    """Acts at one point of a run: when the call `call` comes for the `count`th time."""
 
     def __init__(self, call: str, count: int, act: Callable[[], None]) -> None:
         self._call = call
@@ -144,7 +144,7 @@ class At:
 
 
 def play(glue: Experiment) -> list[str]:
-    """Run exactly EPISODES episodes to their end; return what was said of each that was void."""
+    """Run exactly EPISODES episodes to their end; return the error of each that was void."""
     void = []
     while glue.rl_num_episodes() < EPISODES:
         try:
@@ -155,7 +155,7 @@ def play(glue: Experiment) -> list[str]:
 
 
 def play_on(glue: Experiment) -> NoReturn:
-    """Run episodes until something stops it."""
+    """Run episodes until an error ends them."""
     while True:
         glue.rl_episode()
 
@@ -202,17 +202,17 @@ CASES = {
         "env_seed env_init env_start",
     ),
 }
-"""For each role that a fault strikes: who plays it, its partner, whose call is the moment, a beginning."""
+"""For each role that a fault strikes: its player, the partner, the partner's call, and the first calls."""
 
 
 def beginning(glue: Experiment, role: str) -> list[str]:
-    """The names of the first three calls that the player of `role` has had."""
+    """Return the names of the first three calls that the player of `role` has had."""
     ask = glue.rl_agent_message if role == "agent" else glue.rl_env_message
     return [call.split()[0] for call in ask("calls").splitlines()[:3]]
 
 
 def count(glue: Experiment, role: str, call: str) -> int:
-    """How often the player of `role` has had `call`."""
+    """Return how often the player of `role` has had `call`."""
     ask = glue.rl_agent_message if role == "agent" else glue.rl_env_message
     return sum(line.startswith(call) for line in ask("calls").splitlines())
 
@@ -277,7 +277,7 @@ def test_a_player_that_is_stopped_and_continued_is_waited_for(role: str) -> None
 
 
 def chain(glue: Experiment, episodes: int) -> list[float]:
-    """The returns of `episodes` episodes, and a message to each player, which shows all that went before."""
+    """Return the returns of `episodes` episodes, then a digest of all earlier calls from each player."""
     glue.rl_init()
     returns = []
     for _ in range(episodes):
@@ -359,7 +359,7 @@ def test_players_come_back_to_a_hub_that_was_killed_and_started_again() -> None:
 
 @pytest.fixture
 def two_hubs() -> Iterator[tuple[Hub, Hub]]:
-    """Two hubs, one to take the place of the other behind a proxy, as if it had been started again."""
+    """Two hubs, one to replace the other behind a proxy, as if it had been restarted."""
     config = HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=60.0)
     with Hub(config).in_background() as first, Hub(config).in_background() as second:
         yield first, second
@@ -511,7 +511,7 @@ def test_a_slow_session_delays_no_other() -> None:
 
 
 def test_a_player_may_compute_for_many_heartbeats() -> None:
-    # Heartbeats pile up while it does; that must not cost it its connection.
+    # Heartbeats pile up meanwhile; that must not cost the player its connection.
     heartbeat = 0.01
     hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=heartbeat, timeout=0.5))
     computes = threading.Event()

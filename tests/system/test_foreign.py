@@ -80,7 +80,7 @@ class Wordy(Environment):
 
 @contextmanager
 def running(command: list[str]) -> Iterator[subprocess.Popen[str]]:
-    """Run a program; it must have ended by itself, without complaint, at the end of the `with`."""
+    """Run a program; it must have ended on its own, without errors, at the end of the `with`."""
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         try:
             yield process
@@ -94,9 +94,9 @@ def running(command: list[str]) -> Iterator[subprocess.Popen[str]]:
 def table_for(
     agent: Agent, environment: Environment, through: Callable[[str], str] = str
 ) -> Iterator[Experiment]:
-    """Sit down a foreign agent, our environment and an experiment at a hub of ours.
+    """Connect a foreign agent, our environment and an experiment to a hub of ours.
 
-    `through` may put something between the agent and the hub: it is given the hub's URL and returns another.
+    `through` may put something between the agent and the hub: it maps the hub's URL to another.
     """
     hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
     url = hub.endpoints[0]
@@ -156,7 +156,7 @@ def test_agent_survives_a_connection_that_is_cut_again_and_again(agent: Agent) -
 
 
 def test_agent_forgets_another_hub_although_welcomes_of_the_next_are_lost(agent: Agent) -> None:
-    # With the count of the first hub in mind it would answer nothing to the second.
+    # An agent that kept the count of the first hub would answer nothing to the second.
     second = Hub(HubConfig(bind=("tcp://127.0.0.1:*",)))
     url = second.endpoints[0]
     with (

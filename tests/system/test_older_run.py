@@ -1,4 +1,4 @@
-"""A run that version 0.1.0 began, and did not live to end, opens and goes on as if it had never stopped.
+"""A run that version 0.1.0 began and did not finish opens and continues as if it had never stopped.
 
 tests/golden/run-0.1.0.tar.gz holds two runs of that version: `killed`, by SIGKILL in its second trial, before
 the database's log was written back, and `undisturbed`, the same plan to its end. Both were made by

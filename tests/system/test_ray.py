@@ -28,7 +28,7 @@ def cluster() -> Iterator[str]:
     """The address of a cluster of two nodes with one processor each."""
     from ray.cluster_utils import Cluster
 
-    # What Ray notes down is not kept. Its sockets need a shorter path than pytest's folders have.
+    # Ray's files are not kept. Its sockets need a shorter path than pytest's folders have.
     folder = TemporaryDirectory(prefix="ray-", ignore_cleanup_errors=True)
     with folder, pytest.MonkeyPatch.context() as patch:
         patch.setenv("RAY_TMPDIR", folder.name)

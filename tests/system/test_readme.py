@@ -35,7 +35,7 @@ EXPERIMENT = ["glue-experiment", "--episodes", "2", "--max-steps", "50"]
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with the programs of the text, each in a file called as its class."""
+    """A folder with the programs of the text, each in a file named like its class."""
     for program in PROGRAMS:
         (name,) = re.findall(r"^class (\w+)", program, re.M)
         (tmp_path / f"{name.lower()}.py").write_text(program, encoding="utf-8")

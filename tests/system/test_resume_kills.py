@@ -1,4 +1,4 @@
-"""SIGKILL at any moment, of any process: the run ends as one that nobody disturbed."""
+"""SIGKILL at any moment, of any process: the run ends like an undisturbed one."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ LONGEST_LIFE = size(0.3, 1.0)
 
 
 def kill_one(experiment: subprocess.Popen[str], program: str, chance: random.Random) -> None:
-    """Kill one of the processes that run a program, as soon as there is one; of players, all of them.
+    """Kill a process that runs a program, as soon as there is one; if these are players, all of them.
 
     On a busy machine one of the players may not have joined yet, and would not be missed.
     """
@@ -72,7 +72,7 @@ def kill_one(experiment: subprocess.Popen[str], program: str, chance: random.Ran
 
 
 def kill_experiment(experiment: subprocess.Popen[str]) -> None:
-    """Kill the experiment, and see that nobody outlives it."""
+    """Kill the experiment, and check that no process outlives it."""
     everybody = children(experiment.pid)
     experiment.kill()
     experiment.communicate()
@@ -81,7 +81,7 @@ def kill_experiment(experiment: subprocess.Popen[str]) -> None:
 
 
 def wait_for_an_episode(directory: Path) -> None:
-    """Return when one more is stored than now."""
+    """Wait until one more episode is stored than now."""
 
     def stored() -> int:
         with contextlib.suppress(ExperimentError), Results.open(directory) as results:
@@ -105,7 +105,7 @@ def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(plan: str, tm
     for kill in range(KILLS):
         time.sleep(chance.uniform(0, LONGEST_LIFE))
         victim = VICTIMS[kill % len(VICTIMS)]
-        if not FULL or (kill // len(VICTIMS)) % 2:  # in the midst of episodes, not at a start
+        if not FULL or (kill // len(VICTIMS)) % 2:  # in the middle of episodes, not at a start
             wait_for_an_episode(tmp_path / "killed")
         if victim == "experiment":
             kill_experiment(experiment)
@@ -119,7 +119,7 @@ def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(plan: str, tm
     assert bool(metrics(tmp_path / "killed")) == ("metrics" in plan)
     with Results.open(tmp_path / "killed") as results:
         events = {event.kind for event in results.events()}
-        assert {"resume", "rewind", "lost"} <= events  # the experiment and workers were killed in the midst
+        assert {"resume", "rewind", "lost"} <= events  # the experiment and workers were killed in the middle
         assert results.voids()  # and so were players
 
 

@@ -1,4 +1,4 @@
-"""`glue-experiment` with several trials: the same results in any processes, and what goes wrong there."""
+"""`glue-experiment` with several trials: the same results in any arrangement of processes, and failures."""
 
 from __future__ import annotations
 
@@ -218,7 +218,7 @@ def test_interrupted_run_leaves_nobody_and_goes_on(
     assert "Traceback" not in errors
     assert not any(map(alive, everybody))
     for episodes, checkpoint in contents(tmp_path / "run").values():
-        if episodes and how == ("--in-process",):  # a short one ends in time, and nothing is repeated
+        if episodes and how == ("--in-process",):  # a short episode ends in time, and nothing is repeated
             assert checkpoint is not None
             assert checkpoint[0] == len(episodes)
     assert run("--resume", "run", "--in-process", cwd=tmp_path).returncode == 0
@@ -238,7 +238,7 @@ def test_second_run_into_a_directory_is_refused(tmp_path: Path) -> None:
 
 
 def on_a_disk(kind: str, folder: Path, *command: object) -> subprocess.CompletedProcess[str]:
-    """Run a shell's command where `folder` is a disk of its own; the shell's arguments are `command`."""
+    """Run a shell command with `folder` as a disk of its own; the shell's arguments are `command`."""
     mounting = ["unshare", "--map-root-user", "--mount", "sh", "-c"]
     mount = f'mount -t tmpfs -o {kind} none "$0" && cd "$0" && '
     if not shutil.which("unshare") or subprocess.run([*mounting, mount + "true", str(folder)]).returncode:
@@ -277,7 +277,7 @@ def test_full_disk_is_named_and_what_was_stored_is_readable(tmp_path: Path) -> N
 def test_file_that_may_not_grow_ends_the_run_and_what_was_stored_is_readable(
     tmp_path: Path, workers: tuple[str, ...]
 ) -> None:
-    """Stands in, everywhere, for a full disk."""
+    """A file size limit stands in for a full disk on every machine."""
     command = [*COMMAND, *map(str, SARSA), "--episodes", "100000", "--in-process", "--json", "--out", "run"]
     limited = ["sh", "-c", 'ulimit -f 400; exec "$@"', "sh", *command, *workers]
     done = subprocess.run(limited, cwd=tmp_path, capture_output=True, text=True, timeout=100)
@@ -304,7 +304,7 @@ def test_players_do_not_outlive_a_killed_experiment(tmp_path: Path) -> None:
 
 
 def test_hub_that_stays_serves_one_trial_after_another(tmp_path: Path) -> None:
-    """With a player from outside, who is there for all of them."""
+    """A player from outside takes part in all of them."""
     url = "ipc://meeting"
     scripts = Path(sys.executable).parent
     commands = [f"{scripts}/glue-hub --bind {url}", f"{scripts}/glue-agent sarsa --hub {url}"]

@@ -1,4 +1,4 @@
-// Learning curves as the server draws them: over episodes or steps, with bands; single trials on hover; tables of the numbers.
+// Learning curves drawn by the server: over episodes or steps, with bands, single trials on hover, and tables.
 
 import { count, failure, get, h, score, setText, table } from "./dom.js";
 import { settingsTable } from "./run.js";
@@ -8,39 +8,39 @@ const REFRESH_SECONDS = 2;
 const HEIGHT = 420;
 const WIDTHS = { least: 280, most: 2000, step: 20 }; // of a drawing, in pixels
 const TABLE_ROWS = 12;
-const NEAR = 30; // pixels from a curve that is pointed at
-const FINE = 2; // pixels of a saved picture for each one here
+const NEAR = 30; // pixels between the pointer and a curve that it selects
+const FINE = 2; // pixels of a saved picture per pixel here
 const SVG = "http://www.w3.org/2000/svg";
 const MARKS = ["●", "▲", "■", "◆", "▼", "✚", "★"];
 const PAINT = ["fill", "fill-opacity", "stroke", "stroke-width", "font-family", "font-size", "display"];
 
-// How each kind of scale bends numbers, and back; experiment_runner/report/svg.py draws so.
+// The transform of each kind of scale, and its inverse, as in experiment_runner/report/svg.py.
 const BENT = { linear: (v) => v, log: (v) => Math.log10(Math.max(v, 1e-300)), symlog: (v) => Math.sign(v) * Math.log10(1 + Math.abs(v)) };
 const STRAIGHT = { linear: (v) => v, log: (v) => 10 ** v, symlog: (v) => Math.sign(v) * (10 ** Math.abs(v) - 1) };
 
-/** Return how far along a scale a value is, from 0 to 1. */
+/** Return the position of a value along a scale, from 0 to 1. */
 function share({ kind, low, high }, value) {
   const [first, last] = [BENT[kind](low), BENT[kind](high)];
   return (BENT[kind](value) - first) / (last - first || 1);
 }
 
-/** Return the value at a share of a scale. */
+/** Return the value at a position along a scale, from 0 to 1. */
 function valueAt({ kind, low, high }, part) {
   const [first, last] = [BENT[kind](low), BENT[kind](high)];
   return STRAIGHT[kind](first + part * (last - first));
 }
 
-/** Return an element of a drawing from the server, which holds no text of a run. */
+/** Parse a drawing from the server, which holds no text of a run; return its element. */
 export const drawing = (text) => document.importNode(new DOMParser().parseFromString(text, "image/svg+xml").documentElement, true);
 
 export function mount(element, { query }) {
   const chosen = new Set(query.getAll("run"));
   const state = { over: query.get("over") === "steps" ? "steps" : "episodes", window: query.get("window") || "", measure: query.get("measure") || "return",
     logX: query.get("x") === "log", logY: query.get("y") === "log", span: null };
-  let plot = null; // the element of the drawing
+  let plot = null; // the drawing's element
   let places = []; // of all curves, along the axis
-  let cursor = -1; // index of the place that is read
-  let from = null; // where a drag has begun
+  let cursor = -1; // index of the place being read
+  let from = null; // the start of a drag
   let data = null;
   let timer = null;
   let request = null;
@@ -133,7 +133,7 @@ export function mount(element, { query }) {
     }
   }
 
-  /** Return the width that a drawing may have. */
+  /** Return the width available to a drawing. */
   function room() {
     const { least, most, step } = WIDTHS;
     return Math.min(Math.max(Math.floor((box.parentElement.clientWidth - 32) / step) * step, least), most);
@@ -152,7 +152,7 @@ export function mount(element, { query }) {
     box.hidden = !plot;
     box.replaceChildren(...[plot].filter(Boolean));
     const next = places.findIndex((other) => other >= place);
-    if (plot && next >= 0) read(next); // whoever reads goes on reading while the runs grow
+    if (plot && next >= 0) read(next); // readers keep their place while the runs grow
     else setText(readout, "");
     legend.replaceChildren(...data.curves.map((curve, i) =>
       h("li", {}, h("button", { type: "button", class: "quiet", onfocus: () => highlight(i), onmouseenter: () => highlight(i),
@@ -183,20 +183,20 @@ export function mount(element, { query }) {
     }));
   }
 
-  /** Return where a pointer is in the drawing, in its own pixels. */
+  /** Return the pointer's position in the drawing, in the drawing's own pixels. */
   function spot({ clientX, clientY }) {
     const { left, top, width, height } = plot.getBoundingClientRect();
     const { viewBox: { baseVal } } = plot;
     return [((clientX - left) * baseVal.width) / width, ((clientY - top) * baseVal.height) / height];
   }
 
-  /** Return the value on the horizontal axis at a pixel. */
+  /** Return the value on the horizontal axis at an x coordinate in pixels. */
   function across(x) {
     const [left, , width] = data.drawing.box;
     return valueAt(data.drawing.x, Math.min(Math.max((x - left) / width, 0), 1));
   }
 
-  /** Draw a path over the curves, in place of the last one of its class. */
+  /** Draw a path over the curves, replacing the previous path of its class. */
   function overlay(name, path) {
     plot.querySelector(`.${name}`)?.remove();
     if (!path) return;
@@ -246,13 +246,13 @@ export function mount(element, { query }) {
     highlight(-1);
   }
 
-  /** Return the index of a curve's point at a place, or the next. */
+  /** Return the index of a curve's point at a place, or of the next point. */
   function indexOf(curve, place) {
     const i = curve.at.findIndex((value) => value >= place);
     return i < 0 ? curve.at.length - 1 : i;
   }
 
-  /** Return the curve that is nearest to a height, at the place that is read. */
+  /** Return the index of the curve nearest to a height at the place being read, or -1. */
   function nearest(y) {
     const [, top, , height] = data.drawing.box;
     const away = data.curves.map((curve) => {
@@ -263,7 +263,7 @@ export function mount(element, { query }) {
     return least < NEAR ? away.indexOf(least) : -1;
   }
 
-  /** Say the numbers at a place. */
+  /** Show the numbers at a place. */
   function read(i) {
     cursor = i;
     const place = places[i];
@@ -335,7 +335,7 @@ export function mount(element, { query }) {
 
   function saveTable() {
     if (!data) return;
-    // A spreadsheet takes a cell that begins so for a formula.
+    // A spreadsheet treats a cell that begins like this as a formula.
     const cell = (text) => `"${(/^[=+\-@]/.test(text) ? `'${text}` : text).replaceAll('"', '""')}"`;
     const rows = data.curves.flatMap((curve) => curve.at.map((at, i) =>
       [cell(curve.label), at, curve.mean[i] ?? "", curve.low[i] ?? "", curve.high[i] ?? ""].join(",")));

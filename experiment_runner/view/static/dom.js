@@ -1,4 +1,4 @@
-// Building the page. Text from a run is hostile: it becomes text nodes and attributes that cannot run, never markup.
+// Builds the page. Text from a run is hostile: it becomes text nodes and attributes that cannot run, never markup.
 
 /** Return a new element; `props` are attributes, `on...` listeners and `class`; children are nodes or text. */
 export function h(tag, props = {}, ...children) {
@@ -12,12 +12,12 @@ export function h(tag, props = {}, ...children) {
   return element;
 }
 
-/** Set an element's text; nothing is touched if it is the same. */
+/** Set an element's text, unless it is the same already. */
 export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
-/** Return a table inside a box that scrolls; `columns` are names, `rows` lists of cells: text, numbers or nodes. */
+/** Return a table inside a scrolling box; `columns` are names, `rows` lists of cells: text, numbers or nodes. */
 export function table(caption, columns, rows) {
   const head = h("tr", {}, ...columns.map((name, i) =>
     h("th", { scope: "col", class: rows.length && rows.every((row) => isNumber(row[i])) ? "number" : null }, name)));
@@ -36,17 +36,17 @@ function isNumber(cell) {
 const plain = new Intl.NumberFormat("en");
 const fixed = new Intl.NumberFormat("en", { minimumFractionDigits: 2, maximumFractionDigits: 2 });
 
-/** Return a whole number for people. */
+/** Return a whole number in readable form. */
 export const count = (value) => plain.format(value);
 
-/** Return a return or score for people, as glue-results shows it; a number that there is not is "-". */
+/** Return a return or score in readable form, as in glue-results; a missing number is "-". */
 export const score = (value) => (value === null || value === undefined ? "-" : fixed.format(value));
 
-/** Return a time in seconds since 1970 for people, in their own zone. */
+/** Return a time in seconds since 1970 in readable form, in the local time zone. */
 export const date = (seconds) =>
   seconds === null ? "" : new Date(seconds * 1000).toLocaleString("sv").slice(0, 16);
 
-/** Return a number of seconds for people. */
+/** Return a number of seconds in readable form. */
 export function duration(seconds) {
   const whole = Math.round(seconds);
   const hours = Math.floor(whole / 3600);
@@ -55,7 +55,7 @@ export function duration(seconds) {
   return minutes ? `${minutes} min ${String(whole % 60).padStart(2, "0")} s` : `${whole} s`;
 }
 
-/** Return the answer of the server to a GET; an `Error` says in its message what is wrong. */
+/** Return the server's answer to a GET; throws an `Error` whose message says what is wrong. */
 export async function get(path, query = {}, signal = undefined) {
   const search = new URLSearchParams();
   for (const [name, value] of Object.entries(query)) {
@@ -64,7 +64,7 @@ export async function get(path, query = {}, signal = undefined) {
   return answer(await fetch(`api/${path}?${search}`, { signal }));
 }
 
-/** Send a value, and return the answer of the server; an `Error` says in its message what is wrong. */
+/** Send a value, and return the server's answer; throws an `Error` whose message says what is wrong. */
 export const put = async (path, value) =>
   answer(await fetch(`api/${path}`, { method: "PUT", headers: { "Content-Type": "application/json" }, body: JSON.stringify(value) }));
 

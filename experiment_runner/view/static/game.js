@@ -1,4 +1,4 @@
-// The game: the recorded episodes of a run, and one of them played.
+// The game: the list of a run's recorded episodes, and the player of one episode.
 
 import { count, failure, get, h, score, setText, table } from "./dom.js";
 import { watchLive } from "./game/live.js";

@@ -1,5 +1,5 @@
-// The frame of the page. Each view is a module with `mount(element, params)`, which returns a function that ends it;
-// `params.path` holds what follows the view's name in the address, `params.query` is its URLSearchParams.
+// The frame of the page. Each view is a module with `mount(element, params)`, which returns an unmount function;
+// `params.path` holds the parts after the view's name in the address, `params.query` its URLSearchParams.
 
 import { failure, h, setText } from "./dom.js";
 import { watchConnection } from "./stream.js";
@@ -12,7 +12,7 @@ let unmount = null;
 let turn = 0;
 let shown = "";
 
-/** Return name and parameters of the view that an address, such as "#/game/ID/3?step=7", leads to. */
+/** Return the name and parameters of the view at an address such as "#/game/ID/3?step=7". */
 function parse(hash) {
   const [path, query = ""] = hash.replace(/^#\/?/, "").split("?", 2);
   const [name, ...rest] = path.split("/");
@@ -47,7 +47,7 @@ async function go() {
   } catch (error) {
     view.append(failure(error));
   }
-  // For those who do not see that everything has changed.
+  // Moving the focus tells screen readers of the new view.
   if (shown && shown !== name) view.focus({ preventScroll: true });
   shown = name;
 }

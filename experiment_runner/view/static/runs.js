@@ -1,4 +1,4 @@
-// The list of runs: state, progress, returns, options, notes and tags; filters, order and groups; and which to compare.
+// The list of runs: state, progress, returns, options, notes and tags; filters, order and groups; runs to compare.
 
 import { count, date, duration, failure, h, put, score, setText } from "./dom.js";
 import { listen } from "./stream.js";
@@ -8,7 +8,7 @@ const MARKS = { running: "▶", finished: "✓", interrupted: "❚❚", failed: 
 const COLUMNS = ["Compare", "Run", "State", "Progress", "Time left", "Agents", "Environments", "Return", "Started", "Notes"];
 const ORDERS = { Run: (run) => run.name, State: (run) => run.state, Agents: (run) => (run.agents ?? []).join(), Return: (run) => best(run),
   Environments: (run) => (run.environments ?? []).join(), Progress: (run) => run.done ?? 0, Started: (run) => run.started ?? 0 };
-const DOWN = ["Started", "Return", "Progress"]; // what is sorted from the highest
+const DOWN = ["Started", "Return", "Progress"]; // sorted in descending order first
 const GROUPS = { agents: (run) => run.agents ?? [], environments: (run) => run.environments ?? [], state: (run) => [run.state],
   tags: (run) => run.tags ?? [] };
 const words = new Intl.Collator("en");
@@ -20,12 +20,12 @@ function compared(a, b) {
 }
 
 
-/** Return a label of a run's state, which does not tell it by color alone. */
+/** Return a label of a run's state, shown not only by color. */
 export function badge(state) {
   return h("span", { class: `state ${state}` }, h("span", { "aria-hidden": "true" }, MARKS[state] ?? "", " "), state);
 }
 
-/** Return a bar of how many episodes of a run, or trials of a competition, are done, with the numbers. */
+/** Return a progress bar of a run's episodes, or a competition's trials, with the numbers. */
 export function progress(run) {
   const done = run.done ?? 0;
   const planned = run.planned ?? 0;
@@ -36,7 +36,7 @@ export function progress(run) {
     h("span", {}, `${count(done)} / ${count(planned)}${run.competition ? " trials" : ""}`));
 }
 
-/** Return what is known of the time that a run still takes. */
+/** Return the estimated time left of a run, if known. */
 export function timeLeft(run) {
   if (run.state !== "running") return "";
   return run.seconds_left === null ? "…" : duration(run.seconds_left);
@@ -51,7 +51,7 @@ function returns({ returns: found = [] }) {
   return `${score(Math.min(...found))} to ${score(Math.max(...found))}`;
 }
 
-/** Return what a run has for a group: an option is named with "option ". */
+/** Return a run's value for a group; names of options are prefixed with "option ". */
 function grouped(run, group) {
   const values = group in GROUPS ? GROUPS[group](run) : run.options?.[group.replace(/^option /, "")] ?? [];
   return [...values].sort(compared).join(", ");
@@ -169,7 +169,7 @@ export function mount(element, { query }) {
     group.value = names.includes(chosenGroup) ? chosenGroup : "";
   }
 
-  /** Put the rows in order, under a heading for each group. */
+  /** Sort the rows, under a heading for each group. */
   function arrange() {
     offer();
     heads.forEach((head, i) => {
@@ -190,7 +190,7 @@ export function mount(element, { query }) {
       wanted.push(row);
     });
     body.querySelectorAll(".group").forEach((one) => one.remove());
-    // Only a row that is out of place is moved: the others keep the focus and the selection.
+    // Only misplaced rows are moved: the others keep the focus and the selection.
     wanted.forEach((row, i) => {
       if (body.children[i] !== row) body.insertBefore(row, body.children[i] ?? null);
     });
@@ -207,7 +207,7 @@ export function mount(element, { query }) {
         continue;
       }
       if (old?.querySelector(".editing")) {
-        rows.set(id, { row: old, run }); // what is typed is not lost
+        rows.set(id, { row: old, run }); // keeps the text being typed
         continue;
       }
       const focused = old?.contains(document.activeElement) ? document.activeElement.tagName : null;

@@ -1,4 +1,4 @@
-// The standings of a competition as they come, also large for a lecture hall.
+// The live standings of a competition, also enlarged for a lecture hall.
 
 import { drawing } from "./curves.js";
 import { count, failure, get, h, score, setText, table } from "./dom.js";

@@ -1,6 +1,6 @@
-// The page's one stream of events: which topics somebody listens to, and what they have come to.
+// The page's only stream of events: the topics that have listeners, and their current values.
 
-const QUIET_SECONDS = 40; // the server speaks at least every 15
+const QUIET_SECONDS = 40; // the server sends at least every 15
 const RETRY_SECONDS = 3;
 
 const listeners = new Map(); // topic -> set of handlers
@@ -17,9 +17,9 @@ let planned = false;
 /**
  * Listen to a topic, such as "runs" or "live:ID".
  *
- * `handler(changed, all)` is called with the values that have changed, an object of key to value, where null
- * stands for one that is gone, and with a Map of all values; both are null if there is no such topic. It is
- * called at once with what is known. Returns a function that ends it.
+ * `handler(changed, all)` is called with an object of the changed values by key, where null marks a removed
+ * value, and with a Map of all values; both are null if there is no such topic. It is called at once with the
+ * known values. Returns a function that stops listening.
  */
 export function listen(topic, handler) {
   if (!listeners.has(topic)) listeners.set(topic, new Set());
@@ -37,7 +37,7 @@ export function listen(topic, handler) {
   };
 }
 
-/** Call `watcher` with "live", "connecting" or "lost", now and whenever it changes. */
+/** Call `watcher` with the state, "live", "connecting" or "lost", now and whenever it changes. */
 export function watchConnection(watcher) {
   watchers.add(watcher);
   watcher(state);
@@ -54,7 +54,7 @@ function reconnect() {
 
 function connect() {
   const wanted = [...listeners.keys()].sort();
-  // A tab that nobody sees gives its connection back: a browser has six for each server.
+  // A hidden tab closes its connection: a browser has only six per server.
   const names = document.hidden ? "" : wanted.map((name) => `topic=${encodeURIComponent(name)}`).join("&");
   if (source && names === topics && source.readyState !== EventSource.CLOSED) return;
   source?.close();
@@ -64,7 +64,7 @@ function connect() {
     return;
   }
   for (const topic of values.keys()) if (!listeners.has(topic)) values.delete(topic);
-  // What a topic was before somebody listened to it has to be sent from the beginning.
+  // A topic without known values must be sent from the beginning.
   const since = wanted.every((topic) => values.has(topic)) ? last : "";
   topics = names;
   source = new EventSource(`api/stream?${names}&since=${encodeURIComponent(since)}`);
@@ -80,7 +80,7 @@ function receive(event) {
   const before = last.split("-")[0];
   last = event.lastEventId;
   heard = Date.now();
-  // Another server, at the same address, sends everything anew.
+  // A new server at the same address sends everything again.
   if (before && before !== last.split("-")[0]) values.clear();
   for (const [topic, changed] of Object.entries(JSON.parse(event.data))) {
     if (!listeners.has(topic)) continue;
@@ -107,7 +107,7 @@ document.addEventListener("visibilitychange", connect);
 window.addEventListener("online", connect);
 setInterval(() => {
   if (document.hidden || !listeners.size) return;
-  // After sleep a connection can look alive although the other end has forgotten it.
+  // After sleep a connection can look alive although the other end has dropped it.
   const silent = Date.now() - heard > QUIET_SECONDS * 1000;
   if (source && source.readyState !== EventSource.CLOSED && !silent) return;
   source?.close();

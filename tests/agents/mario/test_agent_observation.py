@@ -1,4 +1,4 @@
-"""Observations of Infinite Mario: what is read, and what is refused."""
+"""Observations of Infinite Mario: which are read, and which are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The agent `best`: on a walk one can reckon, and on levels of Mario's."""
+"""The agent `best`: on a walk that can be computed by hand, and on Mario's levels."""
 
 from __future__ import annotations
 
@@ -32,11 +32,10 @@ RUN_LEFT = ACTIONS[action_number(LEFT, False, True)]
 
 @dataclass
 class Walk(Environment):
-    """A walk seen as Mario's: a tile a step, to be jumped over pits; coins only for those who jump.
+    """A walk that looks like Mario: one tile per step, pits to jump over, and coins taken only by jumping.
 
     The rewards are Mario's: +100 at the goal, -10 for a pit or at the step limit, +1 for a coin, and
-    -0.01 a step. As in Mario's, the last direction of an episode pushes the start of the next, if
-    `pushed`. Mario is a sprite of `kinds`, by column from the left.
+    -0.01 per step. If `pushed`, the last direction of an episode shifts the start of the next, as in Mario.
     """
 
     goal: int = 25
@@ -74,7 +73,7 @@ class Walk(Environment):
 
 
 def play(agent: BestAgent, environment: Environment, episodes: int) -> tuple[list[list[Action]], list[float]]:
-    """Return every episode's actions and return, of an agent that is past its init."""
+    """Play with an initialised agent; return every episode's actions and return."""
     actions, returns = [], []
     for _ in range(episodes):
         action = agent.agent_start(environment.env_start())
@@ -92,7 +91,7 @@ def play(agent: BestAgent, environment: Environment, episodes: int) -> tuple[lis
 
 
 def started(environment: Environment, seed: int = 1, **options: Any) -> BestAgent:
-    """Return an agent past its init."""
+    """Return an initialised agent."""
     agent = BestAgent(seed=seed, **options)
     agent.agent_init(environment.env_init())
     return agent
@@ -114,7 +113,7 @@ def worlds(agent: BestAgent) -> int:
 
 
 def greatest_return(walk: Walk) -> float:
-    """Return a faultless episode's return: four steps to settle at the edge, then a jump at every tile."""
+    """Return the return of a perfect episode: four steps to settle at the edge, then a jump at every tile."""
     return 100.0 + len(walk.coins) - 0.01 * (4 + walk.goal - 1)
 
 
@@ -139,7 +138,7 @@ def test_every_episode_settles_at_the_edge_so_that_there_is_one_world() -> None:
 
 
 def test_worlds_that_begin_differently_are_remembered_apart() -> None:
-    """A walk that begins far from the edge: where the last episode ended decides where the next begins."""
+    """A walk that begins far from the edge: the end of one episode decides the start of the next."""
 
     class FarWalk(Walk):
         def env_start(self) -> Observation:

@@ -57,7 +57,7 @@ def monsters(objects: list[Object]) -> list[Object]:
 
 
 def test_a_monsters_distance_is_that_of_rounded_positions(draw: Draw, watch: type[Watcher]) -> None:
-    """From 2.4 to 5.6 it is 3.2 tiles, but six half tiles from cell to cell would be 6; they are 7."""
+    """From 2.4 to 5.6 the distance is 3.2 tiles, or 6 half tiles; between the rounded positions it is 7."""
     goomba = (GOOMBA, 5.6, 1.0, 0.0, 0.0)
     (seen,) = monsters(watch()(draw(" M", GROUND, at=(2.4, 1.0), monsters=[goomba])))
     assert (seen.dx, seen.dy) == (11 - 4, 0)

@@ -43,7 +43,7 @@ def test_the_originals_actions_step_for_step() -> None:
     compared = 0
     for run, episodes in runs():
         agent = SampleAgent(seed=run["policy_seed"])
-        agent.agent_seed(99)  # A seed given as an option is not to be overridden.
+        agent.agent_seed(99)  # This must not override the seed given as an option.
         environment = InfiniteMario(
             level_seed=run["level_seed"],
             level_type=run["level_type"],

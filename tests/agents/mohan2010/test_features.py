@@ -25,7 +25,7 @@ def whole(watch: type[Watcher]) -> Whole:
 
 
 class Whole:
-    """Gives the key of the whole window."""
+    """Computes the key of the whole window."""
 
     def __init__(self, watch: type[Watcher]) -> None:
         self._watch = watch
@@ -67,7 +67,7 @@ def test_tiles_out_of_view_are_a_symbol_of_their_own(draw: Draw, key: Key, whole
 
 
 def test_a_monster_replaces_the_tile_that_its_place_rounds_to(draw: Draw, key: Key, whole: Whole) -> None:
-    """4.8 counts as 5, 4.5 too, 4.4 as 4; of two in one tile the first in the list shows."""
+    """4.8 and 4.5 round to 5, 4.4 to 4; of two monsters in one tile, the first in the list is shown."""
     blank, row = ord(" "), (ord(" "),) * 5
     for x, place in ((4.8, 4), (4.5, 4), (4.4, 3)):
         middle = [blank] * 5
@@ -77,7 +77,7 @@ def test_a_monster_replaces_the_tile_that_its_place_rounds_to(draw: Draw, key: K
 
 
 def test_parts_tell_place_occupant_and_relative_speed(draw: Draw, key: Key, watch: type[Watcher]) -> None:
-    """A tile moves against Mario; of a monster the difference of speeds is rounded, halves upwards."""
+    """A tile moves at minus Mario's speed, a monster at the difference of speeds; rounded, halves upwards."""
     monsters = [(GOOMBA, 4.0, 7.0, -0.75, 2.0)]
     keys = parts(watch(), draw(at=(3.5, 7.5), monsters=monsters, speed=(1.25, -0.5)))
     assert keys[0] == key(12, 0, ord(" "), -1, 1)  # -1.25 and 0.5
@@ -91,7 +91,7 @@ def objects_key(watcher: Watcher, observation: Observation) -> int:
 
 
 def test_the_state_of_all_objects_row_by_row(draw: Draw, key: Key, watch: type[Watcher]) -> None:
-    """Mario big, a wall to his right, a brick above; two threats and one monster too far to be any."""
+    """Big Mario, a wall to his right, a brick above; two threats, and a monster too far away to be one."""
     screen = draw(
         " b",
         "$ ?",

@@ -1,4 +1,4 @@
-"""The flat agents: SARSA by hand, and the last reward, lost or learned."""
+"""The flat agents: SARSA computed by hand, and the last reward, lost or learned."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_an_episode_by_hand(draw: Draw, key: Key, learned: Learned, task_spec: s
     assert second != first
     expected = {key_of_here(key, first): 0.3 * 2.0}
     assert learned(agent) == pytest.approx(expected)
-    # Now the first action is the best, and its value is what the second leads to.
+    # The first action is now the best, so the second one bootstraps from its value.
     assert ACTIONS.index(agent.agent_step(-1.0, here)) == first
     expected[key_of_here(key, second)] = 0.3 * (-1.0 + 0.9 * 0.6)
     assert learned(agent) == pytest.approx(expected)

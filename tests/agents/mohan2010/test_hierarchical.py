@@ -1,4 +1,4 @@
-"""The hierarchical agents: SARSA at both levels by hand, preferences, interruptions, internal rewards."""
+"""The hierarchical agents: SARSA by hand at both levels, preferences, interruptions, internal rewards."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def number(action: Action) -> int:
 
 
 def teach(agent: HierarchicalAgent, values: Mapping[int, float]) -> None:
-    """Have an agent load these values."""
+    """Make an agent load these values."""
     keys = sorted(values)
     arrays = {"keys": np.array(keys, np.uint64), "values": np.array([values[key] for key in keys])}
     agent.agent_load(
@@ -51,7 +51,7 @@ def teach(agent: HierarchicalAgent, values: Mapping[int, float]) -> None:
     )
 
 
-# Keys: the row of numbers that each value stands for
+# Keys: the row of numbers that identifies each value
 
 
 def test_actions_are_numbered_by_direction_jump_and_run() -> None:
@@ -66,7 +66,7 @@ def test_actions_are_numbered_by_direction_jump_and_run() -> None:
 
 
 def test_a_visit_to_a_coin_by_hand(draw: Draw, key: Key, learned: Learned, task_spec: str) -> None:
-    """Three steps towards a coin, it is taken, a step of move-to-goal, another coin, death."""
+    """Three steps towards a coin, which is then taken; a step of move-to-goal; another coin; death."""
     agent = begun(HierarchicalAgent(epsilon=0.0), task_spec)
     far = draw("  $", "", " M", GROUND)
     near = draw("  $", " M", "", GROUND)
@@ -94,7 +94,7 @@ def test_a_visit_to_a_coin_by_hand(draw: Draw, key: Key, learned: Learned, task_
     expected[of_klo(1, third)] = 0.3 * 1.0
     assert learned(agent) == pytest.approx(expected)
 
-    # The FLO before has earned 0.98, and 0.9 of a step's cost across the gap; its object and its
+    # The previous FLO has earned 0.98, and 0.9 of a step's cost across the gap; its object and its
     # context share the update.
     last = agent.agent_step(-0.01, another)
     assert last != first
@@ -122,7 +122,7 @@ def test_the_next_klos_value_is_bootstrapped_within_an_flo_only(
     assert number(agent.agent_start(draw(" $", "M", GROUND))) == 3
     assert number(agent.agent_step(-0.01, draw(" $", " M", GROUND))) == 5
     assert learned(agent)[before] == pytest.approx(1.0 + 0.3 * (-0.01 + 0.9 * 2.0 - 1.0))
-    # The next coin is another one, and its FLO another visit.
+    # The next coin is a different one, so its FLO is a new visit.
     assert number(agent.agent_step(1.0, draw("$", "", "", " M", GROUND))) == 7
     assert learned(agent)[after] == pytest.approx(2.0 + 0.3 * (1.0 - 2.0))
 
@@ -130,7 +130,7 @@ def test_the_next_klos_value_is_bootstrapped_within_an_flo_only(
 def test_the_flo_level_bootstraps_across_unlearned_flos(
     draw: Draw, key: Key, learned: Learned, task_spec: str
 ) -> None:
-    """Two selections of unlearned FLOs, a pit and then move-to-goal, discount what comes after."""
+    """Two selections of unlearned FLOs, a pit and then move-to-goal, discount the later rewards."""
     agent = begun(HierarchicalProgrammedAgent(epsilon=0.0), task_spec)
     coin, question = key(FLO_LEVEL, A_COIN, 0, 1, 1, 0), key(FLO_LEVEL, A_QUESTION, 0, 2, 3, 0)
     teach(agent, {coin: 1.0, question: 5.0})
@@ -169,7 +169,7 @@ def test_the_finish_line_is_earned_by_the_flo_before_move_to_goal(
 def test_an_interrupted_flo_is_updated_with_its_reward_alone(
     draw: Draw, key: Key, learned: Learned, task_spec: str
 ) -> None:
-    """A monster interrupts a coin where the order is programmed; learned FLOs run to their end."""
+    """A monster interrupts the FLO of a coin if the order is programmed; learned FLOs run to their end."""
     calm = draw(" $", "M", GROUND)
     threat = draw(" $", "M", GROUND, monsters=[(GOOMBA, 2.5, 1.0, 0.0, 0.0)])
     coin = [key(KLO_LEVEL, A_COIN, 0, 1, 1, 0, 0, action) for action in range(12)]
@@ -430,7 +430,7 @@ def test_all_visible_monsters_share_a_tackle(draw: Draw, key: Key, learned: Lear
 
 
 def test_a_screen_full_of_monsters_is_no_trouble(draw: Draw, learned: Learned, task_spec: str) -> None:
-    """As many features as there can be, for as long as the table must grow."""
+    """The maximum number of features, for long enough that the table must grow."""
     agent = begun(ObjectsCoarseAgent(epsilon=0.0), task_spec)
     for i in range(12):
         crowd = [(GOOMBA, 2.0 + 0.01 * n, 1.0 + 0.5 * i, 0.0, 0.0) for n in range(511)]

@@ -46,14 +46,14 @@ every_learner = pytest.mark.parametrize("kind", LEARNERS, ids=lambda kind: kind.
 
 
 def short_level() -> InfiniteMario:
-    """A level of 60 columns with a few Goombas and coins, and a limit of 150 steps; past its init."""
+    """Return an initialised level: 60 columns, a few Goombas and coins, and a limit of 150 steps."""
     environment = InfiniteMario(level_seed=7, level_width=60, max_trial_steps=150)
     environment.env_init()
     return environment
 
 
 def play(agent: Agent, environment: InfiniteMario, episodes: int) -> tuple[list[Action], list[float]]:
-    """Return every action and every episode's return, of an agent that is past its init."""
+    """Play with an initialised agent; return every action and every episode's return."""
     actions, returns = [], []
     for _ in range(episodes):
         total, terminal = 0.0, False
@@ -229,9 +229,9 @@ def test_what_the_sample_agent_cannot_have_saved_is_refused(
 
 @pytest.mark.parametrize("kind", LEARNERS, ids=lambda kind: kind.name)
 def test_every_learner_improves_on_a_short_level(kind: type[Any]) -> None:
-    """By more than ten rewards, on average over three seeds, from the first 60 episodes to the last.
+    """The mean return of the last 60 episodes exceeds that of the first by more than 10, over three seeds.
 
-    The flat agents are the textbook's here; as published they lose the reward for dying.
+    The flat agents follow the textbook here; as published, they lose the reward for dying.
     """
     gains = []
     for seed in range(3):
@@ -252,7 +252,7 @@ def test_the_sample_agent_keeps_a_solution_once_found() -> None:
 
 
 def screen(generator: np.random.Generator) -> Observation:
-    """Draw any tiles, and up to three sprites around Mario."""
+    """Return a random screen: any tiles, and up to three sprites around Mario."""
     count = int(generator.integers(4))
     ints = [int(generator.integers(300))]
     doubles: list[float] = []

@@ -1,4 +1,4 @@
-"""The agent of a network: what it sees, what it plays, and files that are no network."""
+"""The agent that plays with a network: its inputs, its actions, and files that hold no network."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Arrays = dict[str, npt.NDArray[Any]]
 
 
 def arrays() -> Arrays:
-    """A network of random weights, in half precision, as the file has them."""
+    """Return a network of random weights, in half precision, as in the file."""
     random = np.random.default_rng(0)
     widths = (FEATURES, 16, 8, 12)
     sizes = {f"weight{i}": widths[i : i + 2] for i in range(3)} | {
@@ -84,7 +84,7 @@ def test_the_agent_keeps_the_contract(policy: Path, greedy: bool) -> None:
 
 
 def actions(agent: NetworkAgent, seed: int) -> list[tuple[int, ...]]:
-    """Return its actions in an episode that begins the same each time."""
+    """Return an agent's actions in an episode that always begins the same way."""
     with local(agent, InfiniteMario(level_seed=3)) as glue:
         glue.rl_init(seed)
         glue.rl_start()
@@ -112,7 +112,7 @@ def test_the_policy_that_comes_with_the_package_reaches_goals_that_it_has_not_se
         with local(agent, mario) as glue:
             glue.rl_init(1)
             glue.rl_episode(2000)
-            won += glue.rl_return() > 50  # the goal counts 100
+            won += glue.rl_return() > 50  # the goal is worth 100
     assert won >= 10
 
 

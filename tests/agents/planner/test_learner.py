@@ -1,4 +1,4 @@
-"""The planner that is not told the physical constants and the rewards of the game."""
+"""The planner that is not given the physical constants and the rewards of the game."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The planner on levels that it sees for the first time."""
+"""The planner, on levels that it has not seen before."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def test_known_level_is_planned_as_a_whole() -> None:
 
 
 def test_routes_of_level_121_earn_at_least_155_from_the_fifth_episode_on() -> None:
-    """Each of its episodes begins with the buttons that the one before left pressed."""
+    """Each episode begins with the buttons that the previous one left pressed."""
     agent, game = made(bonus=15.0, sims=400, study=1_500_000), Game(TASK)
     totals = [sum(reward for _, reward in play_on(game, agent)) for _ in range(8)]
     assert min(totals[4:]) >= 155

@@ -1,4 +1,4 @@
-"""The smallest productions that play: they walk the skeleton upwards, and learn nothing."""
+"""The smallest productions that play: in `skeleton` they walk up, and they learn nothing."""
 
 from __future__ import annotations
 

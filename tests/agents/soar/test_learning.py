@@ -1,4 +1,4 @@
-"""The values that Soar's reinforcement learning learns in a game, one by one: SARSA at both levels."""
+"""The values that Soar's reinforcement learning learns in a game, each checked: SARSA at both levels."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Textbook:
 
 
 class Watched:
-    """An agent's choices, read from its working memory after a step; `goals` to read objects, too."""
+    """An agent's choices, read from its working memory after a step; with `goals`, objects too."""
 
     def __init__(self, agent: Any, goals: bool = False) -> None:
         kernel = agent._kernel
@@ -68,7 +68,7 @@ class Watched:
 
 
 def place(memory: Memory, tile: str) -> tuple[str, str] | None:
-    """Return the column and the row of a tile, if it is one in view."""
+    """Return the column and the row of a tile, or None if it is not in view."""
     for column in memory["I2"]["column"]:
         if tile in memory[column].get("tile", []):
             return memory[column]["number"][0], memory[tile]["row"][0]
@@ -91,9 +91,9 @@ def goal_reached(before: Watched, now: Memory) -> bool:
 
 
 def follow(agent: Any, episodes: int, saves: bool = False) -> Textbook:
-    """Play, and learn beside the agent from what it chooses; `saves` to save the agent after each episode.
+    """Play, and learn from the agent's choices as it does; with `saves`, save the agent after each episode.
 
-    An agent that is saved goes on in a new kernel, from what was saved.
+    A saved agent continues in a new kernel, from the save.
     """
     internal = isinstance(agent, SoarHierarchicalInternalAgent)
     book = Textbook()
@@ -136,7 +136,7 @@ def follow(agent: Any, episodes: int, saves: bool = False) -> Textbook:
 
 
 def flat(agent: Any, episodes: int) -> Textbook:
-    """The same for the flat agent, which has one level."""
+    """Do the same as `follow` for the flat agent, which has one level."""
     book = Textbook()
     game = InfiniteMario()
     agent.agent_seed(2)

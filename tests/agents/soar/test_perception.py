@@ -1,4 +1,4 @@
-"""Soar's rules make the same of an observation as our own agents do: relations and proposals, one by one."""
+"""Soar's rules derive the same relations and proposals from an observation as our own agents."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def ours(things: Sequence[Object], absolute: bool) -> tuple[Counter[Any], Counte
 
 
 def soars(memory: Memory, operators: Memory) -> tuple[Counter[Any], Counter[Any]]:
-    """Return the same from Soar's working memory: its input link and its top state."""
+    """Return the same objects and FLOs, read from Soar's working memory: its input link and its top state."""
     relations: Counter[Any] = Counter()
     link = memory["I2"]
     for monster in link["monster"]:
@@ -117,7 +117,7 @@ def soars(memory: Memory, operators: Memory) -> tuple[Counter[Any], Counter[Any]
 
 
 def identities(operators: Memory) -> dict[tuple[str, str], str]:
-    """Return the operators that are proposed, by their names and objects."""
+    """Return the proposed operators, by name and object."""
     found = {}
     for operator in operators["S1"]["operator+"]:
         its = operators[operator]

@@ -30,7 +30,7 @@ Write = Callable[[str], SoarAgent]
 
 @pytest.fixture
 def productions(tmp_path: Path) -> Write:
-    """Return an agent of these productions."""
+    """Return a function that makes an agent of the given productions."""
 
     def written(text: str, max_cycles: int = 30) -> SoarAgent:
         file = tmp_path / "my.soar"
@@ -41,7 +41,7 @@ def productions(tmp_path: Path) -> Write:
 
 
 def returns(agent: SoarPlayer, environment: Environment, episodes: int, limit: int = 0) -> list[float]:
-    """Play episodes in a session that has begun; return what they bring."""
+    """Play episodes in a session that has begun; return the return of each."""
     found = []
     for _ in range(episodes):
         observation, total = environment.env_start(), 0.0
@@ -185,7 +185,7 @@ def test_marios_agents_refuse_other_tasks() -> None:
         SoarHierarchicalAgent().agent_init(SKELETON)
 
 
-# Saves come from anybody.
+# Saves may come from anyone.
 
 RULE = """\
 sp {rl*1
@@ -244,7 +244,7 @@ def test_five_thousand_episodes_leave_nothing_behind() -> None:
 
 
 def in_use(agent: SoarPlayer) -> tuple[str, ...]:
-    """Return the numbers of rules, of elements of working memory, and of bytes that Soar has allocated."""
+    """Return Soar's counts of rules, of working memory elements, and of allocated bytes."""
     assert agent._kernel is not None
     printed = agent._kernel.command("stats") + agent._kernel.command("stats --memory")
     patterns = (r"(\d+) productions", r"WM size: (\d+) current", r"(\d+) bytes total")

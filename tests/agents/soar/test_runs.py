@@ -1,4 +1,4 @@
-"""Runs with agents on the Soar kernel: the process of the kernel is killed, or a production fails."""
+"""Runs with agents on the Soar kernel: the kernel's process is killed, or a production fails."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def after_a_checkpoint(experiment: subprocess.Popen[str], directory: Path) -> None:
-    """Return when there is a checkpoint, and an episode after it."""
+    """Wait for a checkpoint, and for an episode after it."""
 
     def stored() -> bool:
         assert experiment.poll() is None, f"finished too early: {experiment.communicate()}"
@@ -51,7 +51,7 @@ def test_a_run_whose_process_is_killed_with_its_kernel_is_resumed(undisturbed: P
     experiment.kill()
     experiment.communicate()
     assert experiment.returncode == -signal.SIGKILL
-    # A saved agent breaks ties anew: checkpoints must fall on the same episodes.
+    # A saved agent breaks ties afresh, so checkpoints must fall on the same episodes.
     resumed = run("--resume", "run", "--in-process", "--checkpoint-every", 5, cwd=tmp_path)
     assert resumed.returncode == 0, resumed.stderr
     assert contents(tmp_path / "run") == contents(undisturbed)

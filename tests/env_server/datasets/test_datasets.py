@@ -1,4 +1,4 @@
-"""Datasets made of recordings, read by the libraries that they are for, and compared step by step."""
+"""Datasets made from recordings, read by the libraries that they are for, and compared step by step."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _own_datasets(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def replay(*arguments: object) -> str:
-    """Run glue-replay; return what it printed to standard error."""
+    """Run glue-replay; return its standard error."""
     done = forked.run("glue-replay", *map(str, arguments), cwd=Path(), timeout=120)
     assert "Traceback" not in done.stderr, done.stderr
     assert done.stdout == ""
@@ -100,7 +100,7 @@ def test_minari_reads_back_each_value_of_the_spaces(game: str, tmp_path: Path) -
 
 
 def at_step(values: Any, at: int) -> Any:
-    """Return the value of one step of an episode of Minari."""
+    """Return the value of one step of a Minari episode."""
     if isinstance(values, dict):
         return {name: at_step(part, at) for name, part in values.items()}
     if isinstance(values, tuple):

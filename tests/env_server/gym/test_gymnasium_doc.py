@@ -1,4 +1,4 @@
-"""docs/gymnasium.md shows what is true."""
+"""The examples of docs/gymnasium.md have the results that they show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Infinite Mario as Gymnasium's: as the original recorded it, and as Gymnasium puts games together."""
+"""Infinite Mario in Gymnasium: as recorded from the original, and as in Gymnasium's own vectors of games."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def rows(observation: Any) -> list[bytes]:
 
 
 def assert_equal(ours: Any, theirs: Any) -> None:
-    """Compare what vector environments return, to the last byte; nested as infos are."""
+    """Compare return values of vector environments to the last byte, nested like infos."""
     if isinstance(theirs, dict):
         assert ours.keys() == theirs.keys()
         for name in theirs:
@@ -144,7 +144,7 @@ def recorded_runs() -> Iterator[tuple[dict[str, Any], list[golden_check.Line]]]:
 
 
 def as_recorded(shown: dict[str, Any]) -> Observation:
-    """Return the RL-Glue observation that the raw view shows."""
+    """Return an observation of the raw view as RL-Glue's."""
     actors = int(shown["actors"][0])
     return Observation(
         shown["ints"][: 1 + 2 * actors], shown["doubles"][: 4 * actors], shown["chars"].tobytes()
@@ -221,7 +221,7 @@ def test_pixels_show_mario_where_he_is() -> None:
     for _ in range(6):
         last, *_ = env.step(np.array([2, 0, 0]))
     reds = [((shown[..., 0] > 170) & (shown[..., 1] < 110)).nonzero()[1].mean() for shown in (first, last)]
-    assert 6 <= reds[0] < reds[1] - 2 <= 28  # he begins in tile 2 of the picture, and walks up to its seventh
+    assert 6 <= reds[0] < reds[1] - 2 <= 28  # he starts in tile 2 of the picture, and walks up to tile 7
     assert len(np.unique(last.reshape(-1, 3), axis=0)) > 10
 
 

@@ -1,4 +1,4 @@
-"""PufferLib plays Infinite Mario through Gymnasium, where it is installed: docs/gymnasium.md says how."""
+"""PufferLib, if installed, plays Infinite Mario through Gymnasium, as docs/gymnasium.md shows."""
 
 from __future__ import annotations
 

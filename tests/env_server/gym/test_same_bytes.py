@@ -23,7 +23,7 @@ TASK: dict[str, Any] = {"level_seed": 7, "level_type": 1, "level_difficulty": 2,
 SEED = 3
 
 Outcome = tuple[float, bool, bytes]
-"""Reward, whether the episode ended, and the observation after it; of the next episode, if it did."""
+"""Reward, whether the episode ended, and the observation after the step, of the next episode if it ended."""
 Glue = Callable[[Agent, Environment], AbstractContextManager[Experiment]]
 
 
@@ -35,7 +35,7 @@ def actions() -> Iterator[list[int]]:
 
 
 def body(shown: Any) -> bytes:
-    """Return the wire form of what the raw view, or an environment without spaces, shows."""
+    """Return the wire form of an observation of the raw view, or of an environment without spaces."""
     actors = int(shown["actors"][0]) if "actors" in shown else len(shown["doubles"]) // 4
     ints, doubles = shown["ints"][: 1 + 2 * actors], shown["doubles"][: 4 * actors]
     return Observation(ints, doubles, shown["chars"].tobytes()).body
@@ -81,7 +81,7 @@ def of_a_vector(count: int, threads: int, game: int) -> list[Outcome]:
 
 
 class StandIn(Agent):
-    """An agent of single games or of many, whose experiment acts."""
+    """An agent of one game or of many, for an experiment that acts itself."""
 
     def agent_batch(self) -> int:
         return 0
@@ -132,7 +132,7 @@ WAYS: dict[str, Callable[[], list[Outcome]]] = {
 
 @pytest.fixture(scope="module")
 def expected() -> list[Outcome]:
-    """Return the outcomes with Gymnasium only, in its own process."""
+    """Return the outcomes with Gymnasium only, in this process."""
     outcomes = of_gymnasium()
     assert sum(ended for _, ended, _ in outcomes) >= 2
     return outcomes

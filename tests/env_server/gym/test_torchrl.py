@@ -1,4 +1,4 @@
-"""TorchRL plays Infinite Mario through Gymnasium, where it is installed."""
+"""TorchRL, if installed, plays Infinite Mario through Gymnasium."""
 
 from __future__ import annotations
 

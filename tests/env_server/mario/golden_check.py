@@ -1,8 +1,8 @@
 """Play the recordings of the original against the simulator, and list every difference.
 
-Also a program: `python golden_check.py TICKS STEPS` takes the names of runs, separated by commas, of which
-to compare the inner state at every tick, or every step. It takes the rules uncompiled (NUMBA_DISABLE_JIT=1),
-and prints the counts and the differences as JSON.
+Also a program: `python golden_check.py TICKS STEPS` takes two lists of run names, separated by commas: the
+first to compare the inner state at every tick, the second every step. It runs the rules uncompiled
+(NUMBA_DISABLE_JIT=1), and prints the counts and the differences as JSON.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _SETTINGS = (
 
 
 class Checked(NamedTuple):
-    """How many levels, steps or ticks were compared, and where they differ."""
+    """The number of levels, steps or ticks compared, and the places where they differ."""
 
     compared: int
     differences: list[str]
@@ -65,7 +65,7 @@ def check_levels(name: str) -> Checked:
 
 
 def check_runs(name: str, only: frozenset[str] | None = None) -> Checked:
-    """Compare all runs of a file, or `only` those so named; a run is left at its first difference."""
+    """Compare all runs of a file, or `only` those with these names, each up to its first difference."""
     compared, differences = 0, []
     game, where, lost = None, "", True
     for line in lines(name):
@@ -87,7 +87,7 @@ def check_runs(name: str, only: frozenset[str] | None = None) -> Checked:
 
 
 def same(line: Line, reward: float, observation: Observation, ended: bool) -> bool:
-    """Return whether a step is the recorded one, to the last bit."""
+    """Return whether a step equals the recorded one to the last bit."""
     return (
         observation == Observation(line["i"], line["d"], line["c"].encode("latin-1"))
         and (line["kind"] == "start" or reward.hex() == float(line["r"]).hex())
@@ -96,7 +96,7 @@ def same(line: Line, reward: float, observation: Observation, ended: bool) -> bo
 
 
 def check_ticks(name: str, only: frozenset[str]) -> Checked:
-    """Compare the state after every tick, and every observation, of the runs so named."""
+    """Compare the state after every tick, and every observation, of the named runs."""
     compared, differences = 0, []
     ticks: list[Line] = []
     game, where, lost = None, "", True
@@ -143,7 +143,7 @@ def check_ticks(name: str, only: frozenset[str]) -> Checked:
 
 
 def difference(recorded: Line, ours: Line) -> str:
-    """Return the first part of a tick's state that differs, or nothing."""
+    """Return the first difference in a tick's state, or an empty string."""
     for name, value in ours.items():
         expected = recorded[name]
         if name == "sprites":

@@ -1,7 +1,7 @@
-"""Play random actions over random parameters, and look at every observation's shape.
+"""Play random actions with random parameters, and check the shape of every observation.
 
-A program: `NUMBA_BOUNDSCHECK=1 python random_play.py STEPS`, where every index of the rules is checked.
-That the check is on is tried first, with a level said to be wider than its memory.
+As a program, `NUMBA_BOUNDSCHECK=1 python random_play.py STEPS`, it checks every index of the rules. It first
+tests that the check is on, with a level declared wider than its memory.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def random_task(rng: np.random.Generator) -> Parameters:
 
 
 def random_actions(rng: np.random.Generator, length: int) -> list[list[int]]:
-    """Return actions that are each held for some steps, and lean to one side."""
+    """Return actions that are each held for some steps, with a bias to one side."""
     lean = rng.dirichlet([1, 0.3, 2])
     drawn = np.stack(
         [rng.choice([-1, 0, 1], length, p=lean), rng.integers(2, size=length), rng.integers(2, size=length)],
@@ -85,7 +85,7 @@ def check_values(observation: Observation, columns: int) -> None:
 
 
 def try_the_bounds_check() -> bool:
-    """Return whether an index out of bounds raises an error."""
+    """Return whether an out-of-bounds index raises an error."""
     game = Game(random_task(np.random.default_rng(0)))
     game.start()
     game.level_map.columns = 10**6
@@ -101,7 +101,7 @@ def try_the_bounds_check() -> bool:
 
 
 def play(steps: int, seed: int) -> dict[str, int]:
-    """Play `steps` steps; return what was met."""
+    """Play `steps` steps; return counts of steps, episodes and so on."""
     rng = np.random.default_rng(seed)
     met = {"steps": 0, "episodes": 0, "tasks": 0, "most actors": 0}
     while met["steps"] < steps:

@@ -1,4 +1,4 @@
-"""`glue-env mario --batch N` shows, to the byte, what N environments of the same options show."""
+"""`glue-env mario --batch N` shows, to the byte, the same as N environments with the same options."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tests.players import ActingInAll
 
 STEPS: Final = 40
 LIVELY: Final[dict[str, Any]] = {"level_difficulty": 9, "max_trial_steps": 25}
-"""Games that end, each in its own time."""
+"""Options of games that end, each at a different step."""
 OTHER: Final[dict[str, Any]] = {
     "instance": 4,
     "mdp": "testing-3",
@@ -50,14 +50,14 @@ OTHER: Final[dict[str, Any]] = {
     "start_ticks": 10,
     "velocity": "jar",
 }
-"""Another value than its default for every option."""
+"""A value other than the default for every option."""
 
 Shown = tuple[float, bytes]
 """The sum of the rewards, and the message."""
 
 
 def actions(games: int) -> Iterator[Action]:
-    """Yield actions of STEPS steps that mostly run to the right."""
+    """Yield the actions of STEPS steps, mostly running to the right."""
     generator = np.random.default_rng(games)
     for _ in range(STEPS):
         direction = generator.choice([-1, 0, 1], games, p=[0.1, 0.1, 0.8])
@@ -76,7 +76,7 @@ def played(environment: Environment, games: int) -> list[Shown]:
 
 
 def both(games: int, **options: Any) -> tuple[Environment, Environment]:
-    """Return the compiled batch, and as many environments one beside the other."""
+    """Return the compiled batch, and a batch of as many separate environments."""
     many = BatchedEnvironments([InfiniteMario(**options) for _ in range(games)])
     return make_batch("mario", lambda: InfiniteMario(**options), games), many
 
@@ -148,7 +148,7 @@ def test_more_games_than_any_message_holds_are_refused() -> None:
 
 
 class Runner(ActingInAll):
-    """Runs to the right in all games, and keeps what it was shown."""
+    """Runs to the right in all games, and keeps its observations."""
 
     def __init__(self) -> None:
         self.shown: list[bytes] = []

@@ -1,4 +1,4 @@
-"""Levels against digests of the original's, and what every level must have."""
+"""Levels against digests of the original's, and the properties of every level."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def level(options: Options) -> LevelMap:
 
 
 def spawn_points(level: LevelMap) -> list[tuple[int, int, int, int]]:
-    """Return column, row, kind as generated, winged."""
+    """Return the column, row, generated kind and wings of each spawn point."""
     return [
         (int(x), int(y), int(level.spawns[x, y]) % 8 - 1, int(level.spawns[x, y]) // 8)
         for x, y in np.argwhere(level.spawns[: level.columns])

@@ -1,4 +1,4 @@
-"""Infinite Mario as an environment: its options, calls, messages and what outlives an episode."""
+"""Infinite Mario as an environment: its options, calls, messages, and the state that outlives an episode."""
 
 from __future__ import annotations
 
@@ -238,7 +238,7 @@ def test_standing_still_times_out_with_the_last_observation() -> None:
 def test_buttons_held_at_the_end_move_the_next_episode() -> None:
     environment = begun(max_trial_steps=5)
     play_to_the_end(environment, RUN_RIGHT)
-    # Mario died in the first tick of a step, which lets go of run but not of right.
+    # Mario died in the first tick of a step, which releases run but not right.
     assert environment.env_start().doubles[0] == 2.0708749294281006
     play_to_the_end(environment, STAND)
     assert environment.env_start().doubles[0] == 2.0

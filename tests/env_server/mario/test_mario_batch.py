@@ -1,4 +1,4 @@
-"""A batch plays each game as it would be played alone."""
+"""A batch plays each game as if it were the only one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""docs/mario.md tells an agent's author what the environment does."""
+"""docs/mario.md tells authors of agents how the environment behaves."""
 
 from __future__ import annotations
 

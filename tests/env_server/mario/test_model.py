@@ -1,4 +1,4 @@
-"""The model of Infinite Mario against the game: equal where everything is known, and put right where not."""
+"""The model of Infinite Mario against the game: equal if everything is known, and corrected if not."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TASK = InfiniteMario().parameters
 
 
 class Belief:
-    """A belief, and what is needed to step it."""
+    """A belief, and the arrays needed to step it."""
 
     def __init__(self) -> None:
         self.worlds, self.levels = model.make()
@@ -44,7 +44,7 @@ def test_agents_find_the_model_by_the_name_of_its_environment() -> None:
 
 @pytest.mark.proof
 def test_model_that_knows_everything_is_the_game() -> None:
-    """Every step is taken from a row of bytes and saved to another, as a search does."""
+    """Before every step the state is saved to a row of bytes and loaded from it again, as in a search."""
     rng = np.random.default_rng(1)
     belief = Belief()
     memory = belief.worlds.view(np.uint8)
@@ -92,7 +92,7 @@ def test_a_level_of_which_tiles_and_spawn_points_were_saved_is_whole_again_at_th
 
 
 def test_belief_follows_what_it_sees() -> None:
-    """After a correction every tile and every actor is where it was seen; most steps need none."""
+    """After a correction every tile and actor is where it was seen; most steps need no correction."""
     rng = np.random.default_rng(2)
     exact = steps = 0
     for number in range(20):

@@ -42,7 +42,7 @@ def world(game: Game) -> World:
 
 
 def place(actor: Actor, x: float, y: float, dx: float = 0, dy: float = 0) -> None:
-    """Put an actor at (x, y) pixels, where a tick moved it by (dx, dy)."""
+    """Put an actor at (x, y) pixels, to which the last tick moved it by (dx, dy)."""
     actor.x, actor.y = np.float32(x), np.float32(y)
     actor.old_x, actor.old_y = np.float32(x - dx), np.float32(y - dy)
 

@@ -31,7 +31,7 @@ def make(seed: int, steps: int) -> tuple[Game, Actions]:
 
 
 def play(game: Game, actions: Actions) -> list[Step]:
-    """Carry out the actions, starting again after each end."""
+    """Execute the actions, starting again after each end."""
     steps: list[Step] = []
     for action in actions:
         steps.append(game.step(*action))

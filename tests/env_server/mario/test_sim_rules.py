@@ -1,6 +1,6 @@
-"""Rules that no recording of the original reaches, or hardly: small scenes, with numbers computed by hand.
+"""Rules that recordings of the original rarely or never reach: small scenes, with numbers computed by hand.
 
-Pixels, y downwards, 16 to a tile; a scene is empty but for what a test puts there.
+Coordinates are pixels, y downwards, 16 per tile; a scene is empty except for what a test puts there.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def game() -> Game:
 
 @pytest.fixture
 def level(game: Game) -> LevelMap:
-    """Nothing at all; the goal is out of reach."""
+    """An empty level, with the goal out of reach."""
     level = game.level_map
     level.tiles[:] = EMPTY
     level.spawns[:] = 0
@@ -64,7 +64,7 @@ def level(game: Game) -> LevelMap:
 
 @pytest.fixture
 def world(game: Game, level: LevelMap) -> World:
-    """Nothing but Mario, small, at (100, 100) in mid-air, looking right."""
+    """Only Mario: small, at (100, 100) in mid-air, facing right."""
     world = game.world
     world.listed = 0
     for slot in range(1, len(world.actors)):
@@ -152,7 +152,7 @@ def test_jolt_of_a_block_moves_who_stands_on_it(
         (76.5, 143, True),
         (99.5, 143, True),
         (100, 143, False),
-        (88, 144.5, True),  # one pixel above is what counts: from 129 up to 145, without it
+        (88, 144.5, True),  # the pixel above counts: from 129 up to, but not including, 145
         (88, 145, False),
         (88, 129, True),
         (88, 128.5, False),
@@ -169,7 +169,7 @@ def test_jolt_reaches_whose_feet_are_in_the_cell_above(
 
 def test_block_beyond_the_border_gives_but_stays(world: World, level: LevelMap) -> None:
     last = level.columns - 1
-    set_tile(level, last, 9, QUESTION_WITH_COIN)  # goes on to the right for ever
+    set_tile(level, last, 9, QUESTION_WITH_COIN)  # continues to the right forever
     hit_block(world, level, int(last) + 1, 9, False)
     assert world.coins == 1
     assert level.tiles[last : last + 2, 9].tolist() == [QUESTION_WITH_COIN, EMPTY]
@@ -190,13 +190,13 @@ def test_tile_that_stops_only_rising_is_hit_from_below(world: World, level: Leve
     mario.vy = np.float32(-4)
     tick(world, level)
     assert mario.y == 108  # 16 * trunc(97 / 16) + 12
-    assert mario.vy == 3  # cleared, then gravity
+    assert mario.vy == 3  # set to 0, then gravity
     assert (world.coins, tile_at(world, level, 6, 5)) == (1, USED_BLOCK)
 
 
 def test_tile_that_stops_only_rising_lets_him_fall_through(world: World, level: LevelMap) -> None:
     mario = world.actors[0]
-    set_tile(level, 6, 7, 1)  # y from 112 on
+    set_tile(level, 6, 7, 1)  # its top is at y = 112
     move(mario, 104, 111)
     mario.vy = np.float32(4)
     tick(world, level)
@@ -291,7 +291,7 @@ def test_second_shell_that_he_takes_leaves_the_first_where_it_is(world: World, l
     assert world.carrying == 2
     world.button_run, world.button_left = False, True
     world.speed_walk = 1.0
-    tick(world, level)  # he falls by 3, turns to the left and lets go
+    tick(world, level)  # he falls by 3, turns left and lets go
     assert world.carrying == 0
     assert state(first, "carried", "x", "y") == (1, 108, 98)
     assert state(second, "carried", "facing", "x", "y") == (0, -1, 99 - 8 - 8, 101)
@@ -345,7 +345,7 @@ def test_dead_mario_pauses_leaps_and_falls(world: World, level: LevelMap) -> Non
 
 @pytest.mark.parametrize(
     ("column", "facing"),
-    [(2, 1), (5, 1), (6, 1), (7, 1), (8, -1)],  # to be left of him, its middle must be past 104 + 16
+    [(2, 1), (5, 1), (6, 1), (7, 1), (8, -1)],  # he is left of it only if its middle is past 104 + 16
 )
 def test_enemy_comes_in_facing_mario(world: World, level: LevelMap, column: int, facing: int) -> None:
     move(world.actors[0], 104, 200)
@@ -370,5 +370,5 @@ def test_win_is_told_a_step_later_where_only_check_ins_are_drawn() -> None:
     assert observation.doubles[0] == game.level_map.exit_x + 1 / 16
     assert (
         observation.doubles[2:4].tobytes() == np.array([0.0, -0.0]).tobytes()
-    )  # he stands still since tick 1
+    )  # he has stood still since tick 1
     assert game.step(1, 0, 0) == (100.0, observation, True)

@@ -169,7 +169,7 @@ class Clock:
 
 @pytest.fixture
 def terminal() -> Iterator[tuple[TextIO, int]]:
-    """A terminal of 60 columns and 20 lines: its stream, and the descriptor of who looks at it."""
+    """A terminal of 60 columns and 20 lines: the stream to draw to, and the descriptor to read from."""
     looking, drawing = pty.openpty()
     set_size(drawing, 20, 60)
     with os.fdopen(drawing, "w", encoding="ascii", newline="") as stream:
@@ -184,7 +184,7 @@ def set_size(descriptor: int, lines: int, columns: int) -> None:
 def seen(terminal: tuple[TextIO, int]) -> str:
     """Return the text drawn since the last call."""
     stream, looking = terminal
-    # What was written before the mark has come when the mark has.
+    # Everything written before the mark arrives before the mark.
     stream.write("\0")
     stream.flush()
     drawn = b""
@@ -262,7 +262,7 @@ def test_screen_smaller_than_the_drawing_keeps_the_lower_lines(
     with TerminalScreen(terminal[0], draw_text) as drawing:
         drawing.show(screen(), 0.0, 3, 0.0, "title")
     drawn = seen(terminal)
-    assert drawn.count("\n") == 8  # the last is after it
+    assert drawn.count("\n") == 8  # the last line follows the last newline
     assert "####" in drawn
     assert "title" in drawn
 
@@ -290,7 +290,7 @@ def test_every_kind_of_sprite_looks_different() -> None:
     marios = {draw(screen(Sprite(kind, False, 9.5, 6.0, 0.0, 0.0))).tobytes() for kind in (0, 10, 11)}
     winged = draw(screen(goomba(9.5, 6.0, winged=True))).tobytes()
     facing = draw(screen(goomba(9.5, 6.0, speed_x=0.5))).tobytes()
-    assert len(pictures | marios | {winged, facing}) == len(KINDS) + 1  # a goomba looks to both sides
+    assert len(pictures | marios | {winged, facing}) == len(KINDS) + 1  # a goomba faces either side
 
 
 def test_picture_puts_things_where_they_are() -> None:
@@ -299,7 +299,7 @@ def test_picture_puts_things_where_they_are() -> None:
     empty = draw(screen())
     changed = np.argwhere(picture != empty)
     (top, left), (bottom, right) = changed.min(0), changed.max(0)
-    assert bottom == 16 * 12  # its feet, as deep as its height says
+    assert bottom == 16 * 12  # its feet, at the position that its height gives
     assert top >= bottom - 16
     assert 144 <= left < right < 160
 
@@ -355,7 +355,7 @@ def test_scene_between_is_on_the_curve_of_places_and_speeds() -> None:
     after = read_scene(screen(Sprite(0, False, 7.0, 4.0, 1.0, -4.0), goomba(11.5, 4.0)))
     assert between(before, after, 0.0).sprites == before.sprites
     middle = between(before, after, 0.5)
-    assert middle.sprites[0][2:4] == (6.5, 5.0)  # the top of a parabola: a quarter of the speed up
+    assert middle.sprites[0][2:4] == (6.5, 5.0)  # the top of a parabola: higher by a quarter of the speed
     assert middle.sprites[1].x == 11.75
 
 
@@ -408,7 +408,7 @@ def test_gif_has_the_pictures_at_their_times(tmp_path: Path) -> None:
         for number in range(getattr(image, "n_frames", 1)):
             image.seek(number)
             frames.append((np.asarray(image.convert("RGB")), image.info["duration"]))
-    # 4 steps of 0.1 s, rounded up to whole pictures, and the last picture's time
+    # 4 steps of 0.1 s, rounded up to whole pictures, and the duration of the last picture
     assert sum(duration for _, duration in frames) == 7 * 70
     assert (frames[0][0] == _colors(draw(steps[0]))).all()
     assert (frames[-1][0] == _colors(draw(steps[-1]))).all()
@@ -489,7 +489,7 @@ def _shows(picture: Picture, row: int, column: int, name: str) -> bool:
 
 
 def _brick_column(picture: Picture) -> int:
-    """Return where the bricks begin in the picture."""
+    """Return the column of pixels at which the bricks begin."""
     brick = _letters("brick")
     return next(x for x in range(WIDTH - 16) if (picture[96:112, x : x + 16] == brick).all())
 
@@ -505,7 +505,7 @@ def test_marks_are_drawn_where_they_are(tmp_path: Path) -> None:
         if without != mark
     ]
     assert changed == [(3, 4), (3, 5)]
-    assert (draw(observation, marks) != draw(observation)).sum() == 13  # of a mark that is in sight
+    assert (draw(observation, marks) != draw(observation)).sum() == 13  # of the one mark in view
     save_gif(tmp_path / "a.gif", [observation], marks=[marks])
     with Image.open(tmp_path / "a.gif") as image:
         rows, columns = (np.asarray(image.convert("RGB")) != _colors(draw(observation))).any(-1).nonzero()

@@ -1,4 +1,4 @@
-"""`glue-env NAME --render`: the game is drawn, and plays as it does without."""
+"""`glue-env NAME --render`: the game is drawn, and plays as without the option."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tests.terminal import Terminal, drawings, run_in_terminal, watched_terminal
 
 
 class Notes(TerminalScreen):
-    """Writes down what it is to draw."""
+    """Records what it should draw."""
 
     def __init__(self) -> None:
         super().__init__(io.StringIO())
@@ -51,7 +51,7 @@ def rendered(screen: TerminalScreen | None = None) -> Rendered:
 
 
 class HarderMario(InfiniteMario):
-    """A user's own."""
+    """A user's own environment."""
 
 
 def test_renderer_is_that_of_the_environment_or_the_one_it_derives_from() -> None:

@@ -62,7 +62,7 @@ def write_golden(path: Path, lines: list[dict[str, Any]]) -> Path:
 
 
 def as_hashes(lines: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the lines as a recording with obs = hash has them."""
+    """Return the lines as in a recording with obs = hash."""
     hashed = [{key: value for key, value in line.items() if key not in ("i", "d", "c")} for line in lines]
     return [line | {"obs": "hash"} if line["kind"] == "run" else line for line in hashed]
 
@@ -144,7 +144,7 @@ def test_run_that_begins_with_keys_held_replays(tmp_path: Path) -> None:
 def test_keys_that_the_last_episode_did_not_leave_are_told(tmp_path: Path) -> None:
     lines = golden_lines("variants.jsonl.gz")
     second = next(line for line in lines if line["kind"] == "start" and line["episode"] == 1)
-    second["keys"] = [0, 1, 1, 0]  # one more: the observation is the same with it
+    second["keys"] = [0, 1, 1, 0]  # one more, which leaves the observation the same
     with pytest.raises(
         Difference, match=r"episode 2, start: the keys held: expected \[0, 1, 1, 0\], got \[0, 1, 0, 0\]"
     ):
@@ -576,7 +576,7 @@ def _until_closed(descriptor: int) -> Iterator[str]:
     while True:
         try:
             data = os.read(descriptor, 2**16)
-        except OSError:  # how Linux says that the other end was closed
+        except OSError:  # Linux raises this when the other end is closed
             return
         if not data:
             return

@@ -37,7 +37,7 @@ def test_intervals_of_equal_agents_cover_no_difference() -> None:
     covered = 0
     for number in range(20):
         rng = np.random.default_rng(number)
-        shared = rng.normal(size=30)  # what both agents owe to the seed
+        shared = rng.normal(size=30)  # the seed's effect on both agents
         found = compare(shared + rng.normal(size=30), shared + rng.normal(size=30), rng)
         covered += bool(found.difference.low <= 0 <= found.difference.high)
     assert covered >= 15  # of 20, where 19 are expected
@@ -76,4 +76,4 @@ def test_sensitivity_is_the_loss_of_one_configuration_for_all_environments() -> 
     assert best == 1
     opposed = np.array([[1.0, 0.0], [0.0, 1.0]])
     loss, _ = sensitivity(opposed)
-    assert loss == pytest.approx(0.5 / 0.9)  # each is best once, and worst once
+    assert loss == pytest.approx(0.5 / 0.9)  # each is best once and worst once

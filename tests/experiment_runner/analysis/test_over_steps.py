@@ -12,7 +12,7 @@ RNG = np.random.default_rng(3)
 
 
 def by_hand(returns: FloatArray, steps: FloatArray) -> FloatArray:
-    """Return the value of every single step, as rlevaluation's `compute_step_return` defines it."""
+    """Return the value of every step, as rlevaluation's `compute_step_return` defines it."""
     known = [*returns, *[returns[-1]] * (len(steps) - len(returns))]
     return np.repeat(np.array(known), steps.astype(int))
 

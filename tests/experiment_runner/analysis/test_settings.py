@@ -94,7 +94,7 @@ def test_trial_given_twice_is_refused(tmp_path: Path) -> None:
     ("lengths", "curves"),
     [
         ([2, 1, 2], [[1, 2], [201, 202]]),  # the finished ones, in full
-        ([1, 1, 0], [[1], [101]]),  # none finished: those that have begun, up to the shortest
+        ([1, 1, 0], [[1], [101]]),  # none finished: those that have begun, up to the length of the shortest
         ([0, 0, 0], []),
     ],
 )

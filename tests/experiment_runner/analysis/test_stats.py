@@ -46,7 +46,7 @@ def test_running_mean_of_one_trial_and_of_several() -> None:
 
 
 def test_running_mean_forgets_what_is_past() -> None:
-    # A running sum would carry the infinity, or the rounding of 1e300, on to the end.
+    # A running sum would carry the infinity, or the rounding error of 1e300, to the end.
     assert running_mean(array(math.inf, 1, 2, 3), window=2).tolist()[1:] == [1.5, 2.5]
     assert running_mean(array(1e300, 1, 2, 3), window=2).tolist()[1:] == [1.5, 2.5]
 
@@ -63,7 +63,7 @@ def test_running_mean_forgets_what_is_past() -> None:
         # Inclusive: |8 - 10| is within 2.
         ([8, 8, 8, 10, 10, 10], 2),
         ([7.9, 7.9, 7.9, 10, 10, 10], 4),
-        # It was close once, and left again: only the last time counts.
+        # It was close once, and then left: only the last time counts.
         ([10, 10, 0, 0, 10, 10, 10, 10], 6),
         # Still rising.
         ([0, 5, 10, 15, 20, 25], None),
@@ -92,7 +92,7 @@ def test_convergence_follows_its_rule(values: list[int], window: int) -> None:
 
 def test_interquartile_mean_cuts_a_quarter_at_either_end() -> None:
     assert interquartile_mean(array(-100, 1, 2, 3, 4, 5, 6, 1000)) == 3.5
-    assert interquartile_mean(array(0, 10, 20)) == 10  # a quarter of three is none
+    assert interquartile_mean(array(0, 10, 20)) == 10  # a quarter of three rounds down to none
     assert interquartile_mean(np.array([[0.0, 5.0], [1.0, 6.0], [2.0, 7.0], [90.0, 8.0]])).tolist() == [
         1.5,
         6.5,
@@ -136,7 +136,7 @@ def test_curves_have_an_interval_at_each_point() -> None:
 
 
 def test_interval_of_long_curves_does_not_depend_on_how_they_are_batched() -> None:
-    # 5000 points of ten trials are resampled in batches; the first alone, in one go.
+    # 5000 points of ten trials are resampled in batches, a single point in one go.
     curves = rng(5).normal(size=(10, 5000))
     long, short = (estimate([c], mean, rng(6)) for c in (curves, curves[:, :1]))
     assert (long.low[0], long.high[0]) == (short.low[0], short.high[0])

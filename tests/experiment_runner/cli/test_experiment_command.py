@@ -82,7 +82,7 @@ def invoke(*arguments: str) -> Result:
 
 
 def invoke_anew(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """Run the command in a process that has imported no other class of the name."""
+    """Run the command in a process that has not imported another class of the same name."""
     return run_anew("glue-experiment", *arguments, "--in-process", cwd=Path.cwd())
 
 
@@ -306,7 +306,7 @@ def test_failed_trial_makes_the_exit_code_and_is_explained() -> None:
     # The only trial: its error is shown when it fails, and not again below the table.
     assert result.stderr.count("agent Bad raised in agent_start: ValueError: a mistake") == 1
     assert "a mistake" not in result.stdout
-    assert "raise ValueError('a mistake')" in result.stderr  # their own line, in its traceback
+    assert "raise ValueError('a mistake')" in result.stderr  # the user's own line, in the traceback
 
 
 @pytest.mark.parametrize(

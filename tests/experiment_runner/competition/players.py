@@ -1,4 +1,4 @@
-"""Entrants that are threads of the test, and a competition small enough for one."""
+"""Entrants that are threads of the test, and a small competition for them."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Walker(Agent):
 
 
 class InThread:
-    """Starts an agent in a thread, which joins over the socket of its launch; None never joins."""
+    """Starts an agent in a thread, which joins over its launch's socket; an agent of None never joins."""
 
     def __init__(self, agent: Any) -> None:
         self.agent = agent
@@ -89,7 +89,7 @@ class _Thread:
 def competition(
     *entrants: str, steps: int = 40, limits: TimeLimits | None = None, trials: int = 1, env: str = "mines"
 ) -> Competition:
-    """A competition of one task."""
+    """Return a competition of one task."""
     return Competition(
         "test",
         trials,
@@ -102,7 +102,7 @@ def competition(
 def reports_of(
     agent: Any, folder: Path, clock: Callable[[], float] | None = None, **settings: Any
 ) -> list[Any]:
-    """Let an agent, or what a starter starts, play one trial; return all reports."""
+    """Let an agent, or the entrant of a starter, play one trial; return all reports."""
     held = competition("alice", **settings)
     (spec,) = trials(held, SECRET)
     match = Match(spec, held.entrants[0], held.limits, held.tasks[0].steps, folder / "log", "test")

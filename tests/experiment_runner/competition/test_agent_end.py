@@ -20,7 +20,7 @@ FAILURES = {
     "exits": ("os._exit(8)", "status 8"),
     "raises": ("raise ValueError('at the end')", "at the end"),
     "sleeps": ("time.sleep(1000)", "bank of 1 s is empty"),
-    "babbles": ("babble(); time.sleep(1000)", ""),  # it breaks the protocol, and the hub its connection
+    "babbles": ("babble(); time.sleep(1000)", ""),  # it breaks the protocol, so the hub breaks its connection
 }
 
 AGENT = """\
@@ -70,7 +70,7 @@ def test_they_forfeit_and_their_competition_is_verified(tmp_path: Path) -> None:
         for name, (_, why) in FAILURES.items():
             [forfeit] = entrants[name]["forfeits"]
             assert why in forfeit["reason"]
-            # The episode was played to its end, and both have it.
+            # The episode was played to its end: it is in the record and in the results.
             trial_id = f"{name}/walk/0"
             record = TrajectoryReader(record_path(tmp_path / "run", trial_id))
             assert [episode.ending for episode in record] == [Ending.TERMINAL] * 2

@@ -1,4 +1,4 @@
-"""Competitions are read from TOML, and a mistake is reported with its line and what was meant."""
+"""Competitions are read from TOML, and a mistake is reported with its line and a suggestion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A competition from its file to its board, with real processes: entrants that end in every way."""
+"""A competition from its file to its board, with real processes: entrants that end in all possible ways."""
 
 from __future__ import annotations
 
@@ -131,10 +131,10 @@ def test_every_entrant_has_its_place_and_every_forfeit_its_reason(held: Path) ->
 
 
 def test_a_forfeit_never_beats_a_game_that_was_played_to_its_end(held: Path) -> None:
-    """In the mines, whoever walks earns less than whoever stands still; the score of a forfeit is no more."""
+    """In the mines, walking earns less than standing still, but a forfeit earns no more than walking."""
     entrants = board(held)
     walked = entrants["walk"]["tasks"]["mines"]["trials"]
-    assert min(walked) < -200  # the cost of 200 steps against a wall, which leaving would have saved
+    assert min(walked) < -200  # the cost of 200 steps against a wall, which leaving would have avoided
     for name in ("crash", "raise", "sleep"):
         forfeited = entrants[name]["tasks"]["mines"]["trials"]
         assert all(score <= played for score, played in zip(forfeited, walked, strict=True))
@@ -150,7 +150,7 @@ def test_csv_has_a_line_for_each_entrant(held: Path) -> None:
 
 
 class Page(HTMLParser):
-    """The tags of a page, with what they would fetch."""
+    """The tags of a page, and the addresses that they would fetch."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -224,7 +224,7 @@ def test_other_limits_and_other_lengths_are_another_competition(
 
 
 def test_a_directory_that_an_organiser_has_left_open_is_closed(run: Path, held: Path) -> None:
-    """It is killed before its mode is right, or somebody has changed that: the levels are in there."""
+    """A kill before the mode is set, or a later change of it, would leave the levels readable."""
     run.chmod(0o755)
     assert compete(held, "run", "spring.toml", "--out", str(run)).returncode == 0
     assert run.stat().st_mode & 0o077 == 0
@@ -233,7 +233,7 @@ def test_a_directory_that_an_organiser_has_left_open_is_closed(run: Path, held: 
 @pytest.mark.skipif(not FULL, reason="proved by `make proof` alone")
 @pytest.mark.proof
 def test_a_full_disk_is_one_line_and_nothing_recorded_is_lost(tmp_path: Path) -> None:
-    """A limit on the size of files stands in for it."""
+    """A limit on file sizes simulates the full disk."""
     (tmp_path / "agent.py").write_text(AGENT)
     (tmp_path / "spring.toml").write_text(FILE)
     command = f"ulimit -f 200; exec {BIN / 'glue-compete'} run spring.toml --out run"
@@ -265,7 +265,7 @@ def test_two_checks_do_not_write_to_one_directory(tmp_path: Path) -> None:
 
 
 def test_runs_are_shown_and_removed_but_not_merged(run: Path) -> None:
-    """Their standings need the records; and nothing of them is left, neither levels nor logs."""
+    """Standings need the records; removal leaves neither levels nor logs."""
     shown = results(run, "show")
     assert shown.returncode == 0, shown.stderr
     assert "walk, mines" in shown.stdout
@@ -309,7 +309,7 @@ def test_random_changes_of_a_record_are_found(run: Path) -> None:
 
 
 def forge(run: Path, trial: str, change: bytes, to: bytes) -> None:
-    """Change the contents of a record, with checksum, digest and all."""
+    """Change the contents of a record, its checksum and digest included."""
     path = record_path(run, trial)
     content = gzip.decompress(path.read_bytes())
     assert change in content
@@ -380,14 +380,14 @@ def test_a_signature_shows_others_whose_board_it_is(run: Path) -> None:
     assert (unsigned.returncode, unsigned.stdout) == (1, "")
     signed = compete(folder, "verify", "run", "--sign", "organiser.key_secret")
     assert signed.returncode == 0, signed.stderr
-    assert compete(folder, "verify", "run").returncode == 0  # the signature stays, as nothing has changed
+    assert compete(folder, "verify", "run").returncode == 0  # the signature remains, as nothing has changed
     assert compete(folder, "board", "run", "--signed-by", "organiser.key").returncode == 0
     assert compete(folder, "board", "run", "--signed-by", "somebody.key").returncode == 1
     with closing(sqlite3.connect(run / "results.sqlite")) as database, database:
         database.execute(_FORFEITED)
     (run / "seal.json").unlink()
     again = compete(folder, "verify", "run", "--sign", "somebody.key_secret")
-    assert again.returncode == 0, again.stderr  # an organiser can lie to himself
+    assert again.returncode == 0, again.stderr  # organisers can lie to themselves
     assert compete(folder, "board", "run", "--signed-by", "organiser.key").returncode == 1
 
 

@@ -1,4 +1,4 @@
-"""Entrants from elsewhere: one with a key gets from the run to a verified board, and nobody else gets in."""
+"""Entrants from elsewhere: one with a key gets onto a verified board, and nobody else gets in."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_one_who_joins_with_a_key_gets_to_the_verified_board(tmp_path: Path) -> 
 
 
 def reports_of(folder: Path, program: Callable[[str, Path], None] | None) -> list[Any]:
-    """Let Carol's program, or nobody, join a trial at an address on loopback; return its reports."""
+    """Let Carol's program, if any, join a trial at an address on loopback; return its reports."""
     write_pair(folder / "keys", "hub", new_pair())
     write_pair(folder, "carol", new_pair())
     held = competition("carol", limits=TimeLimits(start_seconds=1.0))

@@ -1,4 +1,4 @@
-"""SIGKILL of the organiser at any moment: the competition goes on to the same standings."""
+"""SIGKILL of the organiser at any time: the competition continues to the same standings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import pytest
 from tests.system.runs import alive, children, wait_until
 
 KILLS = int(os.environ.get("GLUE_KILLS", "2"))
-"""How often the organiser is killed; `.ci/run` says 20."""
+"""Number of kills of the organiser; 20 in `.ci/run`."""
 
 TRIALS, LONGEST_LIFE = (1, 2.0) if KILLS <= 2 else (2, 3.0)
 
@@ -77,7 +77,7 @@ def test_an_organiser_that_is_killed_comes_to_the_same_standings(tmp_path: Path)
 
 
 def run_of(kill: int) -> str:
-    """Return the number of the run to be killed: a few kills for each, early, midway and late."""
+    """Return the name of the run to kill: each run gets a few kills, early, midway and late."""
     return f"killed-{kill // 5}"
 
 

@@ -1,4 +1,4 @@
-"""One trial of an entrant: what is played and recorded, and why it may end early."""
+"""One trial of an entrant: its play, its record, and the reasons for which it may end early."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from tests.experiment_runner.competition.players import SECRET, InThread, Walker
 
 
 def forfeit(reports: list[Any]) -> str:
-    """Return the reason of the one forfeit, which is the last report but one."""
+    """Return the reason of the only forfeit, which is the second-last report."""
     assert isinstance(reports[-2], Forfeited), reports
     assert reports[-1] == Ended(None)
     return str(reports[-2].reason)
 
 
 def episodes(reports: list[Any], folder: Path) -> list[Episode]:
-    """Return the episodes of the record that a match has sent."""
+    """Return the episodes in the record that a match has sent."""
     path = folder / "record.traj"
     path.write_bytes(b"".join(report.piece for report in reports if isinstance(report, Played)))
     return list(TrajectoryReader(path))
@@ -74,7 +74,7 @@ class Clock:
 
 
 class Thinker(Walker):
-    """Thinks for so long about every answer, by the clock of the test."""
+    """Thinks for `seconds` about every answer, by the clock of the test."""
 
     def __init__(self, clock: Clock, seconds: float) -> None:
         super().__init__()
@@ -94,7 +94,7 @@ def test_a_bank_that_is_drained_slowly_ends_the_task(tmp_path: Path) -> None:
     thinker = Thinker(clock, 1.5)
     reports = reports_of(thinker, tmp_path, clock, limits=LIMITS)
     assert "bank of 5 s is empty" in forfeit(reports)
-    assert clock.now == 11 * 1.5  # ten half seconds are the bank, and the eleventh is one too many
+    assert clock.now == 11 * 1.5  # the bank holds ten half seconds, and the eleventh is one too many
     assert episodes(reports, tmp_path)[-1].ending is Ending.VOID
 
 
@@ -173,7 +173,7 @@ def test_containers_without_their_sdk_are_one_line_that_says_what_to_install(
 
 
 def test_nobody_else_finds_the_socket(tmp_path: Path) -> None:
-    """Its folder is within one that other users cannot enter, and it is gone afterwards."""
+    """The socket's folder is inside one that other users cannot enter, and is removed afterwards."""
     modes = []
 
     class Curious(Walker):

@@ -1,4 +1,4 @@
-"""Entrants who are waited for."""
+"""Entrants that are started elsewhere and waited for."""
 
 from __future__ import annotations
 

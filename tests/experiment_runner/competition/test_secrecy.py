@@ -1,4 +1,4 @@
-"""Nothing but actions, observations and rewards passes between an entrant and its environment."""
+"""Only actions, observations and rewards pass between an entrant and its environment."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ASKED = {
     *(Kind.AGENT_SEED, Kind.AGENT_INIT, Kind.AGENT_START, Kind.AGENT_STEP, Kind.AGENT_END),
     Kind.AGENT_CLEANUP,
 }
-"""Calls of an agent in a competition: no message, and no save."""
+"""Calls that an agent receives in a competition: no message, and no save."""
 
 TO_KEEP_UP = {Kind.WELCOME, Kind.HEARTBEAT, Kind.GOODBYE}
 
@@ -42,7 +42,7 @@ SMUGGLED = [
 
 
 class Listening(MinesEnvironment):
-    """Mines on a level of a secret seed, with every capability; notes what it is asked."""
+    """Mines on a level of a secret seed, with every capability; records the calls it receives."""
 
     heard: ClassVar[list[str]] = []
 
@@ -79,7 +79,7 @@ class Listening(MinesEnvironment):
 
 
 class RawAgent:
-    """An entrant that keeps every byte it gets, and once sends what it likes; see `Starter`."""
+    """An entrant that keeps every byte it receives, and once sends a message of its choice; see `Starter`."""
 
     def __init__(self, action: Action, smuggled: Kind | None = None) -> None:
         self.action = action
@@ -121,7 +121,7 @@ class RawAgent:
 
     @staticmethod
     def _smuggle(kind: Kind, peer: ScriptedPeer) -> None:
-        """Send a message that is well formed, but not for its sender."""
+        """Send a well-formed message that its sender may not send."""
         scalars: dict[type, Any] = {int: 1, float: 1.0, bool: True, str: CANARY, bytes: CANARY.encode()}
         shape = TO_HUB[kind]
         values = tuple(scalars.get(scalar.type, ()) for scalar in shape.scalars)
@@ -188,13 +188,13 @@ def test_an_entrant_never_sees_a_seed(env: str, action: list[int], tmp_path: Pat
     reports = reports_of(agent, tmp_path, env=env, limits=LIMITS)
     assert reports[-1] == Ended(None)
     seen = b"\n".join([*agent.received, *map(str.encode, agent.told)])
-    assert Kind.AGENT_SEED in agent.kinds  # its own, which says nothing of these
+    assert Kind.AGENT_SEED in agent.kinds  # its own seed, which reveals nothing of these
     for secret in secrets(env):
         assert secret not in seen
 
 
 def secrets(env: str) -> Iterator[bytes]:
-    """The secret and what is drawn from it for the environment, in every usual form."""
+    """Yield the secret, and the numbers drawn from it for the environment, in every usual form."""
     (spec,) = trials(competition("alice", env=env), SECRET)
     assert spec.environment is not None
     yield SECRET

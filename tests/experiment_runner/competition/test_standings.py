@@ -1,4 +1,4 @@
-"""Standings of a competition that is under way: who has no place yet, and why."""
+"""Standings of a competition in progress: entrants without a place yet, and the reasons."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The readings of metrics during episodes: due at the same steps however an episode is run."""
+"""The readings of metrics during episodes: due at the same steps, however an episode is run."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Counting(ScriptedAgent):
 
 
 class Varying(Environment):
-    """Ends its episodes after `LENGTHS` steps, or cuts them off then; each step has another reward."""
+    """Ends its episodes after `LENGTHS` steps, or cuts them off there; each step has a different reward."""
 
     def __init__(self, cut_off: bool) -> None:
         self._lengths = iter(LENGTHS)
@@ -53,7 +53,7 @@ class Varying(Environment):
 
 
 class StepByStep(LocalExperiment):
-    """As an experiment at a hub."""
+    """Runs episodes step by step, like an experiment at a hub."""
 
     rl_go_on = Experiment.rl_go_on
 

@@ -1,4 +1,4 @@
-"""Recordings of experiments: what is in them, and that glue-replay finds it so."""
+"""Recordings of experiments: their contents, also as checked by glue-replay."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def episodes(path: Path) -> list[Episode]:
 
 
 def counting(path: Path) -> list[Episode]:
-    """Return the episodes of a recording that count, having compared all of them with the environment."""
+    """Compare all episodes of a recording with the environment; return those that count."""
     found = episodes(path)
     moments = list(replayed_moments(open_recording(path), build_environment))
     assert len(moments) == sum(1 + len(episode.steps) for episode in found)
@@ -73,7 +73,7 @@ def counting(path: Path) -> list[Episode]:
 
 
 def numbers(found: list[Episode]) -> list[tuple[float, int, bool]]:
-    """Return the return, steps and end of each episode, as the results of an experiment have them."""
+    """Return the return, steps and end of each episode, as in the results of an experiment."""
     return [
         (
             episode.episode_return,
@@ -164,11 +164,11 @@ def test_environment_that_joins_from_outside_is_recorded_without_a_name() -> Non
     assert replay("--check", "--env", "mines", "--env-option", "random_start=on", "run.traj").returncode == 0
 
 
-# What was lost, and what goes on
+# Losses and continuations
 
 
 class Kept:
-    """Keeps what a trial hands over."""
+    """Keeps the reports of a trial."""
 
     def __init__(self) -> None:
         self.results: list[EpisodeResult] = []
@@ -199,7 +199,7 @@ class Kept:
 
 
 class LosesAgents(Experiment):
-    """Loses its agent at chosen calls, counted from 1, when the environment has done its part of them."""
+    """Loses its agent at chosen calls, counted from 1, after the environment's part in the call."""
 
     def __init__(
         self, losses: Mapping[Kind, set[int]], agent: Callable[[], Agent], environment: Environment
@@ -341,7 +341,7 @@ def done() -> list[tuple[float, int, bool]]:
         return []
 
 
-# What cannot be recorded
+# Experiments that cannot be recorded
 
 
 @pytest.mark.parametrize(

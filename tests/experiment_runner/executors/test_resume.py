@@ -91,7 +91,7 @@ def test_directory_of_another_plan_is_refused_untouched(interrupted: Path) -> No
     with Results.open(interrupted) as results:
         assert [record.done for record in results.trials()] == [5, 4, 2, 0]
         assert [event.kind for event in results.events()] == ["start"]
-    resume_run(interrupted)[0].close()  # and the lock is free
+    resume_run(interrupted)[0].close()  # the lock is free
 
 
 def test_plan_edited_behind_the_runs_back_is_refused(interrupted: Path) -> None:
@@ -104,7 +104,7 @@ def test_plan_edited_behind_the_runs_back_is_refused(interrupted: Path) -> None:
 @pytest.mark.parametrize("killed", [False, True])
 def test_longer_plan_extends_a_run(interrupted: Path, killed: bool) -> None:
     longer = replace(PLAN, episodes=7, trials=5)
-    if killed:  # between the writing of the plan and that of the trials
+    if killed:  # after writing the plan, before writing the trials
         (interrupted / PLAN_FILE).write_text(dump_plan(longer))
     store, left = resume_run(interrupted, None if killed else longer)
     with store:
@@ -145,7 +145,7 @@ def test_module_without_a_file_is_no_file_of_the_user(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     in_memory = ModuleType("in_memory")
-    in_memory.__file__ = "_ops.py"  # as torch.ops has it
+    in_memory.__file__ = "_ops.py"  # as in torch.ops
     monkeypatch.setitem(sys.modules, "in_memory", in_memory)
     create_run(tmp_path / "run", PLAN).close()
     about = json.loads((tmp_path / "run" / ABOUT_FILE).read_text())

@@ -42,7 +42,7 @@ HERE = Meeting(inside=BOTH)
 
 
 class Silent:
-    """Reports nothing; interrupts the run after an episode, if told so."""
+    """Reports nothing; interrupts the run after a given number of episodes, if any."""
 
     def __init__(self, interrupt_after: int = 0) -> None:
         self._left = interrupt_after
@@ -70,10 +70,10 @@ class Silent:
 
 
 class Unreliable:
-    """An executor that runs one report after another, and loses trials where it is told to.
+    """An executor that delivers one report after another, and loses trials at given reports.
 
     Args:
-        losses: per trial, how many reports each attempt gets to make; more attempts are not lost.
+        losses: per trial, the number of reports that each attempt makes; later attempts are not lost.
     """
 
     def __init__(self, size: int, losses: dict[str, list[int]]) -> None:
@@ -157,7 +157,7 @@ def test_trial_that_gets_no_further_is_given_up(undisturbed: Path, tmp_path: Pat
             "its worker was lost, 3 times without progress",
             None,
         ]
-    with open_run(tmp_path / "run", PLAN) as store:  # and the same command tries again
+    with open_run(tmp_path / "run", PLAN) as store:  # the same command tries again
         hand_out(store, Unreliable(2, {}))
         assert [trial.failure for trial in store.trials()] == [None] * 3
     assert contents(tmp_path / "run") == contents(undisturbed)

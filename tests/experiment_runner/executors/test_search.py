@@ -52,7 +52,7 @@ def searching(**changes: object) -> Plan:
 
 
 def chosen(directory: Path) -> dict[str, list[dict[str, object]]]:
-    """Return the options of each trial of the result, by agent."""
+    """Return the options of each trial in the result, by agent."""
     found: dict[str, list[dict[str, object]]] = {}
     with Results.open(directory / RESULT) as results:
         for trial in results.trials():

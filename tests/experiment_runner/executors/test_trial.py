@@ -29,7 +29,7 @@ SPEC = TrialSpec(TrialId("sarsa/mines/0"), None, None, episodes=25, max_steps=40
 
 
 class Kept:
-    """Keeps what it is given."""
+    """Keeps everything it is given."""
 
     def __init__(self) -> None:
         self.results: list[EpisodeResult] = []
@@ -125,7 +125,7 @@ def test_trial_goes_on_from_a_checkpoint_as_if_never_interrupted(after: int) -> 
     [
         ({Kind.RL_EPISODE: {1}}, [1]),
         ({Kind.RL_EPISODE: {14}}, [14]),
-        ({Kind.RL_EPISODE: {10, 14, 16}}, [10, 10, 10]),  # the later ones while the first nine are repeated
+        ({Kind.RL_EPISODE: {10, 14, 16}}, [10, 10, 10]),  # later losses while repeating the first nine
         ({Kind.RL_EPISODE: {11, 12, 13}}, [11, 11, 11]),
         ({Kind.RL_INIT: {1, 2}}, [1, 1]),
         ({Kind.RL_AGENT_LOAD: {1}, Kind.RL_EPISODE: {13}}, [13, 13]),
@@ -266,7 +266,7 @@ def test_episode_that_does_not_end_is_interrupted(again: bool) -> None:
 
 
 def test_two_episodes_of_players_that_cannot_save_end_in_silence() -> None:
-    """Before the first checkpoint is due there is nothing to miss."""
+    """Before the first checkpoint is due, no checkpoint is missing."""
     kept = Kept()
     run_trial(local(Forgetful(), mines()), replace(SPEC, episodes=2), kept, checkpoint_every=100)
     assert (len(kept.numbers), kept.events, kept.said) == (2, [], [])
@@ -274,7 +274,7 @@ def test_two_episodes_of_players_that_cannot_save_end_in_silence() -> None:
 
 @pytest.mark.parametrize("reward", [math.nan, math.inf, -math.inf])
 def test_return_that_is_not_finite_ends_the_trial(reward: float) -> None:
-    """Even where nobody has checked the single rewards."""
+    """Even if the single rewards were not checked."""
 
     class Odd(MinesEnvironment):
         def env_step(self, action: Action) -> Step:

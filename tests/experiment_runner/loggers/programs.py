@@ -1,4 +1,4 @@
-"""The programs that show results, started for real, and what each says that it has."""
+"""The programs that show results, really started, and the results that each reports."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from urllib.request import Request, urlopen
 from tests.forked import BIN
 
 Shown = dict[str, dict[str, list[tuple[int, float]]]]
-"""Steps and values of each metric of each trial, in the order of the program."""
+"""Steps and values of each metric of each trial, in the program's order."""
 
 PROJECT = "a-project"
 
 
 def settings(folder: Path) -> dict[str, str]:
-    """Return the environment in which all of the programs keep what they keep in one folder."""
+    """Return the environment variables with which all programs store their data in one folder."""
     return {
         **os.environ,
         "MLFLOW_TRACKING_URI": f"sqlite:///{folder}/mlflow.db",
@@ -37,7 +37,7 @@ def settings(folder: Path) -> dict[str, str]:
 
 
 def prepare(program: str, folder: Path) -> None:
-    """Have MLflow make its database: it does not survive to be killed while it does."""
+    """Let MLflow create its database, which a kill during creation would damage."""
     if program == "mlflow":
         make = "from mlflow import MlflowClient; MlflowClient().search_experiments()"
         subprocess.run([sys.executable, "-c", make], env=settings(folder), check=True, capture_output=True)
@@ -99,7 +99,7 @@ def trackio(folder: Path, run: Path) -> Shown:
 
 
 def wandb(folder: Path, run: Path) -> Shown:
-    """Return a run as W&B's server would show it: of the lines of a step it keeps the first."""
+    """Return a run as W&B's server would show it, which keeps only the first line of each step."""
     from wandb.proto.wandb_internal_pb2 import Record
 
     shown: defaultdict[str, defaultdict[str, dict[int, float]]] = defaultdict(lambda: defaultdict(dict))
@@ -125,14 +125,14 @@ def wandb(folder: Path, run: Path) -> Shown:
 
 
 def _records(data: bytes) -> Iterator[bytes]:
-    """Yield the records of a file of W&B: LevelDB's log format, after a head of seven bytes.
+    """Yield the records of a W&B file: LevelDB's log format, after a header of seven bytes.
 
-    A kill may have left the last one in the middle.
+    A kill may have left the last record incomplete.
     """
     block, whole, last = 32_768, 1, 4
     at, parts = 7, b""
     while len(data) - at >= 7:
-        if block - at % block < 7:  # no room for a head: zeros
+        if block - at % block < 7:  # no room for a header: zeros
             at += block - at % block
             continue
         _, size, kind = struct.unpack_from("<IHB", data, at)
@@ -159,7 +159,7 @@ def _trial(name: str, run: Path) -> str:
 
 @contextmanager
 def _serving(folder: Path, name: str, *arguments: str) -> Iterator[str]:
-    """Run one of the servers until the end of the `with`; yield its address, as it prints it."""
+    """Run one of the servers until the `with` block ends; yield the address that it prints."""
     command = [sys.executable, str(BIN / name), *arguments]
     with (folder / "printed").open("wb") as printed:
         server = subprocess.Popen(

@@ -1,4 +1,4 @@
-"""Errors where results cannot be sent, and the points that are."""
+"""Errors if results cannot be sent, and the points that are sent."""
 
 from __future__ import annotations
 

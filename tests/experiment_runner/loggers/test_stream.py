@@ -1,4 +1,4 @@
-"""Results in the programs that show them: complete and once, also where the streaming was killed."""
+"""Results in the programs that show them: complete and without duplicates, even if streaming was killed."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def exported(run: Path, *options: str) -> list[dict[str, float | str]]:
 
 
 def expected(run: Path) -> Shown:
-    """Return a run as its own tables have it."""
+    """Return a run as in its own tables."""
     shown: defaultdict[str, defaultdict[str, list[tuple[int, float]]]]
     shown = defaultdict(lambda: defaultdict(list))
     steps: defaultdict[str, int] = defaultdict(int)
@@ -59,7 +59,7 @@ def expected(run: Path) -> Shown:
 
 
 def check(program: str, run: Path) -> None:
-    """Check that a program has all of a run, and all of it once."""
+    """Check that a program has all of a run exactly once."""
     found, wanted = PROGRAMS[program](run.parent, run), expected(run)
     assert found.keys() == wanted.keys()
     for trial, metrics in wanted.items():
@@ -67,7 +67,7 @@ def check(program: str, run: Path) -> None:
         for name, values in metrics.items():
             steps = [step for step, _ in found[trial][name]]
             assert steps == [step for step, _ in values], (trial, name)
-            # TensorBoard keeps numbers of single precision.
+            # TensorBoard stores numbers in single precision.
             assert [value for _, value in found[trial][name]] == pytest.approx(
                 [value for _, value in values], rel=1e-6
             )

@@ -58,7 +58,7 @@ def test_hint_names_the_port_at_which_an_original_program_of_the_session_can_joi
 
 
 def test_stranger_cannot_take_the_seat_of_a_player_that_is_named() -> None:
-    """Nor is the experiment kept from starting it."""
+    """Nor can it keep the experiment from starting the player."""
     hub: list[str] = []
 
     def say(line: str) -> None:
@@ -125,11 +125,11 @@ def test_reward_that_is_not_finite_ends_the_trial_with_environment_and_step(
 
 
 class Stopped(Exception):
-    """The trial need not go on."""
+    """The trial need not continue."""
 
 
 def test_hint_is_given_again_when_a_player_from_outside_is_lost() -> None:
-    """The line comes again, since a terminal has scrolled by then."""
+    """The line is printed again, since the terminal has scrolled by then."""
     hints: list[str] = []
     leaves = threading.Event()
 

@@ -70,7 +70,7 @@ def test_folder_of_version_0_1_0_is_removed_when_nobody_listens_in_it(tmp_path: 
 
 
 def test_socket_in_a_folder_of_another_program_is_not_knocked_at(tmp_path: Path) -> None:
-    """A hub under test would take it for a client that connects and leaves."""
+    """A hub under test would see a client that connects and leaves."""
     folder = tmp_path / "glue-conform-0e836mdz"
     folder.mkdir()
     with socket.socket(socket.AF_UNIX) as listening:

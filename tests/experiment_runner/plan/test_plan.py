@@ -86,7 +86,7 @@ def test_role_left_out_connects_from_outside() -> None:
 
 
 def test_seeds_never_change() -> None:
-    # Results published with a seed must come out again: these numbers are for ever.
+    # Results published with a seed must be reproducible: these numbers never change.
     old = Plan(1, 0, 2, 1, (RoleSweep("mario"),), (RoleSweep("random"),))
     assert [spec.seed for spec in replace(old, seeds="id").expand()] == [
         5791283649594944414,
@@ -155,7 +155,7 @@ inside = st.lists(st.sampled_from([*PLAYERS]), unique=True).map(tuple)
 def test_dumped_plan_reads_back_equal(plan: Plan) -> None:
     back = parse_plan(dump_plan(plan))
     assert back == plan
-    assert dump_plan(back) == dump_plan(plan)  # true, 1 and 1.0 are equal, but not the same option
+    assert dump_plan(back) == dump_plan(plan)  # true, 1 and 1.0 are equal, but different options
 
 
 @pytest.mark.parametrize(

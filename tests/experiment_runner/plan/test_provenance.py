@@ -20,7 +20,7 @@ def git(folder: Path, *arguments: str) -> None:
 
 
 def program_of(path: Path) -> str:
-    """Return the program to which a copy of the module says that it belongs."""
+    """Return the program to which a copy of the module claims to belong."""
     spec = importlib.util.spec_from_file_location("copy", path)
     assert spec is not None
     assert spec.loader is not None

@@ -47,7 +47,7 @@ class Terminal(io.StringIO):
                 else:
                     assert what == "K"
             elif part and part != "\r":
-                lines[row] = part  # whole lines are written, and the rest of each is cleared
+                lines[row] = part  # lines are written whole, and the rest of each is cleared
         return lines
 
 

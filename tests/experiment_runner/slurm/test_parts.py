@@ -1,4 +1,4 @@
-"""Parts of a run: they continue like runs, and come back whole."""
+"""Parts of a run: they continue like runs, and are merged completely."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PLAN = (*SARSA, "--episodes", 6, "--trials", 5, "--in-process", "--checkpoint-ev
 
 @pytest.fixture
 def begun(tmp_path: Path) -> Path:
-    """A run of five trials, the first two of which are finished, and the third begun."""
+    """A run of five trials, of which the first two are finished and the third has begun."""
     assert run(*PLAN, "--out", "whole", cwd=tmp_path).returncode == 0
     with Results.open(tmp_path / "whole") as whole:
         specs = [trial.spec for trial in whole.trials()]

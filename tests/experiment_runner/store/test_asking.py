@@ -1,4 +1,4 @@
-"""Agents that are asked after each episode and each recorded step, and play on as if they were not."""
+"""Agents that are asked after each episode and each recorded step, and play on as if they had not been."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_asking_changes_no_result_and_no_recorded_step() -> None:
     assert [(one.start, one.steps, one.ending) for one in recorded] == [
         (one.start, one.steps, one.ending) for one in usual
     ]
-    # After its last step an agent knows what it knows after the episode.
+    # The answer after the last step equals the answer after the episode.
     stored = answers("asked")
     assert [(one.episode, one.message) for one in stored] == [
         (episode, message) for episode in range(1, 7) for message in ("<script>", "values")
@@ -63,7 +63,7 @@ def test_asking_changes_no_result_and_no_recorded_step() -> None:
     values = [one.answer for one in stored if one.message == "values"]
     assert len(set(values)) == 6
     assert [[*one.answers][-1].answer for one in recorded] == values
-    # Each step changes one value, so all but the first have an answer of their own; the other stays.
+    # Each step changes one value, so each except the first has a new answer; the other answer never changes.
     for episode in recorded:
         steps = [one.step for one in episode.answers if one.message == "values"]
         assert steps == [0, *range(2, len(episode.steps) + 1)] or steps == [*range(len(episode.steps) + 1)]
@@ -111,7 +111,7 @@ class Sink:
 
 
 class Wordy(ScriptedAgent):
-    """Says more than is kept, and what is no Unicode."""
+    """Answers with more text than is kept, and with text that is not Unicode."""
 
     def agent_message(self, message: str) -> str:
         return "\ud800" + message * MAX_ANSWER

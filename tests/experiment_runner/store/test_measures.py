@@ -10,7 +10,7 @@ from typing import Final
 
 from experiment_runner.store.records import MEASURES, EpisodeResult
 
-# As somebody would who adds a column: a measure and its field in `records`, its migration in `schema`.
+# The steps to add a column: a measure and its field in `records`, its migration in `schema`.
 ADDED: Final = """
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The readings of metrics in the database, and those of older versions."""
+"""The readings of metrics in the database, including those of older versions."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_readings_that_no_run_has_are_one_clear_error(store: Store, statement: s
 
 
 class Measured(ScriptedAgent):
-    """Has made the same error at each reading."""
+    """Has the same error at each reading."""
 
     def agent_metrics(self) -> dict[str, float]:
         return {"error": 4.0}

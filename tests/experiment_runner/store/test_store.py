@@ -74,7 +74,7 @@ def without_write_permission(folder: Path) -> Iterator[None]:
 
 
 def start(program: str, *arguments: object, prefix: Sequence[str] = ()) -> subprocess.Popen[str]:
-    """Start a Python program, without coverage: where files are limited, that could not write its data."""
+    """Start a Python program without coverage, which could not write its data if file sizes are limited."""
     command = [*prefix, sys.executable, "-c", program, *map(str, arguments)]
     environment = {name: value for name, value in os.environ.items() if not name.startswith("COVERAGE_")}
     return subprocess.Popen(
@@ -248,7 +248,7 @@ def test_store_is_what_was_done_to_it(operations: list[tuple[str, str, int]]) ->
         store.close()
 
 
-# What cannot be a run directory, or is not one.
+# Directories that cannot hold a run, or hold none.
 
 
 def test_directory_with_a_run_is_not_overwritten(store: Store) -> None:
@@ -358,7 +358,7 @@ def test_run_of_version_1_opens_today(tmp_path: Path) -> None:
 
 @pytest.fixture
 def next_version(monkeypatch: pytest.MonkeyPatch, store: Store) -> Store:
-    """A closed run, which is then read by a program whose database version is one higher."""
+    """A closed run, to be read by a program whose database version is one higher."""
     store.record(FIRST, result(1))
     store.close()
     added = ("ALTER TABLE trials ADD COLUMN note TEXT NOT NULL DEFAULT 'none'",)
@@ -543,7 +543,7 @@ def check_stopped_writer(process: subprocess.Popen[str], directory: Path, reason
 
 
 def test_file_that_may_not_grow_stops_the_run_cleanly(store: Store) -> None:
-    """A limit on the size of files fails a write of SQLite as a full disk does, and needs no privileges."""
+    """A limit on file sizes makes SQLite's writes fail like a full disk, and needs no privileges."""
     store.close()
     with start(f"{LIMITED}\n{WRITE}", store.directory, FIRST) as process:
         check_stopped_writer(process, store.directory, "disk I/O error")

@@ -1,4 +1,4 @@
-"""A run directory may come from anyone: reading it ends, with its results or with one clear error."""
+"""A run directory may come from anyone: reading it always ends, with its results or with one clear error."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def test_changed_bytes_give_numbers_or_one_clear_error(run: Path) -> None:
 
 
 def test_query_that_does_not_end_is_stopped(run: Path) -> None:
-    """A query without end, as a b-tree page that refers to itself can cause."""
+    """An endless query, which a b-tree page that refers to itself can cause."""
     with Results.open(run) as results, pytest.raises(ExperimentError, match="does not end"):
         results._query(f"{ENDLESS} SELECT count(*) FROM c")
 

@@ -1,4 +1,4 @@
-"""A small competition of trusted programs that waits for a word before its trials end."""
+"""A small competition of trusted programs that waits for a file before its trials end."""
 
 from __future__ import annotations
 

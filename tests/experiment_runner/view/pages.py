@@ -1,4 +1,4 @@
-"""A real `glue-view`, and a client that speaks HTTP to it, for tests."""
+"""A real `glue-view` and an HTTP client for it, for tests."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from tests.forked import BIN
 from tests.system.runs import wait_until
 from tests.terminal import Terminal, watched_terminal
 
-_SECONDS = 100.0  # the page lets everything else go first
+_SECONDS = 100.0  # the page's server gives way to all other processes
 
 
 class Answer(NamedTuple):
-    """A response: status, headers by name in small letters, and the body."""
+    """A response: its status, headers by lower-case name, and body."""
 
     status: int
     headers: Mapping[str, str]
@@ -32,7 +32,7 @@ class Answer(NamedTuple):
 
 
 class Page:
-    """A server that runs, and the cookie that opens it."""
+    """A running server, and the cookie that gives access to it."""
 
     def __init__(self, end: Callable[[signal.Signals], int], url: str) -> None:
         self._end = end
@@ -52,7 +52,7 @@ class Page:
     def ask(
         self, path: str, headers: Mapping[str, str] | None = None, method: str = "GET", content: bytes = b""
     ) -> Answer:
-        """Send a request as it is, nothing normalised, with the cookie unless `headers` has another."""
+        """Send a request without normalising it, with the cookie unless `headers` has another."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=_SECONDS)
         with contextlib.closing(connection):
             given = {"Cookie": self.cookie} | dict(headers or {})
@@ -67,7 +67,7 @@ class Page:
             return Answer(response.status, found, response.read())
 
     def run_id(self, name: str) -> str:
-        """Return the id of the run whose directory has a name, once the page has found it."""
+        """Return the id of the run in the directory with a given name, once the page has found it."""
         with contextlib.closing(self.stream("topic=runs")) as stream:
             while True:
                 for run in (stream.next().get("runs") or {}).values():
@@ -85,12 +85,12 @@ class Page:
             self._streams.pop().close()
 
     def stop(self, number: signal.Signals = signal.SIGINT) -> int:
-        """Send a signal, and return the exit code."""
+        """Send a signal; return the exit code."""
         return self._end(number)
 
 
 class Stream:
-    """A stream of events that is open."""
+    """An open stream of events."""
 
     def __init__(self, page: Page, query: str, headers: Mapping[str, str] | None = None) -> None:
         self._connection = http.client.HTTPConnection("127.0.0.1", page.port, timeout=_SECONDS)
@@ -100,7 +100,7 @@ class Stream:
         self.id = ""
 
     def next(self) -> Any:
-        """Wait for the next event but heartbeats, which are empty, and return its data; None at the end."""
+        """Wait for the next event except heartbeats, which are empty; return its data, or None at the end."""
         while line := self.response.readline():
             if line.startswith(b"id: "):
                 self.id = line[4:].decode().strip()
@@ -134,7 +134,7 @@ def glue_view(*arguments: object, cwd: Path | None = None) -> Iterator[Page]:
 
 @contextlib.contextmanager
 def in_terminal(*command: str, cwd: Path) -> Iterator[tuple[Page, list[bytes]]]:
-    """Run one of our commands with `--view` in a terminal; yield its page, and what is written there."""
+    """Run one of our commands with `--view` in a terminal; yield its page, and the output there."""
     with (
         watched_terminal() as (writing, seen),
         subprocess.Popen(

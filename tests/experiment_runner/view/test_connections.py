@@ -1,4 +1,4 @@
-"""Connections that hold on to the page's server and never show the token."""
+"""Connections that occupy the page's server and never show the token."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SECONDS = 60.0
 
 @pytest.fixture
 def page(tmp_path: Path) -> Iterator[Page]:
-    """A server that may open as many files as most systems allow at first."""
+    """A server that may open as many files as most systems allow by default."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     resource.setrlimit(resource.RLIMIT_NOFILE, (1024, hard))
     try:
@@ -34,14 +34,14 @@ def connect(page: Page, source: str = "127.0.0.1") -> socket.socket:
 
 
 def is_closed(connection: socket.socket) -> bool:
-    """Wait for the server to close a connection."""
+    """Wait for the server; return whether it closes a connection."""
     with contextlib.suppress(ConnectionResetError):
         return connection.recv(1) == b""
     return True
 
 
 def test_idle_connections_do_not_shut_the_page(page: Page) -> None:
-    """Above all that stay open there is room for the token's owner: from each address, the newest stay."""
+    """Only the newest connections from each address stay open, which leaves room for the token's owner."""
     stream = page.stream("topic=runs")
     with contextlib.ExitStack() as stack:
         idle = [stack.enter_context(connect(page)) for _ in range(_IDLE)]

@@ -74,7 +74,7 @@ def curve_of(shown: tuple[Page, Path, str], query: str = "") -> tuple[dict[str, 
 
 def test_a_curve_is_that_of_glue_plot(shown: tuple[Page, Path, str]) -> None:
     found, curve = curve_of(shown)
-    assert found["window"] == 60  # a tenth, as glue-plot has it
+    assert found["window"] == 60  # a tenth, as in glue-plot
     means = running_mean(RETURNS, 60)
     at = np.unique(np.linspace(0, means.shape[1] - 1, 400).astype(int))
     value, low, high = estimate([means[:, at]], mean, bootstrap_rng())

@@ -29,7 +29,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
 def test_the_token_is_exchanged_for_a_cookie_that_scripts_and_other_sites_do_not_get(page: Page) -> None:
     answer = page.ask(f"/?token={page.token}", {"Cookie": ""})
     assert answer.status == 303
-    assert answer.headers["location"] == "./"  # the token does not stay in the address
+    assert answer.headers["location"] == "./"  # the token does not remain in the address
     cookie = answer.headers["set-cookie"].lower()
     assert {"httponly", "samesite=strict", "path=/"} <= {part.strip() for part in cookie.split(";")}
     assert page.token.lower() not in cookie

@@ -1,4 +1,4 @@
-"""`--view`: the page of a run that is starting, and how it ends."""
+"""`--view`: the page of a run that is starting, and the page's end."""
 
 from __future__ import annotations
 

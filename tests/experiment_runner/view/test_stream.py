@@ -1,10 +1,9 @@
-"""The stream of events: what a page is sent, when it comes back, and how it ends."""
+"""The stream of events: its contents, a page that reconnects, and the end."""
 
 from __future__ import annotations
 
 import asyncio
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -65,7 +64,7 @@ def test_a_page_that_comes_back_is_sent_what_it_has_missed_alone(page: Page, tmp
     play(stores[0], 1)
     back = page.stream("topic=runs", {"Last-Event-ID": last})
     missed = back.next()["runs"]
-    if not missed:  # the watcher slept while nobody listened, and looks when somebody does
+    if not missed:  # the watcher sleeps while nobody listens, and polls once somebody does
         missed = back.next()["runs"]
     assert [run["episodes"] for run in missed.values()] == [1]
     for other in ("", "of-another", f"{last}0" * 9, "-1"):
@@ -92,8 +91,8 @@ def test_a_change_that_is_found_while_the_last_page_goes_away_is_not_lost(tmp_pa
         watcher = Watcher(Slow([tmp_path]), Pulse())
         async with watcher.open("") as topic:
             assert [run["episodes"] for run in topic.values().values()] == [1]
-            await asyncio.to_thread(looking.acquire)  # the first look
-            await asyncio.to_thread(looking.acquire)  # at nothing new
+            await asyncio.to_thread(looking.acquire)  # the first poll
+            await asyncio.to_thread(looking.acquire)  # a poll that finds nothing new
             play(store, 2)
             go_on.release()
             await asyncio.to_thread(looking.acquire)
@@ -121,11 +120,8 @@ def test_a_damaged_store_is_shown_as_such_and_harms_no_other(page: Page, tmp_pat
 def test_ctrl_c_ends_the_server_at_once_with_pages_open(page: Page) -> None:
     streams = [page.stream("topic=runs") for _ in range(5)]
     assert all(stream.next() == {"runs": {}} for stream in streams)
-    began = time.monotonic()
-    assert page.stop() == 130
-    took = time.monotonic() - began
+    assert page.stop() == 130  # if the streams did not end, it never would
     assert [stream.next() for stream in streams] == [None] * 5
-    assert took < 10  # a second on a quiet machine; without the end of the streams it would be never
 
 
 def test_a_run_is_summed_up_by_the_returns_of_its_settings_and_their_options(

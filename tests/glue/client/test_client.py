@@ -1,4 +1,4 @@
-"""A peer's side of the protocol, against a hub that a test plays by hand."""
+"""A peer's side of the protocol, against a hub that a test drives by hand."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Hub(ScriptedHub):
         return future
 
     def close(self) -> None:
-        """Say goodbye to whoever is still there, and wait for the programs."""
+        """Say goodbye to a peer that is still connected, and wait for the programs."""
         if self.route:
             with suppress(zmq.ZMQError):
                 self.say(Kind.GOODBYE, 0, "the test is over")
@@ -97,14 +97,14 @@ def lines(caplog: pytest.LogCaptureFixture) -> Iterator[list[str]]:
 
 
 def serve(hub: Hub, agent: Any) -> Future[Any]:
-    """Serve an agent, and let it be welcomed."""
+    """Serve an agent, and welcome it."""
     future = hub.run(serve_agent, agent, hub.url)
     hub.welcome()
     return future
 
 
 def experiment(hub: Hub, verbs: Callable[[RemoteExperiment], Any], **how: Any) -> Future[Any]:
-    """Run an experiment of these verbs, and let it be welcomed."""
+    """Run an experiment that calls `verbs`, and welcome it."""
 
     def program() -> Any:
         with connect(hub.url, **how) as glue:
@@ -141,7 +141,7 @@ def test_goodbye_ends_the_service_with_the_hubs_reason_and_has_no_answer(hub: Hu
     serving = serve(hub, ScriptedAgent())
     hub.say(Kind.GOODBYE, 0, "the experiment is over")
     assert serving.result(TIMEOUT) == "the experiment is over"
-    serve(hub, ScriptedAgent())  # whose HELLO is what the hub receives next
+    serve(hub, ScriptedAgent())  # whose HELLO is the next message that the hub receives
 
 
 def test_an_unknown_kind_is_answered_with_an_error_and_changes_nothing(hub: Hub) -> None:
@@ -175,7 +175,7 @@ def test_a_hub_that_does_not_answer_is_greeted_once_and_mentioned(hub: Hub, line
 
 
 def test_one_hello_waits_for_a_hub_that_comes_late(hub: Hub, lines: list[str]) -> None:
-    # It had many heartbeats' time to say it again.
+    # The peer waits for many heartbeats, in each of which it could repeat its HELLO.
     hub.stop()
     hub.run(serve_agent, ScriptedAgent(), hub.url)
     wait_for(lines)
@@ -306,7 +306,7 @@ def test_a_hub_that_was_started_anew_counts_from_the_start(hub: Hub) -> None:
 
 
 def test_a_first_call_whose_answer_was_lost_is_not_carried_out_again(hub: Hub) -> None:
-    # The hub goes on calling a player unknown until it has an answer.
+    # The hub calls a player unknown until it has an answer.
     agent = ScriptedAgent()
     serve(hub, agent)
     first = hub.call(Kind.AGENT_START, 1, body=OBSERVATION.body)
@@ -375,7 +375,7 @@ def test_a_step_whose_answer_was_lost_is_not_carried_out_again_in_any_of_several
 
 
 class Failing(ScriptedAgent):
-    """Raises at its first step."""
+    """An agent that raises at its first step."""
 
     def __init__(self, error: Exception) -> None:
         super().__init__()
@@ -622,7 +622,7 @@ def test_a_hub_that_does_not_know_the_experiment_any_more_ends_it(hub: Hub) -> N
 
 
 def test_an_unanswered_first_request_is_sent_again_to_a_hub_that_does_not_know_it(hub: Hub) -> None:
-    # There is nothing to forget: no request of it has been answered.
+    # The hub has nothing to forget: it has answered no request of the experiment.
     running = experiment(hub, lambda glue: glue.rl_init())
     request = hub.hear(Kind.RL_INIT)
     hub.say(Kind.ERROR, request.seq, ErrorCode.UNKNOWN_PEER, "say HELLO first")
@@ -633,7 +633,7 @@ def test_an_unanswered_first_request_is_sent_again_to_a_hub_that_does_not_know_i
 
 
 def test_a_request_waits_for_the_welcome_over_the_latest_connection(hub: Hub) -> None:
-    # Sent behind the HELLO it could step in an episode that a hub has never seen.
+    # Sent directly after the HELLO, the step could reach a hub that has never seen the episode.
     def verbs(glue: RemoteExperiment) -> None:
         glue.rl_num_steps()
         waiting.set()

@@ -1,4 +1,4 @@
-"""A peer's end on plain sockets, against libzmq's ROUTER, which knows nothing of it."""
+"""A peer's end on plain sockets, against libzmq's ROUTER, an independent implementation."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def hub(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[ScriptedHub]
 
 
 def connect(url: str) -> SocketTransport:
-    """Return a transport that has connected."""
+    """Return a connected transport."""
     transport = SocketTransport(url, SECONDS, MAX_FRAME)
     while not transport.connected:
         assert transport.receive_message(MAX_BODY) is None
@@ -35,7 +35,7 @@ def connect(url: str) -> SocketTransport:
 
 
 def introduce(hub: ScriptedHub, transport: SocketTransport) -> None:
-    """Let the hub hear the transport, so that it knows where to send."""
+    """Let the hub receive a message of the transport, so that the hub knows where to send."""
     transport.send_message(HEARTBEAT)
     assert hub.next() == HEARTBEAT
 
@@ -129,7 +129,7 @@ def test_a_broken_connection_is_made_again_and_counted(tmp_path: Path) -> None:
 
 
 def greet_and_close(server: socket.socket) -> None:
-    """Be a ROUTER until the handshake is complete."""
+    """Act as a ROUTER until the handshake is complete, then close."""
     from glue.wire import zmtp
 
     connected, _ = server.accept()

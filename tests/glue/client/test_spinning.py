@@ -1,4 +1,4 @@
-"""A spin finds what arrives during it, gives up after it, and is skipped where it cost too much."""
+"""A spin finds an arrival, gives up when its time is over, and is skipped where spinning cost too much."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ ENDLESS = 60.0
 
 
 class Arriving:
-    """Something that is there at the given look at it."""
+    """A source that has something at its poll number `at` only."""
 
     def __init__(self, at: int) -> None:
         self.looks = 0

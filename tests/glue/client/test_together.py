@@ -1,4 +1,4 @@
-"""Answers to steps of many sessions that were received at once: how many of them are sent together."""
+"""Answers to steps of many sessions received at once: how many of them are sent together."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ OBSERVATION = Observation(ints=[3])
 
 
 class Clock(local):
-    """A clock that is set by hand, for each thread: a client that another test left behind sleeps, too."""
+    """A clock set by hand, one for each thread: a client that another test left behind may sleep, too."""
 
     now = 0.0
 
@@ -36,7 +36,7 @@ class Clock(local):
 
 
 class Slow(ScriptedAgent):
-    """Takes its time for a step, by a clock."""
+    """An agent whose step takes `SECONDS` of a clock."""
 
     def __init__(self, clock: Clock) -> None:
         super().__init__()

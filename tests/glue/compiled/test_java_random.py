@@ -1,4 +1,4 @@
-"""The generator against published draws of Java's, and against the rule in whole numbers of any size."""
+"""The generator against published draws of Java, and against its rule in unbounded integers."""
 
 from __future__ import annotations
 

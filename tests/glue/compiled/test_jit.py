@@ -1,4 +1,4 @@
-"""The compiled code on disk: said when it is made, read when it is there, made anew when a rule changes."""
+"""Compiled code on disk: compilation is announced, and happens again only when a rule changes."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def program(tmp_path: Path) -> Path:
 
 
 def run(program: Path, factor: int = 2, environment: Mapping[str, str] = MappingProxyType({})) -> str:
-    """Run the program with a rule of `factor`; check its result and return what it prints to stderr."""
+    """Run the program with a rule of `factor`; check its result and return its stderr."""
     helper = program.parent / "rules" / "helper.py"
     if (rule := HELPER.replace("FACTOR", str(factor))) != helper.read_text():
         helper.write_text(rule)
@@ -95,7 +95,7 @@ def test_compiling_is_said_once_for_each_state_of_the_code(program: Path) -> Non
     assert re.fullmatch(r"compiled the rules in \d+ s", after)
     assert "compiling" in run(program, environment={"NUMBA_BOUNDSCHECK": "1"})
     assert run(program) == ""
-    assert "compiling" in run(program, factor=3)  # a rule in another package is changed
+    assert "compiling" in run(program, factor=3)  # a rule in another package has changed
     assert run(program, factor=3) == ""
 
 

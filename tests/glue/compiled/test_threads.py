@@ -1,4 +1,4 @@
-"""Threads that take turns in compiled code: they end, fail and are forgotten like any other."""
+"""Threads that take turns in compiled code: they end, fail and are garbage-collected like any other."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_workers_claim_what_the_caller_leaves() -> None:
 def test_threads_work_together_only_where_trials_show_that_it_pays(
     monkeypatch: pytest.MonkeyPatch, work: float, read: float, pays: bool
 ) -> None:
-    """A turn takes the caller alone 2 ms; for threads together `work` and `read` are shares of that."""
+    """A turn takes the caller alone 2 ms; with all threads, `work` and `read` are shares of that."""
     now, together = [0.0], [False]
     monkeypatch.setattr(clock, "monotonic", lambda: now[0])
 
@@ -115,7 +115,7 @@ def test_threads_work_together_only_where_trials_show_that_it_pays(
 
 
 def test_threads_that_become_slow_are_left_within_two_trials(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A turn takes the caller alone 2 ms, and threads together 1 ms at first and 4 ms later."""
+    """A turn takes the caller alone 2 ms, and all threads together 1 ms at first and 4 ms later."""
     now, together = [0.0], [False]
     monkeypatch.setattr(clock, "monotonic", lambda: now[0])
 

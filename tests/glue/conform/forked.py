@@ -31,7 +31,7 @@ def mirror(role: Role, libzmq: bool) -> Start:
 
 
 def served(player: AgentLike | EnvironmentLike) -> Start:
-    """Return a function that starts a player of ours that is not the mirror."""
+    """Return a function that starts one of our players other than the mirror."""
     return lambda hub, session: Judged(_serve, player, hub, session)
 
 

@@ -102,7 +102,7 @@ def test_every_rule_stands_in_the_protocol() -> None:
 
 
 class Walker:
-    """As short as an agent can be."""
+    """A minimal agent."""
 
     def agent_start(self, observation: Observation) -> Action:
         return Action([1])

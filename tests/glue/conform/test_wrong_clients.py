@@ -1,4 +1,4 @@
-"""The kit finds faults: clients with one fault each break the rules that it concerns, and keep all others."""
+"""The kit finds faults: a client with one fault breaks the rules that the fault concerns, and no others."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tests.glue.conform.wrong import FAULTS, ODDITIES
 from tests.proof import size
 
 COMMON = {"hello", "calls", "repeated", "numbers"}
-"""Rules by which each client is judged in any case, beside its own; `make proof` judges it by all."""
+"""Rules by which every client is judged, besides that of its fault; `make proof` judges it by all rules."""
 
 
 CONSEQUENCES: Mapping[str, frozenset[str]] = {
@@ -30,29 +30,29 @@ CONSEQUENCES: Mapping[str, frozenset[str]] = {
     "says HELLO twice": frozenset({"idle", "reasons", "silent-until-welcomed"}),
     "writes big-endian doubles": frozenset({"metrics"}),
 }
-"""Rules that a fault breaks beside its own, when a client is judged by all: their scenes meet it, too."""
+"""Rules that a fault breaks besides its own, when a client is judged by all: their scenes trigger it, too."""
 
 
 HASTE = 4.0
 PATIENCE = 30.0
-"""Seconds to wait for a client: a wrong one is mostly waited for in vain, so the first time not for long."""
+"""Seconds to wait for a client; HASTE comes first, since waiting for a wrong client is mostly in vain."""
 
 
 def misjudged(role: Role, fault: str, wait: float) -> list[str]:
-    """Judge a client; return each verdict that its fault does not account for, and each that it lacks."""
+    """Judge a client; return each verdict that its fault does not explain, and each that is missing."""
     rule = FAULTS[role].get(fault)
     broken = {rule, *CONSEQUENCES.get(fault, ())}
     some = None if rule is None else {rule, *COMMON}
     verdicts = judge(role, wrong(role, fault), wait=wait, only=size(some, None))
     failed = [verdict for verdict in verdicts if verdict.outcome is Outcome.FAILED]
-    # What rests on the broken rule need not be judged, everything else is.
+    # Rules that depend on the broken one need not be judged; all others must be.
     unjudged = [
         verdict
         for verdict in verdicts
         if verdict.outcome is Outcome.NOT_JUDGED
         and broken.isdisjoint(verdict.rule.needs)
         and verdict.mirror
-        and verdict.rule.name != "batch"  # which only one of the environments is
+        and verdict.rule.name != "batch"  # only one of the environments is a batch
     ]
     missed = (
         [f"{rule} was kept"] if rule and broken.isdisjoint(verdict.rule.name for verdict in failed) else []
@@ -66,9 +66,9 @@ def misjudged(role: Role, fault: str, wait: float) -> list[str]:
 @pytest.mark.parametrize("role", THREE_ROLES)
 def test_a_fault_breaks_its_own_rule_and_no_other(role: Role) -> None:
     faults = ("", *ODDITIES, *FAULTS[role])
-    with ThreadPoolExecutor(10) as pool:  # they mostly wait
+    with ThreadPoolExecutor(10) as pool:  # the threads mostly wait
         hasty = dict(zip(faults, pool.map(partial(misjudged, role, wait=HASTE), faults), strict=True))
-    # On a busy machine a right answer can come late: surprising verdicts are passed again, patiently.
+    # On a busy machine a right answer can come late: surprising verdicts are judged again, patiently.
     surprising = [fault for fault, wrongly in hasty.items() if wrongly]
     patient = {fault: misjudged(role, fault, PATIENCE) for fault in surprising}
     assert {fault or "no fault": wrongly for fault, wrongly in patient.items() if wrongly} == {}

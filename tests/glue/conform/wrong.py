@@ -1,6 +1,6 @@
-"""A mirror that is right but for one fault: what a client's author gets wrong, one thing at a time.
+"""A mirror with one fault: the mistakes of client authors, one at a time.
 
-It shares nothing with the clients of this project but the examples of docs/protocol.md.
+It shares only the examples of docs/protocol.md with the clients of this project.
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ FAULTS: Final[dict[str, dict[str, str]]] = {
         "leaves without GOODBYE": "end",
     },
 }
-"""For each role, faults, each with the one rule that it breaks."""
+"""Faults of each role, each with the one rule that it breaks."""
 
 ODDITIES: Final = ("sends a HEARTBEAT behind each answer", "numbers its HELLOs from 2^40", "is many games")
 """Unusual behaviour that breaks no rule; only environments can be many games."""
@@ -170,11 +170,11 @@ class Client(ScriptedPeer):
         self.last_seq = 0
         self.last_call: list[bytes] = []
         self.last_answer: list[bytes] = []
-        self.answered_over = 0  # the connection
+        self.answered_over = 0  # number of the connection
         self.unsent = False
         self.count = self.seed = 0
         self.initialised = False
-        self.games = 0  # of a batch
+        self.games = 0  # in a batch
         self.steps = 0
         if role == "environment" and ("batch" in fault or fault == "is many games"):
             self.games = 2
@@ -217,7 +217,7 @@ class Client(ScriptedPeer):
         self.send(msgpack.packb([HEARTBEAT, self.session, 0]))
 
     def send(self, *frames: bytes) -> None:
-        # The body leaves by a call of its own, which notices a connection that has ended.
+        # The body is sent by a call of its own, which notices a connection that has ended.
         whole = self.encoded(*frames)
         first = len(self.encoded(frames[0]))
         self.send_bytes(whole[:first])
@@ -330,7 +330,7 @@ class Client(ScriptedPeer):
         return kind, session, seq, scalars
 
     def lost(self) -> None:
-        """Go on without the connection, which was lost."""
+        """Note that the connection was lost."""
         self.connected = False
         if self.wrong("loses the kept answer") and self.last_call:
             step = {"agent": 6, "environment": 13}[self.role]
@@ -339,7 +339,7 @@ class Client(ScriptedPeer):
                 self.last_call = []
 
     def controlled(self, kind: int, seq: int, scalars: list[Any]) -> bool:
-        """Return whether it was about the connection, and has been acted on."""
+        """Act on a message about the connection; return whether it was one."""
         if kind == HEARTBEAT:
             if self.wrong("takes HEARTBEAT for a call") and seq == 0 and self.count % 2 and self.welcomed:
                 raise Quit(1)
@@ -581,7 +581,7 @@ class Client(ScriptedPeer):
 
 
 def run(role: str, hub: str, session: str, fault: str = "") -> int:
-    """Be a client with one fault, or none; return the exit code."""
+    """Run a client with one fault, or none; return its exit code."""
     if role == "experiment":
         from tests.glue.conform.wrong_experiment import Asking
 

@@ -45,7 +45,7 @@ ABSTRACT = {
 
 
 class Asking(Client):
-    """Does what it is ordered."""
+    """An experiment that carries out the orders in its observations."""
 
     def __init__(self, hub: str, session: str, fault: str) -> None:
         super().__init__("experiment", hub, session, fault)

@@ -88,7 +88,7 @@ def test_a_save_that_is_not_bytes_is_a_wrong_answer() -> None:
 
 
 def test_player_that_raises_for_what_it_was_given_is_not_blamed() -> None:
-    """As where the sender is a program in another language, which nothing checks."""
+    """The wrong sender is one that nothing checks, such as a program in another language."""
     environment = environment_calls(MinesEnvironment())
     environment[Kind.ENV_INIT]((), None)
     environment[Kind.ENV_START]((), None)

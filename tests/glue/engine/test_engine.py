@@ -1,4 +1,4 @@
-"""The meaning of RL-Glue's calls, corner by corner. Source: RL-Glue 3.04, RL_glue.c and its behaviour."""
+"""The meaning of RL-Glue's calls in all corner cases. Source: RL-Glue 3.04, RL_glue.c and its behaviour."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ANSWERS: dict[Kind, tuple[tuple[Any, ...], Any]] = {
     Kind.AGENT_CLEANUP: ((), None),
     Kind.AGENT_MESSAGE: ((), "agent answer"),
 }
-"""Answers of players that are never done; bodies are names, since the engine never looks into them."""
+"""Answers of players whose episodes never end; bodies are names, since the engine never reads them."""
 
 NEVER_ENDS = (1.0, False)
 ENDS = (1.0, True)
@@ -60,13 +60,13 @@ def initialised(seed: int | None = None) -> Engine:
 
 
 def play(length: int = 3, reward: float = 1.0) -> tuple[LocalExperiment, list[str]]:
-    """An experiment in one process, and the list that the calls of both players go to."""
+    """Return an experiment in one process, and the list that records the calls of both players."""
     calls: list[str] = []
     return local(ScriptedAgent(calls), ScriptedEnvironment(length, reward, calls)), calls
 
 
 def taken(calls: list[str]) -> list[str]:
-    """The names of the calls so far, without their arguments; forgets them."""
+    """Return the names of the calls so far, without their arguments, and clear the list."""
     names = [call.split()[0].replace("agent_", "a:").replace("env_", "e:") for call in calls]
     calls.clear()
     return names
@@ -220,7 +220,7 @@ def test_episode_returns_and_counts_as_the_original_for_every_limit() -> None:
     glue.rl_init()
     taken(calls)
     table = [
-        # limit, reached its end, steps, episodes so far, return, what the agent received
+        # limit, whether the end was reached, steps, episodes so far, return, calls to the agent
         (0, True, 3, 1, 3.0, "start step step end"),
         (1, False, 1, 1, 0.0, "start"),
         (2, False, 2, 1, 1.0, "start step"),
@@ -236,7 +236,7 @@ def test_episode_returns_and_counts_as_the_original_for_every_limit() -> None:
 
 def test_the_worked_run() -> None:
     glue, calls = play(length=2)
-    # verb, its result, what the agent gets, what the environment gets, steps, episodes, return
+    # verb, its result, calls to the agent, calls to the environment, steps, episodes, return
     table: list[tuple[Any, Any, str, str, int, int, float]] = [
         (glue.rl_init, "a task", "init", "init", 0, 0, 0),
         (glue.rl_start, ..., "start", "start", 1, 0, 0),
@@ -540,7 +540,7 @@ def test_players_without_the_capability_are_passed_over() -> None:
 
 
 def test_role_seeds_are_fixed_for_ever() -> None:
-    # Results that others published depend on these.
+    # Published results of others depend on these.
     assert {
         (seed, role): role_seed(seed, role)
         for seed in (0, 1)

@@ -1,4 +1,4 @@
-"""The glue in one process: what a user's mistakes look like, and what is left after them."""
+"""The glue in one process: the errors that a user's mistakes raise, and the state after them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BOTH = pytest.mark.parametrize("glue", [local, over_the_hub])
 
 
 class Faulty(ScriptedAgent):
-    """Raises, or returns something else, at the call `at`."""
+    """An agent that raises `error` at the call `at`."""
 
     def __init__(self, at: str, error: BaseException) -> None:
         super().__init__(before=self._fail)
@@ -33,7 +33,7 @@ class Faulty(ScriptedAgent):
 
 
 class Answering(ScriptedEnvironment):
-    """Answers a step, a start, an init and a message with what it is given."""
+    """An environment that returns the given answers, by the names of its methods."""
 
     def __init__(self, **answers: Any) -> None:
         super().__init__()
@@ -138,7 +138,7 @@ def test_missing_methods_are_named_with_and_without_the_base_class() -> None:
 
 
 class Plain:
-    """An agent without the base class: all that it has to have."""
+    """An agent without the base class, with the required methods only."""
 
     def agent_start(self, observation: Observation) -> Action:
         return Action(observation.ints)

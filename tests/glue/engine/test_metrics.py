@@ -1,4 +1,4 @@
-"""The numbers of an agent: what it returns, what crosses the wire, what the experiment receives."""
+"""An agent's metrics: as returned, on the wire, and as the experiment receives them."""
 
 from __future__ import annotations
 

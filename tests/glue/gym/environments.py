@@ -1,4 +1,4 @@
-"""Gymnasium environments of a test's own."""
+"""Gymnasium environments for tests."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gymnasium import spaces
 
 
 class Nested(gymnasium.Env[Any, Any]):  # type: ignore[misc]
-    """Random values of a space of all kinds; every action is echoed by the reward."""
+    """Random values of a nested space of all kinds; the reward echoes the action."""
 
     action_space = spaces.Tuple([spaces.Box(-1, 1, (2,), np.float32), spaces.MultiDiscrete([3, 2])])
 
@@ -44,7 +44,7 @@ class Nested(gymnasium.Env[Any, Any]):  # type: ignore[misc]
 
 
 class Picture(gymnasium.Env[Any, Any]):  # type: ignore[misc]
-    """Images as an Atari game has them after preprocessing, 84 by 84 by 4; never ends by itself."""
+    """Images like those of an Atari game after preprocessing, 84 by 84 by 4; never ends."""
 
     observation_space = spaces.Box(0, 255, (84, 84, 4), np.uint8)
     action_space = spaces.Discrete(6)

@@ -1,6 +1,6 @@
 """Stable-Baselines3, unmodified, learns through the adapter and through the hub.
 
-Part of `make test` where it is installed, and always of a stage of .ci/run, which installs it.
+Part of `make test` where Stable-Baselines3 is installed; a stage of .ci/run installs it and always runs this.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def test_a_policy_that_is_none_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.skipif("GYM_LEARN" not in os.environ, reason="learns for a minute or two: set GYM_LEARN")
 def test_ppo_learns_to_finish_level_121() -> None:
-    """It takes 204,800 steps with this seed on the machine of docs/gymnasium.md, half a minute of CPU."""
+    """This seed takes 204,800 steps, half a minute of CPU on the machine of docs/gymnasium.md."""
     progress = next((one for one in learn(seed=1) if one.goals >= 0.9), None)
     assert progress is not None, "fewer than 90 of 100 episodes reached the goal"
     print(progress)

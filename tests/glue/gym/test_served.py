@@ -1,4 +1,4 @@
-"""A Gymnasium environment served by RL-Glue makes the same trajectories as alone, and back again."""
+"""Gymnasium environments have the same trajectories served by RL-Glue, and wrapped back, as alone."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def _quiet() -> Iterator[None]:
 
 
 class Playing(Agent):
-    """Plays random actions, and writes down every observation and reward."""
+    """An agent that plays random actions and records every observation and reward."""
 
     def __init__(self, space: Any) -> None:
         self._codec = Codec(space)
@@ -150,7 +150,7 @@ def test_there_and_back_is_where_it_began(
             shown, *outcome, _ = env.step(action)
             expected, *direct_outcome, _ = direct.step(action)
             if outcome[1]:
-                expected = shown  # as in RL-Glue there is no observation with an end that an agent sees
+                expected = shown  # in RL-Glue the agent sees no observation at a terminal step
             assert outcome == [float(direct_outcome[0]), *direct_outcome[1:]]
             over = outcome[1] or outcome[2]
         with pytest.raises(SimulatorError, match="call reset"):

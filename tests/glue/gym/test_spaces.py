@@ -1,4 +1,4 @@
-"""Gymnasium's spaces as task specs and back, whatever the space."""
+"""Any Gymnasium space as a task spec and back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Addresses, sessions and limits: what is wrong is said, with what would be right."""
+"""Addresses, sessions and limits: errors name the mistake and a correct form."""
 
 from __future__ import annotations
 

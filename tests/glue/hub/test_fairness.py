@@ -18,25 +18,25 @@ from tests.scripted.peer import GREETING, READY, ScriptedPeer, framed, hello_sca
 
 REQUESTS = 20
 AGENT_STEP = b"\x94\x06"
-"""How its header begins."""
+"""First bytes of an AGENT_STEP's header."""
 
 
 class Rig:
-    """A hub whose turns are taken one by one, and connections to it."""
+    """A hub whose loop is turned by hand, and connections to it."""
 
     def __init__(self, stack: ExitStack) -> None:
         self.hub = stack.enter_context(Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)))
         self._stack = stack
 
     def connect(self, *sent: bytes) -> ScriptedPeer:
-        """Return a connection that has sent its greeting and `sent`, of which the hub has read nothing."""
+        """Return a connection that has sent its greeting and `sent`, all unread by the hub."""
         peer = self._stack.enter_context(ScriptedPeer(self.hub.endpoints[0]).connect())
         peer.socket.setblocking(False)
         peer.socket.send(b"".join((GREETING, READY, *sent)))
         return peer
 
     def turns_until(self, happened: Callable[[], bool]) -> int:
-        """Take turns until something has happened; return how many."""
+        """Turn the loop until something has happened; return the number of turns."""
         for turn in range(10_000):
             if happened():
                 return turn
@@ -76,7 +76,7 @@ def rig() -> Iterator[Rig]:
 
 
 def play(rig: Rig, victim: ScriptedPeer) -> list[int]:
-    """Let a session make its requests; return how many turns each took."""
+    """Make the requests of a session; return the number of turns that each took."""
     turns = []
     for seq in range(1, REQUESTS + 1):
         received(victim)
@@ -126,7 +126,7 @@ def test_a_request_is_answered_in_the_first_turn_beside_any_flood(
     victim.send_bytes(frame(Kind.RL_INIT, "nowhere", 1, None))
     attack(rig)
     turns = play(rig, victim)
-    # The first request comes from one that has sent nothing in turn yet, and waits in the queue.
+    # The first request waits in the queue, since its connection has not had a turn there yet.
     assert turns[1:] == [1] * (REQUESTS - 1)
 
 
@@ -207,7 +207,7 @@ def test_the_steps_that_follow_from_answers_received_together_leave_together(
 
 
 class Holding:
-    """A holder that writes down that it was evicted."""
+    """A holder that records its eviction."""
 
     def __init__(self, memory: Memory, size: int, seated: bool) -> None:
         self.seated = seated

@@ -31,18 +31,18 @@ class Slow(threads.Thread):
 
 threads.Thread = Slow
 """
-"""Gives the hub's thread all the time before the main one goes on, as a busy machine may."""
+"""Code that delays the main thread after the start of the hub's thread, as a busy machine may."""
 
 
 def said(*options: str, program: str = PROGRAM) -> list[str]:
-    """Return the lines that a hub logs about an experiment that joins and leaves, after its address."""
+    """Return the lines that a hub logs after its address, while an experiment joins and leaves."""
     with running("-c", program, "--bind", "tcp://127.0.0.1:*", "--heartbeat", "0.05", *options) as hub:
         assert hub.stderr is not None
         url = hub.stderr.readline().split()[-1]
         with connect(url, "s") as glue:
             assert glue.rl_num_episodes() == 0
         with connect(url, "s"):
-            pass  # once it has joined, the hub knows that the first has left
+            pass  # once this one has joined, the hub knows that the first has left
         hub.terminate()
         _, rest = hub.communicate(timeout=TIMEOUT)
         return [line for line in rest.splitlines() if line not in ("", "interrupted")]
@@ -66,7 +66,7 @@ def test_a_quiet_hub_logs_only_its_address() -> None:
 
 
 def test_a_verbose_hub_logs_every_connection() -> None:
-    # Two programs; one that hears nothing for a few heartbeats of 50 ms connects again.
+    # Two programs connect; one that hears nothing for a few heartbeats of 50 ms reconnects.
     assert sum(line.endswith("connected") for line in said("--verbose")) >= 2
 
 
@@ -86,9 +86,9 @@ def test_a_hub_whose_full_log_is_not_read_can_be_stopped(number: signal.Signals)
     with subprocess.Popen(command, stderr=writing) as hub, open(reading, "rb", buffering=0) as log:
         try:
             url = log.readline().decode().split()[-1]
-            # Opened anew, so that the hub's own end still waits.
+            # Opened again, so that the hub's own end still blocks.
             end = os.open(f"/proc/self/fd/{writing}", os.O_WRONLY | os.O_NONBLOCK)
-            with suppress(BlockingIOError):  # full
+            with suppress(BlockingIOError):  # the pipe is full
                 while True:
                     os.write(end, b"x")
             with connect(url) as glue:

@@ -1,4 +1,4 @@
-"""An experiment in the hub's own process: it takes the turns of the loop, and nothing of that shows."""
+"""An experiment in the hub's own process: it runs the loop itself, with no visible difference."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def test_two_experiments_of_one_process_take_the_loop_in_turn(hub: Hub) -> None:
 
 
 class LateLock:
-    """A lock for which the thread `late` asks only after another has taken it: the machine had stopped it."""
+    """A lock that delays the thread `late` until another has taken it, as if the machine had stopped it."""
 
     def __init__(self) -> None:
         self._lock = threading.RLock()
@@ -151,9 +151,9 @@ def test_an_interrupted_verb_ends_the_hub(hub: Hub, monkeypatch: pytest.MonkeyPa
 
 
 class Interrupting:
-    """Raises KeyboardInterrupt at one of the places of a hub's loop where Python may act on Ctrl-C.
+    """Raises KeyboardInterrupt at one of the points of a hub's loop where Python may handle Ctrl-C.
 
-    Those are the beginning of a function and the moment after a call.
+    These are the beginning of a function and the return from a call.
     """
 
     def __init__(self, countdown: int) -> None:

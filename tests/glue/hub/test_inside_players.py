@@ -1,4 +1,4 @@
-"""A player in the hub's own process, and the other one in a program of its own: the results stay the same."""
+"""Players in the hub's own process and in programs of their own: the results are the same."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def serve(role: Role, player: Any, url: str) -> threading.Thread:
 
 @contextmanager
 def arranged(inside: Any, agent: Any, environment: Any) -> Iterator[tuple[Experiment, str]]:
-    """Give the experiment of a hub with some players inside and the others on sockets, and the hub's URL."""
+    """Yield the experiment of a hub with some players inside and the others on sockets, and the hub's URL."""
     players = {Role.AGENT: agent, Role.ENVIRONMENT: environment}
     threads = []
     with Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)).in_background() as hub:
@@ -131,7 +131,7 @@ class _KilledEnvironment(ScriptedEnvironment):
 
 
 def play_on(glue: Experiment, shown: list[object]) -> None:
-    """Play episodes, and write down what they show, until one fails."""
+    """Play episodes until one fails, and add their results to `shown`."""
     while True:
         shown += [glue.rl_episode(4), glue.rl_return()]
 

@@ -1,4 +1,4 @@
-"""Parts of the hub's loop: connections, and the log, which makes nobody wait."""
+"""Parts of the hub's loop: connections, and the log, which never blocks."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from glue.hub.io.loop import Loop
 
 @contextmanager
 def connected() -> Iterator[tuple[Connection, socket.socket]]:
-    """A connection, and the other side of it."""
+    """A connection, and the socket at its other end."""
     loop = Loop(1.0, print)
     with socket.create_server(("127.0.0.1", 0)) as listening:
         other = socket.create_connection(listening.getsockname())

@@ -1,4 +1,4 @@
-"""A hub with keys: who gets in, as what, and for how long; over plain sockets and over libzmq."""
+"""A hub with keys: whom it admits, in which roles and for how long; over plain sockets and libzmq."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def folder(tmp_path: Path) -> KeyFolder:
 
 
 class Log:
-    """A hub's log, of which one can wait for a line."""
+    """A hub's log that can be waited on for a line."""
 
     def __init__(self) -> None:
         self.lines: queue.SimpleQueue[str] = queue.SimpleQueue()
@@ -154,7 +154,7 @@ def test_another_hubs_key_is_an_error_soon(folder: KeyFolder, libzmq: bool) -> N
 
 
 CUTS = (0, 64, 64 + 170, 0)
-"""Bytes of the hub until a handshake is cut: none, its greeting, and its WELCOME as well."""
+"""Bytes from the hub before a handshake is cut: none, its greeting, its greeting and WELCOME."""
 
 
 @pytest.mark.parametrize("libzmq", [False, True])
@@ -284,7 +284,7 @@ def test_keys_are_read_again_and_who_lost_theirs_is_out(folder: KeyFolder) -> No
 
 
 def test_a_keyed_peer_learns_of_its_connection_before_the_hub_tires_of_it(folder: KeyFolder) -> None:
-    # A peer that slept after the handshake was dropped for not greeting, or greeted late.
+    # A peer that sleeps after the handshake greets late, or is dropped for not greeting.
     with serving(folder) as hub:
         place = find_target(hub.endpoints[0], "a", secret(folder, "experiment"), folder.hub_key)
         transport = open_transport(place.hub, key=place.key)

@@ -1,4 +1,4 @@
-"""Observers over real sockets: what they see, and that one which reads nothing holds nobody up."""
+"""Observers over real sockets: the messages that they see; one that reads nothing delays nobody."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ WAIT = 20.0
 
 
 def wanted(hub: Hub) -> int:
-    """How many moments the observers of the session want; 0 until the hub has heard of it."""
+    """Return how many moments the observers of the session want; 0 until the hub has their request."""
     observers = hub.switchboard._sessions["default"].observers
     return 0 if observers is None else sum(view.wanted for view in observers._views.values())
 
 
 class Large(ScriptedEnvironment):
-    """Its observations have 200,000 chars."""
+    """An environment whose observations have 200,000 chars."""
 
     def env_step(self, action: Action) -> tuple[float, Observation, bool]:
         return 1.0, Observation(chars=bytes(200_000)), False

@@ -28,7 +28,7 @@ def shown(rig: Rig, route: str = "o") -> list[tuple[Any, ...]]:
 
 
 def watch(rig: Rig, moments: int, route: str = "o") -> list[Message]:
-    """Let an observer in, which wants to be shown so many moments; return what it is told at once."""
+    """Let in an observer that wants `moments` moments; return the messages that it receives at once."""
     welcome, *told = rig.hello(route, Role.OBSERVER)
     assert (welcome.kind, welcome.scalars[1]) == (Kind.WELCOME, False)
     rig.put(route, Kind.OBSERVE, 0, moments)
@@ -156,7 +156,7 @@ def test_an_observer_cannot_take_a_role_over_its_connection(rig: Rig, role: Role
 
 
 def message(kind: Kind, shape: Shape, seq: int) -> Message:
-    """Some message of a kind."""
+    """Return some message of a kind."""
     examples: dict[type, Any] = {float: 1.0, bool: False, int: 1, str: "x"}
     body = {"text": b"x", "bytes": b"x"}.get(shape.body.name.lower(), OBSERVATION)
     return Message(kind, "s", seq, tuple(examples[s.type] for s in shape.scalars), body)
@@ -165,7 +165,7 @@ def message(kind: Kind, shape: Shape, seq: int) -> Message:
 @pytest.mark.parametrize("kind", [*CALLS, Kind.ERROR])
 @pytest.mark.parametrize("seq", [0, 1, 2, 3, 99])
 def test_nothing_that_an_observer_sends_changes_anything(kind: Kind, seq: int) -> None:
-    """In the middle of a step it sends every call, answer and error, also with the number that is awaited."""
+    """During RL_START the observer sends every call, answer and error, also with the awaited number."""
     rig = Rig()
     rig.fill()
     watch(rig, 0)

@@ -1,4 +1,4 @@
-"""How the hub treats peers that join, leave, return, repeat messages and misbehave, without sockets."""
+"""The hub's treatment of peers that join, leave, return, repeat messages and misbehave, without sockets."""
 
 from __future__ import annotations
 
@@ -52,9 +52,9 @@ class Named:
 
 
 class Rig:
-    """A switchboard whose routes have names; what it sends waits in `inbox` until it is read.
+    """A switchboard with named routes; the messages that it sends wait in `inbox` until they are read.
 
-    Everything goes through the frames of the wire, both ways, so nothing impossible can be said.
+    All messages are encoded and decoded, both ways, so that only legal ones are possible.
     """
 
     def __init__(self, config: HubConfig = CONFIG, clock: Callable[[], float] | None = None) -> None:
@@ -71,7 +71,7 @@ class Rig:
         self.logged.append(line)
 
     def route(self, name: str) -> Named:
-        """The route of that name."""
+        """Return the route of that name."""
         return self.routes.setdefault(name, Named(self, name))
 
     def admits(self, route: str, role: Role, session: str) -> bool:
@@ -112,7 +112,7 @@ class Rig:
         session: str = "s",
         abilities: tuple[str, ...] = (),
     ) -> list[Message]:
-        """Let a peer in by `route`; by default it is known by the name of its route."""
+        """Let a peer in by `route`; its name is by default that of the route. Return the hub's messages."""
         name = who or route
         scalars = ((PROTOCOL_VERSION,), str(role), instance(name), name, "test", abilities)
         return self.say(route, Kind.HELLO, 0, *scalars, session=session)
@@ -124,7 +124,7 @@ class Rig:
         self.received("x")
 
     def ask(self, kind: Kind, seq: int, *scalars: Any, body: bytes = b"") -> None:
-        """Let the experiment ask for a verb, which takes a while."""
+        """Let the experiment request a verb that is not answered at once."""
         self.received("x")
         assert self.say("x", kind, seq, *scalars, body=body) == []
 
@@ -149,7 +149,7 @@ class Rig:
         self.gone.add(route)
 
     def tick(self, seconds: float) -> None:
-        """Let time pass, with one tick at the end; heartbeats are thrown away."""
+        """Let time pass, with one tick at the end; drop heartbeats."""
         self.now += seconds
         self.board.tick(self.now)
         for route, messages in self.inbox.items():
@@ -182,7 +182,7 @@ def playing(rig: Rig) -> Rig:
 
 
 def error(messages: list[Message]) -> tuple[str, str]:
-    """The code and the text of the one message, which must be an error."""
+    """Return the code and the text of the only message, which must be an error."""
     (message,) = messages
     assert message.kind in (Kind.ERROR, Kind.REFUSE), message
     code, text = map(str, message.scalars)
@@ -347,7 +347,7 @@ def test_when_there_is_no_room_for_more_the_session_that_keeps_most_is_ended_and
         rig.board.memory.relieve()
     for n in range(6):
         ended = [m for route in (f"x{n}", f"a{n}") for m in rig.received(route) if m.kind is Kind.GOODBYE]
-        # One is ended when there is a fifth, another, the first of equals, when there is a sixth.
+        # The fifth session ends the largest, number 2; the sixth ends number 0, the first of equals.
         assert len(ended) == (2 if n in (2, 0) else 0)
         assert all("max_memory" in str(message.scalars[0]) for message in ended)
 
@@ -423,7 +423,7 @@ def test_a_second_hello_over_the_same_connection_is_welcomed_and_nothing_else(pl
 
 
 def resumed(messages: list[Message]) -> bool:
-    """Return whether the WELCOME that was received first says `resumed`."""
+    """Return whether the first WELCOME received says `resumed`."""
     assert messages[0].kind is Kind.WELCOME
     return bool(messages[0].scalars[1])
 
@@ -437,7 +437,7 @@ def test_an_instance_is_unknown_until_it_has_sent_something_that_only_a_welcomed
     assert not resumed(rig.hello("2", role, who="p"))
     assert resumed(rig.hello("2", role, who="p")), "over one connection nothing is lost"
     rig.put("2", Kind.HEARTBEAT, 5)
-    rig.put("2", Kind.AGENT_STEP, 2337, body=ACTION)  # An answer to a call of another hub.
+    rig.put("2", Kind.AGENT_STEP, 2337, body=ACTION)  # an answer to a call of another hub
     rig.cut("2")
     assert not resumed(rig.hello("3", role, who="p"))
 
@@ -716,7 +716,7 @@ def test_a_session_waits_only_for_its_own_peers(rig: Rig) -> None:
     assert rig.received("tx") == []
 
 
-# Out of place
+# Messages out of place
 
 
 def test_an_unknown_peer_is_asked_to_send_hello() -> None:
@@ -874,7 +874,7 @@ BODIES = {"an observation": OBSERVATION, "an action": ACTION, "an observation, t
 
 @st.composite
 def events(draw: st.DrawFn) -> tuple[Any, ...]:
-    """Something that can happen: a legal message from any peer, a connection cut or restored, time, noise."""
+    """An event: a legal message from any peer, a connection cut or restored, time, or noise."""
     what = draw(
         st.sampled_from(["hello", "hello", "answer", "answer", "answer", "say", "cut", "time", "noise"])
     )
@@ -924,11 +924,11 @@ def test_the_switchboard_survives_any_behaviour_of_peers_and_sends_only_what_can
     rig.board.close("over")
 
 
-# Losses of which a returning experiment has not heard
+# Losses that a returning experiment has not been notified of
 
 
 def lost_while_away(rig: Rig) -> list[Message]:
-    """Lose the agent to a newcomer while the experiment is away; return what it is sent on its return."""
+    """Replace the agent by a newcomer while the experiment is away; return the messages at its return."""
     rig.cut("x")
     rig.cut("a")
     rig.hello("a2", Role.AGENT)

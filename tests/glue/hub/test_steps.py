@@ -1,4 +1,4 @@
-"""Steps are recognised by their bytes from end to end: what a step costs, everybody waits for."""
+"""Steps are recognised by their bytes from end to end, since every run waits for them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.players import ChainAgent, ChainEnvironment
 
 EPISODES = 15
 STEPS = 20
-"""In each episode of ChainEnvironment."""
+"""Number of steps in each episode of ChainEnvironment."""
 
 
 @pytest.mark.parametrize("verb", ["RL_EPISODE", "RL_STEP"])
@@ -54,5 +54,5 @@ def test_steps_are_hardly_ever_decoded_in_full(
         with ThreadPoolExecutor(sessions) as pool:
             list(pool.map(play, names))
     steps = [kind for kind in decoded if kind in ("ENV_STEP", "AGENT_STEP")]
-    # One may arrive in two pieces, or behind something else.
+    # A step may arrive in two pieces, or behind another message.
     assert len(steps) < sessions * EPISODES * STEPS / 10

@@ -1,4 +1,4 @@
-"""An agent's time, by a clock that the test turns; in the session, without sockets."""
+"""An agent's time bank, by a clock set by hand; in the session, without sockets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LIMITS = TimeLimits(step_seconds=1.0, bank_seconds=3.0, start_seconds=5.0, total
 
 
 class Clock:
-    """Stands still until it is turned."""
+    """A clock that stands still until it is set."""
 
     def __init__(self) -> None:
         self.now = 1000.0
@@ -67,14 +67,14 @@ def test_a_call_sent_again_is_one_call() -> None:
     timed = Timed()
     assert timed.take(3.0) is None
     timed.clock.now += 50.0
-    assert timed.bank.answered() is None  # nothing was asked
+    assert timed.bank.answered() is None  # no call is outstanding
 
 
 def test_initialising_has_a_limit_of_its_own() -> None:
     timed = Timed()
     assert timed.take(2.0, Kind.AGENT_SEED) is None
     assert timed.take(3.0, Kind.AGENT_INIT) is None
-    assert timed.take(4.0) is None  # the bank is whole
+    assert timed.take(4.0) is None  # the bank is untouched
     assert "initialise" in str(timed.take(0.25, Kind.AGENT_INIT))
 
 

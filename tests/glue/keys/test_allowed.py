@@ -1,4 +1,4 @@
-"""A hub's directory of keys: what it lets whom do, and mistakes in it."""
+"""A hub's directory of keys: the permits in it, and mistakes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files of keys: those of zmq.auth, for nobody else to read, and never lost."""
+"""Key files: compatible with zmq.auth, readable by their owner only, and never overwritten."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Signatures with CURVE keys, checked by libsodium as any other signature of Ed25519."""
+"""Signatures with CURVE keys, checked by libsodium like any other Ed25519 signature."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MESSAGE = b"the standings"
 
 @pytest.mark.parametrize("seed", range(20))
 def test_only_the_pair_and_the_message_fit(seed: int) -> None:
-    """Half of all keys have a point whose sign is changed."""
+    """For half of all keys, the sign of the point is changed."""
     secret = np.random.default_rng(seed).bytes(32)
     public = nacl.crypto_scalarmult_base(secret)
     other = nacl.crypto_scalarmult_base(bytes(reversed(secret)))

@@ -1,4 +1,4 @@
-"""The original binary format: real recordings, round trips, and everything that can be wrong."""
+"""The original binary format: real recordings, round trips, and all malformed input."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ OF_ROLE = {
     ("experiment", "server"): TO_EXPERIMENT,
 }
 
-# A busy machine must not fail a test that is right.
+# A busy machine must not make a correct test fail.
 unhurried = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
@@ -300,7 +300,7 @@ def test_a_zero_byte_ends_a_text_in_both_directions() -> None:
 
 
 def java_text(text: str) -> bytes:
-    """A text as Java sends it: counted in UTF-16 units, sent as UTF-8."""
+    """Return a text as Java sends it: counted in UTF-16 units, sent as UTF-8."""
     units = len(text.encode("utf-16-be")) // 2
     return struct.pack(">I", units) + text.encode()
 

@@ -1,4 +1,4 @@
-"""How the command line names a port for original programs."""
+"""Ports for original programs, as named on the command line."""
 
 from __future__ import annotations
 

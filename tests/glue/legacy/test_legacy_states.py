@@ -1,4 +1,4 @@
-"""The tables of states of original programs."""
+"""State tables of original programs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Table = Mapping[Any, Mapping[Any, Any]]
 
 
 def reachable(table: Table, state: Any) -> set[Any]:
-    """Return `state` and all that can follow it."""
+    """Return `state` and all states that can follow it."""
     seen, new = set[Any](), {state}
     while new:
         seen |= new

@@ -1,4 +1,4 @@
-"""Agents and environments by name: installed, of a module, of a file; and what can be wrong there."""
+"""Agents and environments by name: installed, in a module, in a file; and the errors of each."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from glue.wire.messages import Role
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working directory, forgotten afterwards with whatever was imported there."""
+    """A working directory; modules imported from it are forgotten afterwards."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", sys.path.copy())
     monkeypatch.setattr(sys, "modules", sys.modules.copy())
@@ -143,7 +143,7 @@ def test_module_that_says_what_it_needs_is_quoted_alone(folder: Path) -> None:
 def test_player_that_needs_more_says_so_before_it_looks_for_a_hub(
     arguments: tuple[str, ...], missing: str, remedy: str, tmp_path: Path
 ) -> None:
-    """Also where a plain install is all there is."""
+    """This holds even in a plain install."""
     program = f"""
 import sys
 class Missing:

@@ -1,4 +1,4 @@
-"""An option of a player that is given as one of the command: the error says how to write it."""
+"""A player's option given as an option of the command: the error says how to write it."""
 
 from __future__ import annotations
 

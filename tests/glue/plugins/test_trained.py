@@ -1,4 +1,4 @@
-"""`glue-agent NAME --load`: an agent that begins every run with what another run taught it."""
+"""`glue-agent NAME --load`: an agent that begins every run with the state saved by another run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.terminal import Terminal
 
 
 def sarsa(episodes: int) -> SarsaAgent:
-    """SARSA after so many episodes in the mines."""
+    """Return SARSA after so many episodes in the mines."""
     agent = SarsaAgent()
     with local(agent, MinesEnvironment()) as glue:
         glue.rl_init(seed=1)
@@ -66,7 +66,7 @@ def test_agent_that_cannot_load_and_file_that_cannot_be_read_are_refused(tmp_pat
 
 def test_file_of_more_than_a_gibibyte_is_not_read(tmp_path: Path) -> None:
     with (tmp_path / "huge.agent").open("wb") as huge:
-        huge.truncate(2**30 + 1)  # It has no blocks on the disk.
+        huge.truncate(2**30 + 1)  # a sparse file
     with pytest.raises(ConfigError, match="larger than 1073741824 bytes"):
         load_trained(SarsaAgent(), tmp_path / "huge.agent")
 
@@ -115,7 +115,7 @@ GREEDY = ("--no-learning", "--epsilon", "0")
 
 
 def experiment(cwd: Path, *agent: str) -> tuple[int, list[str], Terminal]:
-    """Let `glue-agent` play three episodes in the mines; return how it went, and the agent's terminal."""
+    """Let `glue-agent` play three episodes in the mines; return status, lines and the agent's terminal."""
     hub = f"ipc://{cwd}/hub"
     player = Terminal("glue-agent", *agent, "--hub", hub, cwd=cwd)
     try:

@@ -1,4 +1,4 @@
-"""Players of both packages called rlglue, against what those packages' own loops make of them."""
+"""Players of both packages called rlglue: the same results as by those packages' own loops."""
 
 from __future__ import annotations
 
@@ -319,7 +319,7 @@ def test_codec_s_own_loader_names_the_command(here: Path) -> None:
 
 
 class Strange:
-    """Answers with what it was made with."""
+    """A player or environment whose answers are all `answer`."""
 
     answer: Any = None
 

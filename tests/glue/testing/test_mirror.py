@@ -34,7 +34,7 @@ def test_the_environment_rewards_and_ends_as_its_action_says() -> None:
 
 
 class Ordering(MirrorEnvironment):
-    """Orders one verb after the other, and keeps what the experiment shows."""
+    """An environment that gives one order after another, and keeps the results that the experiment shows."""
 
     def __init__(self, *orders: Observation) -> None:
         super().__init__()

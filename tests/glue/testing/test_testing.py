@@ -364,7 +364,7 @@ class DrawsFromGlobals(DrawsWithoutSeed):
 
 
 class Remembers(Corridor):
-    """The more starts there have been, init or no init, the nearer the end it begins."""
+    """With every start, even after an init, an episode begins nearer the end."""
 
     def env_init(self) -> str:
         starts = self.starts

@@ -20,7 +20,7 @@ from glue.types import Action
 from glue.wire.messages import CALLS, ErrorCode, Event, Kind, Message, Role, Value
 
 WAIT = 5.0
-"""Seconds. Only the hubs that say nothing let it pass."""
+"""Seconds to wait; only the hubs that say nothing use them up."""
 
 
 @contextmanager
@@ -49,7 +49,7 @@ def test_hub_that_is_not_there_is_no_hub() -> None:
 
 
 class Spoiled(Switchboard):
-    """Ours, but for what is changed on its way out and on its way in."""
+    """Our switchboard, with changes to outgoing and incoming messages."""
 
     def __init__(self, config: HubConfig, log: Callable[[str], None], clock: Callable[[], float]) -> None:
         super().__init__(config, log, clock)
@@ -161,7 +161,7 @@ class CallsAgainWithANewNumber(Spoiled):
 
 
 class CountsAHelloForAnAnswer(Spoiled):
-    """It takes an instance for known from its first HELLO on, until it says goodbye."""
+    """Counts an instance as known from its first HELLO until its goodbye."""
 
     def heard(self, route: Route, message: Message) -> list[Message]:
         if message.kind is Kind.HELLO:
@@ -197,7 +197,7 @@ Change = Callable[[Message], Message]
 
 
 def saying(kind: Kind, change: Change) -> type[Spoiled]:
-    """Return a hub whose messages of a kind leave it changed."""
+    """Return a hub that changes its outgoing messages of a kind."""
 
     class Saying(Spoiled):
         def says(self, message: Message) -> Message:
@@ -207,7 +207,7 @@ def saying(kind: Kind, change: Change) -> type[Spoiled]:
 
 
 def hearing(kind: Kind, change: Change) -> type[Spoiled]:
-    """Return a hub to which messages of a kind come changed."""
+    """Return a hub that changes incoming messages of a kind."""
 
     class Hearing(Spoiled):
         def expects(self, message: Message) -> Message:

@@ -1,4 +1,4 @@
-"""glue/testing/vectors.json is what this program writes, reads and refuses."""
+"""The program writes, reads and refuses the entries of glue/testing/vectors.json as stated there."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def frames_of(entry: dict[str, Any]) -> list[bytes]:
 
 
 def on_the_wire(entry: dict[str, Any]) -> list[bytes]:
-    """The frames that a connection brings when the bytes of `wire` arrive, one by one."""
+    """Return the frames received when the bytes of `wire` arrive one by one."""
     decoder = zmtp.Decoder(zmtp.DEALER, 2 * MAX_BODY + MAX_HEADER)
     for part in ("greeting", "ready of the hub"):
         decoder.receive_data(bytes.fromhex(VECTORS["zmtp"][part]))

@@ -1,7 +1,7 @@
 """Make glue/testing/vectors.json: messages and bytes with which a client in any language checks its codec.
 
-A program: `make vectors` runs it. The messages are the examples of docs/protocol.md, and others of the same
-shapes; what each entry means is in docs/clients.md. A test holds the file to what this program makes.
+`make vectors` runs this program. The messages are the examples of docs/protocol.md, and others of the same
+shapes; docs/clients.md says what each entry means. A test compares the file with this program's output.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ Document = dict[str, Any]
 
 
 def documents() -> Iterator[Document]:
-    """Every example of docs/protocol.md, then the values that clients get wrong."""
+    """Yield every example of docs/protocol.md, then the values that clients get wrong."""
     for example in EXAMPLES:
         message = decode(example.frames, example.shapes)
         yield message_document(str(example), example.sender, example.receiver, message, example.frames)
@@ -81,16 +81,16 @@ def documents() -> Iterator[Document]:
 
 
 def section(entry: Document) -> str:
-    """The part of the file that a message belongs to: all but `messages` are not for every client."""
+    """Return the part of the file that a message belongs to; only `messages` is for every client."""
     if Kind[entry["kind"]] in OBSERVING:
-        return "observe"  # which a client that takes part never meets
+        return "observe"  # never met by a client that takes part
     if len(entry["scalars"]) == 3 and entry["kind"] == "RL_EPISODE":
         return "outcome"
     return "truncate" if cuts(entry) else "messages"
 
 
 def cuts(entry: Document) -> bool:
-    """Whether a message has the terminal 2, which means more than true to peers that know `truncate`."""
+    """Return whether a message has the terminal 2, which peers that know `truncate` tell from true."""
     return tagged(CUT_OFF) in entry["scalars"] and entry["kind"] in ("ENV_STEP", "RL_STEP", "RL_EPISODE")
 
 
@@ -122,7 +122,7 @@ def message_document(
 
 
 def tagged(value: Value) -> Document:
-    """A scalar with its type; whole numbers in decimal and floats by their bits, which JSON would lose."""
+    """Return a scalar with its type; ints are in decimal and floats by their bits, which JSON would lose."""
     if value is None:
         return {"nil": True}
     if isinstance(value, bool):
@@ -168,11 +168,11 @@ def frames_document(frames: Sequence[bytes]) -> Document:
     return {"frames": [frame.hex() for frame in frames], "wire": zmtp.encode(frames).hex()}
 
 
-# --- The same in other bytes --------------------------------------------------------------------------
+# --- Other encodings of the same ----------------------------------------------------------------------
 
 
 def accepted() -> Iterator[Document]:
-    """Messages that a peer must understand although it would write them otherwise."""
+    """Yield messages that a peer must understand although it would encode them differently."""
     step = Message(Kind.AGENT_STEP, "walk", 7, (1.0,), saw())
     head = "9406a477616c6b07"
     for name, header, reward in (
@@ -236,11 +236,11 @@ def accepted() -> Iterator[Document]:
     yield message_document("WELCOME in integers alone", "hub", "peer", welcome, (frame,))
 
 
-# --- What is refused ----------------------------------------------------------------------------------
+# --- Refused frames -----------------------------------------------------------------------------------
 
 
 def refused() -> Iterator[Document]:
-    """Frames of no message, each with the reason for people."""
+    """Yield frames that are no message, each with the reason for people."""
     good = saw()
     step = msgpack.packb([Kind.AGENT_STEP, "walk", 7, 1.0])
     counts = struct.Struct("<4I")
@@ -333,7 +333,7 @@ def streams() -> Document:
 
 
 def content() -> str:
-    """The file, as text: one entry a line."""
+    """Return the file as text, one entry a line."""
     parts: dict[str, list[Document]] = {"messages": [], "observe": [], "truncate": [], "outcome": []}
     for entry in documents():
         parts[section(entry)].append(entry)

@@ -1,4 +1,4 @@
-"""The examples of docs/protocol.md: every message, as it is meant and byte by byte."""
+"""The examples of docs/protocol.md: the meaning and the bytes of every message."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def blocks(language: str) -> list[str]:
 
 
 class Example(NamedTuple):
-    """One example: as it is meant, and as it is sent."""
+    """One example: its meaning and its bytes."""
 
     kind: Kind
     sender: str
@@ -54,7 +54,7 @@ def read_example(block: str) -> Example:
 
 
 def read_array(text: str) -> list[Any]:
-    """JSON, and binaries as <00 11 22>."""
+    """Read JSON, with binaries as <00 11 22>."""
     binaries = [bytes.fromhex(found) for found in re.findall(r"<([0-9a-f ]+)>", text)]
     values: list[Any] = json.loads(re.sub(r"<[0-9a-f ]+>", "null", text))
     return [binaries.pop(0) if value is None and binaries else value for value in values]

@@ -1,4 +1,4 @@
-"""Both ends of CURVE without sockets, and each against libzmq: who gets in, and what is refused."""
+"""Both ends of CURVE without sockets, and each against libzmq: admission and refusals."""
 
 from __future__ import annotations
 
@@ -48,14 +48,14 @@ def server(*known: bytes) -> CurveServer:
 
 
 def greeted(mechanism: CurveServer | None = None) -> Decoder:
-    """A decoder that has received a client's greeting."""
+    """Return a decoder that has received a client's greeting."""
     decoder = Decoder(ROUTER, MAX_FRAME, mechanism or server())
     assert events(decoder, CLIENT_GREETING) == []
     return decoder
 
 
 def said(decoder: Decoder, data: bytes) -> bytes:
-    """The body of the one command that comes of `data`."""
+    """Return the body of the one command that answers `data`."""
     [answer] = events(decoder, data)
     assert isinstance(answer, bytes)
     assert answer[0] == 4
@@ -68,7 +68,7 @@ def welcomed(decoder: Decoder, client: CurveClient) -> None:
 
 
 def connected(mechanism: CurveServer | None = None) -> tuple[Decoder, CurveClient]:
-    """Both ends of a connection, the handshake complete."""
+    """Return both ends of a connection whose handshake is complete."""
     decoder, client = greeted(mechanism), CurveClient(CAROL, SERVER.public)
     welcomed(decoder, client)
     assert client.ready(said(decoder, command(client.initiate()))) == METADATA.replace(b"DEALER", b"ROUTER")
@@ -162,7 +162,7 @@ BENT: dict[str, Bent] = {
 
 @pytest.mark.parametrize("bent", BENT.values(), ids=BENT)
 def test_an_initiate_is_checked_whoever_made_it(bent: Bent) -> None:
-    # The key is known, but for the one who claims another's: what is refused is the rest.
+    # The key is known, except for "another's C": the rest of the INITIATE is refused.
     own = STRANGER if bent is BENT["another's C"] else CAROL
     decoder, client = greeted(), CurveClient(own, SERVER.public)
     welcomed(decoder, client)
@@ -225,7 +225,7 @@ def test_what_was_recorded_of_one_connection_opens_no_other() -> None:
     initiate = command(client.initiate())
     said(first, initiate)
     assert first.ready
-    said(second, hello)  # a HELLO proves nothing, and its answer says nothing to who repeats it
+    said(second, hello)  # a HELLO proves nothing, and its answer is useless to a peer that repeats it
     with pytest.raises(RemoteProtocolError, match="inconsistent"):
         events(second, initiate)
     with pytest.raises(RemoteProtocolError, match="HELLO"):
@@ -315,7 +315,7 @@ def client_of(own: Pair = CAROL, expected: bytes = SERVER.public) -> tuple[curve
 
 
 def shake_hands(client: Decoder, hub: Decoder, piece: int = MAX_FRAME) -> None:
-    """Pass on what both ends say, a piece at a time, until neither says anything more."""
+    """Pass bytes between both ends, a piece at a time, until neither sends any more."""
     pending = [(hub, CURVE_CLIENT_GREETING), (client, CURVE_GREETING)]
     while pending:
         receiver, data = pending.pop(0)
@@ -363,7 +363,7 @@ def test_a_client_tells_its_unknown_key_from_a_wrong_key_of_the_hub() -> None:
 
 
 def said_to(receiver: Decoder, answers: list[list[bytes] | bytes]) -> bytes:
-    """Return a decoder's answers to the answers of the other end."""
+    """Return a decoder's answers to those of the other end."""
     heard = b"".join(answer for answer in answers if isinstance(answer, bytes))
     return b"".join(event for event in events(receiver, heard) if isinstance(event, bytes))
 

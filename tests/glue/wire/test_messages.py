@@ -1,4 +1,4 @@
-"""The tables of messages are complete, and speak RL-Glue's own numbers."""
+"""The tables of messages are complete, and use RL-Glue's own numbers."""
 
 from __future__ import annotations
 

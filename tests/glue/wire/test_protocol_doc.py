@@ -1,4 +1,4 @@
-"""docs/protocol.md says what the program does: its examples to the byte, its tables, its limits."""
+"""docs/protocol.md agrees with the program: its examples to the byte, its tables, its limits."""
 
 from __future__ import annotations
 
@@ -212,7 +212,7 @@ def test_table_of_what_observers_are_shown_is_that_of_the_program() -> None:
 
 
 class Sent:
-    """A route that keeps what is sent."""
+    """A route that keeps the messages sent."""
 
     def __init__(self) -> None:
         self.messages: list[Message] = []
@@ -237,7 +237,7 @@ def test_what_only_the_hub_sends_is_refused_from_a_peer() -> None:
 
         direction = next(row[2] for row in table(*CONTROL_HEAD) if row[1] == example.kind.name)
         refused = [m.scalars[0] for m in answers.messages if m.kind is Kind.ERROR] == [ErrorCode.NOT_ASKED]
-        # An ERROR may be sent by either, but here it is the answer to a call that was not made.
+        # Either side may send an ERROR, but here it answers a call that was not made.
         assert refused == (direction.startswith("hub") or example.kind is Kind.ERROR)
 
 
@@ -383,7 +383,7 @@ def test_body_frame_is_there_even_when_it_is_empty() -> None:
         decode((msgpack.packb([Kind.AGENT_END, "walk", 7]), b""), TO_HUB)
 
 
-# --- What it says the program does --------------------------------------------------------------------
+# --- Statements about the program ---------------------------------------------------------------------
 
 
 def test_episodes_of_the_worked_table_come_out_as_said() -> None:

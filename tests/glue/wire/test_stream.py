@@ -1,4 +1,4 @@
-"""Both ends of a connection: steps are recognised by their bytes, and nothing but speed shows it."""
+"""Both ends of a connection: steps are recognised by their bytes, which changes nothing but speed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from glue.wire.stream import Malformed, Stream
 BODY = bytes(Observation([1, 2], [0.5], b"abc").body)
 LONG = bytes(Action(range(100)).body)
 NUMBERS = [1, 127, 128, 255, 256, 65_535, 65_536, 2**32 - 1, 2**32]
-"""Both ends of each form that msgpack has for a whole number, and one for which there is no format."""
+"""Both ends of each form that msgpack has for an integer, and an integer for which there is no format."""
 
 SHAPES: list[tuple[Kind, bool, tuple[float | bool, ...]]] = [
     (Kind.ENV_STEP, True, ()),
@@ -31,7 +31,7 @@ every_step = pytest.mark.parametrize(("kind", "from_hub", "scalars"), SHAPES)
 
 
 def connected() -> tuple[Stream, Stream]:
-    """Return the hub's end and a peer's, their handshake complete."""
+    """Return the hub's end and a peer's after their handshake."""
     hub, peer = Stream(zmtp.ROUTER, 2**20), Stream(zmtp.DEALER, 2**20)
     hub.receive_data(zmtp.GREETING)
     peer.receive_data(zmtp.GREETING)
@@ -46,7 +46,7 @@ def connected() -> tuple[Stream, Stream]:
 
 
 def acquainted(kind: Kind, from_hub: bool, *sessions: str) -> tuple[Stream, Stream]:
-    """Return the sender and the receiver of a message of `kind`, who know its format in these sessions."""
+    """Return the sender and the receiver of a message of `kind`, which know its format in these sessions."""
     hub, peer = connected()
     for session in sessions:
         hub.encode(Message(kind, session, 1, (1.0,) if kind is Kind.AGENT_STEP else (), BODY))
@@ -55,7 +55,7 @@ def acquainted(kind: Kind, from_hub: bool, *sessions: str) -> tuple[Stream, Stre
 
 
 def read(stream: Stream, data: bytes) -> list[object]:
-    """Return all that a stream makes of `data`, errors included."""
+    """Return all events of a stream that receives `data`, errors included."""
     stream.receive_data(data)
     events: list[object] = []
     while True:
@@ -72,7 +72,7 @@ def read(stream: Stream, data: bytes) -> list[object]:
 
 
 def plainly(message: Message, from_hub: bool) -> bytes:
-    """Return the bytes of a message by way of the codec."""
+    """Return the bytes of a message as the codec encodes it."""
     return zmtp.encode(encode(message, FROM_HUB if from_hub else TO_HUB))
 
 
@@ -102,7 +102,7 @@ def _refuse(*_: object) -> None:
 
 @pytest.fixture
 def without_codec(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
-    """A function that takes the codec away from all streams."""
+    """A function that disables the codec of all streams."""
 
     def take_away() -> None:
         monkeypatch.setattr("glue.wire.stream.encode", _refuse)

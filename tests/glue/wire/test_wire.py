@@ -1,4 +1,4 @@
-"""Messages to frames and back; and whatever else comes in is refused, before it costs anything."""
+"""Messages to frames and back; any other input is refused before it costs anything."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def scalar_values(scalar: Scalar) -> st.SearchStrategy[Any]:
 
 @st.composite
 def messages(draw: st.DrawFn, shapes: Mapping[Kind, Shape]) -> Message:
-    """Any legal message that goes the way of `shapes`."""
+    """Any legal message in the direction of `shapes`."""
     kind = draw(st.sampled_from(sorted(shapes)))
     shape = shapes[kind]
     values = tuple(draw(scalar_values(scalar)) for scalar in shape.scalars)
@@ -63,12 +63,12 @@ def header(*values: Any) -> bytes:
 def env_step(
     reward: Any = 0.0, terminal: Any = False, body: bytes = Observation().body
 ) -> tuple[bytes, bytes]:
-    """The frames of an environment's answer to a step."""
+    """Return the frames of an environment's answer to a step."""
     return header(13, "s", 1, reward, terminal), body
 
 
 def rejected(*frames: bytes, shapes: Mapping[Kind, Shape] = TO_HUB, **limits: int) -> str:
-    """Why `frames` are refused."""
+    """Return the reason why `frames` are refused."""
     with pytest.raises(RemoteProtocolError) as caught:
         decode(frames, shapes, **limits)
     return str(caught.value)
@@ -110,7 +110,7 @@ def test_a_header_too_long_to_be_sent_is_a_local_error() -> None:
         encode(Message(Kind.GOODBYE, "s", 0, ("x" * MAX_HEADER,)), TO_HUB)
 
 
-# Values that are as good as others
+# Other valid values
 
 
 @pytest.mark.parametrize("reward", [0, -7, 2**53, -(2**53)])
@@ -296,7 +296,7 @@ def test_an_observation_without_a_whole_action_behind_it_is_refused(pair: bytes)
 
 
 def either_refused_or_sound(frames: list[bytes], shapes: Mapping[Kind, Shape]) -> None:
-    """Decode; what is not refused must be fit to be sent on."""
+    """Decode frames; a message that is not refused must be fit to be sent on."""
     try:
         message = decode(frames, shapes)
     except RemoteProtocolError:

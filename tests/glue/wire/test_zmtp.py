@@ -1,4 +1,4 @@
-"""ZMTP without sockets: however the bytes are cut, the same messages come out; nothing else is raised."""
+"""ZMTP without sockets: the same messages however the bytes are cut, and no other errors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ frames = st.lists(st.binary(max_size=300) | st.just(bytes(MAX_FRAME)), min_size=
 
 
 def events(decoder: Decoder, data: bytes) -> list[list[bytes] | bytes]:
-    """All that comes of `data`."""
+    """Return all events that result from `data`."""
     decoder.receive_data(data)
     found = []
     while (event := decoder.next_event()) is not None:
@@ -30,7 +30,7 @@ def events(decoder: Decoder, data: bytes) -> list[list[bytes] | bytes]:
 
 
 def greeted() -> Decoder:
-    """A decoder that has met a DEALER."""
+    """Return a decoder that has met a DEALER."""
     decoder = Decoder(ROUTER, MAX_FRAME)
     assert events(decoder, GREETING + READY) == [ANSWER]
     return decoder

@@ -1,4 +1,4 @@
-"""Forks and allocates without end, in the middle of an episode."""
+"""Forks and allocates endlessly, in the middle of an episode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Crashes in the middle of an episode, without a word to the hub."""
+"""Crashes in the middle of an episode, without notifying the hub."""
 
 from __future__ import annotations
 

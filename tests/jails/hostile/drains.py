@@ -1,4 +1,4 @@
-"""Takes a little longer for each answer than a step may, and so drains its bank slowly."""
+"""Takes a little longer for each answer than a step allows, and so drains its bank slowly."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fills every file system that it can write to, and gives up when there is no more room anywhere."""
+"""Fills every file system that it can write to, and gives up when no space is left anywhere."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Fills(Honest):
 
 
 def fill(folder: Path) -> str:
-    """Write until there is no more room; return how that ended, and how many MiB were written."""
+    """Write until writing fails; return the error, and how many MiB were written."""
     written, number = 0, 0
     try:
         while True:

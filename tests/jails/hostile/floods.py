@@ -14,7 +14,7 @@ _GREETING = bytes([0xFF, *[0] * 8, 0x7F, 3, 0]) + b"NULL".ljust(20, b"\0") + byt
 _READY = b"\x04\x1a\x05READY\x0bSocket-Type\0\0\0\x06DEALER"
 _TOO_LONG = b"\x02" + (2**62).to_bytes(8, "big")
 _LONG = b"\x02" + (16 * 2**20).to_bytes(8, "big")
-"""The beginning of a frame of the longest size that a hub takes."""
+"""The beginning of a frame of the largest size that a hub accepts."""
 
 
 def flood(number: int, generator: np.random.Generator) -> None:

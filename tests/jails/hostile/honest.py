@@ -1,4 +1,4 @@
-"""Plays fair: what the others begin with, and the measure of what their company costs."""
+"""Plays fair: the basis of the other entrants, and the baseline that shows whether they harm others."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from glue.types import Action, Observation
 
 
 class Honest(Agent):
-    """Walks among the mines: in a direction that it keeps for three steps."""
+    """Walks among the mines, keeping each direction for three steps."""
 
     def __init__(self) -> None:
         self.steps = 0

@@ -1,4 +1,4 @@
-"""Leaves something for its next process wherever it can, and plays fair if it finds nothing."""
+"""Leaves traces for its next process wherever it can, and plays fair if it finds none."""
 
 from __future__ import annotations
 

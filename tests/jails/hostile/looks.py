@@ -1,4 +1,4 @@
-"""Tries every network and every file that it can find, and prints what it got."""
+"""Tries every network and every file that it can find, and prints its finds."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _FAMILIES = 64
 _IO_URING_SETUP = 425
 
 _LOAD = ("loadavg", "stat", "meminfo", "vmstat", "uptime", "schedstat", "pressure/cpu", "interrupts")
-"""Files of /proc that tell how busy the whole machine is."""
+"""Files of /proc that show how busy the whole machine is."""
 
 _SKIPPED = ("/proc", "/sys", "/usr", "/opt", "/lib", "/bin", "/sbin", "/etc/ssl", "/var/lib/dpkg")
-"""Trees of the image and of the kernel, which hold nothing of the organiser's; a part of /proc is read."""
+"""Directories of the image and the kernel, with nothing of the organiser's; part of /proc is read."""
 
 
 def reached() -> Iterator[str]:
-    """Yield what could be reached over any network."""
+    """Yield everything that could be reached over any network."""
     for name in os.listdir("/sys/class/net"):
         if name != "lo":
             yield f"interface {name}"
@@ -52,7 +52,7 @@ def reached() -> Iterator[str]:
                 yield f"udp {host}"
     for family in set(range(_FAMILIES)) - {socket.AF_UNIX, socket.AF_INET, socket.AF_INET6}:
         for kind in range(1, 11):
-            # Protocol 0 of AF_NETLINK lists interfaces, of which there is one.
+            # Protocol 0 of AF_NETLINK lists network interfaces, of which there is only one.
             for protocol in range(family == socket.AF_NETLINK, 30):
                 with suppress(OSError), socket.socket(family, kind, protocol):
                     yield f"a socket of family {family}, type {kind}, protocol {protocol}"
@@ -68,7 +68,7 @@ def reached() -> Iterator[str]:
 
 
 def io_uring() -> int:
-    """Return the descriptor of a ring, in which the kernel makes sockets that no filter sees; -1 without."""
+    """Return the descriptor of an io_uring, which can make sockets that no filter sees; -1 if refused."""
     return int(ctypes.CDLL(None).syscall(_IO_URING_SETUP, 1, ctypes.create_string_buffer(120)))
 
 
@@ -78,14 +78,14 @@ def socket_of_32_bits() -> int:
     memory = mmap.mmap(-1, mmap.PAGESIZE, prot=mmap.PROT_READ | mmap.PROT_WRITE | mmap.PROT_EXEC)
     memory.write(code)
     call = ctypes.CFUNCTYPE(ctypes.c_int)(ctypes.addressof(ctypes.c_char.from_buffer(memory)))
-    child = os.fork()  # which a filter may kill
+    child = os.fork()  # a filter may kill the child
     if not child:
         os._exit(0 if call() >= 0 else 1)
     return -1 if os.waitpid(child, 0)[1] else 0
 
 
 def files() -> Iterator[Path]:
-    """Yield every file that can be listed, outside of what the image and the kernel bring."""
+    """Yield every file that can be listed, except those of the image and the kernel."""
     for folder, folders, names in os.walk("/"):
         folders[:] = [name for name in folders if os.path.join(folder, name) not in _SKIPPED]
         yield from (Path(folder, name) for name in names)

@@ -31,13 +31,13 @@ def poses(hub: str, own: str) -> dict[str, Callable[[], object]]:
 
 
 def attempt(what: str, pose: Callable[[], object]) -> None:
-    """Try one pose, and print what came of it."""
+    """Try one pose, and print its outcome."""
     try:
         pose()
         came = "believed"
     except GlueError as error:
         came = f"{type(error).__name__}: {error}"
-    # In one piece: `print` would let another thread write between a line and its end.
+    # In one write: `print` would let another thread write between a line and its newline.
     sys.stdout.write(f"{what}: {came}\n")
 
 

@@ -1,4 +1,4 @@
-"""Prints without end."""
+"""Prints endlessly."""
 
 from __future__ import annotations
 

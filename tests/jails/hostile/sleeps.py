@@ -1,4 +1,4 @@
-"""Sleeps for ever, in the middle of an episode."""
+"""Sleeps forever, in the middle of an episode."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A seeded random attacker: many connections at once, each of which does to a hub what it should not.
+"""A seeded random attacker: many connections at once, each of which misbehaves towards a hub.
 
     python -m tests.system.attacks.attacker URL SEED SECONDS [PUBLIC SECRET HUB]
 
@@ -31,11 +31,11 @@ from tests.scripted.curve import CurveClient, Pair
 from tests.scripted.peer import ABORT, GREETING, ScriptedPeer, hello_scalars
 
 HONEST: Final = ("one", "two", "three", "four")
-"""The sessions that the attacker knows the names of."""
+"""The sessions whose names the attacker knows."""
 
 _AT_ONCE: Final = 12
 _SECONDS: Final = 1.0
-"""Timeout of whatever the attacker waits for."""
+"""Timeout of every wait of the attacker, in seconds."""
 
 _BODIES: Final = (b"", Action([1]).body, Observation([1], [2.0], b"3").body, bytes(2**20), bytes(15))
 
@@ -45,7 +45,7 @@ def _frames(kind: Kind, session: str, seq: int, *scalars: Any, body: bytes = b""
 
 
 class Attacker:
-    """One connection after the other."""
+    """Attacks over one connection after another."""
 
     def __init__(self, url: str, seed: str, keys: tuple[bytes, ...]) -> None:
         self._url = url
@@ -53,7 +53,7 @@ class Attacker:
         self._random = random.Random(seed)
 
     def attack(self, until: float) -> None:
-        """Make moves until a time."""
+        """Make moves until a point in time."""
         while time.monotonic() < until:
             # The hub drops connections, and misbehaved peers get answers that make no sense to them.
             with suppress(OSError, GlueError):
@@ -122,7 +122,7 @@ class Attacker:
                 peer.send(*self._nonsense(self._session()))
 
     def pose(self) -> None:
-        """Ask for the role of somebody else, and answer the calls of others."""
+        """Claim the role of another peer, and answer the calls of others."""
         with self._greet() as peer:
             for session in HONEST:
                 peer.send(*self._hello(session))
@@ -165,7 +165,7 @@ class Attacker:
             peer.send_bytes(peer.encoded(*_frames(kind, session, 1, *scalars)) * self._random.randrange(5000))
 
     def observe(self) -> None:
-        """Look on at an honest session, ask for everything, and read nothing."""
+        """Observe an honest session, ask for everything, and read nothing."""
         with self._greet() as peer:
             session = self._random.choice(HONEST)
             peer.send(*self._hello(session, "observer"))
@@ -188,7 +188,7 @@ _MOVES: Final[tuple[Callable[[Attacker], None], ...]] = (
 
 
 def _main(url: str, seed: str, seconds: str, *keys: str) -> None:
-    os.nice(19)  # what it costs the hub counts, not what it costs the processor
+    os.nice(19)  # only the cost to the hub counts, not the cost to the processor
     until = time.monotonic() + float(seconds)
     attackers = [Attacker(url, f"{seed}-{i}", tuple(map(bytes.fromhex, keys))) for i in range(_AT_ONCE)]
     threads = [threading.Thread(target=attacker.attack, args=(until,)) for attacker in attackers]

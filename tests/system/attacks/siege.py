@@ -1,9 +1,9 @@
-"""A hub with four honest sessions, by turns alone and beside the attacker:
+"""A hub with four honest sessions, in turn alone and under attack:
 
     python -m tests.system.attacks.siege SECONDS [keys]
 
-The attacker has `SECONDS` in all, in turns. Before each turn the sessions play a quarter as long alone: other
-work on the machine is then the same for both speeds. The time that the hub uses hardly depends on it.
+The attacker has `SECONDS` in all, in turns. Before each turn the sessions play a quarter as long alone, so
+that other work on the machine affects both speeds alike. The hub's processor time hardly depends on it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ MOST: Final = LIMIT + 64
 """Megabytes that its process may hold."""
 
 _TURN: Final = 20.0
-"""Seconds of a turn of the attacker, at most."""
+"""Maximum duration of a turn of the attacker, in seconds."""
 
 _PLAYERS: Final = """
 import sys
@@ -53,7 +53,7 @@ serve(players, url, key=key or None, hub_key=hub_key or None)
 
 @contextmanager
 def hub(*options: str) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Start a hub in a process of its own, which forgets nobody for a minute."""
+    """Start a hub in a process of its own, with a timeout of a minute."""
     command = ["-c", "from glue.cli.hub import main; main()", "--bind", "tcp://127.0.0.1:*", "--quiet"]
     with running(*command, "--max-memory", str(LIMIT), "--timeout", "60", *options) as process:
         assert process.stderr is not None
@@ -70,10 +70,10 @@ def peak(process: subprocess.Popen[str]) -> int:
 
 
 class Honest:
-    """An experiment that plays until it is told to stop, and its twin in process.
+    """An experiment that plays until it is stopped, and its twin in this process.
 
     Attributes:
-        played: episodes that have ended.
+        played: number of episodes that have ended.
     """
 
     def __init__(self, url: str, session: str, keys: Mapping[str, Any]) -> None:
@@ -97,7 +97,7 @@ class Honest:
                 self._ended.set()
 
     def check(self) -> None:
-        """Assert that episodes have ended since the last check, and that the twin earns the same in them."""
+        """Assert that episodes have ended since the last check, with the same returns as the twin's."""
         assert self._ended.wait(TIMEOUT), "the session stands still"
         self._ended.clear()
         while self._returns:
@@ -113,12 +113,12 @@ class Honest:
 
 
 def besiege(seconds: float, keyed: bool, folder: Path) -> None:
-    """Attack a hub, assert that its memory is bounded and its sessions play on, and print their speed.
+    """Attack a hub, assert that its memory is bounded and its sessions continue, and print their speed.
 
     Args:
-        seconds: for the attacker.
+        seconds: duration of the attack.
         keyed: whether the hub, the sessions and the attacker have keys.
-        folder: an empty directory for them.
+        folder: an empty directory for the keys.
     """
     options, ours, theirs = make_keys(folder) if keyed else ((), {}, ())
     with hub(*options) as (url, process), ExitStack() as stack:
@@ -158,7 +158,7 @@ def besiege(seconds: float, keyed: bool, folder: Path) -> None:
 
 
 def make_keys(folder: Path) -> tuple[tuple[str, ...], dict[str, Any], tuple[str, ...]]:
-    """Make keys, and return the options of the hub, of the honest sessions and of the attacker."""
+    """Make keys; return the options of the hub, of the honest sessions and of the attacker."""
     keys = KeyFolder(folder)
     carol, mallory = keys.entrant("carol"), keys.entrant("mallory")
     others = [f"m{number}" for number in range(40)]
@@ -190,7 +190,7 @@ def _speed(process: subprocess.Popen[str], sessions: list[Honest], seconds: floa
 
 
 def _used(process: subprocess.Popen[str]) -> float:
-    """Return the seconds for which a process has used a processor."""
+    """Return the processor time of a process, in seconds."""
     fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

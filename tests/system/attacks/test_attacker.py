@@ -1,4 +1,4 @@
-"""Hostile peers: the hub's memory is bounded, and honest sessions play as if there were no others."""
+"""Hostile peers: the hub's memory is bounded, and honest sessions are undisturbed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_peers_that_stop_in_the_middle_of_large_frames_fill_no_memory(stay: bool
                 stack = staying if stay else leaving
                 peer = stack.enter_context(ScriptedPeer(url).greet())
                 peer.join("agent", session=f"session {number}")
-                with suppress(OSError):  # it may be dropped
+                with suppress(OSError):  # the hub may drop the peer
                     peer.send_bytes(b"\x02" + struct.pack(">Q", MAX_BODY))
                     for _ in range(15):
                         peer.send_bytes(bytes(2**20))
@@ -44,7 +44,7 @@ def test_calls_of_the_largest_size_that_are_not_read_have_a_bound_in_all(keyed: 
             keys = CurveClient(Pair(public, secret), server) if keyed else None
             peer = ScriptedPeer(url, keys, session=session, receive_buffer=receive_buffer)
             stack.enter_context(peer)
-            with suppress(ConnectionError):  # on a busy machine, it took too long to join
+            with suppress(ConnectionError):  # on a busy machine, joining took too long
                 peer.greet().join(role)
                 return peer
 
@@ -54,7 +54,7 @@ def test_calls_of_the_largest_size_that_are_not_read_have_a_bound_in_all(keyed: 
             session = f"m{number}"
             join("agent", session, receive_buffer=4096)
             experiment = join("experiment", session)
-            with suppress(OSError):  # it may be dropped
+            with suppress(OSError):  # the hub may drop the peer
                 experiment.say(Kind.RL_AGENT_START, 1, body=huge, session=session)
         assert peak(process) <= MOST
 

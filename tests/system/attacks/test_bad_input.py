@@ -39,7 +39,7 @@ ROOM = 150
 
 
 class HealthySession:
-    """An agent and an environment in processes of their own, and an experiment in a thread: all play on."""
+    """An agent and an environment in processes of their own, and an experiment in a thread that plays on."""
 
     def __init__(self, hub: subprocess.Popen[str], url: str) -> None:
         self._hub = hub
@@ -84,7 +84,7 @@ class HealthySession:
         return self._returns
 
     def close(self) -> None:
-        """Let everybody end, whether there is still a hub or not."""
+        """End all programs, with or without a hub."""
         self._glue.give_up("the test is over")
         self._thread.join(TIMEOUT)
         for player in self._players:
@@ -100,7 +100,7 @@ class Target:
         self.healthy = healthy
 
     def connected(self) -> ScriptedPeer:
-        """Return a connection on which nothing is sent yet."""
+        """Return a connection on which nothing has been sent."""
         return ScriptedPeer(self.url, session=SESSION).connect()
 
     def greeted(self, receive_buffer: int = 0) -> ScriptedPeer:
@@ -108,7 +108,7 @@ class Target:
         return ScriptedPeer(self.url, session=SESSION, receive_buffer=receive_buffer).greet()
 
     def megabytes(self) -> int:
-        """Memory that the hub's process holds."""
+        """Return the memory of the hub's process, in megabytes."""
         status = Path(f"/proc/{self._process.pid}/status").read_text()
         return int(status.split("VmRSS:")[1].split()[0]) // 1024
 
@@ -460,7 +460,7 @@ def test_floods_of_hellos_from_many_connections_fill_no_more_than_the_sessions_t
             ErrorCode.FULL,
             f"this hub serves {SESSIONS} sessions at once, and all are in use",
         )
-        # Once the floods have gone their sessions are free again.
+        # Once the floods have gone, their sessions are free again.
         for number in range(SESSIONS):
             floods[number % len(floods)].say(Kind.GOODBYE, 0, "over", session=f"flood {number}")
         for flood in floods:

@@ -3,9 +3,9 @@
     python -m tests.system.keys.handshakes 100000
 
 A hub with keys serves an honest session, while a peer that holds a valid key connects again and again and
-changes something of what it says: bits, bytes, lengths, order, the end. Or it says what it recorded of
-another connection. Nothing of it may be let in, the hub may keep nothing of it, and the honest session must
-go on as if it were alone.
+mutates its own messages: bits, bytes, lengths, order, the end. Or it replays the messages of another
+connection. The hub must admit none of these messages and keep nothing of them, and the honest session must
+continue as if it were alone.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ REFUSAL = b"\x04\x0a\x05ERROR\x03400"
 _TIMEOUT = 60.0
 _MAX_STEPS = 200
 _GROWTH = 4 * 2**20
-"""Bytes by which the hub may have grown in the end: its allocator's, and its log's queue."""
+"""Bytes by which the hub may have grown in the end, for its allocator and its log's queue."""
 
 
 def mutated(data: bytes, chance: random.Random) -> bytes:
-    """Something else than `data`, and more than it with something behind it."""
+    """Return a mutation of `data` that does not begin with `data`."""
     mutations: list[Callable[[int, int], bytes]] = [
         lambda at, size: data[:at] + bytes((data[at] ^ 1 << chance.randrange(8),)) + data[at + 1 :],
         lambda at, size: data[:at] + chance.randbytes(size) + data[at + size :],
@@ -65,7 +65,7 @@ def mutated(data: bytes, chance: random.Random) -> bytes:
 
 
 def _may_greet(greeting: bytes) -> bool:
-    """Whether a mutated greeting is as legal as ours: it is in plain text, and most of it means nothing."""
+    """Return whether a mutated greeting is as legal as ours: most of its plain text means nothing."""
     return (
         len(greeting) >= 64
         and greeting[0] == 0xFF
@@ -76,11 +76,11 @@ def _may_greet(greeting: bytes) -> bool:
 
 
 class Mutant:
-    """Connects to a hub again and again, with a valid key and something wrong.
+    """A peer that connects to a hub again and again, with a valid key and one mutation.
 
     Attributes:
-        tried: how many handshakes of each stage.
-        late: how many of them the hub ended before anything was wrong, since they had taken too long.
+        tried: number of handshakes of each stage.
+        late: number of handshakes that the hub ended before the mutation, since they had taken too long.
     """
 
     def __init__(self, url: str, own: Pair, server: bytes, seed: int) -> None:
@@ -93,18 +93,18 @@ class Mutant:
         self.late = 0
 
     def attack(self) -> None:
-        """Try one handshake; fail if anything of it was let in."""
+        """Try one handshake; fail if the hub admits any of it."""
         stage = self._chance.choice(STAGES)
         self.tried[stage] += 1
         keys = CurveClient(self._own, self._server, self._short)
         with ScriptedPeer(self._url, keys, session=SESSION) as peer, suppress(ConnectionError):
             answer = self._go_through(peer.connect(), keys, stage)
             if stage == "hello":
-                answer = answer.removeprefix(REFUSAL)  # its box cannot be opened
+                answer = answer.removeprefix(REFUSAL)  # the box of the mutated HELLO cannot be opened
             assert answer == b"", f"a mutated {stage} was answered with {answer[:20]!r}"
 
     def _go_through(self, peer: ScriptedPeer, keys: CurveClient, stage: str) -> bytes:
-        """Say everything up to a stage, and that mutated; return what the hub answers to it."""
+        """Complete the handshake up to a stage, and mutate that; return the hub's answer to the mutation."""
         hello = command(keys.hello())
         if stage == "greeting":
             greeting = mutated(GREETING, self._chance)
@@ -134,7 +134,7 @@ class Mutant:
         return self._end(peer, mutated(message, self._chance))
 
     def _answer(self, peer: ScriptedPeer) -> bytes:
-        """Return the hub's command, unless a busy hub has dropped the peer, after a second."""
+        """Return the hub's command, unless a busy hub has dropped the peer after a second."""
         try:
             return peer.read_frame()[1]
         except ConnectionError:
@@ -149,11 +149,11 @@ class Mutant:
 
 @dataclass
 class Honest:
-    """A session that plays the same episodes as it would alone, over and over.
+    """A session that plays the same episodes as alone, over and over.
 
     Attributes:
-        episodes: how many it has played.
-        wrong: the first result that differs, if any does.
+        episodes: number of episodes played.
+        wrong: the first result that differs; empty if none does.
     """
 
     glue: RemoteExperiment
@@ -177,7 +177,7 @@ class Honest:
 
 @contextmanager
 def keyed_hub(folder: KeyFolder, log: Path) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
-    """A hub of these keys in a process of its own, and its URL."""
+    """A hub with these keys in a process of its own, and its URL."""
     program = "from glue.cli.hub import main; main()"
     options = ["--bind", "tcp://127.0.0.1:*", "--keys", str(folder.path), "--heartbeat", "0.2"]
     with log.open("wb") as output:
@@ -219,17 +219,17 @@ def honest_session(url: str, folder: KeyFolder, key: Path) -> Iterator[Honest]:
 
 
 def resident(pid: int) -> int:
-    """Bytes of memory of a process."""
+    """Return the resident memory of a process, in bytes."""
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGESIZE")
 
 
 def open_files(pid: int) -> int:
-    """How many descriptors a process has open."""
+    """Return the number of descriptors that a process has open."""
     return len(os.listdir(f"/proc/{pid}/fd"))
 
 
 def run(number: int, folder: Path, seed: int = SEED) -> str:
-    """Try a number of handshakes; return what came of them."""
+    """Try a number of handshakes; return a line about the outcome."""
     keys = KeyFolder(folder)
     key = keys.entrant("carol")
     roles = '["agent", "environment", "experiment"]'

@@ -1,4 +1,4 @@
-"""Programs with keys, as their users start them; the same episodes as without; other users of the machine."""
+"""Programs with keys, as users start them; the same episodes as without keys; other users of the machine."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def folder(tmp_path: Path) -> KeyFolder:
 
 
 def play(hub: str, between: Callable[[int], None], **keys: Any) -> tuple[list[tuple[float, int]], bytes]:
-    """All results of a run of three peers, and what the agent has learned in the end."""
+    """Return all results of a run of three peers, and the agent's save at the end."""
 
     def serve(serve_one: Callable[..., str], player: object) -> None:
         with suppress(GlueError):
@@ -81,7 +81,7 @@ def test_a_run_with_keys_is_the_run_without_even_if_the_network_breaks(folder: K
 
 
 def test_mutated_handshakes_open_nothing_and_disturb_nobody(tmp_path: Path) -> None:
-    # 10^5 of them are tried by the stage of .ci/run.
+    # A stage of .ci/run tries 10^5 of them.
     assert "nothing in" in run(200, tmp_path)
 
 
@@ -97,7 +97,7 @@ def test_a_key_from_its_making_to_its_end(tmp_path: Path) -> None:
     assert glue_keys("show", "carol.key_secret", cwd=tmp_path).stdout == made.stdout
     keys = KeyFolder(tmp_path)
     keys.entrant("erin")
-    # Her file is named as other programs name it, and holds the key alone.
+    # Her file is named as other programs name it, and holds only the key.
     (keys.path / "carol.pub").write_text(made.stdout)
     carol = '[carol]\nrole = ["agent", "environment", "experiment"]\nsession = "a"\n'
     keys.allow(carol)
@@ -150,7 +150,7 @@ def test_a_hub_takes_no_list_that_others_can_write(tmp_path: Path) -> None:
 
 
 def spoiled(keys: KeyFolder) -> Iterator[str]:
-    """Spoil a directory of keys in one way after the other; give a name of each."""
+    """Spoil a directory of keys in one way after another; yield a name of each."""
     listed, aside = keys.path / "allow.toml", keys.path.with_name("aside")
     good = listed.read_text()
     for name, text in {
@@ -211,7 +211,7 @@ def test_keys_that_cannot_be_read_cost_one_line_and_change_nothing(tmp_path: Pat
 
 @contextmanager
 def open_temporary_directory() -> Iterator[Path]:
-    """A folder that every user may enter, as /tmp is."""
+    """A folder that every user may enter, like /tmp."""
     with tempfile.TemporaryDirectory(dir="/tmp") as made:
         Path(made).chmod(0o1777)
         yield Path(made)
@@ -234,7 +234,7 @@ def as_nobody(path: Path) -> str:
 
 
 def listening(pid: int) -> set[str]:
-    """The inodes of a process's TCP sockets that listen."""
+    """Return the inodes of a process's listening TCP sockets."""
     tables = [Path(f"/proc/{pid}/net/{name}").read_text().splitlines()[1:] for name in ("tcp", "tcp6")]
     everyones = {line.split()[9] for table in tables for line in table if line.split()[3] == "0A"}
     own = set()
@@ -258,7 +258,7 @@ def test_another_user_of_the_machine_reaches_nothing_of_an_experiment_alone(tmp_
             assert path.parent.stat().st_mode & 0o777 == 0o700
             assert as_nobody(path) == "PermissionError"
             assert not listening(process.pid), "a port could be reached by anybody"
-            # It is the folder that keeps others out.
+            # Only the folder keeps others out.
             path.parent.chmod(0o755)
             path.chmod(0o777)
             assert as_nobody(path) == ""

@@ -1,6 +1,6 @@
 """A client of the original RL-Glue 3.x for tests, with plain sockets and struct.
 
-It shares no code with `glue.legacy`, so that each proves the other. It behaves like the original
+It shares no code with `glue.legacy`, so that each tests the other. It behaves like the original
 clients, including the quirks that a server must tolerate; `STYLES` lists them.
 
 Source: the wire protocol of RL-Glue core 3.04 and of the C, Java, Python and Lisp codecs.
@@ -18,7 +18,7 @@ from enum import IntEnum
 from typing import NamedTuple, Protocol
 
 TIMEOUT = 30.0
-"""Seconds after which a test that waits for the other side has failed."""
+"""Seconds that a test waits for the other side before it fails."""
 
 
 class Id(IntEnum):
@@ -58,15 +58,15 @@ class Id(IntEnum):
 
 @dataclass(frozen=True)
 class Style:
-    """How a codec behaves on the wire.
+    """The behaviour of a codec on the wire.
 
     Attributes:
-        split: header and payload are sent apart.
+        split: header and payload are sent separately.
         nodelay: TCP_NODELAY is set.
         greedy: reads all that is available, uses the first frame and discards the rest.
         utf16_counts: counts a text in UTF-16 units although it sends UTF-8.
-        farewell: what answers the server's last message.
-        byte_at_a_time: sends every byte on its own.
+        farewell: answer to the server's last message: "echo", "repeat" or "nothing".
+        byte_at_a_time: sends every byte separately.
         retry: seconds between two attempts to connect; C and Python programs wait for two seconds.
     """
 
@@ -97,7 +97,7 @@ class Numbers(NamedTuple):
 
     @property
     def counts(self) -> tuple[int, int, int]:
-        """How many ints, doubles and chars."""
+        """Numbers of ints, doubles and chars."""
         return len(self.ints), len(self.doubles), len(self.chars)
 
 
@@ -113,7 +113,7 @@ def pack_numbers(numbers: Numbers) -> bytes:
 
 
 def unpack_numbers(payload: bytes, offset: int = 0) -> tuple[Numbers, int]:
-    """Return the abstract type at `offset` and the offset behind it."""
+    """Return the abstract type at `offset` and the offset after it."""
     ints, doubles, chars = struct.unpack_from(">3I", payload, offset)
     at_doubles = offset + 12 + 4 * ints
     at_chars = at_doubles + 8 * doubles
@@ -138,7 +138,7 @@ class Closed(Exception):
 class Connection:
     """One TCP connection to the server, in the style of one codec.
 
-    Tries for `TIMEOUT` seconds until the server listens, and waits `timeout` seconds for each frame.
+    Tries to connect for `TIMEOUT` seconds, and waits `timeout` seconds for each frame.
     """
 
     def __init__(
@@ -184,7 +184,7 @@ class Connection:
         self._socket.sendall(data)
 
     def flood(self, data: bytes) -> int:
-        """Send as much of `data` as can be sent without waiting; return how much that was."""
+        """Send as much of `data` as can be sent without waiting; return the number of bytes."""
         sent = 0
         with memoryview(data) as view:
             while sent < len(data) and select.select([], [self._socket], [], 0)[1]:
@@ -192,7 +192,7 @@ class Connection:
         return sent
 
     def farewell(self) -> None:
-        """Answer the server's last message, if this codec does; the server may be gone already."""
+        """Answer the server's last message, if this codec does so; the server may be gone already."""
         try:
             if self.style.farewell == "echo":
                 self.send(Id.RL_TERM)
@@ -223,22 +223,22 @@ class Connection:
             self._received += chunk
 
     def nothing_received(self) -> bool:
-        """Whether there is nothing to receive, not even the end."""
+        """Return whether there is nothing to receive, not even the end."""
         return not self._received and not select.select([self._socket], [], [], 0)[0]
 
     def receive_until_closed(self) -> bytes:
-        """Return everything that comes until the server closes the connection."""
+        """Return everything received until the server closes the connection."""
         data = self._received
         while chunk := self._socket.recv(65536):
             data += chunk
         return data
 
     def close_writing(self) -> None:
-        """Say that no more will be sent; what comes can still be received."""
+        """Close the sending half; bytes can still be received."""
         self._socket.shutdown(socket.SHUT_WR)
 
     def close(self) -> None:
-        """Close in the orderly way."""
+        """Close in the usual way."""
         self._socket.close()
 
     def reset(self) -> None:
@@ -367,17 +367,17 @@ class Experiment:
         return payload
 
     def init(self) -> str:
-        """RL_init; the task spec."""
+        """RL_init: return the task spec."""
         return unpack_text(self._ask(Id.RL_INIT))
 
     def start(self) -> tuple[Numbers, Numbers]:
-        """RL_start; observation, action."""
+        """RL_start: return observation and action."""
         payload = self._ask(Id.RL_START)
         observation, offset = unpack_numbers(payload)
         return observation, unpack_numbers(payload, offset)[0]
 
     def step(self) -> tuple[float, Numbers, int, Numbers]:
-        """RL_step; reward, observation, terminal, action."""
+        """RL_step: return reward, observation, terminal and action."""
         payload = self._ask(Id.RL_STEP)
         terminal, reward = struct.unpack_from(">id", payload)
         observation, offset = unpack_numbers(payload, 12)
@@ -403,7 +403,7 @@ class Experiment:
         return int(value)
 
     def episode(self, max_steps: int) -> int:
-        """RL_episode; terminal."""
+        """RL_episode: return terminal."""
         (terminal,) = struct.unpack(">i", self._ask(Id.RL_EPISODE, struct.pack(">I", max_steps)))
         return int(terminal)
 
@@ -420,7 +420,7 @@ class Experiment:
         return unpack_numbers(self._ask(Id.RL_ENV_START))[0]
 
     def env_step(self, action: Numbers) -> tuple[float, Numbers, int]:
-        """RL_env_step; reward, observation, terminal."""
+        """RL_env_step: return reward, observation and terminal."""
         payload = self._ask(Id.RL_ENV_STEP, pack_numbers(action))
         terminal, reward = struct.unpack_from(">id", payload)
         return reward, unpack_numbers(payload, 12)[0], terminal
@@ -439,12 +439,12 @@ class Experiment:
         assert self._ask(Id.RL_AGENT_END, struct.pack(">d", reward)) == b""
 
     def terminate(self) -> None:
-        """Id 35, which no original codec sends but the server understands; it closes after it."""
+        """Send id 35, which no original codec sends but the server understands; the server then closes."""
         assert self._ask(Id.RL_TERM) == b""
         assert self.connection.receive_until_closed() == b""
 
     def close(self) -> None:
-        """Leave, as the original experiments do: without a word."""
+        """Leave without a goodbye, as the original experiments do."""
         self.connection.close()
 
 

@@ -1,4 +1,4 @@
-"""A hub with ports for original programs, and adapters that make programs of ours look original.
+"""A hub with ports for original programs, and adapters that make our programs look original.
 
 A program of a scenario of `tests.system.conformance` can be started from a shell:
 
@@ -37,7 +37,7 @@ _ASIDE = "aside"
 
 
 class Log:
-    """Keeps lines, and lets a test wait for one."""
+    """A log that keeps its lines, and lets a test wait for one."""
 
     def __init__(self) -> None:
         self._news = threading.Condition()
@@ -75,7 +75,7 @@ class Rig:
         self._failures: list[BaseException] = []
 
     def port(self, session: str = "default") -> int:
-        """The port of a session."""
+        """Return the port of a session."""
         return self._ports[session]
 
     def connect(self, style: Style = C, session: str = "default") -> Connection:
@@ -87,27 +87,27 @@ class Rig:
         return legacy_client.Experiment(self.connect(style, session))
 
     def settle(self) -> None:
-        """Return when the hub has acted on everything it has received so far."""
+        """Wait until the hub has acted on everything it has received so far."""
         aside = self.experiment(session=_ASIDE)
         for _ in range(2):
             aside.num_steps()
         aside.close()
 
     def wait_until_empty(self, session: str) -> None:
-        """Return when nobody takes part in a session any more.
+        """Wait until a session has no peers any more.
 
-        The hub keeps the place of a program that has closed its sending half while it is owed replies, for as
+        The hub keeps the role of a program that has closed its sending half and is still owed replies, for as
         long as a request may take.
         """
         self.settle()
         wait_until(lambda: session not in self.hub.switchboard._sessions, f"{session!r} to be empty")
 
     def native(self, session: str = "default") -> RemoteExperiment:
-        """Connect as an experiment of ours."""
+        """Connect as one of our experiments."""
         return connect(self.url, session, context=self._context)
 
     def disguised(self, style: Style = C, session: str = "default") -> DisguisedExperiment:
-        """Connect as an original experiment with the verbs of ours."""
+        """Connect as an original experiment with our verbs."""
         return DisguisedExperiment(self.experiment(style, session))
 
     def agent(self, agent: Agent, style: Style = C, session: str = "default") -> None:
@@ -124,12 +124,12 @@ class Rig:
         self._start(lambda: play_environment(environment, connection))
 
     def native_agent(self, agent: Agent, session: str = "default") -> None:
-        """Let an agent of ours play, in a thread."""
+        """Let one of our agents play, in a thread."""
         url, context = self.url, self._context
         self._start(lambda: serve_agent(agent, url, session, context=context))
 
     def native_environment(self, environment: Environment, session: str = "default") -> None:
-        """Let an environment of ours play, in a thread."""
+        """Let one of our environments play, in a thread."""
         url, context = self.url, self._context
         self._start(lambda: serve_environment(environment, url, session, context=context))
 
@@ -145,7 +145,7 @@ class Rig:
         thread.start()
 
     def join(self) -> None:
-        """Wait until every program has ended; raise what one of them raised."""
+        """Wait until every program has ended; raise the error of one that failed."""
         for thread in self._threads:
             thread.join(TIMEOUT)
             assert not thread.is_alive(), f"a program has not ended; the log:\n{self.log}"
@@ -162,7 +162,7 @@ def gateway(
     max_body: int = MAX_BODY,
     max_memory: int = 2**30,
 ) -> Iterator[Rig]:
-    """Run a hub with a port for each session, or for `default`; with it all programs must end."""
+    """Run a hub with a port for each session, or for `default`; all programs must end with the hub."""
     log = Log()
     with zmq.Context() as context:
         config = HubConfig(
@@ -179,14 +179,14 @@ def gateway(
 
 
 def free_ports(count: int) -> list[int]:
-    """Return ports that nobody listens on."""
+    """Return ports that are free."""
     with ExitStack() as stack:
         listeners = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(count)]
         return [int(listener.getsockname()[1]) for listener in listeners]
 
 
 def to_numbers(value: AbstractType) -> Numbers:
-    """Convert an observation or action of ours to that of an original program."""
+    """Convert one of our observations or actions to that of an original program."""
     return Numbers(tuple(value.ints.tolist()), tuple(value.doubles.tolist()), value.chars)
 
 
@@ -201,7 +201,7 @@ def play_environment(environment: Environment, connection: Connection) -> None:
 
 
 class DisguisedAgent:
-    """An agent of ours, as an original program."""
+    """One of our agents, as an original program."""
 
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
@@ -226,7 +226,7 @@ class DisguisedAgent:
 
 
 class DisguisedEnvironment:
-    """An environment of ours, as an original program."""
+    """One of our environments, as an original program."""
 
     def __init__(self, environment: Environment) -> None:
         self._environment = environment
@@ -249,7 +249,7 @@ class DisguisedEnvironment:
 
 
 class DisguisedExperiment(Experiment):
-    """The verbs of ours, over the connection of an original experiment."""
+    """Our verbs, over the connection of an original experiment."""
 
     def __init__(self, experiment: legacy_client.Experiment) -> None:
         self._experiment = experiment

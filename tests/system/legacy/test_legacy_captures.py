@@ -1,4 +1,4 @@
-"""Recordings of original runs, played to our server: it must send what the original server sent."""
+"""Recordings of original runs, played to our server: it must send the bytes of the original server."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ROLES = ("agent", "environment", "experiment")
 
 
 def play(client: ScriptedPeer, event: dict[str, Any]) -> None:
-    """Send what a client sent; receive what the server sent."""
+    """Send the recorded bytes of a client, or check those of the server."""
     where = f"{event['role']}, number {event['seq']}"
     recorded = bytes.fromhex(event.get("hex", ""))
     if event["from"] == "client":

@@ -1,4 +1,4 @@
-"""The test client is itself held against the recordings of original programs."""
+"""The test client itself is checked against recordings of original programs."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ CAPTURES = Path(__file__).parents[2] / "golden" / "captures"
 
 
 def receive(connection: socket.socket, size: int) -> bytes:
-    """Return the next `size` bytes, fewer only if the other side closes before."""
+    """Return the next `size` bytes, or fewer if the other side closes first."""
     data = b""
     while len(data) < size and (chunk := connection.recv(size - len(data))):
         data += chunk
@@ -42,7 +42,7 @@ def receive(connection: socket.socket, size: int) -> bytes:
 
 
 class Replay:
-    """The server's half of one recorded connection; it insists on the client's half."""
+    """The server's half of one recorded connection; checks that the client's half is as recorded."""
 
     def __init__(self, capture: str, role: str) -> None:
         recorded = json.loads((CAPTURES / f"{capture}.json").read_text())["frames"]
@@ -55,7 +55,7 @@ class Replay:
         """Serve one client.
 
         Raises:
-            AssertionError: the client sent anything else than what was recorded.
+            AssertionError: the client's bytes differ from the recording.
         """
         self._listener.settimeout(TIMEOUT)
         connection, _ = self._listener.accept()
@@ -88,7 +88,7 @@ def play_against(replay: Replay, client: Callable[[], object]) -> None:
     def run() -> None:
         try:
             client()
-        except BaseException as error:  # handed to the test's own thread
+        except BaseException as error:  # reported by the test's own thread
             failures.append(error)
 
     thread = threading.Thread(target=run)

@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[3]
 
 
 class Command:
-    """A command that runs, and the ports that it says it has opened, by session."""
+    """A running command, and the ports that it has announced as open, by session."""
 
     def __init__(self, process: subprocess.Popen[str], ports: int) -> None:
         self.process = process
@@ -42,14 +42,14 @@ class Command:
         raise AssertionError("the command ended without having opened its ports")
 
     def end(self) -> tuple[int, str, str]:
-        """Wait for the end; return the status, and what was said on standard output and error."""
+        """Wait for the end; return the status, standard output and standard error."""
         out, err = self.process.communicate(timeout=TIMEOUT)
         return self.process.returncode, out, err
 
 
 @contextmanager
 def command(*arguments: str, ports: int = 1, before: Callable[[], None] = lambda: None) -> Iterator[Command]:
-    """Run a command that opens so many ports."""
+    """Run a command that opens this number of ports."""
     process = subprocess.Popen(
         [BIN / arguments[0], *arguments[1:]],
         stdout=subprocess.PIPE,
@@ -167,7 +167,7 @@ def test_a_hub_out_of_descriptors_serves_those_it_has_and_later_the_others() -> 
             program("environment", "test_sanity", port, "c") as environment,
             program("experiment", "test_sanity", port, "c") as experiment,
         ):
-            # The crowd says nothing, and so is dropped after a while.
+            # The crowd sends nothing, and so is dropped after a while.
             assert experiment.communicate(timeout=TIMEOUT)[0] == "test_sanity passed\n"
             assert agent.wait(TIMEOUT) == environment.wait(TIMEOUT) == 0
         for connection in crowd:

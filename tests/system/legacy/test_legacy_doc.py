@@ -70,7 +70,7 @@ def section(title: str) -> str:
 
 
 def anonymous(line: str) -> str:
-    """Return a line of the log with the client's port of the document."""
+    """Return a line of the log with the client's port replaced by that of the document."""
     return re.sub(r"127\.0\.0\.1:\d+ \(", "127.0.0.1:41360 (", line)
 
 

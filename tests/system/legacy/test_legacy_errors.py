@@ -39,13 +39,13 @@ def raise_fault(*_: object) -> None:
 
 
 def check_ended(connection: Connection) -> None:
-    """The program's connection was reset, or closed."""
+    """Check that the program's connection was reset or closed."""
     with closing(connection), pytest.raises((ConnectionResetError, Closed)):
         connection.receive()
 
 
 def play(rig: Rig) -> None:
-    """The session beside the fault plays an episode."""
+    """Play an episode in the session without the fault."""
     experiment = rig.experiment()
     experiment.init()
     assert experiment.episode(0) == 1

@@ -1,4 +1,4 @@
-"""Programs that die, stall or break the protocol: what the others notice, and that no other session does."""
+"""Programs that die, stall or break the protocol: the effect on their session, and none on any other."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def rig() -> Iterator[Rig]:
 
 
 def join(rig: Rig, role: Id, session: str = "default") -> Connection:
-    """A program driven by hand."""
+    """Return the connection of a program driven by hand."""
     connection = rig.connect(session=session)
     connection.send(role)
     return connection
@@ -60,7 +60,7 @@ def ending(connection: Connection) -> bytes:
 
 
 def assert_reset(connection: Connection) -> None:
-    """Check that the server broke the connection, rather than merely closed it."""
+    """Check that the server reset the connection, rather than merely closed it."""
     with closing(connection), pytest.raises(ConnectionResetError):
         connection.receive_until_closed()
 
@@ -99,7 +99,7 @@ def let_die(rig: Rig, mortal: str) -> None:
 
 
 def replace(rig: Rig, mortal: str) -> None:
-    """Let a healthy one take the place of a mortal one."""
+    """Let a healthy player replace the mortal one."""
     if mortal == "agent":
         rig.agent(MirrorAgent())
     else:
@@ -161,7 +161,7 @@ def test_a_player_lost_between_episodes_is_replaced_silently(rig: Rig) -> None:
     environment.send_text(Id.ENV_INIT, "sample task spec")
     assert glue.connection.receive()[0] == Id.RL_INIT
     environment.close()
-    rig.log.wait_for("closed its connection")  # though nothing was asked of it
+    rig.log.wait_for("closed its connection")  # although no call was outstanding
     rig.environment(FiveStepEnvironment())
     assert glue.episode(0) == 1
     assert calls[0] == "agent_init sample task spec"
@@ -188,7 +188,7 @@ ONE = pack_numbers(Numbers((1,)))
 
 
 def void_the_start(rig: Rig) -> tuple[Connection, Connection, Experiment]:
-    """Return agent, environment, experiment: the agent is at work on a start that has been made anew."""
+    """Return agent, environment, experiment: the agent is still at work on a start that was made again."""
     agent, environment = join(rig, Id.AGENT_CONNECTION), join(rig, Id.ENVIRONMENT_CONNECTION)
     glue = rig.experiment()
     glue.connection.send(Id.RL_START)
@@ -240,7 +240,7 @@ def test_the_goodbye_waits_for_an_answer_that_is_no_longer_needed(rig: Rig) -> N
 
 
 def test_an_experiment_that_died_in_a_call_is_noticed_at_once_and_another_may_join() -> None:
-    # Nothing is done here by the hub's timeout.
+    # The hub's timeout plays no part here.
     with gateway(timeout=3600.0) as rig:
         agent = join(rig, Id.AGENT_CONNECTION)
         glue = rig.experiment()
@@ -337,7 +337,7 @@ def test_no_session_has_more_than_one_request_taken_up_in_a_turn(monkeypatch: py
     receive = hub.switchboard.receive
 
     def note(route: Route, message: Message, now: float) -> None:
-        turns[message.kind.name, now] += 1  # in one turn of the loop it is always the same time
+        turns[message.kind.name, now] += 1  # `now` does not change within a turn of the loop
         receive(route, message, now)
 
     monkeypatch.setattr(hub.switchboard, "receive", note)
@@ -545,7 +545,7 @@ def test_what_an_original_experiment_cannot_be_sent_cuts_it_off(rig: Rig) -> Non
 
 
 class LongWinded(ScriptedAgent):
-    """Says more than an original program is sent."""
+    """An agent whose answer is longer than an original program may be sent."""
 
     def agent_message(self, message: str) -> str:
         return "x" * 1_000_001
@@ -571,7 +571,7 @@ def test_an_experiment_that_does_not_read_is_not_answered_any_further(rig: Rig) 
 
 
 class BigEnvironment(ScriptedEnvironment):
-    """Shows 100 000 doubles."""
+    """An environment that shows 100 000 doubles."""
 
     def env_start(self) -> Observation:
         self._note("env_start")

@@ -1,4 +1,4 @@
-"""Any bytes, in any state: the hub survives, other sessions go on, and memory is bounded."""
+"""Any bytes, in any state: the hub survives, other sessions continue, and memory is bounded."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ unhurried = settings(
 
 
 class Arena:
-    """A hub that lives through all attacks, and an undisturbed session on it."""
+    """A hub that survives all attacks, and an undisturbed session on it."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
@@ -50,7 +50,7 @@ class Arena:
         return connection
 
     def check(self) -> None:
-        """Check that the undisturbed session is undisturbed, and clear away what is left of the attack."""
+        """Check that the other session is undisturbed, and clear away the remains of the attack."""
         self._episodes += 1
         assert self._bystander.episode(0) == 1
         assert self._bystander.num_steps() == 5
@@ -67,14 +67,14 @@ class Arena:
 
 @pytest.fixture(scope="module")
 def arena() -> Iterator[Arena]:
-    # Whoever closes the sending half may wait for replies as long as the hub's timeout.
+    # A program that closes its sending half may wait for replies as long as the hub's timeout.
     with gateway("default", ATTACKED, *FLOODS, heartbeat=0.2, timeout=1.0) as rig:
         arena = Arena(rig)
         yield arena
         arena.close()
 
 
-# Each returns the connection that is attacked from, in a certain state.
+# Each scene returns the connection that attacks, in a certain state.
 
 Scene = Callable[[Arena], Connection]
 
@@ -88,7 +88,7 @@ def idle(role: Id) -> Scene:
 
 
 def asked(role: Id, request: Id, payload: bytes, call: Id) -> Scene:
-    """A player that is at work on `call`, since an experiment made `request`."""
+    """Return a scene: a player at work on `call`, because an experiment made `request`."""
 
     def scene(arena: Arena) -> Connection:
         player = arena.join(role)
@@ -100,7 +100,7 @@ def asked(role: Id, request: Id, payload: bytes, call: Id) -> Scene:
 
 
 def asked_after_environment(request: Id, before: Id, payload: bytes, call: Id) -> Scene:
-    """An agent that is at work on `call`, which comes after one to the environment."""
+    """Return a scene: an agent at work on `call`, which follows a call to the environment."""
 
     def scene(arena: Arena) -> Connection:
         agent, environment = arena.join(Id.AGENT_CONNECTION), arena.join(Id.ENVIRONMENT_CONNECTION)
@@ -214,7 +214,7 @@ def test_any_bytes_leave_the_hub_and_other_sessions_unharmed(
 ) -> None:
     connection = SCENES[scene](arena)
     data = b"".join(attack)
-    with suppress(OSError):  # it may be dropped in the middle of it
+    with suppress(OSError):  # the hub may drop the connection in the middle
         connection.send_raw(data[:-cut] if cut else data)
         if end != "stay":
             getattr(connection, end)()
@@ -240,14 +240,14 @@ FLOODS = {
 def test_a_flood_takes_no_more_memory_than_the_longest_legal_message(arena: Arena, scene: str) -> None:
     data, held = FLOODS[scene]
     data += data * 400 if len(data) > 8 else bytes(2 * LONGEST)
-    # The hub reads what a flood has left behind before it takes it for gone: each needs a session of its own.
+    # The hub reads the rest of a flood before it counts the peer as gone: each needs a session of its own.
     arena.attacked = scene
     connection = SCENES[scene](arena)
     arena.rig.settle()
     tracemalloc.start()
     try:
         sent = 0
-        with suppress(OSError):  # it is dropped when it goes too far
+        with suppress(OSError):  # the hub drops a flood that is too large
             while more := connection.flood(data[sent : sent + 2**20]):
                 sent += more
                 arena.rig.settle()
@@ -255,6 +255,6 @@ def test_a_flood_takes_no_more_memory_than_the_longest_legal_message(arena: Aren
     finally:
         tracemalloc.stop()
     assert sent > 2**16
-    # A whole message is copied twice while it is read; then there is what the test itself takes.
+    # A whole message is copied twice while it is read; the rest is for the test itself.
     assert peak < 3.5 * held + 4 * 2**20
     arena.check()

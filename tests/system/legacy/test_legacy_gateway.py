@@ -60,7 +60,7 @@ def test_a_case_passes_in_all_mixtures_of_languages(rig: Rig, case: str) -> None
 
 
 class LargeEnvironment(FiveStepEnvironment):
-    """Shows 50 000 ints and doubles."""
+    """An environment that shows 50 000 ints and doubles."""
 
     def env_step(self, action: Action) -> tuple[float, Observation, bool]:
         return 1.0, Observation.from_body(fill(50_000, 50_000, 0)), False
@@ -79,7 +79,7 @@ def test_large_observations_arrive_whole(rig: Rig) -> None:
 
 
 def learn(glue: Experiment) -> Seen:
-    """An agent learns; what it does depends on every number that it was ever shown."""
+    """Let an agent learn; its actions depend on every number that it was ever shown."""
     glue.rl_init()
     seen: Seen = []
     for _ in range(40):
@@ -154,7 +154,7 @@ def test_every_order_of_joining_works_and_an_experiment_may_call_before_the_othe
 
 
 def ask(*ids: Id) -> bytes:
-    """The bytes of requests without a payload."""
+    """Return the bytes of requests without a payload."""
     return b"".join(struct.pack(">iI", message_id, 0) for message_id in ids)
 
 
@@ -232,7 +232,7 @@ def test_message_35_of_an_experiment_is_echoed_and_ends_the_run(rig: Rig) -> Non
     glue.terminate()
     glue.close()
     rig.join()
-    # The port stays open for the next three.
+    # The port stays open for the next three programs.
     run_case(rig, "test_1", "c", "java", "python")
 
 
@@ -264,14 +264,14 @@ def test_players_of_ours_stay_when_an_original_experiment_leaves(rig: Rig) -> No
 
 
 def player(rig: Rig, role: Id, payload: bytes = b"") -> Connection:
-    """An original player that a test drives by hand."""
+    """Return an original player that a test drives by hand."""
     connection = rig.connect(STYLES["python"])
     connection.send(role, payload)
     return connection
 
 
 def step_reply(terminal: int, observation: Numbers) -> bytes:
-    """The payload of an environment's answer to a step; the reward is 1."""
+    """Return the payload of an environment's answer to a step; the reward is 1."""
     return struct.pack(">id", terminal, 1.0) + pack_numbers(observation)
 
 
@@ -400,5 +400,5 @@ def test_a_million_of_each_is_the_maximum_an_original_is_sent(rig: Rig) -> None:
         assert action.counts == (count, 0, count)
         with pytest.raises(PeerFailed, match="at most 1000000 of each"):
             glue.rl_agent_start(Observation(chars=bytes(count + 1)))
-        # It was not the agent's fault: it stays.
+        # The agent was not at fault, and stays.
         assert glue.rl_agent_start(Observation(ints=[3])) == Action(ints=[3])

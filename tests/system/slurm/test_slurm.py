@@ -46,7 +46,7 @@ def cluster() -> Iterator[Path]:
 
 
 def submit(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    """Run `glue-experiment --engine slurm`, anew: it must see this cluster's variable."""
+    """Run `glue-experiment --engine slurm` in a fresh process, which sees this cluster's variable."""
     command = [*COMMAND, *map(str, arguments), "--engine", "slurm"]
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=60, check=False)
 
@@ -125,7 +125,7 @@ def test_preempted_tasks_leave_a_checkpoint_and_run_again(tmp_path: Path) -> Non
     wait_for((tmp_path / "urgent").exists, 120)
     begun = [_done(part) for part in parts]
     assert all(3 <= done < 2000 for done in begun)
-    with Results.open(parts[0]) as results:  # without --checkpoint-every, only a signal's is there
+    with Results.open(parts[0]) as results:  # the only checkpoint is that of a signal
         assert results.checkpointed() == {"Slow/mines/0": begun[0]}
     (tmp_path / "slow").unlink()
     for job in {line.split()[0] for line in queue()}:  # a requeued task waits for two minutes
@@ -143,7 +143,7 @@ def test_a_task_that_is_told_to_end_leaves_a_checkpoint(tmp_path: Path) -> None:
     assert submit(*slow, cwd=tmp_path).returncode == 0
     wait_for(lambda: _done(tmp_path / "run" / "parts" / "0") >= 3)
     job = (tmp_path / "run" / "parts" / "job").read_text()
-    subprocess.run(["scancel", "--batch", "--signal=TERM", job], check=True)  # as before the end of its time
+    subprocess.run(["scancel", "--batch", "--signal=TERM", job], check=True)  # as before its time limit
     wait_for(lambda: not queue())
     with Results.open(tmp_path / "run") as results:
         assert 3 <= results.trials()[0].done < 2000

@@ -1,4 +1,4 @@
-"""Hosts as network namespaces of Linux, and a router between them that can swallow everything."""
+"""Hosts as network namespaces of Linux, and a router between them that can drop all packets."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CLONE_NEWNET: Final = 0x40000000
 
 
 def missing() -> str | None:
-    """Return why there can be no networks here, or None."""
+    """Return the reason why there can be no networks here, or None."""
     if os.geteuid() != 0 or shutil.which("ip") is None:
         return "network namespaces need root and the program ip (Debian: iproute2)"
     name = f"glue-try-{os.getpid()}"
@@ -70,13 +70,13 @@ class Networks:
         self._ending.close()
 
     def swallow(self, everything: bool) -> None:
-        """Have the router swallow what it should pass on, without a word to anybody; or pass it on again."""
+        """Let the router silently drop all packets that it should forward, or forward them again."""
         setting = f"net.ipv4.ip_forward={0 if everything else 1}"
         _run("ip", "netns", "exec", self._router, "sysctl", "--quiet", "--write", setting)
 
     @contextmanager
     def near(self) -> Iterator[None]:
-        """Let this thread make its sockets at the near host."""
+        """Let this thread make its sockets on the near host."""
         with open("/proc/thread-self/ns/net") as before:
             try:
                 with open(f"/run/netns/{self._near}") as host:

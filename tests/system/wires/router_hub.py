@@ -1,4 +1,4 @@
-"""A small hub on libzmq's ROUTER, to play with: sessions are ours, all that is on the wire is libzmq's."""
+"""A small hub on libzmq's ROUTER: the sessions are ours, and everything on the wire is libzmq's."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class _Route:
 
 @contextmanager
 def router_hub() -> Iterator[str]:
-    """Serve in a thread; give the address."""
+    """Serve in a thread; yield the address."""
     ending = threading.Event()
     with ScriptedHub() as hub:
         thread = threading.Thread(target=_serve, args=(hub, ending))

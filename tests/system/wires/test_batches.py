@@ -23,7 +23,7 @@ EPISODES, CUTS = size((12, 12), (200, 250))
 
 @pytest.fixture
 def together(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """How many answers were sent at once, each time."""
+    """Number of answers that were sent at once, each time."""
     numbers: list[int] = []
     send = SocketTransport._send_joined
 

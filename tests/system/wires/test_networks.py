@@ -61,7 +61,7 @@ class Watched(ChainEnvironment):
 def run(
     hosts: Networks, environment: ChainEnvironment, timeout: float, libzmq: bool
 ) -> Iterator[RemoteExperiment]:
-    """A hub and an environment at the near host, and an agent at the far one."""
+    """A hub and an environment on the near host, and an agent on the far one."""
     with hosts.near():
         hub = Hub(HubConfig(bind=(f"tcp://{NEAR}:*",), heartbeat=HEARTBEAT, timeout=timeout, insecure=True))
         near = hub.endpoints[0]
@@ -86,7 +86,7 @@ def run(
 
 
 def serve(hosts: Networks, environment: ChainEnvironment, hub: str) -> None:
-    """Serve an environment at the near host."""
+    """Serve an environment on the near host."""
     with hosts.near():
         serve_environment(environment, hub)
 

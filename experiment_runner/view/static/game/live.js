@@ -1,4 +1,4 @@
-// A trial in progress, on the same screen as recorded episodes: always the newest moment that there is.
+// A trial in progress, on the same screen as recorded episodes: always its newest moment.
 
 import { count, failure, h, setText } from "../dom.js";
 import { listen } from "../stream.js";
@@ -8,7 +8,7 @@ import { decode } from "./values.js";
 const NO_HUB = "Nobody can look on at what is played now: only trials with a hub on this machine can be seen, so none " +
   "of --in-process, of a cluster, of a competition, or at a hub that asks for a key.";
 
-/** Show a run's trials in progress in `element`; returns a function that ends it. */
+/** Show a run's trials in progress in `element`; returns a function that stops it. */
 export function watchLive(element, run) {
   const status = h("p", { class: "quiet", role: "status" });
   const choice = h("select", { id: "trial", onchange: () => follow(choice.value) });

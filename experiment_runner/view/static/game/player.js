@@ -3,16 +3,16 @@
 import { h, score, setText } from "../dom.js";
 
 const SPEEDS = [1, 2, 5, 10, 15, 30, 60, 120];
-const USUAL_SPEED = 10; // steps per second, as glue-replay
+const USUAL_SPEED = 10; // steps per second, as in glue-replay
 const PAGE = 10;
 const STRIP = 56;
-const LONGEST_FRAME = 250; // milliseconds; more have passed if the tab was away
+const LONGEST_FRAME = 250; // milliseconds; more have passed if the tab was hidden
 const SAVE_AFTER = 300;
 
 /**
- * Show `recording` on `screen`, from `step` on; `moved(step)` is called when it has come to rest at a step.
+ * Show `recording` on `screen`, from `step` on; `moved(step)` is called when the player rests at a step.
  *
- * Returns `element`, `go(step)`, and `close()`, which ends it.
+ * Returns `element`, `go(step)`, and `close()`, which stops the player.
  */
 export function play(screen, recording, step, moved) {
   const last = recording.length - 1;
@@ -104,7 +104,7 @@ export function play(screen, recording, step, moved) {
     seek(next < 0 ? last : next);
   }
 
-  // One bar for each pixel: the largest reward there above the line, the least below it; a root, so that small ones show.
+  // One bar per pixel: its largest reward above the line, its smallest below; square roots keep small rewards visible.
   let bars = null;
   function measure() {
     const width = Math.max(strip.clientWidth, 1);

@@ -1,4 +1,4 @@
-// A recorded episode, as the server sends it: see experiment_runner/view/episodes.py.
+// A recorded episode in the server's format: see experiment_runner/view/episodes.py.
 
 import { decode, endOf } from "./values.js";
 
@@ -9,7 +9,7 @@ export class Recording {
     const view = new DataView(buffer);
     const size = view.getUint32(0, true);
     this.about = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, size)));
-    this.length = this.about.steps + 1; // with the start
+    this.length = this.about.steps + 1; // including the start
     this.rewards = new Float64Array(this.length);
     this.returns = new Float64Array(this.length);
     this._view = view;
@@ -22,11 +22,11 @@ export class Recording {
       this.returns[i] = total += this.rewards[i];
       at = endOf(view, endOf(view, at + 8));
     }
-    this._answered = this.about.answers ?? []; // [step, message, answer], in the order of the steps
+    this._answered = this.about.answers ?? []; // [step, message, answer], in order of steps
     if (at !== buffer.byteLength) throw new Error("The recording did not arrive whole.");
   }
 
-  /** Return what the agent has answered up to a step: pairs of message and answer. */
+  /** Return the agent's answers up to a step, as pairs of message and answer. */
   answers(step) {
     const found = new Map();
     for (const [at, message, answer] of this._answered) {

@@ -1,15 +1,15 @@
-// Moments in, canvas out: the observation as a drawing, beside it the action, reward and return, and below it all numbers.
+// Shows moments: the observation as a drawing, the action, reward and return next to it, and all numbers below it.
 
 import { get, h, setText, table } from "../dom.js";
 import { inWords, textOf } from "./values.js";
 
 const MOST_ROWS = 600;
-const LINE = 22; // chars in a row of the table, and in a row of Mario's tiles
+const LINE = 22; // chars per row of the table, as in a row of Mario's tiles
 const MOST_PIXELS = 4096; // of a drawing, in each direction
 const MOST_MARKS = 1000;
 const plain = new Intl.NumberFormat("en", { maximumFractionDigits: 4 });
 
-/** Return the drawings that installed environments offer for a task spec, and why others cannot be had. */
+/** Return the drawings that installed environments offer for a task spec, and the reasons why others cannot be used. */
 async function openDrawings(spec) {
   const drawings = [];
   const problems = [];
@@ -31,7 +31,7 @@ async function openDrawings(spec) {
   return { drawings, problems };
 }
 
-/** A place in which moments are shown; `element` holds it. `spec` is the task spec, as the server describes it. */
+/** A view of moments, held by `element`. `spec` is the task spec, as the server describes it. */
 export class Screen {
   constructor(spec, { drawings, problems }) {
     this._spec = spec;
@@ -58,7 +58,7 @@ export class Screen {
     window.addEventListener("themechange", this._redraw);
   }
 
-  /** Return a new screen, once there is what it draws with. */
+  /** Load the drawings, and return a new screen. */
   static async open(spec) {
     return new Screen(spec, await openDrawings(spec));
   }
@@ -78,7 +78,7 @@ export class Screen {
     this._count();
   }
 
-  /** Show what the agent has answered: pairs of message and answer, both of which may be anything. */
+  /** Show the agent's answers: pairs of message and answer, each of which may be any text. */
   _answer(answers) {
     const messages = answers.map(([message]) => message).join("\n");
     if (messages !== this._messages) {
@@ -95,7 +95,7 @@ export class Screen {
     return this._drawing(observation)?.words?.(action, observation) ?? inWords(action);
   }
 
-  /** End it. */
+  /** Close the screen. */
   close() {
     window.removeEventListener("themechange", this._redraw);
   }
@@ -132,7 +132,7 @@ export class Screen {
     this._canvas.className = style;
   }
 
-  /** Bring the table of numbers up to date, if somebody looks at it. */
+  /** Update the table of numbers, if it is open. */
   _count() {
     if (!this._numbers.open || !this._moment) return;
     const { observation } = this._moment;
@@ -150,18 +150,18 @@ export class Screen {
   }
 }
 
-/** Return the points that an agent wants drawn: its answer to the message "marks", if that is a JSON list of pairs of numbers. */
+/** Return the points that an agent wants drawn: its answer to "marks", if that is a JSON list of pairs of numbers. */
 function marksIn(answers) {
   try {
     const pairs = JSON.parse(answers.find(([message]) => message === "marks")[1]);
     const isPair = (pair) => pair.length === 2 && pair.every(Number.isFinite);
     return pairs.length <= MOST_MARKS && pairs.every(isPair) ? pairs : [];
   } catch {
-    return []; // it has not answered, or with something else, which stands beside the picture
+    return []; // no such answer, or an answer of another form, which is shown next to the picture
   }
 }
 
-/** Return rows of the name, value and range of every number of an observation; a drawing may have names for them. */
+/** Return a row of name, value and range for every number of an observation; a drawing may supply the names. */
 function numbersOf({ ints, doubles, chars }, space, names = {}) {
   const nameOf = (kind, i, otherwise) => names[kind]?.(i) ?? otherwise;
   const rows = [
@@ -176,7 +176,7 @@ function numbersOf({ ints, doubles, chars }, space, names = {}) {
   return more > 0 ? [...rows.slice(0, MOST_ROWS), [`and ${more} more`, "", ""]] : rows;
 }
 
-/** Return the range of number `i`; `runs` are pairs of how many numbers have a range, and the range. */
+/** Return the range of number `i`; `runs` are pairs of a count of numbers and their range. */
 function rangeOf(runs, i) {
   let left = i;
   for (const [repeat, range] of runs ?? []) {

@@ -2,7 +2,7 @@
 
 const PREFIX = 16;
 
-/** Return the value whose body begins at `at` of a DataView; `end` is where it ends. */
+/** Return the value whose body begins at offset `at` of a DataView; `end` is the offset after the body. */
 export function decode(view, at) {
   const [ints, doubles, chars] = [0, 4, 8].map((offset) => view.getUint32(at + offset, true));
   const first = at + PREFIX;
@@ -16,16 +16,16 @@ export function decode(view, at) {
   };
 }
 
-/** Return where the body that begins at `at` ends. */
+/** Return the offset after the body that begins at `at`. */
 export function endOf(view, at) {
   return at + PREFIX + 4 * view.getUint32(at, true) + 8 * view.getUint32(at + 4, true) + view.getUint32(at + 8, true);
 }
 
-/** Return chars as text: a dot for each that cannot be printed. */
+/** Return chars as text, with a dot for each unprintable one. */
 export const textOf = (chars) =>
   Array.from(chars, (code) => (code >= 32 && code < 127 ? String.fromCharCode(code) : "·")).join("");
 
-/** Return a value in a line, for people. */
+/** Return a value as one readable line. */
 export function inWords({ ints, doubles, chars }) {
   const parts = [...ints, ...doubles].map(String);
   if (chars.length) parts.push(`"${textOf(chars)}"`);

@@ -1,4 +1,4 @@
-"""glue-generalise: what is played, what is scored, and what the table says."""
+"""glue-generalise: its play, its scores and its table."""
 
 from __future__ import annotations
 
@@ -116,13 +116,13 @@ def few_levels(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def players(learn: int, relearn: int) -> LocalExperiment:
-    """Return both players in a benchmark of seven levels."""
+    """Return an experiment with both players of a benchmark of seven levels."""
     agent = SetBack(agent=f"{__file__}:Learner", learn=learn, relearn=relearn)
     return local(agent, NumberedLevels(train="few", sets="few,unseen", learn=learn, relearn=relearn, seed=1))
 
 
 def episodes(glue: Experiment, count: int) -> list[tuple[str, int, float, str]]:
-    """Play; return level, steps, return and last reward of each episode."""
+    """Play; return the level, steps, return and last reward of each episode."""
     played = []
     for _ in range(count):
         glue.rl_episode()
@@ -199,14 +199,14 @@ def test_summary_is_as_rliable_defines_it() -> None:
     rng = np.random.default_rng(3)
     train, test = rng.normal(60, 10, (3, 8)), rng.normal(20, 10, (3, 8))
     summary = summarise(document(train, test))
-    middle = np.sort(test.ravel())[6:18]  # a quarter of 24 is trimmed at either end
+    middle = np.sort(test.ravel())[6:18]  # a quarter of 24 is trimmed at each end
     assert summary.episode_return[1].value == pytest.approx(middle.mean())
     assert summary.goal_rate[0].value == pytest.approx((train > 50).mean())
     assert summary.goal_rate[2].value == pytest.approx((train > 50).mean() - (test > 50).mean())
     for interval in (*summary.goal_rate, *summary.episode_return):
         assert interval.low <= interval.value <= interval.high
     assert summary.episode_return[2].low > 20
-    # Trials that agree leave no doubt about a level.
+    # Trials that agree leave no uncertainty about a level.
     same = summarise(document([train[0]] * 3, [test[0]] * 3)).episode_return[0]
     assert same.low == same.value == same.high
     alone = summarise(document([train[0]], [test[0]])).episode_return[0]
@@ -229,7 +229,7 @@ def test_command_plays_writes_and_shows(tmp_path: Path) -> None:
     result = json.loads(out.read_text())
     assert [trial["seed"] for trial in result["trials"]] == [4, 5]
     assert [len(trial["test"]) for trial in result["trials"]] == [4, 4]
-    # The file and the run say the same; the finished run is not played again.
+    # The file and the run agree; the finished run is not played again.
     shown = CliRunner().invoke(generalise, ["--table", str(out), "--table", str(tmp_path / "random")])
     assert shown.output == table([result, result]) + "\n"
     assert shown.output.count("| random | 2 |") == 2

@@ -1,4 +1,4 @@
-"""A network that has learned from one round of states prefers cheap actions, and is the same again."""
+"""A network that has learned from one round of states prefers cheap actions, and is reproducible."""
 
 from __future__ import annotations
 

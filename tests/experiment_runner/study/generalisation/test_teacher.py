@@ -1,4 +1,4 @@
-"""The teacher of the imitating network: its prices tell death from life."""
+"""The teacher of the imitating network: its prices distinguish death from survival."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def constant(reward: float, trials: int = 10, episodes: int = 5000) -> FloatArra
 
 
 def learned_at(episode: int, reward: float = 140.0, trials: int = 10, episodes: int = 5000) -> FloatArray:
-    """Trials with a return of 0 up to an episode, and a constant one after it."""
+    """Return trials with a return of 0 up to an episode, and a constant return after it."""
     curves = constant(reward, trials, episodes)
     curves[:, :episode] = 0.0
     return curves
@@ -64,7 +64,7 @@ def test_fewer_episodes_than_the_window_reach_nothing() -> None:
 
 
 def test_trial_finishes_that_reaches_the_goal_in_half_of_its_last_episodes() -> None:
-    curves = np.full((3, 200), 45.0)  # dead, with every coin of the level
+    curves = np.full((3, 200), 45.0)  # death, with every coin of the level
     curves[0, 150:] = 90.0  # the goal, at the last possible step, without a coin
     curves[1, 151:] = 150.0
     found = outcome("4", curves)

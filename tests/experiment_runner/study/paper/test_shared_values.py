@@ -1,4 +1,4 @@
-"""Soar's values and ours: the same states under the same keys, and correlations of their ranks."""
+"""Soar's values and ours: the same states have the same keys, and rank correlations."""
 
 from __future__ import annotations
 

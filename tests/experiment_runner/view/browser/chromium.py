@@ -1,6 +1,6 @@
-"""Chromium without a window, looking at a page.
+"""Headless Chromium that shows a page.
 
-Needs Debian's chromium and chromium-driver, and selenium; the stage "the page" of .ci/run installs them.
+Needs Debian's chromium and chromium-driver, and selenium; the stage `page` of .ci/run installs them.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Browser:
     """A browser that has opened a page with its token.
 
     Args:
-        driver: selenium's.
+        driver: selenium's driver.
         page: the server.
     """
 
@@ -47,24 +47,24 @@ class Browser:
         driver.get(page.url)
 
     def go(self, view: str) -> None:
-        """Load the page anew at a view, such as `curves?run=ID`."""
+        """Load the page afresh at a view, such as `curves?run=ID`."""
         self.driver.get("about:blank")
         self.driver.get(f"http://127.0.0.1:{self._page.port}/#/{view}")
 
     def run(self, script: str, *arguments: object) -> Any:
-        """Return the result of a script; a promise is waited for."""
+        """Return the result of a script, after waiting for a promise."""
         return self.driver.execute_script(script, *arguments)
 
     def find(self, selector: str) -> Any:
-        """Return an element when it is there."""
+        """Wait for an element, and return it."""
         return self.wait(lambda: self.driver.find_elements("css selector", selector), selector)[0]
 
     def button(self, label: str) -> Any:
-        """Return a button when it is there."""
+        """Wait for a button, and return it."""
         return self.wait(lambda: self.driver.find_elements("xpath", f"//button[.='{label}']"), label)[0]
 
     def wait(self, true: Callable[[], _Found], what: str) -> _Found:
-        """Return the first result of `true()` that is true."""
+        """Call `true()` until its result is true; return that result."""
         deadline = time.monotonic() + _SECONDS
         while not (found := true()):
             assert time.monotonic() < deadline, f"waited in vain for {what}; there is:\n{self.text()}"
@@ -89,13 +89,13 @@ class Browser:
         return found
 
     def press(self, *keys: str) -> None:
-        """Press keys, one after the other, wherever the focus is."""
+        """Press keys one after the other, at the current focus."""
         from selenium.webdriver import ActionChains
 
         ActionChains(self.driver).send_keys(*keys).perform()
 
     def set_size(self, width: int, height: int, scale: float = 1) -> None:
-        """Let the page have so many CSS pixels, and each so many of the screen."""
+        """Set the size of the page in CSS pixels, and the number of screen pixels per CSS pixel."""
         self._devtools(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -105,12 +105,12 @@ class Browser:
         )
 
     def set_dark(self, is_dark: bool) -> None:
-        """Let the system have a dark or a light theme."""
+        """Emulate a system with a dark or a light theme."""
         feature = {"name": "prefers-color-scheme", "value": "dark" if is_dark else "light"}
         self._devtools("Emulation.setEmulatedMedia", features=[feature])
 
     def save_into(self, folder: Path) -> None:
-        """Let downloads go there."""
+        """Save downloads into a folder."""
         self._devtools("Browser.setDownloadBehavior", behavior="allow", downloadPath=str(folder))
 
     def screenshot(self) -> bytes:
@@ -122,7 +122,7 @@ class Browser:
         return [line["message"] for line in self.driver.get_log("browser") if line["level"] == "SEVERE"]
 
     def asked(self) -> list[str]:
-        """Return the requested URLs since the last call, by the browser's own log."""
+        """Return the URLs requested since the last call, from the browser's own log."""
         messages = [json.loads(line["message"])["message"] for line in self.driver.get_log("performance")]
         return [
             str(one["params"]["request"]["url"])
@@ -141,7 +141,7 @@ class Browser:
 
 @contextlib.contextmanager
 def browsing(page: Page) -> Iterator[Browser]:
-    """Look at a page with a browser of its own."""
+    """Open a page in a browser of its own."""
     from selenium import webdriver
 
     options = webdriver.ChromeOptions()

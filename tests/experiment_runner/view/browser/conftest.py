@@ -1,4 +1,4 @@
-"""Fixtures of tests in a browser: `glue-view` on a module's folder of runs, and a browser that shows it."""
+"""Fixtures for browser tests: `glue-view` on a module's folder of runs, and a browser that shows it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tests.experiment_runner.view.pages import Page, glue_view
 
 @pytest.fixture(scope="module")
 def page(folder: Path) -> Iterator[Page]:
-    """The server of the runs in the module's own fixture `folder`."""
+    """The server for the runs in the module's own fixture `folder`."""
     with glue_view(folder) as page:
         yield page
 

@@ -1,7 +1,7 @@
-"""Take pictures of the page for the documentation, with real runs, which take some minutes.
+"""Take screenshots of the page for the documentation, with real runs, which take some minutes.
 
-A program: `make screenshots` runs it, and it writes docs/images/view-*.png. It needs what the tests with a
-browser need (`tests.experiment_runner.view.browser.chromium`).
+`make screenshots` runs this program, which writes docs/images/view-*.png. It has the requirements of the
+browser tests (`tests.experiment_runner.view.browser.chromium`).
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ command = ["false"]
 
 
 def main(folder: Path) -> None:
-    """Make the runs, and write the pictures into a folder."""
+    """Make the runs, and write the screenshots into a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as made:
         top = Path(made)
@@ -95,7 +95,7 @@ def _make(top: Path) -> None:
 
 @contextmanager
 def _running(top: Path) -> Iterator[None]:
-    """A run that goes on meanwhile."""
+    """Keep a run going in the background."""
     what = ("--env", "mario", "--agent", "hierarchical-facts", "--episodes", "5000", "--trials", "10")
     command = (BIN / "glue-experiment", *what, "--in-process", "--out", "runs/ten-trials")
     with Popen(command, cwd=top, stdout=DEVNULL, stderr=DEVNULL) as process:
@@ -109,7 +109,7 @@ def _pictures(browser: Browser, page: Page) -> Iterator[tuple[str, bytes]]:
     sweep, spring = page.run_id("step-sizes"), page.run_id("spring")
     browser.set_size(*WIDE)
     browser.set_dark(False)
-    # In one script: between two the page may have drawn the table again.
+    # In one script: between two scripts the page may draw the table again.
     left = "return document.querySelector(`td[data-label='Time left']`)?.innerText"
     browser.wait(lambda: browser.run(left) not in (None, "", "…"), "the time left")
     yield "runs", browser.screenshot()

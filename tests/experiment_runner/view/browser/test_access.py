@@ -1,4 +1,4 @@
-"""The page for everybody: axe-core finds nothing serious, a keyboard and a phone are enough."""
+"""The accessibility of the page: axe-core finds nothing serious; a keyboard or a phone is enough."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.forked import run
 needed()
 
 AXE = Path(os.environ.get("AXE_CORE", "nowhere"))
-"""axe.min.js, which the stage "the page" of .ci/run installs with npm."""
+"""axe.min.js, which the stage `page` of .ci/run installs with npm."""
 
 _FAULTS = """
 return axe.run(document, { resultTypes: ["violations"] }).then((found) => found.violations
@@ -54,7 +54,7 @@ VIEWS = {
     "standings/{held}?projector=1": "Places",
     "run/nothing": "no such run",
 }
-"""Each view, and what it shows when it is there."""
+"""Each view, and a text that it shows once it is loaded."""
 
 
 def open_view(browser: Browser, page: Page, view: str) -> None:
@@ -100,7 +100,7 @@ def test_the_keyboard_leads_everywhere_in_the_order_of_the_page(browser: Browser
     open_view(browser, page, "runs")
     browser.press(TAB)
     assert focused(browser) == "Skip to the content"
-    assert browser.find(".skip").rect["x"] >= 0  # seen once it has the focus
+    assert browser.find(".skip").rect["x"] >= 0  # visible once it has the focus
     browser.press(ENTER, TAB)
     assert browser.run("return document.activeElement.id") == "search"
     browser.go("runs")
@@ -115,7 +115,7 @@ def test_the_keyboard_leads_everywhere_in_the_order_of_the_page(browser: Browser
         "const all = [...document.querySelectorAll('a, button, input, select, [tabindex]')];"
         "return all.map((one) => one.tabIndex)"
     )
-    assert max(places) == 0  # nothing jumps the queue
+    assert max(places) == 0  # nothing jumps the tab order
 
 
 def test_the_keyboard_switches_the_theme_and_a_reader_hears_what_is_a_state(
@@ -133,6 +133,6 @@ def test_the_keyboard_switches_the_theme_and_a_reader_hears_what_is_a_state(
 
 
 def focused(browser: Browser) -> str:
-    """Return the name of what has the focus."""
+    """Return the name of the element with the focus."""
     name = "const it = document.activeElement; return it.getAttribute('aria-label') ?? it.innerText"
     return str(browser.run(name)).strip()

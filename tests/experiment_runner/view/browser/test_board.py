@@ -1,4 +1,4 @@
-"""The board as one HTML file in a real browser, with many entrants of long names."""
+"""The board as one HTML file in a real browser, with many entrants that have long names."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ def score(value: float) -> str:
 
 
 def numbers_of(curve: dict[str, Any]) -> Iterator[tuple[float, ...]]:
-    """Yield place, mean, and both ends of the band, for every point of a curve."""
+    """Yield the position, the mean and both ends of the band, for every point of a curve."""
     return zip(*(curve[key] for key in ("at", "mean", "low", "high")), strict=True)
 
 
@@ -101,7 +101,7 @@ def test_pointing_at_a_curve_shows_its_numbers_and_its_single_trials(
     plain = ink(browser)
     browser.run("document.querySelector('.controls fieldset:nth-of-type(3) button:last-of-type').click()")
     browser.wait(lambda: ink(browser) != plain, "another drawing")
-    assert shown in browser.find(".readout").text  # also in the drawing that has replaced the first
+    assert shown in browser.find(".readout").text  # also in the drawing that replaced the first one
     browser.find(".plot").send_keys("\ue010")  # End
     browser.shows(f"episode {first['at'][-1]:,.0f}: ")
 
@@ -111,7 +111,7 @@ def test_dragging_zooms_and_the_part_stays_until_the_whole_is_wanted(browser: Br
 
     browser.go(f"curves?{both}")
     before = browser.has_table(f"{NAME}: running mean")
-    over = browser.find(".plot")  # not the drawing in it: the page may draw again at any time
+    over = browser.find(".plot")  # not the drawing in it, which the page may replace at any time
     ActionChains(browser.driver).move_to_element_with_offset(over, -100, 0).click_and_hold().move_by_offset(
         150, 0
     ).release().perform()
@@ -133,7 +133,7 @@ def test_csv_holds_exactly_what_the_server_has_computed(
     text = saved(browser, f"curves?{both}&over={over}", "CSV", tmp_path / "curves.csv").decode()
     head, *rows = csv.reader(text.splitlines())
     assert head == ["setting", over[:-1], "mean", "low", "high"]
-    labels = (NAME, f"'{OTHER}")  # no formula
+    labels = (NAME, f"'{OTHER}")  # quoted, so that it is no formula
     expected = [
         (label, *numbers)
         for label, curve in zip(labels, curves, strict=True)
@@ -154,10 +154,10 @@ def test_png_is_the_picture_with_its_legend(browser: Browser, both: str, tmp_pat
 
 
 def saved(browser: Browser, view: str, button: str, file: Path) -> bytes:
-    """Return the file that a button of a view saves."""
+    """Press a button of a view; return the file that it saves."""
     browser.save_into(file.parent)
     browser.go(view)
-    browser.has_table("Results, by setting")  # with it the page scrolls, and the plot becomes narrower
+    browser.has_table("Results, by setting")  # it adds a scroll bar, which makes the plot narrower
     browser.button(button).click()
     wait_until(file.exists, file.name)
     return file.read_bytes()

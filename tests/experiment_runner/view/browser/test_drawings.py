@@ -1,4 +1,4 @@
-"""Somebody else's environment on the page: a package with an environment and a drawing, as entry points."""
+"""A third party's environment on the page: a package with an environment and a drawing as entry points."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ broken = lamp:NOTHING
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A run of the package's environment; the package is installed for all programs of this module."""
+    """A run of the package's environment; the package is installed for all programs that this module runs."""
     package = tmp_path_factory.mktemp("package")
     (package / "lamp.py").write_text(_PACKAGE)
     (package / "lamp.js").write_text(_SCRIPT)

@@ -1,4 +1,4 @@
-"""The game in a real browser: what stands on the canvas is what glue-replay draws, pixel for pixel."""
+"""The game in a real browser: the canvas equals the drawing of glue-replay, pixel for pixel."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ selenium_keys = pytest.importorskip("selenium.webdriver").Keys
 STEPS = 60
 HOSTILE = "<script>alert(1)</script>"
 RIGHT, DOWN = [1, 1, 1], [1]
-MARKS = ((4.03, 3.5), (5.5, 6.25), (300.0, 2.0), (7.0, -4.0))  # in sight the first two
-LEVELS = {0: 33, 1: 19, 2: 28}  # a seed for each type, with which Mario gets far and meets many
+MARKS = ((4.03, 3.5), (5.5, 6.25), (300.0, 2.0), (7.0, -4.0))  # the first two are in view
+LEVELS = {0: 33, 1: 19, 2: 28}  # for each type, a seed with which Mario gets far and meets many monsters
 Pixels = npt.NDArray[np.uint8]
 
 
@@ -43,7 +43,7 @@ def play(
     writer.run(Run(name, {}, environment.env_init()))
     writer.start(environment.env_start())
     for step in range(steps):
-        # A jump needs the button to be let go.
+        # A new jump needs the button to be released first.
         pressed = Action(action if (step + 1) % 4 or len(action) == 1 else [1, 0, 1])
         reward, seen, terminal, *_ = environment.env_step(pressed)
         writer.step(pressed, reward, seen, terminal)
@@ -99,7 +99,7 @@ def facts(browser: Browser) -> dict[str, str]:
 
 
 def answers(browser: Browser) -> dict[str, str]:
-    """Return the agent's answers that are shown next to the game, by message."""
+    """Return the agent's answers shown next to the game, by message."""
     found: dict[str, str] = browser.run(
         "return Object.fromEntries([...document.querySelectorAll('[data-answer]')]"
         ".map((one) => [one.previousElementSibling.textContent, one.textContent]))"
@@ -175,7 +175,7 @@ def test_the_plan_that_an_agent_answers_is_drawn(browser: Browser, ids: dict[str
     assert then is not None
     assert (draw(start, MARKS) != draw(start)).sum() > 13
     np.testing.assert_array_equal(pixels(browser), colors[draw(start, MARKS)])
-    browser.press(selenium_keys.ARROW_RIGHT)  # to an answer that is no plan
+    browser.press(selenium_keys.ARROW_RIGHT)  # to an answer that is not a plan
     is_at(browser, 1)
     assert answers(browser) == {"marks": HOSTILE}
     np.testing.assert_array_equal(pixels(browser), colors[draw(then)])
@@ -199,7 +199,7 @@ def test_it_is_played_by_keys(browser: Browser, ids: dict[str, str]) -> None:
     browser.run("document.querySelector('#speed').value = '120'")
     browser.press(" ")
     is_at(browser, STEPS)
-    assert browser.find("button.primary").get_attribute("aria-label") == "Play"  # it has stopped by itself
+    assert browser.find("button.primary").get_attribute("aria-label") == "Play"  # it stopped at the end
     browser.press(" ")  # from the start again
     browser.wait(lambda: facts(browser)["step"] != str(STEPS), "the start")
     browser.press(" ")
@@ -285,7 +285,7 @@ def test_what_there_is_not_is_said(browser: Browser, ids: dict[str, str]) -> Non
     assert browser.foreign() == []
     browser.go(f"game/{ids['mario']}/9")
     browser.shows("the recording has no episode 9")
-    assert len(browser.errors()) == 1  # the answer's status
+    assert len(browser.errors()) == 1  # the response's status
 
 
 def test_a_trial_in_progress_is_seen(browser: Browser, page: Page, folder: Path) -> None:

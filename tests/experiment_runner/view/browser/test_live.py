@@ -1,4 +1,4 @@
-"""The page while a real experiment runs at full speed, is killed, and goes on; while it sleeps or is slow."""
+"""The page while a real experiment runs at full speed, is killed, and resumes; a sleeping or slow page."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_a_run_is_killed_and_goes_on_while_the_page_stays_open(
             browser.find("td input").click()
             browser.find("a.button").click()
             browser.shows("running mean of 100 episodes")
-            # The drawing is smooth while the numbers come: half of all measurements, on a busy machine.
+            # Drawing is smooth while numbers arrive; the median, as the machine may be busy.
             assert statistics.median(browser.run(_GAPS) for _ in range(5)) < 200
             before = browser.tables()["Results, by setting"]
             browser.wait(lambda: browser.tables()["Results, by setting"] != before, "more episodes")
@@ -85,7 +85,7 @@ def test_a_run_is_killed_and_goes_on_while_the_page_stays_open(
         finally:
             process.kill()
     browser.shows("interrupted")
-    assert browser.run("return window.same") is True  # it was never loaded anew
+    assert browser.run("return window.same") is True  # it was never reloaded
     assert browser.errors() == []
 
 
@@ -144,7 +144,7 @@ class Broad:
     def env_message(self, message):
         return ""
 """
-"""An environment that counts all its steps, and whose observations fill what lies between hub and page."""
+"""An environment that counts its steps, with observations that fill the buffers between hub and page."""
 
 
 _COUNT = """
@@ -173,17 +173,17 @@ def test_a_browser_that_is_slow_misses_moments_and_nobody_waits_for_it(
         browser.wait(newest, "a moment")
         browser.run(_COUNT)
         drawing = children(browser.driver.service.process.pid, "--type=renderer")
-        signal_all(drawing, signal.SIGSTOP)  # from now on it takes in nothing
+        signal_all(drawing, signal.SIGSTOP)  # from now on it reads nothing
         stream, seen = page.stream(f"topic=live:{run}"), list[int]()
         while len(seen) < 150:
             body = base64.b64decode(until(stream, f"live:{run}", "moment", {})["seen"])
             seen.append(Observation.from_body(body[body_size(body) :]).ints[0])
-        assert sorted(set(seen)) == seen  # others are shown what is newest, and go on
+        assert sorted(set(seen)) == seen  # others continue, and are shown the newest step
         signal_all(drawing, signal.SIGCONT)
         browser.wait(lambda: newest() > seen[-1], "the newest moment")
         assert browser.run("return window.drawn") < len(seen)
         assert browser.errors() == []
-        assert page.stop() == 130  # with a browser and a stream that look on
+        assert page.stop() == 130  # with a browser and a stream connected
 
 
 _HIDE = """

@@ -1,4 +1,4 @@
-"""The page in a real browser: what stands in it is what the store holds, and nothing else happens."""
+"""The page in a real browser: it shows what the store holds, and nothing else happens."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_a_run_shows_the_numbers_of_the_store(browser: Browser, page: Page, fold
 
 
 def rows(browser: Browser) -> list[str]:
-    """Return the headings of groups and the names of runs, in the order of the list."""
+    """Return the group headings and the names of runs, in the order of the list."""
     found: list[str] = browser.run(
         "const found = document.querySelectorAll('.runs tbody tr:not([hidden]) th');"
         "return [...found].map((one) => one.textContent)"

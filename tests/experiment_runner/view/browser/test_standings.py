@@ -1,4 +1,4 @@
-"""The standings in a real browser: a competition from its first trial to its places."""
+"""The standings in a real browser, from the competition's first trial to its places."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser(folder: Path) -> Iterator[Browser]:
-    """Looks at the page of `glue-compete run --view` in a terminal."""
+    """A browser that shows the page of `glue-compete run --view` in a terminal."""
     command = ("glue-compete", "run", "spring.toml", "--out", "held", "--workers", "2")
     with in_terminal(*command, cwd=folder) as (page, _):
         with browsing(page) as browser:
@@ -39,7 +39,7 @@ def number(value: float) -> str:
 
 
 def expected(board: dict[str, Any]) -> dict[str, list[list[str]]]:
-    """Return the tables that a board in JSON comes to."""
+    """Return the tables that show a board given as JSON."""
     placed = [one for one in board["entrants"] if one["place"] is not None]
     return {
         "Places": [
@@ -106,7 +106,7 @@ def test_the_projector_enlarges_them_until_escape(browser: Browser) -> None:
     assert size() > 1.3 * before
     assert not browser.find("header").is_displayed()
     assert browser.driver.current_url.endswith("?projector=1")
-    browser.driver.refresh()  # as with a link to it
+    browser.driver.refresh()  # as when following a link to it
     assert browser.has_table("Places")
     assert size() > 1.3 * before
     browser.press("\ue00c")

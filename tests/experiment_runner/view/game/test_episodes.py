@@ -1,4 +1,4 @@
-"""Recorded episodes, as the page's server sends them; the files are taken to be hostile."""
+"""Recorded episodes, as the page's server sends them; the files are assumed to be hostile."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SEEN = Observation([1, 2], [float("nan")], b"\x00<b")
 
 
 def record(path: Path, *episodes: int, reward: float = 0.5) -> None:
-    """Write a recording of episodes with so many steps; the last is cut off, the others are terminal."""
+    """Record episodes of the given numbers of steps; the last is cut off, the others are terminal."""
     with TrajectoryWriter(path) as writer:
         writer.run(Run("strange", {}, SPEC))
         for number, steps in enumerate(episodes, 1):
@@ -149,7 +149,7 @@ def test_links_folders_and_pipes_are_no_recordings(shown: tuple[Page, Path, str]
     record(folder / "elsewhere.txt", 1)
     (folder / "link.traj").symlink_to(folder / "elsewhere.txt")
     (folder / "folder.traj").mkdir()
-    os.mkfifo(folder / "pipe.traj")  # to open it would wait forever
+    os.mkfifo(folder / "pipe.traj")  # opening it would wait forever
     assert listed(shown) == []
 
 

@@ -1,4 +1,4 @@
-"""A trial in progress, seen by a page: real experiments, which do not notice."""
+"""A trial in progress, shown by a page: real experiments, which are not affected."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def playing(*options: str, env: str = "mines", cwd: Path) -> Iterator[None]:
 
 
 def started(page: Page, stream: Stream) -> str:
-    """Return the id of a run once it goes on."""
+    """Wait for a run to be in progress, and return its id."""
     while True:
         for run in (stream.next().get("runs") or {}).values():
             if run and run["state"] == "running" and run["episodes"]:
@@ -46,7 +46,7 @@ def started(page: Page, stream: Stream) -> str:
 
 
 def until(stream: Stream, topic: str, key: str, known: dict[str, Any]) -> Any:
-    """Return the next value of a key that is not None; keep all values in `known`."""
+    """Return the next value of a key other than None; keep all values in `known`."""
     while True:
         values = stream.next().get(topic) or {}
         known |= values
