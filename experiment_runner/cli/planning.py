@@ -6,16 +6,16 @@ import itertools
 import sys
 import time
 from collections.abc import Mapping
-from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import click
 
-from experiment_runner.plan.file import load_plan, naming_lines
+from experiment_runner.plan.file import parse_plan
 from experiment_runner.plan.ids import REMOTE
 from experiment_runner.plan.plan import BUDGETS, Plan, RoleSweep, absolute, budget, check_options, class_files
+from experiment_runner.plan.toml import naming_lines, read
 from glue.errors import ConfigError, ExperimentError
 from glue.options import parse_assignments
 from glue.plugins import loading
@@ -47,19 +47,24 @@ def make_plan(plan_file: Path | None, counts: Mapping[str, Any], roles: Mapping[
         ConfigError: the plan is wrong, or no number of episodes or steps is given.
     """
     try:
-        if plan_file is None:
-            if not any(name in counts for name in BUDGETS):
-                raise ConfigError(
-                    "give the number of --episodes or --steps, or a --plan, or a run to --resume"
-                )
-            plan = absolute(Plan(**counts, **roles), Path.cwd())
-        else:
-            plan = absolute(replace(load_plan(plan_file), **budget(counts)), plan_file.parent)
-        with nullcontext() if plan_file is None else naming_lines(plan_file):
-            plan = check_options(plan, _find)
-            plan.expand()  # raises an error, before anything is created, if a trial occurs twice
+        if plan_file is not None:
+            text = read(plan_file, "plan")
+            with naming_lines(plan_file, text):
+                plan = parse_plan(text)
+            plan = absolute(replace(plan, **budget(counts)), plan_file.parent)
+            with naming_lines(plan_file, text):
+                return _checked(plan)
+        if not any(name in counts for name in BUDGETS):
+            raise ConfigError("give the number of --episodes or --steps, or a --plan, or a run to --resume")
+        return _checked(absolute(Plan(**counts, **roles), Path.cwd()))
     except ExperimentError as error:  # a mistake in a plan is a mistake in the command
         raise ConfigError(str(error)) from error
+
+
+def _checked(plan: Plan) -> Plan:
+    """Return a plan with its options checked; an error is raised before anything is created."""
+    plan = check_options(plan, _find)
+    plan.expand()  # raises an error if a trial occurs twice
     return plan
 
 

@@ -36,22 +36,18 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
-from experiment_runner.plan.lines import PlanError, line_of
 from experiment_runner.plan.metrics import parse_metrics
 from experiment_runner.plan.plan import BUDGETS, COUNTS, ROLES, Plan, RoleSweep, Seeds, plain
+from experiment_runner.plan.toml import SettingError, check_keys, naming_lines, parse, read, shown
 from experiment_runner.plan.tuning import Range, parse_tune, tune_tables
-from glue.errors import ExperimentError
 from glue.options import Value
-from glue.suggestions import did_you_mean
 
-_MAX_BYTES: Final = 2**22
+_KEYS: Final = (*COUNTS, "seeds", "inside", "metrics_every", "metrics", "tune", *ROLES)
 
 
 def load_plan(path: Path, seeds: Seeds = "number") -> Plan:
@@ -64,50 +60,23 @@ def load_plan(path: Path, seeds: Seeds = "number") -> Plan:
     Raises:
         ExperimentError: the file cannot be read, or is not a plan; the message names the file.
     """
-    try:
-        with path.open("rb") as file:
-            text = file.read(_MAX_BYTES + 1).decode()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ExperimentError(f"cannot read the plan {path}: {_reason(error)}") from error
-    with naming_lines(path):
-        if len(text) > _MAX_BYTES:
-            raise PlanError(f"a plan has at most {_MAX_BYTES:,} bytes")
+    text = read(path, "plan")
+    with naming_lines(path, text):
         return parse_plan(text, seeds)
-
-
-@contextmanager
-def naming_lines(path: Path) -> Iterator[None]:
-    """Add the file of a plan to errors of the body, and the line to an error about a key."""
-    try:
-        yield
-    except PlanError as error:
-        line = line_of(path.read_text(encoding="utf-8"), error.keys) if error.keys else None
-        raise ExperimentError(f"{path}{'' if line is None else f', line {line}'}: {error}") from error
 
 
 def parse_plan(text: str, seeds: Seeds = "number") -> Plan:
     """Return the plan that a TOML text describes; `seeds` as in `load_plan`.
 
     Raises:
-        PlanError: it is not TOML, or a key or value does not belong in a plan.
+        SettingError: it is not TOML, or a key or value does not belong in a plan.
     """
-    try:
-        return _plan_of(tomllib.loads(text), seeds)
-    except RecursionError:
-        raise PlanError("this is not a plan: it is nested too deeply") from None
-    except ValueError as error:  # also a number of thousands of digits
-        raise PlanError(f"this is not TOML: {error}") from error
-
-
-def _plan_of(document: Mapping[str, Any], seeds: Seeds) -> Plan:
-    known = (*COUNTS, "seeds", "inside", "metrics_every", "metrics", "tune", *ROLES)
-    for key in document:
-        if key not in known:
-            raise PlanError(f"a plan has no {key!r}{did_you_mean(key, known)}", key)
+    document = parse(text)
+    check_keys(document, _KEYS, "a plan")
     counts = {name: document[name] for name in COUNTS if name in document}
     inside = document.get("inside", [])
     if not isinstance(inside, list):
-        raise PlanError('inside is a list of players, as in: inside = ["env"]', "inside")
+        raise SettingError('inside is a list of players, as in: inside = ["env"]', "inside")
     return Plan(
         **counts,
         environments=_parse_roles("environments", document),
@@ -151,22 +120,22 @@ def _tune_value(value: Any) -> str:
 def _parse_roles(role: str, document: Mapping[str, Any]) -> tuple[RoleSweep, ...]:
     tables = document.get(role, {})
     if not isinstance(tables, dict):
-        raise PlanError(f"{role} are written as tables, as in: [{role}.NAME]", role)
+        raise SettingError(f"{role} are written as tables, as in: [{role}.NAME]", role)
     return tuple(_parse_role(role, key, table) for key, table in tables.items())
 
 
 def _parse_role(role: str, key: str, table: object) -> RoleSweep:
     if not isinstance(table, dict):
-        raise PlanError(f"{role}.{key} is written as a table, as in: [{role}.{key}]", role, key)
+        raise SettingError(f"{role}.{key} is written as a table, as in: [{role}.{key}]", role, key)
     options: dict[str, Any] = {
         name: tuple(value) if isinstance(value, list) else value for name, value in table.items()
     }
     name = options.pop("class", None)
     if name is not None and not isinstance(name, str):
-        raise PlanError(f"class of {role}.{key} names one class, not {name!r}", role, key, "class")
+        raise SettingError(f"class of {role}.{key} names one class, not {shown(name)}", role, key, "class")
     try:
         return RoleSweep(key, options) if name is None else RoleSweep(name, options, key)
-    except PlanError as error:
+    except SettingError as error:
         raise error.inside(role, key) from None
 
 
@@ -181,7 +150,3 @@ def _toml_value(value: Value | tuple[Value, ...]) -> str:
         # JSON's escapes are valid in TOML, but TOML also requires DEL to be escaped.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     return plain(value)
-
-
-def _reason(error: OSError | UnicodeDecodeError) -> str:
-    return (error.strerror or str(error)) if isinstance(error, OSError) else "it is not UTF-8 text"

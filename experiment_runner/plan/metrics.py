@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
-from experiment_runner.plan.lines import PlanError
+from experiment_runner.plan.toml import SettingError, shown, whole
 
 _MOST: Final = 2**31
 
@@ -57,21 +57,16 @@ def parse_metrics(every: object, table: object) -> MetricsPlan | None:
         table: `metrics` of the plan; None without it.
 
     Raises:
-        PlanError: a value does not belong there.
+        SettingError: a value does not belong there.
     """
     if every is None and table is None:
         return None
-    if every is None:
-        every = 0
-    if type(every) is not int or not 0 <= every < _MOST:
-        raise PlanError(
-            f"metrics_every is a number of steps, or 0 for each episode, not {every!r:.80}", "metrics_every"
-        )
+    steps = whole(0 if every is None else every, range(_MOST), "metrics_every", "metrics_every")
     if not isinstance(table, dict | None):
-        raise PlanError(
+        raise SettingError(
             'metrics are written as a table, as in: [metrics], then "mean TD error" = "mean 10"', "metrics"
         )
-    return MetricsPlan(every, {name: _keep(name, value) for name, value in (table or {}).items()})
+    return MetricsPlan(steps, {name: _keep(name, value) for name, value in (table or {}).items()})
 
 
 def _keep(name: str, value: object) -> Keep:
@@ -79,8 +74,9 @@ def _keep(name: str, value: object) -> Keep:
         return Keep(value)
     if isinstance(value, str) and (found := re.fullmatch(r"mean ([1-9][0-9]{0,8})", value)):
         return Keep(int(found[1]), True)
-    raise PlanError(
-        f'metric {name!r:.80} takes a number N, which keeps every N-th value, or "mean N", not {value!r:.80}',
+    raise SettingError(
+        f'metric {name!r:.80} takes a number N, which keeps every N-th value, or "mean N", '
+        f"not {shown(value)}",
         "metrics",
         name,
     )

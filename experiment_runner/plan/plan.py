@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
 from experiment_runner.plan.ids import REMOTE, TrialId, label_of
-from experiment_runner.plan.lines import PlanError
 from experiment_runner.plan.metrics import MetricsPlan
+from experiment_runner.plan.toml import SettingError, shown, whole
 from experiment_runner.plan.tuning import Range, TunePlan
 from glue.errors import ConfigError
 from glue.options import Value, parameters
@@ -74,7 +74,7 @@ class RoleSweep:
         label: of any characters; those that cannot be part of a trial's id are replaced.
 
     Raises:
-        PlanError: a value cannot be part of a plan.
+        SettingError: a value cannot be part of a plan.
     """
 
     name: str
@@ -86,12 +86,12 @@ class RoleSweep:
         for option, value in self.options.items():
             values = value if isinstance(value, tuple) else (value,)
             if not values:
-                raise PlanError(f"option {option} of {self.label} has an empty list of values", option)
+                raise SettingError(f"option {option} of {self.label} has an empty list of values", option)
             for one in values:
                 if not isinstance(one, (bool, int, float, str)):
-                    raise PlanError(
+                    raise SettingError(
                         f"option {option} of {self.label} takes a number, a string, true or false, "
-                        f"or a list of these, not {one!r}",
+                        f"or a list of these, not {shown(one)}",
                         option,
                     )
 
@@ -172,7 +172,7 @@ class Plan:
         tune: the search for the agents' options; None for none.
 
     Raises:
-        PlanError: a number is out of range, or two agents or environments share a label.
+        SettingError: a number is out of range, or two agents or environments share a label.
     """
 
     episodes: int = 0
@@ -189,34 +189,30 @@ class Plan:
 
     def __post_init__(self) -> None:
         for name, allowed in COUNTS.items():
-            value = getattr(self, name)
-            if type(value) is not int or value not in allowed:
-                raise PlanError(
-                    f"{name} must be a whole number from {allowed[0]} to {allowed[-1]}, not {value!r}", name
-                )
+            whole(getattr(self, name), allowed, name, name)
         if bool(self.episodes) == bool(self.steps):
-            raise PlanError(
+            raise SettingError(
                 "a trial ends after a number of episodes or of steps: a plan needs "
                 f"{'only ' if self.steps else ''}one of them, as in: episodes = 1000",
                 *(["steps"] if self.steps else []),
             )
         if self.seeds not in get_args(Seeds):
-            raise PlanError(f"seeds must be 'number' or 'id', not {self.seeds!r}", "seeds")
+            raise SettingError(f"seeds must be 'number' or 'id', not {shown(self.seeds)}", "seeds")
         for player in self.inside:
             if player not in PLAYERS:
-                raise PlanError(f"inside lists any of {', '.join(PLAYERS)}, not {player!r}", "inside")
+                raise SettingError(f"inside lists any of {', '.join(PLAYERS)}, not {shown(player)}", "inside")
         for role in ROLES:
             labels = [sweep.label for sweep in getattr(self, role)]
             for label in labels:
                 if labels.count(label) > 1:
-                    raise PlanError(f"two {role} are called {label}; label them apart", role, label)
+                    raise SettingError(f"two {role} are called {label}; label them apart", role, label)
 
         if self.tune is not None:
             labels = [sweep.label for sweep in self.agents]
             for label in self.tune.space:
                 if label not in labels:
                     near = did_you_mean(label, labels)
-                    raise PlanError(
+                    raise SettingError(
                         f"tune.agents.{label} is no agent of the plan{near}", "tune", "agents", label
                     )
 
@@ -224,7 +220,7 @@ class Plan:
         """Return every trial; those of one combination follow each other.
 
         Raises:
-            PlanError: two trials would have the same id, as when a value is listed twice.
+            SettingError: two trials would have the same id, as when a value is listed twice.
         """
         specs = []
         for (agent_part, agent), (environment_part, environment) in itertools.product(
@@ -238,7 +234,7 @@ class Plan:
         seen = set()
         for spec in specs:
             if spec.id in seen:
-                raise PlanError(f"the plan has trial {spec.id} twice: is a value listed twice?")
+                raise SettingError(f"the plan has trial {spec.id} twice: is a value listed twice?")
             seen.add(spec.id)
         return specs
 
@@ -295,7 +291,7 @@ def check_options(plan: Plan, find: Callable[[str, str], type]) -> Plan:
         find: returns the class for a role ("agent" or "environment") and a name.
 
     Raises:
-        PlanError: a class cannot be found, or an option is unknown to its class or has an invalid value.
+        SettingError: a class cannot be found, or an option is unknown to its class or has an invalid value.
     """
     for sweep in plan.agents if plan.tune else ():
         space = plan.tune.space.get(sweep.label, {}) if plan.tune else {}
@@ -316,7 +312,7 @@ def _class_of(sweep: RoleSweep, role: str, find: Callable[[str, str], type]) -> 
     try:
         return find(role, sweep.name)
     except ConfigError as error:
-        raise PlanError(str(error), f"{role}s", sweep.label, "class") from error
+        raise SettingError(str(error), f"{role}s", sweep.label, "class") from error
 
 
 def differences(ours: Plan, theirs: Plan) -> list[str]:
@@ -384,12 +380,12 @@ def _check_sweep(sweep: RoleSweep, factory: type, where: Sequence[str]) -> RoleS
     for name, value in sweep.options.items():
         if name not in known:
             near = did_you_mean(name, known)
-            raise PlanError(f"{sweep.label} has no option {name}{near}", *where, name)
+            raise SettingError(f"{sweep.label} has no option {name}{near}", *where, name)
         check = known[name].check
         try:
             options[name] = tuple(map(check, value)) if isinstance(value, tuple) else check(value)
         except ConfigError as error:
-            raise PlanError(f"{sweep.label}: {error}", *where, name) from None
+            raise SettingError(f"{sweep.label}: {error}", *where, name) from None
     return replace(sweep, options=options)
 
 

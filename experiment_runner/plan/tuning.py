@@ -20,12 +20,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Final
 
-from experiment_runner.plan.lines import PlanError
+from experiment_runner.plan.toml import SettingError, check_keys, shown, whole
 from glue.options import Value
 from glue.suggestions import did_you_mean
 
 SAMPLERS: Final = ("random", "grid", "optuna")
-_MOST: Final = 1_000_000
+_COUNT: Final = range(1, 1_000_001)
+_POINTS: Final = range(2, 1_000_001)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class Range:
         points: number of values in a grid.
 
     Raises:
-        PlanError: the ends are in the wrong order, or cannot have logarithms.
+        SettingError: the ends are in the wrong order, or cannot have logarithms.
     """
 
     low: float
@@ -50,12 +51,11 @@ class Range:
 
     def __post_init__(self) -> None:
         if not self.low < self.high or (self.log and self.low <= 0):
-            raise PlanError(
+            raise SettingError(
                 f"a range is from low to a greater high{', above 0' if self.log else ''}, "
                 f"not from {self.low} to {self.high}"
             )
-        if not 2 <= self.points <= _MOST:
-            raise PlanError(f"points of a range is a number from 2, not {self.points}")
+        whole(self.points, _POINTS, "points of a range")
 
     def at(self, share: float) -> Value:
         """Return the value at a share, 0 to 1, of the way from low to high."""
@@ -84,7 +84,7 @@ class TunePlan:
         prune: whether the worse half of the configurations is pruned after a quarter of each trial.
 
     Raises:
-        PlanError: a number is out of range, or the sampler is unknown.
+        SettingError: a number is out of range, or the sampler is unknown.
     """
 
     space: Mapping[str, Space] = field(default_factory=dict)
@@ -96,33 +96,29 @@ class TunePlan:
 
     def __post_init__(self) -> None:
         if self.sampler not in SAMPLERS:
-            near = did_you_mean(self.sampler, SAMPLERS)
-            raise PlanError(f"there is no sampler {self.sampler!r:.80}{near}", "tune", "sampler")
+            near = did_you_mean(str(self.sampler), SAMPLERS)
+            raise SettingError(f"there is no sampler {shown(self.sampler)}{near}", "tune", "sampler")
         for name in ("configurations", "trials", "final"):
-            value = getattr(self, name)
-            if type(value) is not int or not 1 <= value <= _MOST:
-                raise PlanError(
-                    f"{name} of tune is a number from 1 to {_MOST:,}, not {value!r:.80}", "tune", name
-                )
+            whole(getattr(self, name), _COUNT, f"{name} of tune", "tune", name)
         if type(self.prune) is not bool:
-            raise PlanError(f"prune of tune is true or false, not {self.prune!r:.80}", "tune", "prune")
+            raise SettingError(f"prune of tune is true or false, not {shown(self.prune)}", "tune", "prune")
         if not self.space:
-            raise PlanError("tune needs the options to search, as in: [tune.agents.NAME]", "tune")
+            raise SettingError("tune needs the options to search, as in: [tune.agents.NAME]", "tune")
 
 
 def parse_tune(table: object) -> TunePlan:
     """Return the search that the table `tune` of a plan describes.
 
     Raises:
-        PlanError: a key or value does not belong there.
+        SettingError: a key or value does not belong there.
     """
     if not isinstance(table, dict):
-        raise PlanError("tune is written as a table, as in: [tune]", "tune")
+        raise SettingError("tune is written as a table, as in: [tune]", "tune")
     given = dict(table)
     agents = given.pop("agents", {})
-    _check_keys("tune", given, [one.name for one in fields(TunePlan) if one.name != "space"], "tune")
+    check_keys(given, [one.name for one in fields(TunePlan) if one.name != "space"], "tune", "tune")
     if not isinstance(agents, dict) or not all(isinstance(space, dict) for space in agents.values()):
-        raise PlanError(
+        raise SettingError(
             "the options to search are written as tables, as in: [tune.agents.NAME]", "tune", "agents"
         )
     return TunePlan({label: _space(label, space) for label, space in agents.items()}, **given)
@@ -135,29 +131,23 @@ def _space(label: str, table: Mapping[str, Any]) -> Space:
         if isinstance(value, list) and value and all(isinstance(v, bool | int | float | str) for v in value):
             found[name] = tuple(value)
         elif isinstance(value, dict):
-            _check_keys(where, value, [one.name for one in fields(Range)], *keys)
+            check_keys(value, [one.name for one in fields(Range)], where, *keys)
             for key, kind in (("low", int | float), ("high", int | float), ("log", bool), ("integer", bool)):
                 if not isinstance(value.get(key, False), kind) or (
                     key in ("low", "high") and key not in value
                 ):
-                    raise PlanError(f"{where} needs a proper {key}, as in {{low = 0.01, high = 1.0}}", *keys)
-            if type(value.get("points", 5)) is not int:
-                raise PlanError(f"points of {where} is a whole number", *keys)
+                    raise SettingError(
+                        f"{where} needs a proper {key}, as in {{low = 0.01, high = 1.0}}", *keys
+                    )
             try:
                 found[name] = Range(**value)
-            except PlanError as error:
+            except SettingError as error:
                 raise error.inside(*keys) from None
         else:
-            raise PlanError(
+            raise SettingError(
                 f"{where} is a range such as {{low = 0.01, high = 1.0}}, or a list of values", *keys
             )
     return found
-
-
-def _check_keys(what: str, table: Mapping[str, Any], known: list[str], *where: str) -> None:
-    for key in table:
-        if key not in known:
-            raise PlanError(f"{what} has no {key!r:.80}{did_you_mean(key, known)}", *where, key)
 
 
 def tune_tables(tune: TunePlan) -> dict[str, dict[str, Any]]:

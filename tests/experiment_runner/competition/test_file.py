@@ -93,6 +93,7 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ("step_seconds = 0.5", "pids = 0", 6, "pids must be a whole number"),
         ("step_seconds = 0.5", "tmp = -1", 6, "tmp is a number of bytes"),
         ("step_seconds = 0.5", "shm = 1.5", 6, "shm is a number of bytes"),
+        ("step_seconds = 0.5", "shm = 0x" + 5000 * "f", 6, "shm is a number of bytes"),
         ("step_seconds = 0.5", 'log = "1 GB"', 6, "log is a number of bytes"),
         ("cpus = 2", 'cpus = "two"', 8, "cpus must be a number above 0"),
         ("[limits]", "[[limits]]", 5, "limits must be a table"),

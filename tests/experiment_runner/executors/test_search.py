@@ -73,6 +73,8 @@ def test_a_plan_with_a_search_is_read_as_it_is_written() -> None:
     ("line", "near"),
     [
         ('sampler = "randon"', "random"),
+        ("sampler = 3", "there is no sampler 3"),
+        ("trials = 0x" + 5000 * "f", "trials .* not a number of thousands of digits"),
         ("trails = 3", "trials"),
         ("trials = 0", "trials"),
         ("[tune.agents.sarsas]\nstep_size = [0.1]", "sarsa"),

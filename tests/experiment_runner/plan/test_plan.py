@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 import experiment_runner.plan.file as plan_file
 from experiment_runner.cli.planning import make_plan
 from experiment_runner.plan.file import dump_plan, load_plan, parse_plan
-from experiment_runner.plan.lines import PlanError
 from experiment_runner.plan.plan import (
     PLAYERS,
     Plan,
@@ -22,6 +21,7 @@ from experiment_runner.plan.plan import (
     describe,
     differences,
 )
+from experiment_runner.plan.toml import SettingError
 from glue.errors import ConfigError, ExperimentError
 from glue.options import Option
 
@@ -203,6 +203,9 @@ def test_load_names_the_file(tmp_path: Path) -> None:
     path.write_bytes(b"\xff")
     with pytest.raises(ExperimentError, match=r"plan.toml: it is not UTF-8"):
         load_plan(path)
+    path.write_bytes(b"#" * (2**22 + 1))
+    with pytest.raises(ExperimentError, match=r"plan.toml: it has more than 4,194,304 bytes"):
+        load_plan(path)
     path.write_text("episode = 3")
     with pytest.raises(ExperimentError, match=r"plan.toml, line 1: a plan has no 'episode'"):
         load_plan(path)
@@ -282,7 +285,7 @@ def test_options_are_checked_and_widened() -> None:
     ],
 )
 def test_wrong_option_is_refused(sweep: RoleSweep, message: str) -> None:
-    with pytest.raises((ConfigError, PlanError), match=message):
+    with pytest.raises((ConfigError, SettingError), match=message):
         check_options(Plan(episodes=1, agents=(sweep,)), find)
 
 

@@ -1,0 +1,147 @@
+"""TOML files that a user writes: reading one, and errors that name the file, the line and near misses."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from glue.errors import ExperimentError
+from glue.suggestions import did_you_mean
+
+_MAX_BYTES: Final = 2**22
+_SHOWN: Final = 80
+"""Maximum number of characters of a wrong value in a message."""
+
+
+class SettingError(ExperimentError):
+    """A key or a value in a user's TOML file is wrong.
+
+    Attributes:
+        keys: the key, after those of the tables that contain it; empty if the error is about no key.
+    """
+
+    def __init__(self, message: str, *keys: str) -> None:
+        super().__init__(message)
+        self.keys = keys
+
+    def inside(self, *keys: str) -> SettingError:
+        """Return this error for a table that is inside others."""
+        return SettingError(str(self), *keys, *self.keys)
+
+
+def read(path: Path, what: str) -> str:
+    """Return the text of a file.
+
+    Args:
+        path: of the file.
+        what: what the file describes, for messages.
+
+    Raises:
+        ExperimentError: the file cannot be read, is no text or too large; the message names it.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(_MAX_BYTES + 1)
+        if len(data) > _MAX_BYTES:
+            raise ExperimentError(f"cannot read the {what} {path}: it has more than {_MAX_BYTES:,} bytes")
+        return data.decode()
+    except OSError as error:
+        raise ExperimentError(f"cannot read the {what} {path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise ExperimentError(f"cannot read the {what} {path}: it is not UTF-8 text") from error
+
+
+def parse(text: str) -> dict[str, Any]:
+    """Return the document of a TOML text.
+
+    Raises:
+        SettingError: the text is not TOML, or is nested too deeply.
+    """
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise SettingError("this TOML is nested too deeply") from None
+    except ValueError as error:  # also a number of thousands of digits
+        raise SettingError(f"this is not TOML: {error}") from error
+
+
+@contextmanager
+def naming_lines(path: Path, text: str) -> Iterator[None]:
+    """Add the file to SettingErrors of the body, and the line to an error about a key of its `text`."""
+    try:
+        yield
+    except SettingError as error:
+        line = line_of(text, error.keys) if error.keys else None
+        raise ExperimentError(f"{path}{'' if line is None else f', line {line}'}: {error}") from error
+
+
+def check_keys(table: Mapping[str, Any], known: Collection[str], what: str, *where: str) -> None:
+    """Check that a table has only known keys.
+
+    Raises:
+        SettingError: it has another; the message suggests near misses.
+    """
+    for key in table:
+        if key not in known:
+            raise SettingError(f"{what} has no {key!r:.80}{did_you_mean(key, known)}", *where, key)
+
+
+def whole(value: object, allowed: range, what: str, *keys: str) -> int:
+    """Return a value, if it is a whole number from a range.
+
+    Raises:
+        SettingError: it is not.
+    """
+    if type(value) is not int or value not in allowed:
+        span = f"from {allowed[0]} to {allowed[-1]}"
+        raise SettingError(f"{what} must be a whole number {span}, not {shown(value)}", *keys)
+    return value
+
+
+def shown(value: object) -> str:
+    """Return the beginning of a value, for a message."""
+    try:
+        return f"{value!r:.{_SHOWN}}"
+    except ValueError:
+        return "a number of thousands of digits"
+    except RecursionError:
+        return "a value that is nested too deeply"
+
+
+def line_of(text: str, keys: tuple[str, ...]) -> int | None:
+    """Return the line of a TOML text in which a key is set or, failing that, the table that has it."""
+    table: tuple[str, ...] = ()
+    best, found = 0, None
+    for number, line in enumerate(text.splitlines(), 1):
+        header = re.match(r"\s*(\[+[^\[\]]+\]+)\s*(#.*)?$", line)
+        key = re.match(r"\s*([^\s=#\[][^=#]*)=", line)
+        if header:
+            place = table = _path(header[1])
+        elif key:
+            place = table + _path(f"{key[1]}=0")
+        else:
+            continue
+        common = sum(1 for ours, theirs in zip(keys, place, strict=False) if ours == theirs)
+        if common == min(len(keys), len(place)) and common > best:
+            best, found = common, number
+    return found
+
+
+def _path(fragment: str) -> tuple[str, ...]:
+    """Return the keys of a table's heading or of `key=0`."""
+    try:
+        table: Any = tomllib.loads(fragment)
+    except tomllib.TOMLDecodeError:
+        return ()
+    keys = []
+    while isinstance(table, (dict, list)) and table:
+        if isinstance(table, list):
+            table = table[0]
+        else:
+            key, table = next(iter(table.items()))
+            keys.append(key)
+    return tuple(keys)
