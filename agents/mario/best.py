@@ -60,7 +60,7 @@ _FADING: Final = 3
 _FRONTIER: Final = 0.8  # chance of the frontier while no episode has ended with a reward
 _DEPTH: Final = 8.0  # mean distance of the cells from the farthest one, at the frontier
 _STRAYED: Final = 1.0  # distance from a path, x plus y, beyond which Mario has strayed
-_MAX_RESUMED: Final = 30  # maximum number of times that an episode resumes, or Mario might go in circles
+_MAX_RESUMED: Final = 30  # maximum resumptions in an episode; without it Mario might go in circles
 
 # How to explore: the chances of the three buttons.
 _AHEAD: Final = 0.87  # right, at the frontier

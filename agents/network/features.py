@@ -20,10 +20,10 @@ NONE: Final = NUM_ACTIONS
 """The number of a missing action, at the beginning of an episode."""
 
 _MIDDLE: Final = 10  # Mario's column when he cannot be seen: above the screen
-_HEIGHT: Final = 16  # rows around Mario; the next number of them are above him
-_ABOVE: Final = 9
-_WIDTH: Final = 15  # columns around Mario; the next number of them are behind him
-_BEHIND: Final = 3
+_HEIGHT: Final = 16  # rows around Mario
+_ABOVE: Final = 9  # of them above him
+_WIDTH: Final = 15  # columns around Mario
+_BEHIND: Final = 3  # of them behind him
 _LOWEST: Final = 14  # rows below it are a pit, or show the lowest row again
 _GOAL_ROW: Final = 1  # the goal's column is shown in all rows
 _OTHERS: Final = 6

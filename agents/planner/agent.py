@@ -31,7 +31,7 @@ _AHEAD: Final = 16  # columns to look ahead, at most
 _PATIENCE: Final = 15  # steps without progress, after which it searches harder
 _MORE: Final = 6  # factor of the budget then
 _MOST: Final = 30  # factor of the budget after three times as many steps
-_MOST_HARD: Final = 50_000  # model steps at most then, or those of the option
+_MOST_HARD: Final = 50_000  # model steps at most then, unless the option says more
 _SECONDS_PER_SIM: Final = 2e-6  # at first
 _ACTIONS: Final = [Action(ints=buttons) for buttons in model.ACTIONS.tolist()]
 RUN_RIGHT: Final = 9

@@ -105,7 +105,7 @@ class Route:
             self.tried = saved.array("tried", np.int64).tolist()
 
     def _promised(self, plan: list[int], worlds: Array, levels: Array) -> float:
-        """Return the items that a plan earns from a belief on, less its steps; `_NOTHING` off the goal."""
+        """Return a plan's items from a belief on, less its steps; `_NOTHING` if it never reaches the goal."""
         world = self._world[0]
         self._world.view(np.uint8)[:] = worlds.view(np.uint8)
         for step, action in enumerate(plan):

@@ -18,7 +18,7 @@ from glue.types import Observation
 
 RENDER_MODES: Final = ("rgb_array", "ansi", "human")
 FPS: Final = 10
-"""Steps per second, about twice the speed of the original game."""
+"""Steps, of five ticks each, per second: about twice the speed of the original game."""
 
 _COLORS: Final = np.array([*PALETTE.values()], np.uint8)
 _SCALE: Final = 2

@@ -153,7 +153,7 @@ class InfiniteMario(Environment):
         )
 
     def env_save(self) -> bytes:
-        """Return the state on which later episodes depend: level, last buttons, and whether one has begun."""
+        """Return the state on which later episodes depend: level, last buttons, and whether any began."""
         level = tuple(getattr(self._parameters, name) for name in _LEVEL)
         return pack_state(State(level, self.buttons, bool(self.game.world.started)))
 

@@ -63,7 +63,7 @@ ACTIONS: Final = np.array(
 CONSTANTS: Final = ("speed_walk", "speed_run", "speed_jump", "accel_fall", "speed_slidejump", "jump_time")
 """The physical constants in which published tasks differ; units and ranges are those of the parameters."""
 
-_KEPT: Final = 48  # maximum number of actors of a saved world; the oldest are left out
+_KEPT: Final = 48  # maximum number of actors of a saved world; of more, the oldest are left out
 
 # The layout of a saved world: all numbers, the length of the list, the actors in the order of the list,
 # Mario first, and the changes in some columns.

@@ -423,7 +423,7 @@ def remove(directories: tuple[Path, ...], yes: bool) -> None:
 
 
 def _step_table(found: Results, every: int | None) -> Table:
-    """Return the table of the mean return of the episodes under way, at regular steps."""
+    """Return the table of the mean return of the episodes under way, every `every` steps."""
     import numpy as np
 
     from experiment_runner.analysis.settings import collect

@@ -1,4 +1,4 @@
-"""Remove an entrant's container when the process that started it is gone, even if killed.
+"""Remove an entrant's container when the process that started it is gone, even if it was killed.
 
     python -P -m experiment_runner.competition.remover SOCKET CONTAINER
 

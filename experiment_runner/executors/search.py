@@ -166,7 +166,7 @@ def _shortened(spec: TrialSpec) -> TrialSpec:
 def _run(
     store: Store, specs: Sequence[TrialSpec], run: Callable[[], None], say: Callable[[str], None]
 ) -> None:
-    """Run the trials that the store does not have at this length."""
+    """Run the trials that the store does not have, or has only at a shorter length."""
     known = {trial.spec.id: trial.spec for trial in store.trials()}
     new = [
         spec

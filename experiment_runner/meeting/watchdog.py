@@ -1,4 +1,4 @@
-"""Processes that notice the end of the process that started them, even by SIGKILL.
+"""Processes that notice the end of the process that started them, even if SIGKILL ends it.
 
 The standard input of such a child is a pipe to which nothing is written: when it closes, the parent has
 ended, or has no more use for the child. Only the standard library is imported, to keep small children small.

@@ -37,7 +37,7 @@ class EpisodeResult(NamedTuple):
 
 
 def _agree(one: float, other: float) -> bool:
-    """Return whether two values of a measure agree; NaN is unknown, as in rows older than the measure."""
+    """Return whether two values of a measure agree; NaN means unknown, as in rows older than the measure."""
     return one == other or math.isnan(one) or math.isnan(other)
 
 

@@ -1,8 +1,8 @@
 """The topics `live:RUN`: a trial in progress, as an observer of its session sees it.
 
 An observer (docs/protocol.md) cannot change anything, and the hub never waits for it. All pages that show the
-same trial share one observer, and without pages there is none. It requests one step at a time, at most
-30 a second, so steps in between are never sent; a slower page gets only the newest.
+same trial share one observer, and without pages there is none. It requests one moment, a start or a step,
+at a time, at most 30 a second, so moments in between are never sent; a slower page gets only the newest.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from glue.client.observer import AnswerSeen, Seen, StartSeen, StepSeen, TaskSpec
 from glue.errors import GlueError
 from glue.types import CUT_OFF, Action
 
-_RATE: Final = 30.0  # steps per second
+_RATE: Final = 30.0  # moments per second
 _LOOK_SECONDS: Final = 0.5  # between polls for a trial in progress
 _WAIT_SECONDS: Final = 5.0  # for a hub to answer
 _MOST_WATCHES: Final = 16
@@ -37,7 +37,7 @@ class Live:
     """Opens the topics: `RUN` is a run's first trial in progress, `RUN/TRIAL` that trial.
 
     A topic has `trials`, the ids of those in progress; `trial`, the one that is shown, if any; `spec`, its
-    task spec; `moment`, the newest step; and `answers`, the last answers of the agent, by message.
+    task spec; `moment`, the newest start or step; and `answers`, the last answers of the agent, by message.
     """
 
     def __init__(self, catalog: Catalog, pulse: Pulse) -> None:

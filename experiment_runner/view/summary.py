@@ -50,7 +50,7 @@ def run_in_full(directory: Path) -> dict[str, Any]:
 
 
 def standings_of(directory: Path) -> dict[str, Any]:
-    """Return the board of a competition and its progress, without anything of the secret seed.
+    """Return the board of a competition and its progress, but nothing of the secret seed.
 
     Raises:
         ExperimentError: the directory holds no competition, or cannot be read.

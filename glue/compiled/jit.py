@@ -119,10 +119,10 @@ class _PartCompiler(Compiler):
 
 @contextmanager
 def announce_compilation(what: str, seconds: int | None = None) -> Iterator[None]:
-    """Print to stderr that `what` is being compiled, and how long it took, if an entry in this block is.
+    """Print to stderr that `what` is being compiled, and how long it took.
 
-    If another process is compiling the same entry, wait for its machine code, and say so. `seconds` is the
-    approximate time on a free core.
+    Nothing is printed if no entry called in this block has to be compiled. If another process is compiling
+    the same entry, wait for its machine code, and say so. `seconds` is the approximate time on a free core.
     """
     listener = _Announcement(what, seconds)
     with event.install_listener("numba:compile", listener), _leaving_at_once():

@@ -1,4 +1,4 @@
-"""Players of RL-Glue's Python codec: the methods are ours, the values those of `rlglue.types`.
+"""Players of RL-Glue's Python codec: methods like ours, but with values of `rlglue.types`.
 
 A value of `rlglue.types` has lists: `intArray`, `doubleArray`, and `charArray` of texts of one character.
 Source: RL-Glue Python Extension 2.02, rlglue/types.py and rlglue/network/Network.py.

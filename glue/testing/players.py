@@ -34,7 +34,7 @@ def check_environment(
     """Check that the environments that `factory` makes keep the rules of `Rule`.
 
     Args:
-        factory: makes a new environment at each call; a class works.
+        factory: makes a new environment at each call; a class will do.
         action: draws a legal action. Needed if the task spec does not state the actions, or leaves
             bounds open that the environment does not; without it, actions are drawn from the task spec.
         episodes: the number of episodes in each of at most seven rounds.
@@ -61,7 +61,7 @@ def check_agent(
     """Check that the agents that `factory` makes keep the rules of `Rule` in the task of `task_spec`.
 
     Args:
-        factory: makes a new agent at each call; a class works.
+        factory: makes a new agent at each call; a class will do.
         task_spec: given to agent_init. Rewards are drawn from its range; if that is open, within 100
             of its one end or of zero.
         observation: draws an observation. Needed if the task spec does not state them, or leaves bounds

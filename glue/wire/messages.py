@@ -144,7 +144,7 @@ class Shape:
 
 @dataclass(frozen=True, slots=True)
 class Call:
-    """A request and its reply. `callee` is the role that answers; None is the hub, for the experiment."""
+    """A request and its reply. `callee` is the role that answers; None: the hub, asked by the experiment."""
 
     callee: Role | None
     request: Shape

@@ -7,8 +7,8 @@
     head, body = stream.encode(message)
 
 Nearly all messages of an experiment belong to steps. The formats of `glue.wire.steps` write and recognise
-them as a whole; no other module needs to know. A stream learns both formats of a
-session's steps when it writes the first message of a step there: at a hub a call, at a player an answer.
+them as a whole; no other module needs to know. A stream learns both formats of a session's steps when it
+writes the first message of a step there: at a hub a call, at a player an answer.
 """
 
 from __future__ import annotations

@@ -93,7 +93,7 @@ class Games(Closing):
         cells, reals: the current views, shapes (N, bytes) and (N, reals) of the view.
         final_cells, final_reals: the last views of episodes that are over.
         lanes: shape (N,); see `Lane`.
-        levels: the levels of the set, shared by the games if there are no more than games; else each game's.
+        levels: the levels of the set if they are no more than the games, which share them; else each game's.
     """
 
     def __init__(

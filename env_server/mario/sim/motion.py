@@ -25,7 +25,7 @@ _REACH: Final = np.float32(_HALF_WIDTH)
 
 @jit
 def move_sideways(world: World, level: LevelMap, actor: Actor, amount: np.float32) -> bool:
-    """Move by `amount` pixels or up to an obstacle, which clears `vx`; return whether it was blocked."""
+    """Move by `amount` pixels or up to an obstacle, which clears `vx`; return whether there was one."""
     head = tile_of(actor.y - np.float32(actor.height))
     middle = tile_of(actor.y - np.float32(actor.height // 2))
     feet = tile_of(actor.y)

@@ -70,7 +70,7 @@ def sign(directory: Path, key: str, signed: Callable[[bytes], bytes]) -> None:
 
 
 def broken(results: Results) -> str:
-    """Return the part that was changed since it was sealed; empty if none was, or there is no seal.
+    """Return the name of the part that was changed since it was sealed; empty without a change or a seal.
 
     Raises:
         ExperimentError: the seal cannot be read.

@@ -5,7 +5,7 @@ connection breaks in the middle of a flood (libzmq's issue 4364), and its thread
 
 A connection has to take a seat in a session soon after it is made. In a turn of the loop, one message is read
 from it for each of its seats, so that sessions share the hub fairly. If a message was out of turn, the next
-one waits in the loop's queue. The hub reads from a peer no faster than the peer reads its own messages.
+one waits in the loop's queue. The hub reads from a peer no faster than the peer reads what it is sent.
 """
 
 from __future__ import annotations
