@@ -18,15 +18,9 @@ from typing import NamedTuple
 
 import experiment_runner.store.records as records
 
-class EpisodeResult(NamedTuple):
-    episode: int
-    episode_return: float
-    steps: int
-    terminal: bool
-    wall_time: float
-    reached: float = 0.0
-    repeats = records.EpisodeResult.repeats
-
+fields = [*records.EpisodeResult.__annotations__.items(), ("reached", float)]
+EpisodeResult = NamedTuple("EpisodeResult", fields)
+EpisodeResult.repeats = records.EpisodeResult.repeats
 records.EpisodeResult = EpisodeResult
 records.MEASURES["reached"] = records.Measure(float, "reached REAL", "part of the way", lambda ended: 0.5)
 
@@ -67,7 +61,7 @@ def test_measure_added_in_two_places_is_stored_exported_and_read(tmp_path: Path)
         [sys.executable, "-c", ADDED, str(tmp_path), older], capture_output=True, text=True, check=True
     )
     header, first, _, new, numbers = done.stdout.splitlines()
-    assert header.startswith("trial,episode,return,steps,terminal,wall_time,reached,seed,")
+    assert header.startswith(f"trial,episode,{','.join(MEASURES)},reached,seed,")
     assert first.startswith(f"{older},1,1.5,100,true,0.25,nan,")
     assert new.startswith("remote/mario/1,1,3.0,7,true,0.25,0.5,")
     assert numbers == "0.5 nan nan"
