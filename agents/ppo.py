@@ -195,17 +195,20 @@ def _improve(
             optimizer.step()
 
 
-if __name__ == "__main__":
-    parser: argparse.ArgumentParser = argparse.ArgumentParser(
-        description="Learn Infinite Mario by proximal policy optimisation."
-    )
+def main() -> None:
+    """Learn by the options of the command line."""
+    parser = argparse.ArgumentParser(description="Learn Infinite Mario by proximal policy optimisation.")
     parser.add_argument("--levels", default="100000", help="a set, or a number: levels 0 to N - 1")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--steps", type=int, default=5_000_000)
     parser.add_argument("--start", default="", help="file of an initial network")
     parser.add_argument("--out", default="ppo.npz")
-    given: argparse.Namespace = parser.parse_args()
+    given = parser.parse_args()
     try:
         learn(given.levels, given.seed, given.steps, given.start, given.out)
     except GlueError as error:
         parser.error(str(error))
+
+
+if __name__ == "__main__":
+    main()
