@@ -168,13 +168,18 @@ def learn(levels: int, seed: int, count: int, out: str) -> None:
     print(f"the end: error {error:.3f}, {time.perf_counter() - began:.0f} s", flush=True)
 
 
-if __name__ == "__main__":
-    parser: argparse.ArgumentParser = argparse.ArgumentParser(
+def main() -> None:
+    """Learn by the options of the command line."""
+    parser = argparse.ArgumentParser(
         description="Teach a network to play levels of Infinite Mario that it has not seen."
     )
     parser.add_argument("--levels", type=int, default=100_000, help="levels 0 to N - 1")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--states", type=int, default=1_000_000)
     parser.add_argument("--out", default="imitation.npz")
-    given: argparse.Namespace = parser.parse_args()
+    given = parser.parse_args()
     learn(given.levels, given.seed, given.states, given.out)
+
+
+if __name__ == "__main__":
+    main()
