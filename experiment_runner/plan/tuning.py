@@ -53,7 +53,7 @@ class Range:
         if not self.low < self.high or (self.log and self.low <= 0):
             raise SettingError(
                 f"a range is from low to a greater high{', above 0' if self.log else ''}, "
-                f"not from {self.low} to {self.high}"
+                f"not from {shown(self.low)} to {shown(self.high)}"
             )
         whole(self.points, _POINTS, "points of a range")
 

@@ -80,6 +80,10 @@ def test_a_plan_with_a_search_is_read_as_it_is_written() -> None:
         ("[tune.agents.sarsas]\nstep_size = [0.1]", "sarsa"),
         ("[tune.agents.sarsa]\nstep_size = {low = 1.0, high = 0.1}", "greater"),
         ("[tune.agents.sarsa]\nstep_size = {low = 0.0, high = 0.1, log = true}", "above 0"),
+        (
+            "[tune.agents.sarsa]\nstep_size = {low = 0x" + 5000 * "f" + ", high = 1}",
+            "from a number of thousands",
+        ),
         ("[tune.agents.sarsa]\nstep_size = {lo = 0.1, high = 0.2}", "low"),
         ("[tune.agents.sarsa]\nstep_size = 3", "range"),
     ],
