@@ -12,6 +12,7 @@ from experiment_runner.competition.settings import Competition, Entrant, Limits,
 from experiment_runner.plan.toml import (
     SettingError,
     check_keys,
+    is_option,
     naming_lines,
     parse,
     read,
@@ -120,7 +121,7 @@ def _task(name: str, table: Mapping[str, Any], folder: Path) -> Task:
         example = "options = { level_difficulty = 0 }"
         raise SettingError(f"options must be a table, as in: {example}", *where, "options")
     for option, value in options.items():
-        if not isinstance(value, (bool, int, float, str)):
+        if not is_option(value):
             raise SettingError(
                 f"option {option!r:.80} takes a number, a string, true or false, not {shown(value)}",
                 *where,

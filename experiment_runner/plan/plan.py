@@ -20,7 +20,7 @@ from typing import Any, Final, Literal, get_args
 
 from experiment_runner.plan.ids import REMOTE, TrialId, label_of
 from experiment_runner.plan.metrics import MetricsPlan
-from experiment_runner.plan.toml import SettingError, shown, whole
+from experiment_runner.plan.toml import SettingError, is_option, shown, whole
 from experiment_runner.plan.tuning import Range, TunePlan
 from glue.errors import ConfigError
 from glue.options import Value, parameters
@@ -88,7 +88,7 @@ class RoleSweep:
             if not values:
                 raise SettingError(f"option {option} of {self.label} has an empty list of values", option)
             for one in values:
-                if not isinstance(one, (bool, int, float, str)):
+                if not is_option(one):
                     raise SettingError(
                         f"option {option} of {self.label} takes a number, a string, true or false, "
                         f"or a list of these, not {shown(one)}",

@@ -102,6 +102,11 @@ def whole(value: object, allowed: range, what: str, *keys: str) -> int:
     return value
 
 
+def is_option(value: object) -> bool:
+    """Return whether a value can be an option's: a string, a bool, or a number that a float can hold."""
+    return isinstance(value, bool | float | str) or (type(value) is int and value.bit_length() < 1024)
+
+
 def shown(value: object) -> str:
     """Return the beginning of a value, for a message."""
     try:

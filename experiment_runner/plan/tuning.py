@@ -20,7 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, Final
 
-from experiment_runner.plan.toml import SettingError, check_keys, shown, whole
+from experiment_runner.plan.toml import SettingError, check_keys, is_option, shown, whole
 from glue.options import Value
 from glue.suggestions import did_you_mean
 
@@ -50,7 +50,8 @@ class Range:
     points: int = 5
 
     def __post_init__(self) -> None:
-        if not self.low < self.high or (self.log and self.low <= 0):
+        known = is_option(self.low) and is_option(self.high)
+        if not (known and self.low < self.high) or (self.log and self.low <= 0):
             raise SettingError(
                 f"a range is from low to a greater high{', above 0' if self.log else ''}, "
                 f"not from {shown(self.low)} to {shown(self.high)}"
@@ -128,7 +129,7 @@ def _space(label: str, table: Mapping[str, Any]) -> Space:
     found: dict[str, Range | tuple[Value, ...]] = {}
     for name, value in table.items():
         where, keys = f"{name} of tune.agents.{label}", ("tune", "agents", label, name)
-        if isinstance(value, list) and value and all(isinstance(v, bool | int | float | str) for v in value):
+        if isinstance(value, list) and value and all(map(is_option, value)):
             found[name] = tuple(value)
         elif isinstance(value, dict):
             check_keys(value, [one.name for one in fields(Range)], where, *keys)

@@ -180,6 +180,7 @@ def test_dumped_plan_reads_back_equal(plan: Plan) -> None:
         ("episodes = 5\n[agents.a]\nspeed = []", "option speed of a has an empty list"),
         ("episodes = 5\n[agents.a]\nspeed = [[1]]", "option speed of a takes a number"),
         ("episodes = 5\n[agents.a]\nspeed = 2020-01-01", "option speed of a takes a number"),
+        ("episodes = 5\n[agents.a]\nspeed = 0x" + 5000 * "f", "option speed of a takes a number"),
         ('episodes = 5\nseeds = "name"', "seeds must be 'number' or 'id', not 'name'"),
         ('episodes = 5\ninside = "env"', 'as in: inside = \\["env"\\]'),
         ('episodes = 5\ninside = ["mines"]', "inside lists any of agent, env, not 'mines'"),
