@@ -163,7 +163,7 @@ def _three(size: str, transport: str, verb: str) -> Iterator[Measure]:
 
 @contextmanager
 def _with_keys(size: str, verb: str) -> Iterator[Measure]:
-    """Yield a measure like that of `_three`, over tcp, with agent and environment using keys in libzmq."""
+    """Yield a measure like that of `_three`, over tcp, whose agent and environment have keys."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         own, theirs = new_pair(), new_pair()

@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple
 import msgpack
 
 from glue.types import CUT_OFF, PREFIX_SIZE
+from glue.wire.frames import LONG, MAX_SHORT, MORE, SHORT_HEAD
 from glue.wire.messages import CALLS, Body, Kind, Message, Shape, Value
 
 STEPS: Final = frozenset({Kind.ENV_STEP, Kind.AGENT_STEP})
@@ -28,11 +29,8 @@ _FALSE: Final = 0xC2
 _TRUE: Final = 0xC3
 _TERMINALS: Final[dict[int, Value]] = {_FALSE: False, _TRUE: True, CUT_OFF: CUT_OFF}
 _FLOAT: Final = 0xCB
-_MORE: Final = 1
-_LONG: Final = 2
-_MAX_SHORT: Final = 255
-_HEAD: Final = 2
-"""Bytes of the flags and length of the header's frame, which is short even with a session of 31 bytes."""
+_HEAD: Final = SHORT_HEAD.size
+"""Size of the head of the header's frame, which is short even with a session of 31 bytes."""
 
 _NO_SCALARS: Final[tuple[Value, ...]] = ()
 _NOTHING: Final = struct.Struct("")
@@ -119,14 +117,14 @@ class StepFormat:
         """Return the layout for a sequence number that consists of `first` and the format `letter`."""
         numbers = letter + _SCALARS[self.num_scalars]
         size = len(self.lead) + len(first) + struct.calcsize(">" + numbers)
-        start = bytes((_MORE, size)) + self.lead + first
+        start = bytes((MORE, size)) + self.lead + first
         short, long = (_struct(f">{len(start)}s{numbers}{frame}") for frame in ("BB", "BQ"))
         return _Layout(start, numbers, short, long, _HEAD + size)
 
     def head(self, seq: int, scalars: tuple[Value, ...], size: int) -> bytes:
         """Return the bytes before a body of `size` bytes; `seq` is at most `max_seq`."""
         start, _, short, long, _ = self._layouts[_FORM_OF_BITS[seq.bit_length()]]
-        pack, flags = (short.pack, 0) if size <= _MAX_SHORT else (long.pack, _LONG)
+        pack, flags = (short.pack, 0) if size <= MAX_SHORT else (long.pack, LONG)
         if not scalars:
             return pack(start, seq, flags, size)
         if len(scalars) == 1:
@@ -226,7 +224,7 @@ class StepReader:
             start != layout.start
             or types not in ([], [_FLOAT])
             or end > len(data)
-            or (flags and flags != _LONG)
+            or (flags and flags != LONG)
             or size > max_body
             or size != PREFIX_SIZE + 8 * doubles + 4 * ints + chars
             or reserved

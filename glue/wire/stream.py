@@ -88,7 +88,13 @@ class Stream:
 
     def receive_data(self, data: bytes) -> None:
         """Add bytes received from the connection."""
-        if self.empty and self._read and self._mechanism is None:
+        if self._mechanism is not None:
+            message = self._mechanism.open_message(data) if self.empty and self._read else b""
+            if message:
+                self._data = message
+            else:
+                self._decoder.receive_data(data)
+        elif self.empty and self._read:
             self._data = data
         else:
             self._decode_rest()
@@ -113,10 +119,14 @@ class Stream:
             if reader is not None and message is not None:
                 at += reader.size
                 if at == len(data):
-                    self._data, self._at, self.empty = b"", 0, True
+                    self._data, self._at = b"", 0
+                    self.empty = self._mechanism is None or not self._decoder.buffered
                 else:
                     self._at = at
                 return message
+            if self._mechanism is not None:
+                self._data, self.empty = b"", not self._decoder.buffered
+                return self._decoded(zmtp.split(data))
             self._decode_rest()
         event = self._decoder.next_event()
         if self._read and event is not None:
@@ -126,8 +136,11 @@ class Stream:
             return event
         if self._mechanism is not None and (step := self._decrypted_step(event)) is not None:
             return step
+        return self._decoded(event)
+
+    def _decoded(self, frames: list[bytes]) -> Message:
         try:
-            return decode(event, self._incoming, self.max_body)
+            return decode(frames, self._incoming, self.max_body)
         except UnknownKind:
             raise
         except RemoteProtocolError as error:

@@ -21,6 +21,7 @@ from collections.abc import Sequence
 from typing import Final, Protocol
 
 from glue.errors import RemoteProtocolError
+from glue.wire.frames import COMMAND, LONG, LONG_HEAD, MORE, SHORT_HEAD, head
 
 DEALER: Final = b"DEALER"
 ROUTER: Final = b"ROUTER"
@@ -40,10 +41,7 @@ CURVE_GREETING: Final = _greeting(b"CURVE", 1)
 CURVE_CLIENT_GREETING: Final = _greeting(b"CURVE", 0)
 """The client's greeting with CURVE."""
 
-_MORE: Final = 1
-_LONG: Final = 2
-_COMMAND: Final = 4
-_KNOWN_FLAGS: Final = _MORE | _LONG | _COMMAND
+_KNOWN_FLAGS: Final = MORE | LONG | COMMAND
 
 _ENCRYPTED_COMMAND: Final = 2
 """The flag of a command inside an encrypted frame."""
@@ -57,9 +55,6 @@ _KEPT: Final = 3
 _AT_ONCE: Final = 16
 """Number of frames after which the caller may serve another connection, even without a complete message."""
 
-_SIZE: Final = struct.Struct(">Q")
-_SHORT_HEADS: Final = [[bytes((flags, size)) for size in range(256)] for flags in (0, _MORE)]
-
 
 def encode(frames: Sequence[bytes]) -> bytes:
     """Return the bytes of a message of at least one frame."""
@@ -68,26 +63,21 @@ def encode(frames: Sequence[bytes]) -> bytes:
 
 def encode_parts(frames: Sequence[bytes]) -> tuple[bytes, bytes]:
     """Return the bytes of a message in two parts; the second is the content of its last frame."""
-    parts = []
-    more = len(frames) - 1
-    for frame in frames:
-        size = len(frame)
-        flags = _MORE if more else 0
-        if size < 256:
-            parts.append(_SHORT_HEADS[flags][size])
-        else:
-            parts.append(bytes((flags | _LONG,)) + _SIZE.pack(size))
-        parts.append(frame)
-        more -= 1
-    return b"".join(parts[:-1]), parts[-1]
+    *others, last = frames
+    parts = [part for frame in others for part in (head(MORE, len(frame)), frame)]
+    return b"".join((*parts, head(0, len(last)))), last
+
+
+def split(message: bytes) -> list[bytes]:
+    """Return the frames of a message of two frames, the first of which is short."""
+    at = SHORT_HEAD.size + message[1]
+    last = at + (LONG_HEAD if message[at] & LONG else SHORT_HEAD).size
+    return [message[SHORT_HEAD.size : at], message[last:]]
 
 
 def _command(body: bytes) -> bytes:
     """Return the frame of a command; b"" if its body is empty."""
-    if not body:
-        return b""
-    size = len(body)
-    return (bytes((_COMMAND, size)) if size < 256 else bytes((_COMMAND | _LONG,)) + _SIZE.pack(size)) + body
+    return head(COMMAND, len(body)) + body if body else b""
 
 
 def _name(name: bytes) -> bytes:
@@ -155,12 +145,15 @@ class Mechanism(Protocol):
         """Return the flags of a frame (1: more frames follow, 2: a command) and its payload."""
         ...
 
-    def encrypt(self, flags: int, payload: bytes) -> bytes:
-        """Return the encrypted frame, including its head."""
+    def open_message(self, data: bytes) -> bytes:
+        """Return the bytes, without encryption, of the message of two frames that `data` is; otherwise b"".
+
+        Without a result nothing has changed, and the frames can still be passed to `decrypt`.
+        """
         ...
 
-    def encode(self, frames: Sequence[bytes]) -> bytes:
-        """Return the bytes of a message of at least one frame."""
+    def encode(self, frames: Sequence[bytes], flags: int = 0) -> bytes:
+        """Return the bytes of a message of at least one frame, the last of which has these flags."""
         ...
 
 
@@ -232,32 +225,32 @@ class Decoder:
             if not self._greeted:
                 self._check_greeting(self._take(0, len(GREETING)))
                 self._greeted = True
-                self._needed = 2
+                self._needed = SHORT_HEAD.size
                 return _READY[self._own] if self._mechanism is None else _command(self._mechanism.begin())
-            flags, size = self._buffer[self._at], self._buffer[self._at + 1]
-            head = 2
-            if flags & _LONG:
-                head = 9
-                if self._size < head:
-                    self._needed = head
+            flags, size = SHORT_HEAD.unpack_from(self._buffer, self._at)
+            start = SHORT_HEAD.size
+            if flags & LONG:
+                start = LONG_HEAD.size
+                if self._size < start:
+                    self._needed = start
                     return None
-                (size,) = _SIZE.unpack_from(self._buffer, self._at + 1)
-            if self._needed <= head:
+                flags, size = LONG_HEAD.unpack_from(self._buffer, self._at)
+            if self._needed <= start:
                 self._check_head(flags, size)
-            if self._size < head + size:
-                self._needed = head + size
+            if self._size < start + size:
+                self._needed = start + size
                 return None
-            self._needed = 2
-            frame = self._take(head, size)
+            self._needed = SHORT_HEAD.size
+            frame = self._take(start, size)
             if self._mechanism is not None:
                 if not self.ready:
                     return self._shake_hands(self._mechanism, frame)
                 flags, frame = self._mechanism.decrypt(frame)
-                if flags > _MORE:
+                if flags > MORE:
                     if flags != _ENCRYPTED_COMMAND:
                         raise RemoteProtocolError(f"an encrypted frame cannot have the flags {flags} in it")
-                    flags = _COMMAND
-            if flags & _COMMAND:
+                    flags = COMMAND
+            if flags & COMMAND:
                 answer = self._obey(frame)
                 if answer:
                     return answer
@@ -265,7 +258,7 @@ class Decoder:
             frames = self._frames
             if len(frames) < _KEPT:
                 frames.append(frame)
-            if not flags & _MORE:
+            if not flags & MORE:
                 self._frames = []
                 return frames
         return b""
@@ -298,13 +291,13 @@ class Decoder:
             raise RemoteProtocolError("both sides are servers of the CURVE handshake")
 
     def _check_head(self, flags: int, size: int) -> None:
-        if flags & ~_KNOWN_FLAGS or (flags & _COMMAND and flags & _MORE):
+        if flags & ~_KNOWN_FLAGS or (flags & COMMAND and flags & MORE):
             raise RemoteProtocolError(f"a frame cannot have the flags {flags}")
-        if not self.ready and not flags & _COMMAND:
+        if not self.ready and not flags & COMMAND:
             raise RemoteProtocolError("a message was received before READY")
-        limit = _MAX_COMMAND if flags & _COMMAND else self._max_frame
+        limit = _MAX_COMMAND if flags & COMMAND else self._max_frame
         if self._mechanism is not None and self.ready:
-            if flags & ~_LONG:
+            if flags & ~LONG:
                 raise RemoteProtocolError(f"an encrypted frame cannot have the flags {flags}")
             limit += self._mechanism.overhead
         if size > limit:
@@ -330,7 +323,7 @@ class Decoder:
             return (
                 _command(pong)
                 if self._mechanism is None
-                else self._mechanism.encrypt(_ENCRYPTED_COMMAND, pong)
+                else self._mechanism.encode([pong], _ENCRYPTED_COMMAND)
             )
         if name == b"READY" and self._mechanism is None:
             self._check_socket(data)

@@ -29,7 +29,7 @@ _SHARE: Final = 0.2
 _MAX_SAVED: Final = 0.02
 """Seconds of its share that the queue can save up while it is empty."""
 
-_SPIN_SECONDS: Final = 50e-6
+_SPIN_SECONDS: Final = 100e-6
 """Seconds to poll for an expected answer before the loop sleeps: fast players answer within this time."""
 
 _DIRECT: Final = 32

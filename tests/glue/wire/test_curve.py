@@ -31,6 +31,7 @@ from glue.wire.zmtp import (
     HandshakeRefused,
     OtherMechanism,
     encode,
+    split,
 )
 from tests.glue.wire.test_zmtp import events
 from tests.scripted.curve import GREETING as CLIENT_GREETING
@@ -83,6 +84,57 @@ def test_a_public_key_belongs_to_its_secret_one() -> None:
 def test_the_greeting_of_the_server_says_that_it_is_one() -> None:
     assert CLIENT_GREETING[:32] + b"\x01" + bytes(31) == CURVE_GREETING
     assert CLIENT_GREETING == CURVE_CLIENT_GREETING
+
+
+@pytest.mark.parametrize("header", [0, 1, 30, 222])
+@pytest.mark.parametrize("body", [0, 1, 222, 223, 255, 256, 3000])
+def test_a_message_of_two_frames_is_opened_as_a_whole(header: int, body: int) -> None:
+    mechanism = server()
+    _, client = connected(mechanism)
+    frames = [bytes(range(header)), bytes(i % 251 for i in range(body))]
+    for _ in range(2):
+        message = mechanism.open_message(client.message(frames[0], 1) + client.message(frames[1]))
+        assert message == encode(frames)
+        assert split(message) == frames
+
+
+def anything_else(client: CurveClient) -> dict[str, bytes]:
+    """Return data that a client may send, and that is not one message of two frames."""
+    first, last = client.message(b"header", 1), client.message(b"body")
+    long = b"\x02" + struct.pack(">Q", first[1]) + first[2:]
+    return {
+        "one frame": first,
+        "three frames": first + last + client.message(b"more"),
+        "a part": (first + last)[:-1],
+        "two messages": client.message(b"") + client.message(b"body"),
+        "a frame that more follow": client.message(b"header", 1) + client.message(b"body", 1),
+        "a command": client.message(b"header", 1) + client.message(b"\x04PING", 2),
+        "a long first frame": long + last,
+        "too large": client.message(b"header", 1) + client.message(bytes(MAX_FRAME)),
+    }
+
+
+@pytest.mark.parametrize("what", anything_else(connected()[1]))
+def test_anything_else_is_left_to_the_decoder(what: str) -> None:
+    mechanism = server()
+    decoder, client = connected(mechanism)
+    data = anything_else(client)[what]
+    received = mechanism._received
+    assert mechanism.open_message(data) == b""
+    assert mechanism._received == received
+    events(decoder, data)
+
+
+def test_each_changed_bit_is_found_and_the_message_itself_can_still_be_read() -> None:
+    mechanism = server()
+    _, client = connected(mechanism)
+    data = client.message(b"header", 1) + client.message(b"body of a step")
+    for at in range(8 * len(data)):
+        changed = bytearray(data)
+        changed[at // 8] ^= 1 << at % 8
+        assert mechanism.open_message(bytes(changed)) == b"", f"bit {at}"
+    assert mechanism.open_message(data) == encode([b"header", b"body of a step"])
+    assert mechanism.open_message(data) == b"", "a replay"
 
 
 def test_messages_go_both_ways_with_their_flags_encrypted() -> None:
