@@ -107,7 +107,7 @@ class Connection:
             except BlockingIOError:
                 pass
             except OSError:
-                data = b""
+                data = self._failed_to_receive()
         return data
 
     def glance(self) -> Events | None:
@@ -118,7 +118,7 @@ class Connection:
             except BlockingIOError:
                 return None
             except OSError:
-                self._glanced = b""
+                self._glanced = self._failed_to_receive()
         return self._event
 
     def send(self, data: bytes) -> None:
@@ -206,6 +206,11 @@ class Connection:
         if not self._reading and self._socket.getsockopt(network.SOL_SOCKET, network.SO_ERROR):
             self._gone = True
         self._watch()
+
+    def _failed_to_receive(self) -> bytes:
+        """Return the end of the data, also to a later `receive`: unlike a closed half, a reset ends both."""
+        self._gone = True
+        return b""
 
     def _failed_to_send(self, error: OSError, data: bytes | bytearray) -> int:
         """Return how many bytes of `data` need not be sent any more: all, if the other side is gone."""

@@ -253,15 +253,16 @@ def test_an_experiment_that_died_in_a_call_is_noticed_at_once_and_another_may_jo
         assert ending(agent) == TERMINATE
 
 
-@pytest.mark.parametrize("requests", [0, 100_000, 1_000_000])
-def test_an_experiment_that_is_killed_while_no_player_can_answer_is_noticed(rig: Rig, requests: int) -> None:
-    glue = rig.experiment()
-    glue.connection.send(Id.RL_INIT)
-    glue.connection.flood(struct.pack(">iI", Id.RL_NUM_STEPS, 0) * requests)
-    rig.settle()
-    glue.connection.reset()
-    rig.log.wait_for("it has closed its connection during RL_INIT")
-    run_test_1(rig)
+@pytest.mark.parametrize("requests", [0, 10_000, 1_000_000])
+def test_an_experiment_that_is_killed_while_no_player_can_answer_is_noticed_at_once(requests: int) -> None:
+    with gateway(timeout=600.0) as rig:
+        glue = rig.experiment()
+        glue.connection.send(Id.RL_INIT)
+        glue.connection.flood(struct.pack(">iI", Id.RL_NUM_STEPS, 0) * requests)
+        rig.settle()
+        glue.connection.reset()
+        rig.log.wait_for("it has closed its connection during RL_INIT")
+        run_test_1(rig)
 
 
 def test_an_experiment_that_leaves_while_no_player_can_answer_is_noticed(rig: Rig) -> None:
