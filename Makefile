@@ -7,8 +7,8 @@ DEMO   := runs/demo
 READY  := $(VENV)/.ready
 FOUND  := $(VENV)/.found
 
-# Four processes for two cores, as they often wait; each takes one module at a time, in the order of tests/conftest.py.
-PARALLEL := --numprocesses=4 --dist=loadfile --no-loadscope-reorder
+# Five processes for two cores, as they often wait; each takes one module at a time, in the order of tests/conftest.py.
+PARALLEL := --numprocesses=5 --dist=loadfile --no-loadscope-reorder
 
 # The tests start hundreds of processes: each must find its modules compiled, whatever the shell's setting.
 unexport PYTHONDONTWRITEBYTECODE

@@ -6,6 +6,7 @@ tests of a module run in one process (`--dist=loadfile` in the Makefile), which 
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from pathlib import Path
@@ -17,6 +18,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 # A shell may start background jobs with interrupts ignored, and every process that we start inherits that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# NumPy's linear algebra starts a thread for each core: a tenth of a second in every process of a test.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # No test asserts timing: the first example of a property may have to compile or import.
 settings.register_profile("glue", deadline=None)

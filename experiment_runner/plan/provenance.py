@@ -28,10 +28,7 @@ def about() -> dict[str, Any]:
         "repository": _repository(Path.cwd()),
         "files": {},
         "python": platform.python_version(),
-        "packages": {
-            str(package.name): package.version
-            for package in sorted(metadata.distributions(), key=lambda package: str(package.name).lower())
-        },
+        "packages": _packages(),
         "machine": {
             "name": platform.node(),
             "system": platform.platform(),
@@ -53,6 +50,14 @@ def program() -> str:
             if _git("status", "--porcelain", "--untracked-files=no", folder=here.parent):
                 parts.append("modified")
     return ", ".join(parts)
+
+
+def _packages() -> dict[str, str]:
+    """Return the version of each installed distribution, by name."""
+    # `Distribution.name` and `.version` would read its whole description each time.
+    found = (distribution.metadata for distribution in metadata.distributions())
+    versions = [(str(fields["Name"]), fields["Version"]) for fields in found]
+    return dict(sorted(versions, key=lambda one: one[0].lower()))
 
 
 def _repository(folder: Path) -> dict[str, object] | None:

@@ -24,6 +24,8 @@ FULL: Final = pytest.mark.skipif(not os.environ.get(SWITCH), reason=f"packages a
 
 CONFORM: Final = (sys.executable, "-c", "from glue_rl.commands import conform; conform()")
 
+TIER: Final = () if os.environ.get(SWITCH) else ("--tier", "plays")
+
 KIT_SECONDS: Final = 280.0
 
 
@@ -152,7 +154,7 @@ def walks(start: Sequence[str]) -> None:
         assert second.returncode == 1
         assert "already has an agent" in second.stdout + second.stderr
     kit = subprocess.run(
-        [*CONFORM, "agent", "--transport", "tcp", "--wait", "20", "--", *start],
+        [*CONFORM, "agent", *TIER, "--transport", "tcp", "--wait", "20", "--", *start],
         capture_output=True,
         text=True,
     )

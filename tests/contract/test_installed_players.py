@@ -72,7 +72,7 @@ def test_agent_keeps_the_contract_in_every_task_that_it_can_play(name: str) -> N
             player.env_init(),
             observation=partial(observe, environment),
             episodes=2,
-            steps=30,
+            steps=12,
         )
 
 

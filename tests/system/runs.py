@@ -14,6 +14,8 @@ from experiment_runner.store.results import Results
 from tests import forked
 
 COMMAND = [sys.executable, "-m", "experiment_runner.cli.experiment"]
+SLOW_AGENT = Path(__file__).parents[1] / "slow.py"
+"""A module whose agent `Slow` keeps a run going until a test has done its part; a test copies it."""
 _SECONDS = 200.0  # a search on a Ray cluster takes 40 on two quiet cores
 
 
@@ -92,8 +94,8 @@ def _command_line(pid: int) -> str:
 
 
 def wait_until(true: Callable[[], object], what: str) -> None:
-    """Return as soon as `true()`; fail after a minute."""
+    """Return as soon as `true()`; fail after `_SECONDS`."""
     deadline = time.monotonic() + _SECONDS
     while not true():
         assert time.monotonic() < deadline, f"waited in vain for {what}"
-        time.sleep(0.01)
+        time.sleep(0.03)

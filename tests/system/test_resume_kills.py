@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import random
+import shutil
 import signal
 import subprocess
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,13 +17,13 @@ import pytest
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
 from tests.proof import FULL, size
-from tests.system.runs import alive, children, contents, metrics, start, wait_until
+from tests.system.runs import SLOW_AGENT, alive, children, contents, metrics, start, wait_until
 
-PLAYERS = ("--env", "mines", "--env-option", "random_start=true", "--agent", "sarsa")
+PLAYERS = ("--env", "mines", "--env-option", "random_start=true", "--agent", "slow.py:Slow")
 PLANS = {
-    "episodes": (*PLAYERS, "--episodes", size(600, 6_000), "--max-steps", 30, "--trials", 4, "--seed", 11),
+    "episodes": (*PLAYERS, "--episodes", size(300, 6_000), "--max-steps", 30, "--trials", 4, "--seed", 11),
     "steps and metrics": (
-        *(*PLAYERS, "--steps", size(7_000, 70_000), "--metrics-every", 7),
+        *(*PLAYERS, "--steps", size(3_500, 70_000), "--metrics-every", 7),
         *("--max-steps", 30, "--trials", 4, "--seed", 12),
     ),
 }
@@ -33,7 +35,7 @@ seed = 5
 random_start = true
 [agents.sarsa]
 [tune]
-configurations = 8
+configurations = 5
 trials = 2
 final = 3
 prune = true
@@ -47,7 +49,17 @@ VICTIMS = (
     "player_command environment",
     "experiment_runner.executors.local",
 )
-LONGEST_LIFE = size(0.3, 1.0)
+LONGEST_LIFE = size(0.2, 1.0)
+
+
+def wait_while_running(experiment: subprocess.Popen[str], true: Callable[[], object], what: str) -> None:
+    """Return as soon as `true()`; fail if the experiment ends before."""
+
+    def done() -> object:
+        assert experiment.poll() is None, f"finished too early: {experiment.communicate()}"
+        return true()
+
+    wait_until(done, what)
 
 
 def kill_one(experiment: subprocess.Popen[str], program: str, chance: random.Random) -> None:
@@ -57,7 +69,6 @@ def kill_one(experiment: subprocess.Popen[str], program: str, chance: random.Ran
     """
 
     def done() -> bool:
-        assert experiment.poll() is None, f"finished too early: {experiment.communicate()}"
         running = children(experiment.pid, program)
         if not running:
             return False
@@ -68,7 +79,7 @@ def kill_one(experiment: subprocess.Popen[str], program: str, chance: random.Ran
                 killed += 1
         return killed > 0
 
-    wait_until(done, program)
+    wait_while_running(experiment, done, program)
 
 
 def kill_experiment(experiment: subprocess.Popen[str]) -> None:
@@ -80,7 +91,7 @@ def kill_experiment(experiment: subprocess.Popen[str]) -> None:
     wait_until(lambda: not any(map(alive, everybody)), "the end of its processes")
 
 
-def wait_for_an_episode(directory: Path) -> None:
+def wait_for_an_episode(experiment: subprocess.Popen[str], directory: Path) -> None:
     """Wait until one more episode is stored than now."""
 
     def stored() -> int:
@@ -89,29 +100,35 @@ def wait_for_an_episode(directory: Path) -> None:
         return 0
 
     before = stored()
-    wait_until(lambda: stored() > before, "an episode")
+    wait_while_running(experiment, lambda: stored() > before, "an episode")
 
 
 @pytest.mark.slow
 @pytest.mark.proof
 @pytest.mark.parametrize("plan", PLANS)
 def test_run_whose_processes_are_killed_ends_as_an_undisturbed_one(plan: str, tmp_path: Path) -> None:
-    undisturbed = start(*PLANS[plan], "--in-process", "--out", "undisturbed", cwd=tmp_path)
+    shutil.copy(SLOW_AGENT, tmp_path)
+    slow = tmp_path / "slow"
+    options = ("--agent-option", f"while_there={slow}", "--agent-option", "pause=0.3")
+    undisturbed = start(*PLANS[plan], *options, "--in-process", "--out", "undisturbed", cwd=tmp_path)
     _, errors = undisturbed.communicate(timeout=size(200, 400))
     assert undisturbed.returncode == 0, errors
-    command = [*PLANS[plan], "--workers", 2, "--checkpoint-every", 20, "--out", "killed"]
+    if not FULL:  # without pauses, a short run may end before the last kill
+        slow.touch()
+    command = [*PLANS[plan], *options, "--workers", 2, "--checkpoint-every", 20, "--out", "killed"]
     chance = random.Random(4)
     experiment = start(*command, cwd=tmp_path)
     for kill in range(KILLS):
         time.sleep(chance.uniform(0, LONGEST_LIFE))
         victim = VICTIMS[kill % len(VICTIMS)]
         if not FULL or (kill // len(VICTIMS)) % 2:  # in the middle of episodes, not at a start
-            wait_for_an_episode(tmp_path / "killed")
+            wait_for_an_episode(experiment, tmp_path / "killed")
         if victim == "experiment":
             kill_experiment(experiment)
             experiment = start(*command, cwd=tmp_path)
         else:
             kill_one(experiment, victim, chance)
+    slow.unlink(missing_ok=True)
     _, errors = experiment.communicate(timeout=size(200, 600))
     assert experiment.returncode == 0, errors
     assert contents(tmp_path / "killed") == contents(tmp_path / "undisturbed")
@@ -136,7 +153,8 @@ def test_search_that_is_killed_comes_to_the_same_choice(tmp_path: Path) -> None:
     while True:
         searching = start(*command, "--out", "killed", cwd=tmp_path)
         with contextlib.suppress(subprocess.TimeoutExpired):
-            _, errors = searching.communicate(timeout=chance.uniform(0.8, 2.5) if killed < KILLS else 200)
+            seconds = chance.uniform(0.8, 2.5) if killed < KILLS // 2 else 200
+            _, errors = searching.communicate(timeout=seconds)
             break
         kill_experiment(searching)
         killed += 1

@@ -18,7 +18,7 @@ from tests.system.runs import alive, children, wait_until
 KILLS = int(os.environ.get("GLUE_KILLS", "2"))
 """Number of kills of the organiser; 20 in `.ci/run`."""
 
-TRIALS, LONGEST_LIFE = (1, 2.0) if KILLS <= 2 else (2, 3.0)
+TRIALS, STEPS, EPISODES, LONGEST_LIFE = (1, 1000, 20, 1.5) if KILLS <= 2 else (2, 3000, 50, 3.0)
 
 COMPETE = [sys.executable, "-m", "experiment_runner.cli.compete"]
 
@@ -29,10 +29,10 @@ seed_file = "secret.txt"
 [tasks.mines]
 env = "mines"
 options = {{ random_start = true }}
-steps = 3000
+steps = {STEPS}
 [tasks.walk]
 env = "skeleton"
-episodes = 50
+episodes = {EPISODES}
 [entrants.sarsa]
 command = ["AGENT", "sarsa"]
 [entrants.random]

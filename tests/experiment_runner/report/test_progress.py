@@ -3,7 +3,6 @@ from __future__ import annotations
 import io
 import json
 import math
-import os
 import re
 
 import pytest
@@ -70,8 +69,8 @@ def clock() -> Clock:
 
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
-    size = os.terminal_size((100, 8))
-    monkeypatch.setattr("shutil.get_terminal_size", lambda: size)
+    monkeypatch.setenv("COLUMNS", "100")
+    monkeypatch.setenv("LINES", "8")
     return Terminal()
 
 
@@ -145,7 +144,7 @@ def test_table_fits_the_terminal(terminal: Terminal, clock: Clock) -> None:
 
 
 def test_narrow_terminal_shows_what_matters_most(terminal: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("shutil.get_terminal_size", lambda: os.terminal_size((40, 8)))
+    monkeypatch.setenv("COLUMNS", "40")
     progress = Progress(terminal, Clock())
     progress.start(records(FIRST))
     progress.begin(FIRST, 0, 0)

@@ -81,4 +81,4 @@ def test_whoever_makes_the_hub_reach_its_limit_is_told() -> None:
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("keyed", [False, True], ids=["without keys", "with keys"])
 def test_honest_sessions_play_beside_an_attacker_as_if_alone(keyed: bool, tmp_path: Path) -> None:
-    besiege(size(6.0, 300.0), keyed, tmp_path)
+    besiege(size(2.5, 300.0), keyed, tmp_path)

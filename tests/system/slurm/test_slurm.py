@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -11,32 +12,12 @@ from pathlib import Path
 import pytest
 
 from experiment_runner.store.results import Results
-from tests.system.runs import COMMAND, contents, run
+from tests.system.runs import COMMAND, SLOW_AGENT, contents, run
 from tests.system.slurm.cluster import slurm_cluster, wait_for
 from tests.system.test_experiments_doc import BLOCK, TEXT
 from tests.system.test_workers import FAULTY, MINES, SARSA
 
 pytestmark = pytest.mark.slow
-
-SLOW = '''
-import time
-from pathlib import Path
-
-from agents.tabular import SarsaAgent
-
-
-class Slow(SarsaAgent):
-    """Takes its time before each episode while a file is there."""
-
-    def __init__(self, *, while_there: str = "") -> None:
-        super().__init__()
-        self.file = Path(while_there)
-
-    def agent_start(self, observation):
-        if self.file.is_file():
-            time.sleep(0.1)
-        return super().agent_start(observation)
-'''
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -104,7 +85,7 @@ def test_missing_trials_run_after_a_task_was_killed(tmp_path: Path) -> None:
 
 
 def test_preempted_tasks_leave_a_checkpoint_and_run_again(tmp_path: Path) -> None:
-    (tmp_path / "slow.py").write_text(SLOW)
+    shutil.copy(SLOW_AGENT, tmp_path)
     plan = (*MINES, "--agent", "slow.py:Slow", "--episodes", 2000, "--trials", 2, "--in-process")
     assert run(*plan, "--out", "undisturbed", cwd=tmp_path).returncode == 0
     (tmp_path / "slow").touch()
@@ -135,7 +116,7 @@ def test_preempted_tasks_leave_a_checkpoint_and_run_again(tmp_path: Path) -> Non
 
 
 def test_a_task_that_is_told_to_end_leaves_a_checkpoint(tmp_path: Path) -> None:
-    (tmp_path / "slow.py").write_text(SLOW)
+    shutil.copy(SLOW_AGENT, tmp_path)
     plan = (*MINES, "--agent", "slow.py:Slow", "--episodes", 2000, "--in-process")
     assert run(*plan, "--out", "undisturbed", cwd=tmp_path).returncode == 0
     (tmp_path / "slow").touch()
