@@ -25,7 +25,7 @@ MAX_STEPS: Final = 4096
 _MAX_CELLS: Final = 16384
 _ROWS: Final = 2
 
-Place = tuple[float, float]
+Position = tuple[float, float]
 """Mario's x and y, in tiles."""
 
 
@@ -35,7 +35,7 @@ class Cell:
 
     actions: bytes
     value: float
-    place: Place
+    place: Position
     tries: int = 0
 
 
@@ -56,12 +56,12 @@ class Trajectory:
     def __len__(self) -> int:
         return len(self.actions)
 
-    def place(self, step: int) -> Place:
+    def place(self, step: int) -> Position:
         """Return Mario's place before the action of a step."""
         x, y = self.places[step].tolist()
         return x, y
 
-    def nearest(self, place: Place) -> int:
+    def nearest(self, place: Position) -> int:
         """Return the step whose place is nearest, by the sum of both distances."""
         return int(np.abs(self.places - place).sum(axis=1).argmin())
 
@@ -74,7 +74,7 @@ class Archive:
         self.best: Trajectory | None = None
         self.finished = False
 
-    def note(self, kind: int, place: Place, value: float, actions: bytearray) -> None:
+    def note(self, kind: int, place: Position, value: float, actions: bytearray) -> None:
         """Remember the way by which Mario, of this kind, reached a place, unless a better one is known."""
         x, y = place
         key = (math.floor(x), math.floor(y / _ROWS), kind)

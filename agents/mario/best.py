@@ -41,7 +41,7 @@ import numpy.typing as npt
 
 from agents.mario.actions import ACTIONS, LEFT, RIGHT, STAY, action_number
 from agents.mario.agent import MarioAgent
-from agents.mario.archive import MAX_STEPS, Archive, Cell, Place, Trajectory
+from agents.mario.archive import MAX_STEPS, Archive, Cell, Position, Trajectory
 from agents.mario.observation import glimpse
 from agents.mario.options import Seed
 from glue.errors import SaveError
@@ -80,7 +80,7 @@ class _Plan:
     """
 
     actions: bytes = b""
-    place: Place | None = None
+    place: Position | None = None
     burst: int = 0
     ahead: float = _ANYWHERE
 
@@ -200,7 +200,7 @@ class BestAgent(MarioAgent):
         self._settled = 0
         self._return = 0.0
         self._actions = bytearray()
-        self._places: list[Place] = []
+        self._places: list[Position] = []
         self._held = self._hold_for = 0
         self._next = _NOWHERE
         self._resumed = 0
@@ -269,7 +269,7 @@ class BestAgent(MarioAgent):
         cell.tries += self._learning
         return cell
 
-    def _choose(self, place: Place) -> int:
+    def _choose(self, place: Position) -> int:
         """Return to a place, explore or resume; return the number of an action."""
         plan, step = self._plan, len(self._actions)
         if step < len(plan.actions):
@@ -292,7 +292,7 @@ class BestAgent(MarioAgent):
         self._hold_for -= 1
         return self._held
 
-    def _resume(self, best: Trajectory, place: Place) -> int:
+    def _resume(self, best: Trajectory, place: Position) -> int:
         """Continue as in the best episode; after its end, at random."""
         strayed = 0 <= self._next < len(best) and _apart(best.place(self._next), place)
         if strayed and self._plan is _REPEAT and self._learning:
@@ -307,5 +307,5 @@ class BestAgent(MarioAgent):
         return best.actions[self._next - 1]
 
 
-def _apart(one: Place, other: Place) -> bool:
+def _apart(one: Position, other: Position) -> bool:
     return abs(one[0] - other[0]) + abs(one[1] - other[1]) > _STRAYED

@@ -49,15 +49,15 @@ class ObjectOptions(LearnerOptions):
     ] = 2
 
 
-Step = Callable[[Array, Array, Array, bytes, float, bool], int]
-End = Callable[[Array, Array, Array, float], None]
+StepFunction = Callable[[Array, Array, Array, bytes, float, bool], int]
+EndFunction = Callable[[Array, Array, Array, float], None]
 
 
 class MarioLearner(MarioAgent):
     """An agent that plays Infinite Mario and learns a table of values by SARSA."""
 
-    _step: ClassVar[Step]
-    _end: ClassVar[End]
+    _step: ClassVar[StepFunction]
+    _end: ClassVar[EndFunction]
 
     Options: ClassVar[type[LearnerOptions]] = LearnerOptions
     _options: LearnerOptions

@@ -39,7 +39,7 @@ _GOAL: Final = sum(SHOWN_GOAL << 4 * row for row in range(ROWS))
 _BOTTOM: Final = -1 << 4 * ROWS  # the row below the level, which looks like its last
 _EVEN_ROWS: Final = 0x0F0F0F0F0F0F0F0F
 
-Place = tuple[float, float, float, float]
+Motion = tuple[float, float, float, float]
 """Position and velocity of an actor, as in the doubles of an observation."""
 
 _CHAR_OF_LOOK: Final = np.frombuffer(b" 1237b?|$!M", np.uint8)
@@ -101,7 +101,7 @@ def _write_place(world: World, actor: Actor, reals: npt.NDArray[np.float64]) -> 
 
 
 @jit
-def place_of(world: World, actor: Actor) -> Place:
+def place_of(world: World, actor: Actor) -> Motion:
     """Return the position and velocity of an actor, as the doubles of an observation."""
     x = np.float64(actor.x) / 16.0
     y = 16.0 - np.float64(actor.y) / 16.0

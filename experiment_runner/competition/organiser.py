@@ -41,7 +41,7 @@ from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.plan.provenance import about, program
 from experiment_runner.store.database import holds_run, reported
 from experiment_runner.store.layout import ABOUT_FILE, COMPETITION_FILE, LOGS
-from experiment_runner.store.records import Outcome
+from experiment_runner.store.records import TrialEnd
 from experiment_runner.store.store import Store
 from glue.closing import Closing
 from glue.errors import ExperimentError
@@ -234,7 +234,7 @@ class _Matches(Closing):
             self._say(f"{trial_id} has failed, and is played again when the run is continued: {failure}")
             return
         reason = self._forfeits.get(trial_id)
-        record_outcome(self._store, trial_id, Outcome(reason, record.finish()))
+        record_outcome(self._store, trial_id, TrialEnd(reason, record.finish()))
         self._over += 1
         if reason is None:
             totals = self._store.totals(trial_id)

@@ -189,7 +189,7 @@ class Void(NamedTuple):
     why: str
 
 
-class Event(NamedTuple):
+class RunEvent(NamedTuple):
     """An event of a run, or of one of its trials. `time`: seconds since 1970, UTC."""
 
     time: float
@@ -218,7 +218,7 @@ class OutsidePlayer(NamedTuple):
         return f"{self.role} {self.name}" + (f" ({self.program})" if self.program else "")
 
 
-class Outcome(NamedTuple):
+class TrialEnd(NamedTuple):
     """The end of a competition's trial.
 
     reason  why its entrant forfeited it; None if it played to the end
@@ -229,7 +229,7 @@ class Outcome(NamedTuple):
     digest: bytes
 
 
-class Verdict(NamedTuple):
+class ReplayVerdict(NamedTuple):
     """The result of replaying the record of a trial.
 
     digest   SHA-256 of the record that was replayed

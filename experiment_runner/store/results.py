@@ -20,12 +20,12 @@ from experiment_runner.store.records import (
     Answered,
     Checkpoint,
     EpisodeResult,
-    Event,
-    Outcome,
     OutsidePlayer,
+    ReplayVerdict,
+    RunEvent,
     Totals,
+    TrialEnd,
     TrialRecord,
-    Verdict,
     Void,
 )
 from glue.closing import Closing
@@ -199,13 +199,13 @@ class Results(Closing):
         self._check(rows, (_NUMBER, _TEXT, _WHOLE, _TEXT), timed=True)
         return [Void(*row) for row in rows]
 
-    def events(self) -> list[Event]:
+    def events(self) -> list[RunEvent]:
         """Return the events of the run, oldest first."""
         rows = self._query(
             "SELECT time, id, kind, text FROM events LEFT JOIN trials ON key = trial ORDER BY events.rowid"
         )
         self._check(rows, (_NUMBER, _TEXT_OR_NULL, _TEXT, _TEXT), timed=True)
-        return [Event(*row) for row in rows]
+        return [RunEvent(*row) for row in rows]
 
     def players(self) -> list[OutsidePlayer]:
         """Return the players that joined from outside, oldest first."""
@@ -250,18 +250,18 @@ class Results(Closing):
             "episode = (SELECT max(episode) FROM answers WHERE trial = key) ORDER BY key, message"
         )
 
-    def outcomes(self) -> dict[str, Outcome]:
+    def outcomes(self) -> dict[str, TrialEnd]:
         """Return the outcome of each finished trial of a competition, by id."""
         rows = self._query("SELECT id, reason, digest FROM outcomes JOIN trials ON key = trial")
         self._check(rows, (_TEXT, _TEXT_OR_NULL, _BYTES))
-        return {trial_id: Outcome(reason, digest) for trial_id, reason, digest in rows}
+        return {trial_id: TrialEnd(reason, digest) for trial_id, reason, digest in rows}
 
-    def verdicts(self) -> dict[str, Verdict]:
+    def verdicts(self) -> dict[str, ReplayVerdict]:
         """Return the result of each trial of a competition that was replayed, by id."""
         rows = self._query("SELECT id, digest, problem, score FROM verdicts JOIN trials ON key = trial")
         self._check(rows, (_TEXT, _BYTES, _TEXT_OR_NULL, _NUMBER_OR_NULL))
         return {
-            trial_id: Verdict(digest, problem, math.nan if score is None else score)
+            trial_id: ReplayVerdict(digest, problem, math.nan if score is None else score)
             for trial_id, digest, problem, score in rows
         }
 

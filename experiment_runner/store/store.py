@@ -31,10 +31,10 @@ from experiment_runner.store.records import (
     Answer,
     Checkpoint,
     EpisodeResult,
-    Outcome,
     OutsidePlayer,
     Reading,
-    Verdict,
+    ReplayVerdict,
+    TrialEnd,
 )
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
@@ -233,12 +233,12 @@ class Store(Results):
         """Commit that a trial has failed; its episodes are kept."""
         self._execute("UPDATE trials SET failure = ? WHERE key = ?", why, self._key(trial_id))
 
-    def record_outcome(self, trial_id: str, outcome: Outcome) -> None:
+    def record_outcome(self, trial_id: str, outcome: TrialEnd) -> None:
         """Commit how a trial of a competition ended, and flush everything about it to the disk."""
         self._flush_commits(True)
         self._execute(_PUT_OUTCOME, self._key(trial_id), *outcome)
 
-    def record_verdict(self, trial_id: str, verdict: Verdict) -> None:
+    def record_verdict(self, trial_id: str, verdict: ReplayVerdict) -> None:
         """Commit the result of replaying a trial, in place of an earlier one."""
         self._execute(_PUT_VERDICT, self._key(trial_id), *verdict)
 

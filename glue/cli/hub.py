@@ -17,7 +17,7 @@ from glue.cli.shared import keys_option, legacy_port_option, run
 from glue.console import say
 from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_HUB, Bind, HubConfig, LegacyPort
-from glue.hub.io.log import Level, Log
+from glue.hub.io.log import Log, LogLevel
 
 _DEFAULTS: Final = HubConfig()
 
@@ -114,14 +114,14 @@ def hub(
     ports = [LegacyPort.parse(text, insecure=insecure) for text in legacy_port]
     if quiet and verbose:
         raise ConfigError("--quiet and --verbose contradict each other: give one of them")
-    level = Level.ERROR if quiet else Level.CONNECTIONS if verbose else Level.PEERS
+    level = LogLevel.ERROR if quiet else LogLevel.CONNECTIONS if verbose else LogLevel.PEERS
     serve_until_interrupted(config, ports, level, keys)
 
 
 def serve_until_interrupted(
     config: HubConfig,
     ports: Sequence[LegacyPort] = (),
-    level: Level = Level.PEERS,
+    level: LogLevel = LogLevel.PEERS,
     keys: Path | None = None,
 ) -> None:
     """Serve until Ctrl-C or SIGTERM, of which every peer is notified; read `keys` again on SIGHUP."""

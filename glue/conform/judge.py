@@ -12,7 +12,7 @@ from glue.conform.hub.connection import Listener
 from glue.conform.hub.experiment import ExperimentHarness
 from glue.conform.hub.harness import Harness
 from glue.conform.hub.player import PlayerHarness
-from glue.conform.hub.rules import Broken, Level, NotJudged, Rule, Tier
+from glue.conform.hub.rules import Broken, NotJudged, Requirement, Rule, Tier
 from glue.conform.peers.checking import judged_rules
 from glue.conform.scenes import FIRST, all_rules
 from glue.conform.scenes.faults import play_script
@@ -52,7 +52,7 @@ class Verdict:
     @property
     def violation(self) -> bool:
         """Whether the client violates the rule; a broken SHOULD is reported, but is no violation."""
-        return self.outcome is Outcome.FAILED and self.rule.level is not Level.SHOULD
+        return self.outcome is Outcome.FAILED and self.rule.level is not Requirement.SHOULD
 
 
 def rules_of(role: Role, tier: Tier = Tier.COMPLETE) -> list[Rule]:

@@ -14,7 +14,7 @@ from greenlet import getcurrent
 from glue.client import players
 from glue.client.answers import ServedPlayer
 from glue.hub.io import channels, inside
-from glue.hub.io.log import Level, Log
+from glue.hub.io.log import Log, LogLevel
 from glue.hub.io.server import Hub
 from glue.hub.session import Session
 from glue.hub.sessions import Switchboard
@@ -93,7 +93,7 @@ class Watch:
         watch = self
 
         class Noting(Log):
-            def __call__(self, line: str, level: Level = Level.PEERS) -> None:
+            def __call__(self, line: str, level: LogLevel = LogLevel.PEERS) -> None:
                 watch.note(process.name, "log", line)
                 for part in (
                     "another",
@@ -105,7 +105,7 @@ class Watch:
                 ):
                     if part in line:
                         watch.reached(f"log: {part}")
-                if level is Level.ERROR and process.alive:
+                if level is LogLevel.ERROR and process.alive:
                     watch._run.problems.append(f"an error of the hub: {line}")
 
         return Noting(lambda line: None)

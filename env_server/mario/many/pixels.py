@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from env_server.mario.observation import COLUMNS_SHOWN, ROWS_SHOWN, Place, kind_of_mario, place_of
+from env_server.mario.observation import COLUMNS_SHOWN, ROWS_SHOWN, Motion, kind_of_mario, place_of
 from env_server.mario.sim.state import PLANT, World
 from env_server.render.artwork import PALETTE, SPRITES, TILES
 from glue.compiled.jit import jit
@@ -126,7 +126,7 @@ def _draw_tiles(tiles: npt.NDArray[np.uint8], left: int, pixels: npt.NDArray[np.
 
 
 @jit
-def _draw_sprite(kind: int, place: Place, left: int, pixels: npt.NDArray[np.uint8]) -> None:
+def _draw_sprite(kind: int, place: Motion, left: int, pixels: npt.NDArray[np.uint8]) -> None:
     """Draw a sprite with its feet at `place`: x, height, velocity."""
     top = int(np.floor((ROWS_SHOWN - place[1]) * _TILE)) - _ROOM
     first = int(np.floor(place[0] * _TILE)) - _TILE // 2 - left
@@ -141,7 +141,7 @@ def _draw_sprite(kind: int, place: Place, left: int, pixels: npt.NDArray[np.uint
 
 
 @jit
-def _draw_wing(place: Place, left: int, pixels: npt.NDArray[np.uint8]) -> None:
+def _draw_wing(place: Motion, left: int, pixels: npt.NDArray[np.uint8]) -> None:
     """Draw the wing of a sprite as one white pixel beside its shoulder."""
     y = int(np.floor((ROWS_SHOWN - place[1]) * _TILE)) - _TILE
     x = int(np.floor(place[0] * _TILE)) - left - (_TILE // 2 if place[2] >= 0 else 1 - _TILE // 2)

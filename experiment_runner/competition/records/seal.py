@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from experiment_runner.store.database import KEPT, reported
 from experiment_runner.store.layout import ABOUT_FILE, COMPETITION_FILE, SEAL_FILE, replace_flushed
-from experiment_runner.store.records import Outcome, Verdict
+from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
@@ -35,7 +35,7 @@ def seal(store: Store) -> bool:
     return sealed
 
 
-def record_outcome(store: Store, trial_id: str, outcome: Outcome) -> None:
+def record_outcome(store: Store, trial_id: str, outcome: TrialEnd) -> None:
     """Store how a trial ended, and renew the seal.
 
     The new digest is written before the outcome, and the old one is kept with it: a process that is killed
@@ -47,7 +47,7 @@ def record_outcome(store: Store, trial_id: str, outcome: Outcome) -> None:
     store.record_outcome(trial_id, outcome)
 
 
-def record_verdict(store: Store, trial_id: str, verdict: Verdict) -> None:
+def record_verdict(store: Store, trial_id: str, verdict: ReplayVerdict) -> None:
     """Store the result of replaying a trial, and renew the seal in the same way."""
     found = _read(store.directory)
     digests = [_verified(store, trial_id, one) for one in (store.verdicts().get(trial_id), verdict) if one]
@@ -109,7 +109,7 @@ def _message(found: dict[str, Any]) -> bytes:
     return b"glue-compete seal 1\n" + _digest(found["played"][-1], last).encode()
 
 
-def _played(results: Results, new: dict[str, Outcome]) -> str:
+def _played(results: Results, new: dict[str, TrialEnd]) -> str:
     outcomes = results.outcomes() | new
     return _digest(
         [hashlib.sha256(_content(results.directory / name)).hexdigest() for name in _FILES],
@@ -118,7 +118,7 @@ def _played(results: Results, new: dict[str, Outcome]) -> str:
     )
 
 
-def _verified(results: Results, name: str, verdict: Verdict) -> str:
+def _verified(results: Results, name: str, verdict: ReplayVerdict) -> str:
     episodes = results.episodes(name)
     return _digest(
         [verdict.digest.hex(), verdict.problem, repr(verdict.score)],

@@ -24,7 +24,7 @@ from experiment_runner.competition.records.replay import Replay, passive_score, 
 from experiment_runner.competition.records.seal import record_verdict, seal
 from experiment_runner.executors.recording import run_of
 from experiment_runner.plan.plan import TrialSpec
-from experiment_runner.store.records import EpisodeResult, Outcome, Verdict
+from experiment_runner.store.records import EpisodeResult, ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError, GlueError
@@ -70,7 +70,7 @@ def verify(store: Store, steps: Mapping[str, int], say: Callable[[str], None]) -
             problem, score = str(error), math.nan
         except Exception as error:  # from an environment, which may have changed since
             problem, score = f"the environment failed: {type(error).__name__}: {error}", math.nan
-        record_verdict(store, spec.id, Verdict(sha256, problem, score))
+        record_verdict(store, spec.id, ReplayVerdict(sha256, problem, score))
         if problem is not None:
             problems += 1
             say(f"{spec.id} does not match: {problem}")
@@ -78,7 +78,7 @@ def verify(store: Store, steps: Mapping[str, int], say: Callable[[str], None]) -
 
 
 def _verified_score(
-    results: Results, spec: TrialSpec, outcome: Outcome, path: Path, sha256: bytes, steps: int
+    results: Results, spec: TrialSpec, outcome: TrialEnd, path: Path, sha256: bytes, steps: int
 ) -> float:
     """Return the sum of rewards of a trial.
 

@@ -32,7 +32,7 @@ _RISE: Final = (56.0, 200.0)  # pixels that Mario jumps with random constants
 _HELD: Final = 4  # ticks for which a jump is held
 
 
-class Outcome(NamedTuple):
+class PhysicsResult(NamedTuple):
     """An episode of the agent that learns, and one of the agent that is told the constants."""
 
     identified: float  # steps until five constants were within 0.001; infinite if they never were
@@ -43,7 +43,7 @@ class Outcome(NamedTuple):
     told_return: float
 
 
-def outcomes(group: str, levels: int) -> Iterator[Outcome]:
+def outcomes(group: str, levels: int) -> Iterator[PhysicsResult]:
     """Play a group of tasks, on the first `levels` levels of test-1000.
 
     Raises:
@@ -61,10 +61,10 @@ def outcomes(group: str, levels: int) -> Iterator[Outcome]:
         identified, predicted, *learned = _learn(learner, task, np.array([*values.values()]))
         game = Game(task)
         total = play(told, game, game.start(), lambda _: None)
-        yield Outcome(identified, predicted, bool(learned[0]), is_won(game), learned[1], total)
+        yield PhysicsResult(identified, predicted, bool(learned[0]), is_won(game), learned[1], total)
 
 
-def physics_table(groups: Sequence[str], played: Sequence[Sequence[Outcome]]) -> str:
+def physics_table(groups: Sequence[str], played: Sequence[Sequence[PhysicsResult]]) -> str:
     """Return a table in Markdown, a row for each group."""
     rows = []
     for group, found in zip(groups, played, strict=True):
@@ -81,7 +81,10 @@ def physics_table(groups: Sequence[str], played: Sequence[Sequence[Outcome]]) ->
                 f"{np.mean(since):.4f}" if since else "",
                 *(str(int(goals.sum())) for goals in (learned, told)),
                 difference_in_goals(learned, told),
-                *(f"{np.mean([getattr(one, name) for one in found]):.1f}" for name in Outcome._fields[4:]),
+                *(
+                    f"{np.mean([getattr(one, name) for one in found]):.1f}"
+                    for name in PhysicsResult._fields[4:]
+                ),
             ]
         )
     head = [

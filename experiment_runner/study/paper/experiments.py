@@ -20,14 +20,14 @@ SOAR: Final = "soar"
 SEED: Final = 0  # the random seed; the paper's agents were seeded by the clock
 
 
-class Level(NamedTuple):
+class PaperLevel(NamedTuple):
     """A level of type 0 (overground), with the game's parameters of instance 0."""
 
     seed: int
     difficulty: int
 
 
-PAPER_LEVEL: Final = Level(121, 0)
+PAPER_LEVEL: Final = PaperLevel(121, 0)
 _OTHER_SEEDS: Final = tuple(range(1, 11))
 
 
@@ -83,7 +83,7 @@ def plan_of(experiment: PaperExperiment, episodes: int | None = None, trials: in
     return Plan(episodes, 0, trials, SEED, (mario,), experiment.agents, "id")
 
 
-def level_of(environment: RoleSpec) -> Level:
+def level_of(environment: RoleSpec) -> PaperLevel:
     """Return the level of an environment of a plan of `plan_of`.
 
     Raises:
@@ -92,7 +92,7 @@ def level_of(environment: RoleSpec) -> Level:
     seed, difficulty = (environment.options.get(name) for name in ("level_seed", "level_difficulty"))
     if not isinstance(seed, int) or not isinstance(difficulty, int):
         raise ExperimentError(f"{environment.label} does not set the level, as those of glue-paper do")
-    return Level(seed, difficulty)
+    return PaperLevel(seed, difficulty)
 
 
 def _flat(name: str) -> tuple[RoleSweep, ...]:

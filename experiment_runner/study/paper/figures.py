@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
 from experiment_runner.report.plots import learning_curves, scatter
-from experiment_runner.study.paper.experiments import ALL, EXPERIMENTS, PAPER_LEVEL, SOAR, Level
-from experiment_runner.study.paper.outcomes import WINDOW, Outcome
+from experiment_runner.study.paper.experiments import ALL, EXPERIMENTS, PAPER_LEVEL, SOAR, PaperLevel
+from experiment_runner.study.paper.outcomes import WINDOW, LevelResults
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,7 +18,7 @@ _BEST: Final = "best"
 _IN_CURVES: Final = (_SAMPLE, "4", "5", "6", "7", "8", _BEST)
 
 
-def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
+def figures(outcomes: Sequence[LevelResults]) -> dict[str, Figure]:
     """Return the figures that can be drawn from these outcomes, by name.
 
     figure-2, ...        the paper's: every episode of every trial as a dot, on the paper's level
@@ -33,7 +33,7 @@ def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
     """
     drawn = {}
     for experiment in EXPERIMENTS.values():
-        level = Level(PAPER_LEVEL.seed, experiment.difficulties[0])
+        level = PaperLevel(PAPER_LEVEL.seed, experiment.difficulties[0])
         panels = {o.agent: o.curves for o in outcomes if o.experiment is experiment and o.level == level}
         if panels and (experiment.figure is not None or experiment.group == SOAR):
             name = f"figure-{experiment.figure}" if experiment.group == ALL else experiment.name
@@ -43,7 +43,7 @@ def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
         name = f"{nearest.agent}, level seed {nearest.level.seed}"
         drawn[f"figure-{nearest.experiment.figure}-nearest"] = scatter({name: nearest.curves}, window=WINDOW)
     for difficulty in (0, 1):
-        level = Level(PAPER_LEVEL.seed, difficulty)
+        level = PaperLevel(PAPER_LEVEL.seed, difficulty)
         curves = {o.agent: o.curves for o in outcomes if o.experiment.name in _IN_CURVES and o.level == level}
         if curves:
             drawn[f"curves-{difficulty}"] = learning_curves(curves, bootstrap_rng(), window=WINDOW)
@@ -57,7 +57,7 @@ def figures(outcomes: Sequence[Outcome]) -> dict[str, Figure]:
     return drawn
 
 
-def _nearest(outcomes: Sequence[Outcome]) -> Outcome | None:
+def _nearest(outcomes: Sequence[LevelResults]) -> LevelResults | None:
     """Return the outcome whose reward is closest to the published one."""
     distances = {
         abs(float(outcome.reward.value) - outcome.published.reward): outcome
@@ -67,7 +67,7 @@ def _nearest(outcomes: Sequence[Outcome]) -> Outcome | None:
     return distances[min(distances)] if distances else None
 
 
-def _sample(outcomes: Sequence[Outcome], level: Level) -> tuple[str, FloatArray] | None:
+def _sample(outcomes: Sequence[LevelResults], level: PaperLevel) -> tuple[str, FloatArray] | None:
     for outcome in outcomes:
         if outcome.experiment.name == _SAMPLE and outcome.level == level:
             return "the sample agent", outcome.curves

@@ -11,16 +11,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from experiment_runner.study.paper.experiments import EPISODES, EXPERIMENTS, PAPER_LEVEL, TRIALS, Level
-from experiment_runner.study.paper.outcomes import Outcome
+from experiment_runner.study.paper.experiments import EPISODES, EXPERIMENTS, PAPER_LEVEL, TRIALS, PaperLevel
+from experiment_runner.study.paper.outcomes import LevelResults
 
 _ORIGINAL_SAMPLE: Final = 130.45
 """The reward of the original sample agent: the mean of ten runs of 500 episodes on the paper's level."""
 
-Number = Callable[[Outcome], float]
+Number = Callable[[LevelResults], float]
 
 
-class Verdict(NamedTuple):
+class GoalVerdict(NamedTuple):
     """A goal, the result, and whether the goal is met; None if not judged."""
 
     required: str
@@ -40,80 +40,80 @@ class _Goal(NamedTuple):
     difficulty: int = PAPER_LEVEL.difficulty
 
 
-def verdicts(outcomes: Sequence[Outcome]) -> list[Verdict]:
+def verdicts(outcomes: Sequence[LevelResults]) -> list[GoalVerdict]:
     """Return the verdict on each goal whose agents all have outcomes."""
     known = {(outcome.agent, outcome.level): outcome for outcome in outcomes}
     given = []
     for goal in _GOALS:
-        keys = [(agent, Level(PAPER_LEVEL.seed, goal.difficulty)) for agent in goal.agents]
+        keys = [(agent, PaperLevel(PAPER_LEVEL.seed, goal.difficulty)) for agent in goal.agents]
         if all(key in known for key in keys):
             compared = [known[key] for key in keys]
             found, met = goal.check(*compared)
             judged = all(map(_is_whole, compared))
-            given.append(Verdict(f"`{goal.agents[0]}`: {goal.required}", found, met if judged else None))
+            given.append(GoalVerdict(f"`{goal.agents[0]}`: {goal.required}", found, met if judged else None))
     return given
 
 
-def _is_whole(outcome: Outcome) -> bool:
+def _is_whole(outcome: LevelResults) -> bool:
     trials, episodes = outcome.curves.shape
     return bool(trials >= TRIALS and episodes >= EPISODES)
 
 
-def _like_the_original(sample: Outcome) -> tuple[str, bool]:
+def _like_the_original(sample: LevelResults) -> tuple[str, bool]:
     return _show(_reward, sample), abs(_reward(sample) - _ORIGINAL_SAMPLE) <= 3
 
 
-def _less(agent: Outcome, other: Outcome) -> tuple[str, bool]:
+def _less(agent: LevelResults, other: LevelResults) -> tuple[str, bool]:
     return _show(_reward, agent, other), _reward(agent) < _reward(other)
 
 
-def _more(agent: Outcome, other: Outcome) -> tuple[str, bool]:
+def _more(agent: LevelResults, other: LevelResults) -> tuple[str, bool]:
     return _show(_reward, agent, other), _reward(agent) > _reward(other)
 
 
-def _no_worse(agent: Outcome, other: Outcome) -> tuple[str, bool]:
+def _no_worse(agent: LevelResults, other: LevelResults) -> tuple[str, bool]:
     return _show(_reward, agent, other), _reward(agent) >= float(other.reward.low)
 
 
-def _at_least(reward: float) -> Callable[[Outcome], tuple[str, bool]]:
+def _at_least(reward: float) -> Callable[[LevelResults], tuple[str, bool]]:
     return lambda agent: (_show(_reward, agent), _reward(agent) >= reward)
 
 
-def _at_most(number: Number, limit: float) -> Callable[[Outcome], tuple[str, bool]]:
+def _at_most(number: Number, limit: float) -> Callable[[LevelResults], tuple[str, bool]]:
     return lambda agent: (_show(number, agent), number(agent) <= limit)
 
 
 def _least(number: Number) -> Callable[..., tuple[str, bool]]:
-    def check(agent: Outcome, *others: Outcome) -> tuple[str, bool]:
+    def check(agent: LevelResults, *others: LevelResults) -> tuple[str, bool]:
         return _show(number, agent, *others), number(agent) <= min(map(number, others))
 
     return check
 
 
-def _finishing(share: float) -> Callable[[Outcome], tuple[str, bool]]:
+def _finishing(share: float) -> Callable[[LevelResults], tuple[str, bool]]:
     return lambda agent: (
         f"{agent.trials_finishing} of {len(agent.curves)}",
         agent.trials_finishing >= share * len(agent.curves),
     )
 
 
-def _reward(outcome: Outcome) -> float:
+def _reward(outcome: LevelResults) -> float:
     return float(outcome.reward.value)
 
 
-def _reached(outcome: Outcome) -> float:
+def _reached(outcome: LevelResults) -> float:
     return math.inf if outcome.reached is None else outcome.reached
 
 
-def _median_reached(outcome: Outcome) -> float:
+def _median_reached(outcome: LevelResults) -> float:
     return float(np.median(outcome.trials_reached)) if outcome.trials_reached else math.inf
 
 
-def _spread(outcome: Outcome) -> float:
+def _spread(outcome: LevelResults) -> float:
     return float(np.std(outcome.rewards))
 
 
-def _show(number: Number, agent: Outcome, *others: Outcome) -> str:
+def _show(number: Number, agent: LevelResults, *others: LevelResults) -> str:
     """Return an agent's number, and those it was compared with."""
     form = "{:g}" if number in (_reached, _median_reached) else "{:.2f}"
     shown = form.format(number(agent))

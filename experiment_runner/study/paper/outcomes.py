@@ -23,7 +23,13 @@ from experiment_runner.analysis.stats import (
 from experiment_runner.plan.plan import RoleSpec
 from experiment_runner.store.database import holds_run, reported
 from experiment_runner.store.results import Results
-from experiment_runner.study.paper.experiments import EXPERIMENTS, Level, PaperExperiment, Published, level_of
+from experiment_runner.study.paper.experiments import (
+    EXPERIMENTS,
+    PaperExperiment,
+    PaperLevel,
+    Published,
+    level_of,
+)
 from glue.engine.local import local
 from glue.errors import ExperimentError
 from glue.options import build
@@ -41,7 +47,7 @@ No level has enough coins and monsters for an episode that ends in death to get 
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class LevelResults:
     """The results of one agent of an experiment on one level.
 
     experiment  the experiment
@@ -59,7 +65,7 @@ class Outcome:
 
     experiment: PaperExperiment
     agent: str
-    level: Level
+    level: PaperLevel
     planned: int
     curves: FloatArray
     values: tuple[int, ...]
@@ -127,7 +133,7 @@ def reach_episode(returns: FloatArray) -> int | None:
     return int(np.argmax(means >= means[-1] - TOLERANCE)) + WINDOW if means.size else None
 
 
-def load(directory: Path) -> list[Outcome]:
+def load(directory: Path) -> list[LevelResults]:
     """Return the results so far of each agent on each level, in the order of `EXPERIMENTS`.
 
     Args:
@@ -147,13 +153,13 @@ def load(directory: Path) -> list[Outcome]:
     return outcomes
 
 
-def _outcome(experiment: PaperExperiment, setting: Setting, results: Results) -> Outcome:
+def _outcome(experiment: PaperExperiment, setting: Setting, results: Results) -> LevelResults:
     spec = setting.trials[0].spec
     if spec.agent is None or spec.environment is None:
         raise ExperimentError(f"{results.directory} is not a run of experiment {experiment.name}")
     episodes = [episode for trial in setting.trials for episode in results.episodes(trial.spec.id)]
     values, cycles = _answers(spec.agent, spec.environment, setting, results)
-    return Outcome(
+    return LevelResults(
         experiment,
         spec.agent.label,
         level_of(spec.environment),

@@ -12,7 +12,7 @@ from experiment_runner.store.database import reported
 from experiment_runner.store.output import written
 from experiment_runner.study.paper.experiments import ALL, SOAR
 from experiment_runner.study.paper.figures import figures
-from experiment_runner.study.paper.outcomes import Outcome, load
+from experiment_runner.study.paper.outcomes import LevelResults, load
 from experiment_runner.study.paper.shared_values import agreements
 from experiment_runner.study.paper.tables import as_csv, as_markdown, as_soar_markdown
 from glue.errors import ExperimentError
@@ -26,7 +26,7 @@ END: Final = "<!-- to here -->"
 class Report(NamedTuple):
     """The outcomes that were reported, and descriptions of the files that were written."""
 
-    outcomes: list[Outcome]
+    outcomes: list[LevelResults]
     written: list[str]
 
 
@@ -66,7 +66,7 @@ def write_report(out: Path, docs: Path | None = None) -> Report:
     return Report(outcomes, files)
 
 
-def _sections(outcomes: list[Outcome], out: Path) -> dict[str, str]:
+def _sections(outcomes: list[LevelResults], out: Path) -> dict[str, str]:
     """Return the tables by the marks that they follow."""
     sections = {}
     own = [outcome for outcome in outcomes if outcome.experiment.group == ALL]

@@ -12,7 +12,7 @@ import numpy as np
 from experiment_runner.report.tables import counted, format_table
 from experiment_runner.study.paper.experiments import EPISODES, PAPER_LEVEL, TRIALS
 from experiment_runner.study.paper.goals import verdicts
-from experiment_runner.study.paper.outcomes import FINISHED, TOLERANCE, WINDOW, Outcome
+from experiment_runner.study.paper.outcomes import FINISHED, TOLERANCE, WINDOW, LevelResults
 from experiment_runner.study.paper.shared_values import Agreement
 
 _HEADER: Final = (
@@ -41,7 +41,7 @@ most {TOLERANCE:g} below it, and has *settled* when from then on it stays within
 least half of its last {WINDOW} episodes reach the goal, that is, return {FINISHED:g} or more."""
 
 
-def as_markdown(outcomes: Sequence[Outcome]) -> str:
+def as_markdown(outcomes: Sequence[LevelResults]) -> str:
     """Return tables in Markdown: the paper's level, its higher difficulties, other seeds, the goals."""
     seed = PAPER_LEVEL.seed
     groups = {
@@ -63,7 +63,7 @@ def as_markdown(outcomes: Sequence[Outcome]) -> str:
     return "\n\n".join([_LEGEND, *tables, _effort(outcomes)]) + "\n"
 
 
-def as_soar_markdown(outcomes: Sequence[Outcome], agreements: Sequence[Agreement]) -> str:
+def as_soar_markdown(outcomes: Sequence[LevelResults], agreements: Sequence[Agreement]) -> str:
     """Return tables in Markdown about the agents on the Soar kernel and ours: results, cycles, values."""
     counts = []
     for outcome in outcomes:
@@ -94,7 +94,7 @@ def as_soar_markdown(outcomes: Sequence[Outcome], agreements: Sequence[Agreement
     return "\n\n".join([*tables, _effort(outcomes)]) + "\n"
 
 
-def as_text(outcomes: Sequence[Outcome], width: int | None = None) -> str:
+def as_text(outcomes: Sequence[LevelResults], width: int | None = None) -> str:
     """Return a table for a terminal: the paper's rewards and ours, and how many trials finish.
 
     Args:
@@ -109,7 +109,7 @@ def as_text(outcomes: Sequence[Outcome], width: int | None = None) -> str:
     return f"{format_table(_SHORT_HEADER, rows, width=width)}\n\n{_effort(outcomes)}\n"
 
 
-def as_csv(outcomes: Sequence[Outcome]) -> str:
+def as_csv(outcomes: Sequence[LevelResults]) -> str:
     """Return a header and a row for each agent and level; a number that is not available is empty."""
     text = io.StringIO()
     records = [_record(outcome) for outcome in outcomes]
@@ -124,7 +124,7 @@ def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return "\n".join(f"| {' | '.join(row)} |" for row in (header, rule, *rows))
 
 
-def _cells(outcome: Outcome) -> tuple[str, ...]:
+def _cells(outcome: LevelResults) -> tuple[str, ...]:
     paper, reward, reached = outcome.published, outcome.reward, outcome.trials_reached
     experiment, count = outcome.experiment, len(outcome.curves)
     return (
@@ -145,7 +145,7 @@ def _cells(outcome: Outcome) -> tuple[str, ...]:
     )
 
 
-def _record(outcome: Outcome) -> dict[str, object]:
+def _record(outcome: LevelResults) -> dict[str, object]:
     paper, reward = outcome.published, outcome.reward
     reached, settled = outcome.trials_reached, outcome.trials_settled
     return {
@@ -175,7 +175,7 @@ def _record(outcome: Outcome) -> dict[str, object]:
     }
 
 
-def _effort(outcomes: Sequence[Outcome]) -> str:
+def _effort(outcomes: Sequence[LevelResults]) -> str:
     trials = sum(len(outcome.curves) for outcome in outcomes)
     steps = sum(outcome.steps for outcome in outcomes)
     hours = sum(outcome.seconds for outcome in outcomes) / 3600

@@ -22,7 +22,7 @@ class Tier(StrEnum):
     COMPLETE = "complete"
 
 
-class Level(StrEnum):
+class Requirement(StrEnum):
     """Requirement levels of RFC 2119."""
 
     MUST = "MUST"
@@ -50,7 +50,7 @@ class NotJudged(GlueError):
     """A rule cannot be judged, for the reason in the text."""
 
 
-Scene = Callable[[Any], None]
+Check = Callable[[Any], None]
 """A test of a rule, which raises Broken or NotJudged."""
 
 
@@ -76,9 +76,9 @@ class Rule:
     section: str
     text: str
     roles: tuple[Role, ...]
-    scene: Scene
+    scene: Check
     needs: tuple[str, ...] = ()
-    level: Level = Level.MUST
+    level: Requirement = Requirement.MUST
     capability: str = ""
     mirror: bool = False
 
@@ -94,14 +94,14 @@ class Rules(list[Rule]):
         super().__init__()
         self._roles = roles
 
-    def add(self, tier: Tier, section: str, **more: Any) -> Callable[[Scene], Scene]:
+    def add(self, tier: Tier, section: str, **more: Any) -> Callable[[Check], Check]:
         """Return a decorator that adds the rule of a scene.
 
         The scene's docstring is the text of the rule, and its name is the rule's name unless `more`, the
         other fields of `Rule`, gives another.
         """
 
-        def keep(scene: Scene) -> Scene:
+        def keep(scene: Check) -> Check:
             text = " ".join((scene.__doc__ or "").split()).removesuffix(".")
             text = text if text[1].isupper() else text[0].lower() + text[1:]
             name = more.pop("name", scene.__name__.replace("_", "-"))

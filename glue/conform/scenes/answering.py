@@ -8,7 +8,7 @@ from glue.conform.hub.comparing import described
 from glue.conform.hub.connection import Gone
 from glue.conform.hub.mirror import FAIL, FAILURE
 from glue.conform.hub.player import SHOWN, PlayerHarness
-from glue.conform.hub.rules import PLAYERS, Broken, Level, Rules, Tier
+from glue.conform.hub.rules import PLAYERS, Broken, Requirement, Rules, Tier
 from glue.conform.scenes import forms
 from glue.conform.scenes.values import NOT_UTF_8
 from glue.types import Action, Observation
@@ -120,7 +120,7 @@ def forgets(kit: PlayerHarness) -> None:
         last = kit.seq
 
 
-@RULES.add(Tier.SURVIVES, "greeting", needs=("silent-until-welcomed",), level=Level.SHOULD)
+@RULES.add(Tier.SURVIVES, "greeting", needs=("silent-until-welcomed",), level=Requirement.SHOULD)
 def welcome_lost(kit: PlayerHarness) -> None:
     """After `resumed` false the last call, if repeated, still gets the kept answer."""
     exchange = kit.step(SHOWN)
@@ -162,7 +162,7 @@ def ignores(kit: PlayerHarness) -> None:
     kit.nothing("in answer to an ERROR or a NOTICE")
 
 
-@RULES.add(Tier.COMPLETE, "capabilities", level=Level.MAY, capability="seed")
+@RULES.add(Tier.COMPLETE, "capabilities", level=Requirement.MAY, capability="seed")
 def seed(kit: PlayerHarness) -> None:
     """A seed may be any number from 0 to 2^63 - 1."""
     for number in (0, 1, 2**31, 2**53 + 1, 2**63 - 1):
@@ -171,7 +171,7 @@ def seed(kit: PlayerHarness) -> None:
             kit.ask("SAVE")
 
 
-@RULES.add(Tier.COMPLETE, "capabilities", level=Level.MAY, capability="save", mirror=True)
+@RULES.add(Tier.COMPLETE, "capabilities", level=Requirement.MAY, capability="save", mirror=True)
 def save(kit: PlayerHarness) -> None:
     """The bytes of save are loaded again."""
     kit.episode()
@@ -183,7 +183,12 @@ def save(kit: PlayerHarness) -> None:
 
 
 @RULES.add(
-    Tier.COMPLETE, "capabilities", roles=(Role.AGENT,), level=Level.MAY, capability="metrics", mirror=True
+    Tier.COMPLETE,
+    "capabilities",
+    roles=(Role.AGENT,),
+    level=Requirement.MAY,
+    capability="metrics",
+    mirror=True,
 )
 def metrics(kit: PlayerHarness) -> None:
     """Each metric is a double, its name a line of the chars; asking changes nothing."""
@@ -198,7 +203,7 @@ def metrics(kit: PlayerHarness) -> None:
     "capabilities",
     roles=(Role.ENVIRONMENT,),
     needs=("calls",),
-    level=Level.MAY,
+    level=Requirement.MAY,
     capability="truncate",
     mirror=True,
 )
@@ -239,7 +244,7 @@ def max_body(kit: PlayerHarness) -> None:
         kit.steps(SHOWN)
 
 
-@RULES.add(Tier.COMPLETE, "errors", level=Level.SHOULD, mirror=True)
+@RULES.add(Tier.COMPLETE, "errors", level=Requirement.SHOULD, mirror=True)
 def exception(kit: PlayerHarness) -> None:
     """A player's own failure is reported with ERROR exception and its text."""
     kit.seq += 1

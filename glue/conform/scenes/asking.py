@@ -8,7 +8,7 @@ import numpy as np
 
 from glue.conform.hub.experiment import DONE, SEEN, SPEC, ExperimentHarness, Order
 from glue.conform.hub.harness import MAX_BODY
-from glue.conform.hub.rules import Level, Rules, Tier
+from glue.conform.hub.rules import Requirement, Rules, Tier
 from glue.conform.scenes import forms
 from glue.conform.scenes.values import CHARS, DOUBLES, EMPTY, INTS, MANY, REWARDS, TEXTS
 from glue.types import AbstractType, Observation
@@ -47,7 +47,7 @@ def calls(kit: ExperimentHarness) -> None:
     )
 
 
-@RULES.add(Tier.COMPLETE, "capabilities", level=Level.MAY)
+@RULES.add(Tier.COMPLETE, "capabilities", level=Requirement.MAY)
 def metrics(kit: ExperimentHarness) -> None:
     """The agent's metrics are understood: doubles, with a line of the chars for each name."""
     kit.do(

@@ -20,7 +20,7 @@ from glue.batches import (
 )
 from glue.conform.hub.comparing import described
 from glue.conform.hub.player import TASK, PlayerHarness
-from glue.conform.hub.rules import Broken, Level, NotJudged, Rules, Tier
+from glue.conform.hub.rules import Broken, NotJudged, Requirement, Rules, Tier
 from glue.errors import GlueError, TaskSpecError
 from glue.taskspec import parse_task_spec
 from glue.types import CUT_OFF, Action, Observation
@@ -34,7 +34,9 @@ _STEPS: Final = 60
 """Number of steps in which the environment's batch is checked."""
 
 
-@RULES.add(Tier.COMPLETE, "batches", name="batch", roles=(Role.AGENT,), level=Level.MAY, capability="batch")
+@RULES.add(
+    Tier.COMPLETE, "batches", name="batch", roles=(Role.AGENT,), level=Requirement.MAY, capability="batch"
+)
 def acting(kit: PlayerHarness) -> None:
     """An agent is shown a batch, and answers with an action for each of its games."""
     kit.fresh()
@@ -53,7 +55,12 @@ def acting(kit: PlayerHarness) -> None:
 
 
 @RULES.add(
-    Tier.COMPLETE, "batches", name="batch", roles=(Role.ENVIRONMENT,), level=Level.MAY, capability="batch"
+    Tier.COMPLETE,
+    "batches",
+    name="batch",
+    roles=(Role.ENVIRONMENT,),
+    level=Requirement.MAY,
+    capability="batch",
 )
 def playing(kit: PlayerHarness) -> None:
     """An environment shows each of its games: rewards, terminals, and last observations of those cut off."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
+from glue.conform.hub.connection import Connection
 from glue.conform.hub.harness import QUIET, Harness
-from glue.conform.hub.rules import EVERYONE, Broken, Level, Rules, Tier
+from glue.conform.hub.rules import EVERYONE, Broken, Requirement, Rules, Tier
 from glue.wire import zmtp
 from glue.wire.messages import ErrorCode, Kind
 
@@ -59,16 +60,15 @@ def call_lost(kit: Harness) -> None:
 @RULES.add(Tier.SURVIVES, "transport", needs=("silent-until-welcomed",))
 def handshakes_lost(kit: Harness) -> None:
     """A connection may end at any point of its handshake and greeting."""
-    steps: list[Callable[[], None]] = [
-        lambda: None,
-        lambda: kit.send_bytes(zmtp.GREETING[:10]),
-        lambda: kit.send_bytes(zmtp.GREETING),
-        lambda: kit.connection.greet(kit.wait),
+    steps: list[Callable[[Connection], None]] = [
+        lambda connection: None,
+        lambda connection: connection.send_bytes(zmtp.GREETING[:10]),
+        lambda connection: connection.send_bytes(zmtp.GREETING),
+        lambda connection: connection.greet(kit.wait),
     ]
     for step in steps:
         kit.cut()
-        kit.adopt(kit.accept())
-        step()
+        kit.begin_handshake(step)
     kit.cut()
     kit.connect()  # And once after HELLO, without a WELCOME.
     kit.cut()
@@ -76,7 +76,7 @@ def handshakes_lost(kit: Harness) -> None:
     kit.exchange()
 
 
-@RULES.add(Tier.SURVIVES, "transport", level=Level.SHOULD, needs=("silent-until-welcomed",))
+@RULES.add(Tier.SURVIVES, "transport", level=Requirement.SHOULD, needs=("silent-until-welcomed",))
 def absent(kit: Harness) -> None:
     """The client waits for a hub that is absent for a while."""
     kit.listener.close()

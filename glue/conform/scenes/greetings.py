@@ -7,7 +7,7 @@ from typing import Final
 from glue.conform.hub.comparing import described
 from glue.conform.hub.connection import Gone
 from glue.conform.hub.harness import QUIET, Harness
-from glue.conform.hub.rules import EVERYONE, Broken, Level, Rules, Tier
+from glue.conform.hub.rules import EVERYONE, Broken, Requirement, Rules, Tier
 from glue.wire.codec import TO_HUB, encode
 from glue.wire.messages import PROTOCOL_VERSION, ErrorCode, Kind
 
@@ -75,7 +75,9 @@ def refusal(kit: Harness) -> None:
         raise Broken("an exit code other than 0 after REFUSE", "0")
 
 
-@LAST.add(Tier.PLAYS, "what-a-peer-must-should-and-may-do", level=Level.SHOULD, needs=("goodbye", "refusal"))
+@LAST.add(
+    Tier.PLAYS, "what-a-peer-must-should-and-may-do", level=Requirement.SHOULD, needs=("goodbye", "refusal")
+)
 def reasons(kit: Harness) -> None:
     """The texts of GOODBYE and REFUSE are shown to the user."""
     kit.fresh()

@@ -11,7 +11,7 @@ from glue.conform.hub.connection import Gone
 from glue.conform.hub.experiment import DONE, SEEN, ExperimentHarness, Order
 from glue.conform.hub.harness import QUIET, Harness
 from glue.conform.hub.mirror import result
-from glue.conform.hub.rules import Broken, Level, NotJudged, Rules, Tier
+from glue.conform.hub.rules import Broken, NotJudged, Requirement, Rules, Tier
 from glue.conform.scenes import forms
 from glue.conform.scenes.values import NOT_UTF_8
 from glue.types import CUT_OFF, Action, Observation
@@ -81,7 +81,7 @@ def welcome_lost(kit: ExperimentHarness) -> None:
     kit.exchange()
 
 
-@RULES.add(Tier.COMPLETE, "every-kind-of-message", level=Level.SHOULD)
+@RULES.add(Tier.COMPLETE, "every-kind-of-message", level=Requirement.SHOULD)
 def notices(kit: ExperimentHarness) -> None:
     """Every NOTICE is reported, also during a request; unknown events do no harm."""
     _notices(kit)
@@ -123,7 +123,7 @@ def errors(kit: ExperimentHarness) -> None:
     kit.do(Order("RL_START", body=SEEN.body + DONE.body))
 
 
-@RULES.add(Tier.COMPLETE, "capabilities", needs=("integer-terminal",), level=Level.MAY)
+@RULES.add(Tier.COMPLETE, "capabilities", needs=("integer-terminal",), level=Requirement.MAY)
 def truncate(kit: ExperimentHarness) -> None:
     """The terminal 2 says that the episode was truncated, not terminated."""
     both = SEEN.body + DONE.body
@@ -149,7 +149,7 @@ def _cut_off(kit: ExperimentHarness, order: Order) -> None:
     kit.matches(expected, got, frames)
 
 
-@RULES.add(Tier.COMPLETE, "capabilities", level=Level.MAY, capability=OUTCOME)
+@RULES.add(Tier.COMPLETE, "capabilities", level=Requirement.MAY, capability=OUTCOME)
 def outcome(kit: ExperimentHarness) -> None:
     """The reply to RL_EPISODE may have return and number of steps, or not."""
     older = Order("RL_EPISODE", b"0", scalars=(True,))
@@ -235,7 +235,7 @@ def _gives_up(kit: ExperimentHarness, what: str, wrong: Any) -> None:
     kit.drop()
 
 
-@RULES.add(Tier.PLAYS, "greeting", level=Level.SHOULD)
+@RULES.add(Tier.PLAYS, "greeting", level=Requirement.SHOULD)
 def end(kit: ExperimentHarness) -> None:
     """The experiment says GOODBYE before it ends."""
     kit.do()

@@ -8,7 +8,7 @@ from typing import Final
 from glue.conform.hub.comparing import described
 from glue.conform.hub.connection import Gone
 from glue.conform.hub.harness import MAX_BODY, QUIET, Exchange, Harness
-from glue.conform.hub.rules import EVERYONE, Broken, Level, NotJudged, Rules, Tier
+from glue.conform.hub.rules import EVERYONE, Broken, NotJudged, Requirement, Rules, Tier
 from glue.conform.scenes import forms
 from glue.doors import clock
 from glue.wire import zmtp
@@ -115,7 +115,7 @@ def session_names(kit: Harness) -> None:
     kit.drop()
 
 
-@RULES.add(Tier.SURVIVES, "greeting", level=Level.SHOULD, needs=("silent-until-welcomed",))
+@RULES.add(Tier.SURVIVES, "greeting", level=Requirement.SHOULD, needs=("silent-until-welcomed",))
 def hello_once(kit: Harness) -> None:
     """HELLO is said once over each connection, whether it is answered soon or late."""
     kit.cut()
@@ -131,7 +131,7 @@ def hello_once(kit: Harness) -> None:
         raise Broken("one HELLO over the connection", f"{kit.hellos}")
 
 
-@RULES.add(Tier.COMPLETE, "greeting", level=Level.SHOULD, needs=("silent-until-welcomed", "hello-once"))
+@RULES.add(Tier.COMPLETE, "greeting", level=Requirement.SHOULD, needs=("silent-until-welcomed", "hello-once"))
 def silence(kit: Harness) -> None:
     """A peer that receives nothing for WELCOME's heartbeat sends HEARTBEAT, repeatedly."""
     kit.cut()
@@ -155,7 +155,7 @@ def silence(kit: Harness) -> None:
     kit.exchange()
 
 
-@RULES.add(Tier.COMPLETE, "transport", level=Level.SHOULD)
+@RULES.add(Tier.COMPLETE, "transport", level=Requirement.SHOULD)
 def idle(kit: Harness) -> None:
     """The client sleeps while it waits."""
     # Not measured by CPU time: on a busy machine a client that never sleeps may get little of it.
@@ -172,7 +172,7 @@ def idle(kit: Harness) -> None:
         )
 
 
-@RULES.add(Tier.COMPLETE, "limits-and-defaults", level=Level.SHOULD)
+@RULES.add(Tier.COMPLETE, "limits-and-defaults", level=Requirement.SHOULD)
 def huge_frame(kit: Harness) -> None:
     """A frame that is far too long ends the connection, before memory is allocated for it."""
     for size in (2**62, 2**40):
@@ -188,14 +188,14 @@ def huge_frame(kit: Harness) -> None:
         kit.ready()
 
 
-@RULES.add(Tier.COMPLETE, "what-a-peer-must-should-and-may-do", level=Level.SHOULD)
+@RULES.add(Tier.COMPLETE, "what-a-peer-must-should-and-may-do", level=Requirement.SHOULD)
 def malformed(kit: Harness) -> None:
     """Malformed headers and frames are not accepted as a message, and do not crash the client."""
     for name, change in forms.SPOILED.items():
         _spoil(kit, name, change, kit.prepare)
 
 
-@RULES.add(Tier.COMPLETE, "bodies", level=Level.SHOULD)
+@RULES.add(Tier.COMPLETE, "bodies", level=Requirement.SHOULD)
 def malformed_bodies(kit: Harness) -> None:
     """A body that is not as long as its counts say, or whose fourth word is not zero, is not accepted."""
     for name, change in forms.SPOILED_BODIES.items():
@@ -224,12 +224,7 @@ def _spoil(
         raise Broken(f"no answer to {name}", described(got), frames or ())
     if got is not None:
         kit.cut()  # The client reported an error, or said GOODBYE.
-    _orderly(kit, f"after {name}")
-    kit.abandon()
-
-
-def _orderly(kit: Harness, when: str) -> None:
-    """Expect that the client did not crash, whether it continues, reconnects or ends."""
     code = kit.client.wait(QUIET) if kit.connected else kit.returns()
     if code is not None and code < 0:
-        raise Broken(f"a client that goes on or reports an error {when}", f"its end by signal {-code}")
+        raise Broken(f"a client that goes on or reports an error after {name}", f"its end by signal {-code}")
+    kit.abandon()

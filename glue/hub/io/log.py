@@ -22,7 +22,7 @@ _FLUSH_SECONDS: Final = 1.0
 """Maximum number of seconds that `close` waits for the last lines to be written."""
 
 
-class Level(IntEnum):
+class LogLevel(IntEnum):
     """The level of a log line; a log writes the lines up to a level."""
 
     ERROR = 0
@@ -45,7 +45,7 @@ class Log:
     """
 
     def __init__(
-        self, write: Callable[[str], None], level: Level = Level.PEERS, stamped: bool = False
+        self, write: Callable[[str], None], level: LogLevel = LogLevel.PEERS, stamped: bool = False
     ) -> None:
         self._write = write
         self._level = level
@@ -56,7 +56,7 @@ class Log:
         self._changed = threads.Condition()
         self._thread: threads.Thread | None = None
 
-    def __call__(self, line: str, level: Level = Level.PEERS) -> None:
+    def __call__(self, line: str, level: LogLevel = LogLevel.PEERS) -> None:
         """Have `line` written, or dropped if too many lines wait already."""
         if level > self._level:
             return
@@ -74,11 +74,11 @@ class Log:
 
     def error(self, line: str) -> None:
         """Log a line about an internal error of the hub."""
-        self(line, Level.ERROR)
+        self(line, LogLevel.ERROR)
 
     def connection(self, line: str) -> None:
         """Log a line about a connection."""
-        self(line, Level.CONNECTIONS)
+        self(line, LogLevel.CONNECTIONS)
 
     def close(self) -> None:
         """Wait briefly until all lines are written; later lines are dropped."""

@@ -25,7 +25,7 @@ from experiment_runner.executors.resume import create_run, resume_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.report.overview import overview
 from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE
-from experiment_runner.store.records import Checkpoint, EpisodeResult, Outcome
+from experiment_runner.store.records import Checkpoint, EpisodeResult, TrialEnd
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.engine.local import local
@@ -152,7 +152,7 @@ def test_finished_competition_is_finished_whatever_its_episodes(run: Path) -> No
     with Store.open(run) as store:
         for trial in store.trials():
             if not trial.finished:
-                store.record_outcome(trial.spec.id, Outcome("it left", b"digest"))
+                store.record_outcome(trial.spec.id, TrialEnd("it left", b"digest"))
         found = overview(store)
     assert (found.trials, found.episodes) == ((4, 4), (15, 15))
     with Results.open(run) as results:

@@ -12,7 +12,7 @@ from experiment_runner.competition.organiser import open_competition
 from experiment_runner.competition.records import seal
 from experiment_runner.competition.secret import trials
 from experiment_runner.store.layout import ABOUT_FILE
-from experiment_runner.store.records import Outcome, Verdict
+from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from glue.errors import ExperimentError
 
 FILE = """
@@ -33,8 +33,8 @@ def test_who_has_no_place_is_last_with_the_reason(tmp_path: Path) -> None:
     competition = parse_competition(FILE, tmp_path / "spring.toml")
     with open_competition(tmp_path / "run", FILE, competition, trials(competition, b"secret")) as store:
         for name in ("unverified", "forger"):
-            seal.record_outcome(store, f"{name}/walk/0", Outcome("it left", b"digest"))
-        seal.record_verdict(store, "forger/walk/0", Verdict(b"digest", "a reward differs", 0.0))
+            seal.record_outcome(store, f"{name}/walk/0", TrialEnd("it left", b"digest"))
+        seal.record_verdict(store, "forger/walk/0", ReplayVerdict(b"digest", "a reward differs", 0.0))
 
         found: dict[str, Standing] = {one.name: one for one in standings(store, competition).entrants}
         assert {one.place for one in found.values()} == {None}

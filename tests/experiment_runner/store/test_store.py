@@ -21,7 +21,7 @@ from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store import schema
 from experiment_runner.store.layout import ABOUT_FILE, PLAN_FILE, UNFINISHED
 from experiment_runner.store.lock import lock_holder
-from experiment_runner.store.records import Checkpoint, EpisodeResult, Event, OutsidePlayer, Void
+from experiment_runner.store.records import Checkpoint, EpisodeResult, OutsidePlayer, RunEvent, Void
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
@@ -167,8 +167,8 @@ def test_voids_events_and_failures_read_back(store: Store) -> None:
         Void(5.0, FIRST, 2, "the agent was lost again"),
     ]
     assert store.events() == [
-        Event(5.0, None, "start", "glue-rl"),
-        Event(5.0, SECOND, "rewind", "starts over"),
+        RunEvent(5.0, None, "start", "glue-rl"),
+        RunEvent(5.0, SECOND, "rewind", "starts over"),
     ]
     first, second = store.trials()[:2]
     assert (first.done, first.voids, first.failure) == (1, 2, None)

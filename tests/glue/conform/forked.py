@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import cast
 
 from glue import AgentLike, EnvironmentLike, serve_agent, serve_environment
@@ -11,6 +12,9 @@ from glue.errors import GlueError
 from glue.wire.messages import Role
 from tests.forked import Recorded
 from tests.glue.conform.wrong import run
+
+ENDS = [("tcp", False), ("ipc", True), ("ipc", False), ("tcp", True)]
+"""Transports, each with plain sockets or with libzmq."""
 
 
 class Judged(Recorded):
@@ -28,6 +32,11 @@ def wrong(role: Role, fault: str) -> Start:
 def mirror(role: Role, libzmq: bool) -> Start:
     """Return a function that starts our own mirror."""
     return lambda hub, session: Judged(_mirror, role, hub, session, libzmq)
+
+
+def slow_to_close(role: Role) -> Start:
+    """Return a function that starts our own mirror over libzmq, whose socket closes late after GOODBYE."""
+    return lambda hub, session: Judged(_slow_to_close, role, hub, session)
 
 
 def served(player: AgentLike | EnvironmentLike) -> Start:
@@ -54,3 +63,17 @@ def _mirror(role: Role, hub: str, session: str, libzmq: bool) -> int:
 
         context = Context()
     return run_mirror(role, hub, session, context)
+
+
+def _slow_to_close(role: Role, hub: str, session: str) -> int:
+    import zmq
+
+    class SlowSocket(zmq.Socket[bytes]):
+        def close(self, linger: int | None = None) -> None:
+            time.sleep(0.2)  # libzmq reconnects within 0.1 s
+            super().close(linger)
+
+    class SlowContext(zmq.Context[zmq.Socket[bytes]]):
+        _socket_class = SlowSocket
+
+    return run_mirror(role, hub, session, SlowContext())

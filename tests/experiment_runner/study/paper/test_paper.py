@@ -5,13 +5,13 @@ from collections import Counter
 import pytest
 
 from experiment_runner.plan.plan import RoleSpec, TrialSpec, check_options
-from experiment_runner.study.paper.experiments import EXPERIMENTS, PAPER_LEVEL, Level, level_of, plan_of
+from experiment_runner.study.paper.experiments import EXPERIMENTS, PAPER_LEVEL, PaperLevel, level_of, plan_of
 from glue.errors import ExperimentError
 from glue.plugins.loading import find
 from glue.wire.messages import Role
 
 
-def level(spec: TrialSpec) -> Level:
+def level(spec: TrialSpec) -> PaperLevel:
     assert spec.environment is not None
     return level_of(spec.environment)
 
@@ -30,11 +30,11 @@ def test_every_experiment_is_a_plan_that_its_players_accept(name: str) -> None:
     ("name", "levels"),
     [
         ("1", [PAPER_LEVEL]),
-        ("7", [PAPER_LEVEL, Level(121, 1)]),
-        ("8", [Level(seed, 1) for seed in (121, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10)]),
+        ("7", [PAPER_LEVEL, PaperLevel(121, 1)]),
+        ("8", [PaperLevel(seed, 1) for seed in (121, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10)]),
     ],
 )
-def test_levels_are_those_of_the_paper_and_come_first(name: str, levels: list[Level]) -> None:
+def test_levels_are_those_of_the_paper_and_come_first(name: str, levels: list[PaperLevel]) -> None:
     played = Counter(level(spec) for spec in plan_of(EXPERIMENTS[name]).expand())
     assert list(played) == levels
     assert set(played.values()) == {10 * len(EXPERIMENTS[name].agents)}

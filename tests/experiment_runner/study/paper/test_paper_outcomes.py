@@ -9,21 +9,21 @@ import pytest
 from experiment_runner.executors.resume import create_run
 from experiment_runner.plan.plan import Plan, RoleSweep
 from experiment_runner.store.records import EpisodeResult
-from experiment_runner.study.paper.experiments import EXPERIMENTS, PAPER_LEVEL, Level, plan_of
+from experiment_runner.study.paper.experiments import EXPERIMENTS, PAPER_LEVEL, PaperLevel, plan_of
 from experiment_runner.study.paper.figures import figures
 from experiment_runner.study.paper.goals import verdicts
-from experiment_runner.study.paper.outcomes import Outcome, load
+from experiment_runner.study.paper.outcomes import LevelResults, load
 from glue.errors import ExperimentError
 
 FloatArray = npt.NDArray[np.float64]
 
 
 def outcome(
-    name: str, curves: FloatArray | list[list[float]], agent: int = 0, level: Level = PAPER_LEVEL
-) -> Outcome:
+    name: str, curves: FloatArray | list[list[float]], agent: int = 0, level: PaperLevel = PAPER_LEVEL
+) -> LevelResults:
     experiment = EXPERIMENTS[name]
     returns = np.asarray(curves, np.float64)
-    return Outcome(experiment, experiment.agents[agent].label, level, len(returns), returns, (), 0, 0.0)
+    return LevelResults(experiment, experiment.agents[agent].label, level, len(returns), returns, (), 0, 0.0)
 
 
 def constant(reward: float, trials: int = 10, episodes: int = 5000) -> FloatArray:
@@ -92,7 +92,7 @@ def test_load_returns_what_is_there_in_the_order_of_the_experiments(tmp_path: Pa
     assert (sample.agent, sample.level, sample.planned) == ("sample", PAPER_LEVEL, 2)
     assert sample.curves.tolist() == [[0.0, 0.0], [1.0, 1.0]]
     assert (sample.steps, sample.seconds, sample.values) == (40, 2.0, ())
-    assert (sample_harder.level, sample_harder.curves.tolist()) == (Level(121, 1), [[2.0, 2.0]])
+    assert (sample_harder.level, sample_harder.curves.tolist()) == (PaperLevel(121, 1), [[2.0, 2.0]])
     assert four.agent == "hierarchical-programmed"
 
 
@@ -147,7 +147,7 @@ def test_part_of_the_study_is_not_judged(curves: FloatArray) -> None:
 
 def test_best_is_held_against_goals_at_every_difficulty() -> None:
     given = verdicts(
-        [outcome("best", constant(120), level=Level(121, difficulty)) for difficulty in range(4)]
+        [outcome("best", constant(120), level=PaperLevel(121, difficulty)) for difficulty in range(4)]
     )
     assert [verdict.met for verdict in given] == [False, True, True, True, True]
 
@@ -159,13 +159,13 @@ def test_figures_hold_the_levels_and_agents_they_are_for() -> None:
             outcome("1", constant(20)),
             outcome("1", constant(140), agent=1),
             outcome("7", constant(145)),
-            outcome("7", constant(-5), level=Level(121, 1)),
-            outcome("8", constant(2), level=Level(121, 1)),
-            outcome("8", constant(-5), level=Level(4, 1)),
-            outcome("8", constant(69), level=Level(6, 1)),
+            outcome("7", constant(-5), level=PaperLevel(121, 1)),
+            outcome("8", constant(2), level=PaperLevel(121, 1)),
+            outcome("8", constant(-5), level=PaperLevel(4, 1)),
+            outcome("8", constant(69), level=PaperLevel(6, 1)),
             outcome("best", constant(150)),
-            outcome("best", constant(90), level=Level(121, 3)),
-            outcome("best", constant(80), level=Level(5, 3)),
+            outcome("best", constant(90), level=PaperLevel(121, 3)),
+            outcome("best", constant(80), level=PaperLevel(5, 3)),
         ]
     )
     titles = {name: [axes.get_title(loc="left") for axes in figure.axes] for name, figure in drawn.items()}

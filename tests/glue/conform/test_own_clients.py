@@ -1,0 +1,52 @@
+"""Our own clients keep every rule of the kit that judges clients, and so does the example in C."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from glue.conform.hub.clients import starter
+from glue.conform.hub.rules import Requirement
+from glue.conform.judge import Outcome, judge
+from glue.conform.report import line
+from glue.wire.messages import THREE_ROLES, Role
+from tests.cc import compiled
+from tests.glue.conform.forked import ENDS, mirror, slow_to_close
+from tests.proof import size
+
+pytestmark = pytest.mark.slow
+
+EXAMPLE = Path(__file__).parents[3] / "docs/examples/c/mirror.c"
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("role", THREE_ROLES)
+@pytest.mark.parametrize(("transport", "libzmq"), size(ENDS[:1], ENDS))
+def test_our_own_clients_keep_every_rule(role: Role, transport: str, libzmq: bool) -> None:
+    verdicts = judge(role, mirror(role, libzmq), transport=transport, wait=20)
+
+    unjudged = {verdict.rule.name for verdict in verdicts if verdict.outcome is Outcome.NOT_JUDGED}
+    assert unjudged <= {"idle", "batch"}
+    assert [line(verdict) for verdict in verdicts if verdict.outcome is Outcome.FAILED] == []
+
+
+def test_a_client_that_reconnects_while_it_ends_is_judged_by_its_end() -> None:
+    start = slow_to_close(Role.EXPERIMENT)
+    (verdict,) = judge(Role.EXPERIMENT, start, transport="ipc", wait=20, only={"malformed-bodies"})
+
+    assert verdict.outcome is Outcome.PASSED, line(verdict)
+
+
+@pytest.fixture(scope="module")
+def c_mirror(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return compiled(EXAMPLE, tmp_path_factory.mktemp("c"))
+
+
+@pytest.mark.proof
+@pytest.mark.parametrize("transport", size(["ipc"], ["tcp", "ipc"]))
+def test_the_example_in_c_keeps_every_rule(c_mirror: Path, transport: str) -> None:
+    verdicts = judge(Role.AGENT, starter([str(c_mirror)]), transport=transport, wait=20)
+
+    unkept = [v for v in verdicts if v.outcome is not Outcome.PASSED and v.rule.level is not Requirement.MAY]
+    assert [line(verdict) for verdict in unkept] == []
