@@ -66,9 +66,10 @@ class _TracedRun(Run):
     def __init__(self, seed: int, faults: list[Fault]) -> None:
         super().__init__(seed, [], trace=False)
         self.faults = faults
-        self.inside = self.keyed = self.several = self.small = False
+        self.inside = self.keyed = self.several = self.joint = self.small = False
         self.sessions = self.sessions[:1]
         self.unsent = 2**26
+        self.liar = None
         self.heartbeat, self.timeout = 1.0, 5.0
         self.calm_since = self.world.now
         session = self.sessions[0]
