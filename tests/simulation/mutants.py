@@ -32,6 +32,9 @@ class Mutant(NamedTuple):
 
 _SESSION: Final = "glue/hub/session.py"
 _SESSIONS: Final = "glue/hub/sessions.py"
+_OBSERVERS: Final = "glue/hub/observers.py"
+_CONNECTION: Final = "glue/hub/io/connection.py"
+_CHANNELS: Final = "glue/hub/io/channels.py"
 _ANSWERS: Final = "glue/client/answers.py"
 _EXPERIMENT: Final = "glue/client/experiment.py"
 _LINK: Final = "glue/client/link.py"
@@ -91,13 +94,13 @@ MUTANTS: Final = (
     ),
     Mutant(
         "memory of a connection is not given back",
-        "glue/hub/io/channels.py",
+        _CHANNELS,
         "        self.switchboard.memory.hold(channel, 0)\n",
         "",
     ),
     Mutant(
         "the hub forgets what a crowded connection did not take",
-        "glue/hub/io/connection.py",
+        _CONNECTION,
         "            self._unsent += memoryview(data)[sent:]",
         "            return",
     ),
@@ -136,6 +139,80 @@ MUTANTS: Final = (
         _LINK,
         "        self._welcomed.clear()\n",
         "",
+    ),
+    Mutant(
+        "the hub accepts an answer of the other role",
+        _SESSION,
+        "seq != outstanding[2] or _CALLEES[outstanding[0]] is not peer.role:",
+        "seq != outstanding[2]:",
+    ),
+    Mutant(
+        "a later message overtakes the steps that were joined",
+        _CHANNELS,
+        "        if kind not in STEPS:\n            self.send_joined()\n",
+        "        if kind not in STEPS:\n",
+    ),
+    Mutant(
+        "a large step overtakes the steps that were joined",
+        _CHANNELS,
+        "            self.send_joined()\n            connection.send(head)",
+        "            connection.send(head)",
+    ),
+    Mutant(
+        "a later message overtakes what a crowded connection did not take",
+        _CONNECTION,
+        "        if not self.unsent:\n            try:",
+        "        if True:\n            try:",
+    ),
+    Mutant(
+        "a loss during the last request is not repeated after a return",
+        _SESSION,
+        "            for role, label in self._lost.items():\n                self._notify(Event.LOST, role, label)\n",
+        "",
+    ),
+    Mutant(
+        "a loss since the last reply is not repeated after a return",
+        _SESSION,
+        "for role, label in self._lost_since_reply.items():",
+        "for role, label in ():",
+    ),
+    Mutant(
+        "moments that an observer misses are not counted",
+        _OBSERVERS,
+        "                view.number += 1\n            elif",
+        "                pass\n            elif",
+    ),
+    Mutant("an observer is shown more than it wants", _OBSERVERS, "view.wanted -= 1", "pass"),
+    Mutant("observers see no new episode", _OBSERVERS, "self._episode += 1", "pass"),
+    Mutant(
+        "observers see the next step's number",
+        _OBSERVERS,
+        "engine.num_steps, engine.total_reward",
+        "engine.num_steps + 1, engine.total_reward",
+    ),
+    Mutant(
+        "a truncated episode goes on",
+        "glue/engine/engine.py",
+        "            if terminal:\n                return (CUT_OFF,), None\n",
+        "",
+    ),
+    Mutant(
+        "a HELLO of a member lets it join again",
+        _SESSIONS,
+        "Sending more again would let it fill the hub's memory.\n                return None\n",
+        "Sending more again would let it fill the hub's memory.\n                pass\n",
+    ),
+    Mutant(
+        "a forgotten experiment leaves its engine",
+        _SESSION,
+        "        self._engine = Engine(Action().body)\n        self._outstanding = None\n        self._request_seq",
+        "        self._outstanding = None\n        self._request_seq",
+    ),
+    Mutant(
+        "the length of a step of another shape is remembered",
+        "glue/wire/steps.py",
+        "        self.end = end\n        # A number",
+        "        self.end = end\n        self._size = end - at\n        # A number",
     ),
 )
 

@@ -30,7 +30,7 @@ class Shown:
         self._wanted: dict[Hashable, int] = {}
         self._last: dict[Hashable, _Moment] = {}
 
-    def wanted(self, view: Hashable, moments: int) -> None:
+    def wanted(self, view: Hashable, moments: Any) -> None:
         """Note that an observer asks for so many moments, in place of what it asked for before."""
         self._wanted[view] = moments
 

@@ -351,7 +351,7 @@ class Watch:
             if isinstance(route, channels._Channel):
                 self.order.read(route.connection._socket, message)  # type: ignore[arg-type]
             if message.kind is Kind.OBSERVE:
-                self._shown.wanted((route, message.session), int(message.scalars[0]))  # type: ignore[call-overload]
+                self._shown.wanted((route, message.session), message.scalars[0])
             member = message.kind is Kind.HELLO and message.session in switchboard._seats.get(route, {})
             before = self._deliveries
             result: bool = original(switchboard, route, message, now)
