@@ -9,10 +9,12 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final, cast
 
 import numpy as np
 
+from agents.mario.agent import MarioAgent
 from agents.mario.best import BestAgent
 from agents.mario.objects import look
 from agents.mario.observation import Screen, read
@@ -33,14 +35,12 @@ from env_server.mario.sim.blocks import hit_block
 from env_server.mario.sim.step import tick
 from experiment_runner.study.generalisation.teacher import Teacher
 from glue.compiled.records import new
-from glue.types import Observation
+from glue.types import Action, Observation
 
-AGENTS: Final = (
+AGENTS: Final[tuple[type[MarioAgent], ...]] = (
     *(HierarchicalAgent, TilesAgent, SampleAgent, BestAgent, NetworkAgent, PlannerAgent),
     LearningPlannerAgent,
 )
-
-_TASK_SPEC: Final = InfiniteMario().env_init()
 
 
 def _game() -> None:
@@ -72,12 +72,19 @@ def _observations() -> None:
     read(body, screen)
 
 
-def _routes() -> None:
-    """Play an episode, and plan a route through its level, which is then known."""
-    agent, environment = PlannerAgent(study=500), InfiniteMario(max_trial_steps=1)
+def _agent(kind: Callable[[], MarioAgent]) -> None:
+    agent, environment = kind(), InfiniteMario()
     agent.agent_init(environment.env_init())
     agent.agent_start(environment.env_start())
-    agent.agent_end(-10.0)
+    reward, observation, *_ = environment.env_step(Action([1, 0, 0]))
+    agent.agent_step(reward, observation)
+    agent.agent_end(reward)
+
+
+def _routes() -> None:
+    """Plan a route through a level whose goal is on the first screen."""
+    agent, environment = PlannerAgent(study=500), InfiniteMario(level_width=15)
+    agent.agent_init(environment.env_init())
     agent.agent_start(environment.env_start())
 
 
@@ -91,10 +98,7 @@ PARTS: Final[dict[str, dict[str, Callable[[], object]]]] = {
     },
     "agents": {
         "observations": _observations,
-        **{
-            f"the agent {kind.name}": lambda kind=kind: kind().agent_init(_TASK_SPEC)  # type: ignore[misc]
-            for kind in AGENTS
-        },
+        **{f"the agent {kind.name}": partial(_agent, kind) for kind in AGENTS},
         "routes of the planner": _routes,
     },
 }

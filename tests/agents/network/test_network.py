@@ -58,14 +58,9 @@ def test_an_observation_is_seen_as_the_view_of_learners_shows_it() -> None:
 
 
 def test_the_network_is_what_its_file_says(policy: Path) -> None:
-    task = InfiniteMario().parameters
-    games = Games([task], VIEWS["tiles"], SAME_STEP)
-    games.seed(0, 0)
-    games.reset()
-    seen = features(
-        games.cells.reshape(1, 16, 21), games.reals.reshape(1, 16, 7), np.zeros((1, RECENT), np.int64)
-    )
-    expected = seen
+    environment = InfiniteMario()
+    environment.env_init()
+    expected = seen = features(*tiles_and_sprites(environment.env_start()), np.zeros((1, RECENT), np.int64))
     for i in range(3):
         expected = expected @ arrays()[f"weight{i}"].astype(np.float32) + arrays()[f"bias{i}"]
         expected = expected if i == 2 else np.maximum(expected, 0)
