@@ -153,20 +153,22 @@ def test_a_session_that_plays_is_served_in_the_first_turn_beside_any_flood(
     rig: Rig, attack: Callable[[Rig], object]
 ) -> None:
     victim = Victim(rig)
+    victim.play()
     attack(rig)
-    turns = victim.play()
-    # At first both peers wait in the queue, since their connections have not had a turn there yet.
-    assert turns[3:] == [1] * (3 * REQUESTS - 3)
+    assert victim.play() == [1] * (3 * REQUESTS)
 
 
 def test_requests_that_need_no_player_take_no_more_than_the_queues_share(rig: Rig) -> None:
     asking = queries(rig)
+    for _ in range(len(asking) * _MAX_QUERIES):
+        rig.hub.loop.turn()
+    for peer in asking:
+        received(peer)
     answers = 0
-    for _ in range(400):
-        rig.hub.loop.turn(0)
+    for _ in range(100):
+        rig.hub.loop.turn()
         answers += sum(received(peer).count(b"\x94\x1a") for peer in asking)
-    in_turn = 12 * _MAX_QUERIES
-    assert in_turn <= answers <= in_turn + 400, "one a turn, after those that are always in turn"
+    assert 0 < answers <= 100, "at most one a turn"
 
 
 @pytest.mark.parametrize(("kind", "scalars"), [(Kind.HEARTBEAT, ()), (Kind.RL_RETURN, ())])
