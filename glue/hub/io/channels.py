@@ -37,9 +37,6 @@ MAX_UNSENT: Final = 64 * 2**20
 MAX_UNSEATED: Final = 256
 """Maximum number of connections without a seat; one more, and the oldest is dropped."""
 
-GREETING_SECONDS: Final = 1.0
-"""Seconds that a connection may be without a seat before it is dropped, at the next tick."""
-
 _BASE: Final = 6144
 """Bytes that a connection uses at most besides what it has received and not sent."""
 
@@ -48,9 +45,6 @@ _SEAT: Final = 4608
 
 _MAX_COPIED: Final = 65_536
 """Maximum size of a body that is sent together with its head, in bytes; copying more costs memory."""
-
-_FAREWELL_SECONDS: Final = 1.0
-"""Maximum number of seconds that the hub waits, when it closes, for its last messages to be read."""
 
 _HELLO: Final = Kind.HELLO
 
@@ -296,7 +290,7 @@ class Channels:
             listener.stop()
         for channel in self._open:
             channel.connection.finish()
-        take_leave(lambda: [channel.connection for channel in self._open], _FAREWELL_SECONDS)
+        take_leave(lambda: [channel.connection for channel in self._open], self._config.farewell)
         for channel in self._open:
             channel.close()
 
@@ -368,5 +362,5 @@ class Channels:
             channel.account()  # it may have left a session
             if channel.seated:
                 self._unseated.pop(channel, None)
-            elif now - self._unseated.setdefault(channel, now) >= GREETING_SECONDS:
+            elif now - self._unseated.setdefault(channel, now) >= self._config.greeting:
                 self.drop(channel, None)
