@@ -60,32 +60,45 @@ def blocks(text: str, *languages: str) -> list[Block]:
     return [block for block in found if not languages or block.language in languages]
 
 
-def follow(text: str, folder: Path, timeout: float = 240) -> str:
-    """Write every file of a text and run every script of it; return what the scripts printed."""
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+def follow(text: str, folder: Path, note: str = RUNS) -> str:
+    """Write every file of a text and run every block with this note; return what they printed."""
     printed = []
     for block in blocks(text):
         if block.file:
             (folder / block.file).write_text(block.body, encoding="utf-8")
-        elif block.note == RUNS:
-            shell = ["bash", "-euo", "pipefail", "-c"] if block.language == "sh" else [sys.executable, "-c"]
-            done = subprocess.run(
-                [*shell, block.body],
-                cwd=folder,
-                env=os.environ | {"PATH": path},
-                capture_output=True,
-                text=True,
-                timeout=timeout,
-            )
-            assert done.returncode == 0, f"{block.body}\n{done.stdout}\n{done.stderr}"
-            printed.append(done.stdout)
+        elif block.note == note:
+            printed.append(run_block(block, folder).stdout)
     return "".join(printed)
+
+
+def run_block(block: Block, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a script of the shell or of Python, in which each of our commands can be called by its name."""
+    interpreter = ["bash", "-euo", "pipefail"] if block.language == "sh" else [sys.executable]
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    done = subprocess.run(
+        [*interpreter, "-c", block.body],
+        cwd=folder,
+        env=os.environ | {"PATH": path, "PYTHONPATH": "."},
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+    assert done.returncode == 0, f"{block.body}\n{done.stdout}\n{done.stderr}"
+    return done
 
 
 def run_examples(text: str) -> int:
     """Run the interpreter sessions of a text, which must show what is printed; return how many lines ran."""
     examples = doctest.DocTestParser().get_doctest(text, {}, "page", None, 0)
     return doctest.DocTestRunner().run(examples, out=pytest.fail).attempted
+
+
+def section(text: str, title: str) -> str:
+    """Return what is below a heading, up to the next one of its level or a higher one."""
+    (found,) = re.findall(
+        rf"^(#+) {re.escape(title)}\n(.*?)(?=^#{{1,6}} |\Z)", text, re.MULTILINE | re.DOTALL
+    )
+    return str(found[1])
 
 
 def rows(text: str, heading: str) -> list[list[str]]:

@@ -64,7 +64,7 @@ def test_a_script_is_replayed_by_its_seed() -> None:
 
 
 def test_every_rule_stands_in_the_protocol() -> None:
-    text = (DOCS / "protocol.md").read_text(encoding="utf-8")
+    text = (DOCS / "protocol-reference.md").read_text(encoding="utf-8")
     headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
     anchors = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
@@ -156,7 +156,7 @@ def test_the_command_prints_json_and_writes_a_scorecard(tmp_path: Path) -> None:
     plays = {rule.name for rule in rules_of(Role.AGENT, Tier.PLAYS)}
     assert (done.returncode, found["tiers"]) == (0, {"plays": True})
     assert {rule["name"] for rule in found["rules"] if rule["outcome"] == "passed"} == plays
-    assert all(f"| [{name}](docs/protocol.md#" in card.read_text() for name in plays)
+    assert all(f"| [{name}](docs/protocol-reference.md#" in card.read_text() for name in plays)
     assert "| plays | yes |" in card.read_text()
     assert f"wrote {card}" in done.stderr
 
