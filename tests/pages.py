@@ -71,7 +71,7 @@ def follow(text: str, folder: Path, note: str = RUNS) -> str:
     return "".join(printed)
 
 
-def run_block(block: Block, folder: Path) -> subprocess.CompletedProcess[str]:
+def run_block(block: Block, folder: Path, timeout: float = 240) -> subprocess.CompletedProcess[str]:
     """Run a script of the shell or of Python, in which each of our commands can be called by its name."""
     interpreter = ["bash", "-euo", "pipefail"] if block.language == "sh" else [sys.executable]
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
@@ -81,7 +81,7 @@ def run_block(block: Block, folder: Path) -> subprocess.CompletedProcess[str]:
         env=os.environ | {"PATH": path, "PYTHONPATH": "."},
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=timeout,
     )
     assert done.returncode == 0, f"{block.body}\n{done.stdout}\n{done.stderr}"
     return done
