@@ -90,7 +90,7 @@ docs: $(READY)
 # A release without the upload: version, changelog and tag agree, and the wheel is tested outside the checkout.
 release: $(READY)
 	$(BIN)/python -m tests.package.release
-	$(BIN)/python -m nox --non-interactive --session package names
+	$(BIN)/python -m nox --non-interactive --session package
 	@echo 'proved, in build/dist: push the tag, and publish it from the release page (.github/workflows/publish.yml)'
 
 bench: $(READY)

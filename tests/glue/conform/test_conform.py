@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -21,11 +20,11 @@ from glue.types import Action, Observation
 from glue.wire.messages import THREE_ROLES, Role
 from tests.glue.conform.forked import served, wrong
 from tests.glue.conform.wrong import FAULTS
+from tests.pages import DOCS, anchors
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[3]
-DOCS = ROOT / "docs"
 
 
 @pytest.mark.parametrize(
@@ -64,13 +63,9 @@ def test_a_script_is_replayed_by_its_seed() -> None:
 
 
 def test_every_rule_stands_in_the_protocol() -> None:
-    text = (DOCS / "protocol-reference.md").read_text(encoding="utf-8")
-    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
-    anchors = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
-
     for role in THREE_ROLES:
         rules = rules_of(role)
-        assert {rule.section for rule in rules} <= anchors
+        assert {rule.section for rule in rules} <= anchors(DOCS / "protocol-reference.md")
         assert len({rule.name for rule in rules}) == len(rules) > 30
 
 
