@@ -3,8 +3,8 @@
 A mutant is a copy of the checkout with one change: another operator, comparison or constant, or a statement
 less. It is caught if a test of the folders that belong to its module fails. Packages with compiled code are
 left out: each of their mutants would be compiled for a minute, and golden recordings show each step of the
-game. With `--of FILE` the mutants of an earlier run are made again, wherever their line is the same, to compare
-two versions of the suite. What follows `--` are options of pytest.
+game. With `--of FILE` the mutants of an earlier run are made again, wherever their line is the same, to
+compare two versions of the suite. What follows `--` are options of pytest.
 """
 
 from __future__ import annotations
