@@ -7,7 +7,6 @@ Reports are sent, in order, to the only process that writes the store, see
 from __future__ import annotations
 
 import threading
-import traceback
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple, TypeVar, get_args
 
@@ -23,7 +22,15 @@ from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.database import StorageError
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult, Reading
 from glue.console import show_failure
-from glue.errors import ConfigError, ExperimentError, GlueError, HubUnreachable, PeerFailed, Refused
+from glue.errors import (
+    ConfigError,
+    ExperimentError,
+    GlueError,
+    HubUnreachable,
+    PeerFailed,
+    Refused,
+    described,
+)
 from glue.trajectory import TrajectoryWriter
 
 _T = TypeVar("_T")
@@ -164,17 +171,17 @@ def run_job(
                 questions=job.questions,
                 metrics=job.metrics,
             )
-    except (StorageError, BrokenPipeError):
+    except (StorageError, BrokenPipeError, KeyboardInterrupt):
         raise
     except GlueError as error:
         if job.meeting.hub.hub is not None and isinstance(error, ConfigError | HubUnreachable | Refused):
             raise
         if isinstance(error, PeerFailed) and not isinstance(error.__cause__, GlueError | None):
             show_failure(error.__cause__)
-        failure = str(error)
-    except (Exception, SystemExit) as error:
-        traceback.print_exception(error)
-        failure = f"{type(error).__name__}: {error}"
+        failure = described(error)
+    except BaseException as error:
+        show_failure(error)
+        failure = described(error)
     send_alone(Ended(failure))
 
 

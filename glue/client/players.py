@@ -23,7 +23,7 @@ from glue.client.link import Link
 from glue.client.target import Target, find_target
 from glue.console import LOG, reporting, show_failure
 from glue.doors import threads
-from glue.errors import GlueError, HubClosed, PeerFailed, Refused
+from glue.errors import GlueError, HubClosed, PeerFailed, Refused, described
 from glue.roles import AgentLike, EnvironmentLike
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, ErrorCode, Event, Kind, Message, Role
@@ -120,7 +120,9 @@ def _serve(
                         answer = player.answer(message)
                         if answer is not None:
                             link.send(answer)
-                    except Exception as error:
+                    except (KeyboardInterrupt, SystemExit):
+                        raise
+                    except BaseException as error:  # also asyncio.CancelledError and GeneratorExit
                         what = message.kind.name.lower()
                         reason = f"{type(error).__name__} in {what}"
                         text = _report(link, message, error)
@@ -139,10 +141,10 @@ def _serve(
         link.close(reason)
 
 
-def _report(link: Link, call: Message, error: Exception) -> str:
+def _report(link: Link, call: Message, error: BaseException) -> str:
     """Print where the user's code failed; send the hub a short text, and return it."""
     if not isinstance(error, GlueError):
         show_failure(error)
-    text = str(error) if isinstance(error, GlueError) else f"{type(error).__name__}: {error}"
+    text = described(error)
     link.send(Message(Kind.ERROR, call.session, call.seq, (str(ErrorCode.EXCEPTION), clip(text))))
     return text

@@ -17,7 +17,7 @@ from typing import Any
 from glue.engine.calls import name_of, role_calls, skippable, unfit_for_batch, unsupported
 from glue.engine.engine import Engine, Instruction
 from glue.engine.experiment import Experiment
-from glue.errors import GlueError, PeerFailed, Unsupported
+from glue.errors import PeerFailed, Unsupported, described
 from glue.roles import AgentLike, EnvironmentLike, capabilities
 from glue.types import CUT_OFF, Action
 from glue.wire.messages import CALLS, Kind, Role, Value
@@ -63,7 +63,9 @@ class LocalExperiment(Experiment):
                 else:
                     try:
                         scalars, body = handler(scalars, body)
-                    except Exception as error:
+                    except (KeyboardInterrupt, SystemExit):
+                        raise
+                    except BaseException as error:  # also asyncio.CancelledError and GeneratorExit
                         raise self._failure(call, error) from error
                     call, scalars, body = engine.resume(call, scalars, body)
         except BaseException:
@@ -79,8 +81,7 @@ class LocalExperiment(Experiment):
         assert role is not None
         raise Unsupported(unsupported(kind, role, self._names[role]))
 
-    def _failure(self, kind: Kind, error: Exception) -> PeerFailed:
+    def _failure(self, kind: Kind, error: BaseException) -> PeerFailed:
         role = CALLS[kind].callee
         assert role is not None
-        text = str(error) if isinstance(error, GlueError) else f"{type(error).__name__}: {error}"
-        return PeerFailed(f"{role} {self._names[role]} raised in {kind.name.lower()}: {text}")
+        return PeerFailed(f"{role} {self._names[role]} raised in {kind.name.lower()}: {described(error)}")
