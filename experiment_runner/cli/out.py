@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Final
+from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
+from typing import Final, TextIO
 
 import click
 
@@ -19,6 +21,25 @@ over_option: Final = click.option(
     help="Count in episodes, or in steps: each step has the return of the episode under way.",
 )
 """Decorator of a command that counts in episodes or in steps."""
+
+
+@contextmanager
+def results_alone() -> Iterator[TextIO]:
+    """Yield standard output for results alone: whatever else is printed there goes to standard error.
+
+    That is also what players print, in this process, in compiled code or in processes of their own.
+    """
+    results = sys.stdout
+    with ExitStack() as stack:
+        with suppress(OSError):  # a test's buffer, which has no descriptor
+            number = results.fileno()
+            results.flush()
+            ours = os.dup(number)
+            results = stack.enter_context(open(ours, "w", encoding="utf-8"))
+            os.dup2(sys.stderr.fileno(), number)
+            stack.callback(os.dup2, ours, number)
+        stack.enter_context(redirect_stdout(sys.stderr))
+        yield results
 
 
 @contextmanager

@@ -85,7 +85,8 @@ def tune(
             if not one.report:
                 continue
             score = _score(store, [spec for spec in specs if spec.id.startswith(f"{one.sweep.label}/")])
-            text = f"{one.report}; in the {counted(plan.tune.final, 'trial')} here, with other seeds: {score:.2f}"
+            here = f"in the {counted(plan.tune.final, 'trial')} here, with other seeds: {score:.2f}"
+            text = f"{one.report}; {here}"
             if text not in known:
                 store.record_event(TUNED, text)
         return directory / RESULT, failed
@@ -143,8 +144,8 @@ def _search(
     distinct = len({tuple(one.items()) for one, _ in scores})
     report = (
         f"{sweep.label} has {shown}, the best of {counted(distinct, 'configuration')} of a search (sampler "
-        f"{tune.sampler}; {counted(len(done), 'trial')}, of {counted(episodes, 'episode')} in all). Mean return "
-        f"in the last quarter of each trial, as interquartile mean: in the search {score:.2f}"
+        f"{tune.sampler}; {counted(len(done), 'trial')}, of {counted(episodes, 'episode')} in all). "
+        f"Interquartile mean of the returns in the last quarter of each trial: in the search {score:.2f}"
     )
     return _Chosen(replace(sweep, options={**sweep.options, **best}), report)
 

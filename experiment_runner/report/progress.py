@@ -15,6 +15,7 @@ from typing import Any, Final, Protocol, TextIO
 
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.tables import format_table
+from experiment_runner.store.database import reported
 from experiment_runner.store.output import finite
 from experiment_runner.store.records import EpisodeResult, TrialRecord
 
@@ -253,20 +254,20 @@ class JsonLines(Progress):
     """Also writes a JSON object for each episode, one on each line.
 
     Args:
-        lines: stream for the objects; None for standard output.
+        lines: stream for the objects.
         stream, clock, color: as in `Progress`.
     """
 
     def __init__(
         self,
-        lines: TextIO | None = None,
+        lines: TextIO,
         stream: TextIO | None = None,
         clock: Callable[[], float] = time.monotonic,
         *,
         color: bool = False,
     ) -> None:
         super().__init__(stream, clock, color=color)
-        self._lines = lines or sys.stdout
+        self._lines = lines
 
     def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
         self.write(
@@ -281,9 +282,14 @@ class JsonLines(Progress):
         super().episode(spec, result)
 
     def write(self, value: dict[str, Any]) -> None:
-        """Write one object on a line; numbers that are infinite or NaN are null."""
+        """Write one object on a line; numbers that are infinite or NaN are null.
+
+        Raises:
+            StorageError: it cannot be written.
+        """
         numbers = {name: finite(number) for name, number in value.items()}
-        print(json.dumps(numbers), file=self._lines, flush=True)
+        with reported("cannot write the results"):
+            print(json.dumps(numbers), file=self._lines, flush=True)
 
 
 def _table(rows: Sequence[tuple[str, ...]], width: int) -> list[str]:
