@@ -19,6 +19,7 @@ from experiment_runner.executors.job import (
     Job,
     Joined,
     Met,
+    Playing,
     Recorded,
     Report,
     Said,
@@ -117,6 +118,8 @@ class Trials(Closing):
                     self.commit()
             case Met(hub, session):
                 self._meetings.begin(trial_id, LiveSession(hub, session))
+            case Playing(episode, steps):
+                self._reporter.playing(self._specs[trial_id], episode, steps)
             case Said(line):
                 self._say(trial_id, line)
             case Voided(episode, why):

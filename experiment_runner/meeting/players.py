@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -230,8 +231,9 @@ class _OverHub:
             hints = Hints(self._say, url, options.session, self._named.keys())
         self._hints = hints
         session = options.session
-        if transport is not None:
-            glue = connect_over(transport, session, on_notice=self._notice)
+        if transport is not None and self._hub is not None:
+            steps = partial(self._hub.switchboard.num_steps, session)
+            glue = connect_over(transport, session, on_notice=self._notice, num_steps=steps)
         else:
             glue = connect(
                 url,

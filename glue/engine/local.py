@@ -41,6 +41,9 @@ class LocalExperiment(Experiment):
         self._unfit = unfit_for_batch(capabilities(environment), capabilities(agent), name_of(agent))
         self._names = {Role.AGENT: name_of(agent), Role.ENVIRONMENT: name_of(environment)}
 
+    def steps_under_way(self) -> int:
+        return self._engine.num_steps
+
     def rl_agent_metrics(self) -> dict[str, float]:
         metrics: dict[str, float] = self._call(Kind.RL_AGENT_METRICS)[1]  # in one process they need no body
         return metrics
