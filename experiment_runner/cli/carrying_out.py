@@ -71,7 +71,7 @@ def carry_out(
     with kept_if_begun(directory, kept), ExitStack() as stack:
         # Before anything is written, because an address may be in use.
         addresses = stack.enter_context(ExitStack())
-        meeting = addresses.enter_context(listening(plan, config.meeting))
+        meeting = addresses.enter_context(listening(plan, config.meeting, progress.say))
         # A recording may be one of the run's own files: then the run's folder must exist first.
         inside = record is not None and record.absolute().parent == directory.absolute()
         recording = None if inside else stack.enter_context(recorded(record))

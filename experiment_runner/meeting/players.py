@@ -128,8 +128,10 @@ def open_experiment(
 
 
 @contextmanager
-def listening(plan: Plan, meeting: Meeting) -> Iterator[Meeting]:
+def listening(plan: Plan, meeting: Meeting, say: Say) -> Iterator[Meeting]:
     """Listen for players from outside during a whole run; yield `meeting` with the open addresses.
+
+    `say` shows, once in the run, which of them strangers can reach.
 
     Raises:
         ConfigError: an address is in use, or is not one of this machine.
@@ -138,10 +140,14 @@ def listening(plan: Plan, meeting: Meeting) -> Iterator[Meeting]:
     expected = options.hub is None and not (plan.agents and plan.environments)
     outside = _outside(options, expected)
     # Refuses addresses without keys that other machines can reach.
-    HubConfig(bind=_binds(options, expected, frozenset(Role)), insecure=options.insecure)
+    binds = _binds(options, expected, frozenset(Role))
+    HubConfig(bind=binds, insecure=options.insecure)
     with ExitStack() as stack:
         opened = {url: stack.enter_context(open_address(url)) for url in outside}
         legacy = {port: stack.enter_context(open_legacy_port(port)) for port in options.legacy}
+        for bind in binds:
+            if bind.warning:
+                say(bind.announcement(opened[bind.url].endpoint))
         yield replace(meeting, opened=opened, opened_legacy=legacy)
 
 
@@ -283,12 +289,10 @@ class _OverHub:
         for port in ports:
             self._say(f"original RL-Glue programs join on {port}")
         stack.enter_context(hub.in_background())
-        pairs = zip(binds, hub.endpoints[1:], strict=True)
-        warnings = [f"{bind.warning}listening on {endpoint}" for bind, endpoint in pairs if bind.warning]
         public = hub.endpoints[1] if binds else inside
         if binds and not expected:
             self._say(f"observers can join at {public}")
-        hints = Hints(self._say, public, options.session, self._named.keys(), ports, options.keys, warnings)
+        hints = Hints(self._say, public, options.session, self._named.keys(), ports, options.keys)
         return inside, InsideTransport(hub, self._inside, options.session), hints
 
     def _notice(self, event: Event, role: Role, name: str) -> None:

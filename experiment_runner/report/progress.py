@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol, TextIO
 
 from experiment_runner.plan.plan import TrialSpec
-from experiment_runner.report.tables import counted, format_table
+from experiment_runner.report.tables import counted, format_table, wrap
 from experiment_runner.store.database import reported
 from experiment_runner.store.output import finite
 from experiment_runner.store.records import EpisodeResult, TrialRecord
@@ -161,7 +161,8 @@ class Progress:
         width, height = shutil.get_terminal_size()
         room = max(height - 5, 1)
         lines = _table([row.cells(now) for row in begun[:room]], width - 1) if begun else []
-        lines += self._under_way()[: room - len(begun)]
+        under_way = [part for line in self._under_way() for part in wrap(line, width - 1).splitlines()]
+        lines += under_way[: max(room - len(begun), 0)]
         if len(begun) > room:
             lines.append(f"and {len(begun) - room} more")
         if self._total.trials > 1:
@@ -201,7 +202,7 @@ class _Row:
     def play(self, episode: int, steps: int | None) -> None:
         so_far = "has not ended yet" if steps is None else f"has {counted(steps, 'step')} so far"
         limited = self._spec.max_steps or self._spec.steps
-        remedy = "" if limited else "; a limit cuts such episodes off: --max-steps N, or max_steps in a plan"
+        remedy = "" if limited else "; --max-steps N (max_steps in a plan) cuts such episodes off"
         self.under_way = f"episode {episode} {so_far}{remedy}"
 
     def add(self, result: EpisodeResult, now: float) -> None:
