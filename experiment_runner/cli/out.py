@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
-from typing import Final, TextIO
+from typing import TYPE_CHECKING, Final, TextIO
 
 import click
 
 from experiment_runner.store.lock import DirectoryTaken
-from glue.errors import ExperimentError
+from glue.errors import ConfigError, ExperimentError
+
+if TYPE_CHECKING:
+    from experiment_runner.analysis.settings import Setting
 
 over_option: Final = click.option(
     "--over",
@@ -21,6 +24,27 @@ over_option: Final = click.option(
     help="Count in episodes, or in steps: each step has the return of the episode under way.",
 )
 """Decorator of a command that counts in episodes or in steps."""
+
+
+select_option: Final = click.option(
+    "--select",
+    multiple=True,
+    metavar="TEXT",
+    help="Only settings with TEXT in their names, which glue-results show prints; repeat it for several.",
+)
+"""Decorator of a command that shows settings; see `selected`."""
+
+
+def selected(settings: Sequence[Setting], texts: Sequence[str]) -> list[Setting]:
+    """Return the settings with one of some texts in their names; all, if there is no text.
+
+    Raises:
+        ConfigError: no setting has it.
+    """
+    found = [setting for setting in settings if not texts or any(text in setting.label for text in texts)]
+    if not found and settings:
+        raise ConfigError(f"no setting has {' or '.join(texts)} in its name: there is {settings[0].label}")
+    return found
 
 
 @contextmanager

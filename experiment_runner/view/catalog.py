@@ -303,7 +303,7 @@ def _version(path: Path) -> tuple[int, int] | None:
 
 
 def address_of(folders: Sequence[Path]) -> str:
-    """Return the end of the page's address for what it shows: one run, one competition's standings, or all."""
+    """Return the end of the page's address for a run, a competition (its standings), or all runs."""
     if len(folders) != 1 or not (folders[0] / DATABASE_FILES[0]).is_file():
         return ""
     view = "standings" if (folders[0] / COMPETITION_FILE).is_file() else "run"
