@@ -163,7 +163,7 @@ def generalise(
 
     certified = solvable(_read(certificates)) if certificates else frozenset()
     if results:
-        print(table([_read(path) for path in results], certified))
+        print(table([_read(path) for path in results], certified, plain=sys.stdout.isatty()))
         return 0
     if agent_name is None:
         raise click.UsageError("name the agent with --agent, or results with --table")
@@ -207,7 +207,7 @@ def generalise(
         with reported(f"cannot write {out}"):
             out.write_text(json.dumps(scores) + "\n", encoding="utf-8")
         say(f"wrote {out}")
-    print(table([scores], certified))
+    print(table([scores], certified, plain=sys.stdout.isatty()))
     say(f"results in {directory}")
     return 0
 
