@@ -26,7 +26,7 @@ class Start(NamedTuple):
 
 
 class Experiment(Closing):
-    """RL-Glue's verbs. docs/protocol.md defines their meaning, including corner cases.
+    """RL-Glue's verbs. docs/protocol-reference.md defines their meaning, including corner cases.
 
     Every verb may raise these errors.
 
