@@ -212,7 +212,8 @@ class Link:
         if not self._known and self._wait is not None and now - self._started >= self._wait:
             raise HubUnreachable(
                 f"no hub has answered at {self._hub} for {self._wait:g} s: "
-                f"start one with glue-hub or glue-experiment, or check the address; wait=None waits for ever"
+                f"start one with glue-hub or glue-experiment, or check the address",
+                settings=("wait",),
             )
         if self._heard:
             self._heard = False
