@@ -14,7 +14,7 @@ from experiment_runner.cli.out import naming_out, over_option
 from experiment_runner.loggers import LOGGERS
 from glue import __version__
 from glue.cli.shared import run
-from glue.console import say
+from glue.console import one_line, say
 from glue.errors import ConfigError, ExperimentError
 from glue.suggestions import did_you_mean
 
@@ -62,7 +62,7 @@ def list_runs(folder: Path, as_json: bool) -> int:
       glue-results list --json | jq -r '.[] | select(.state == "failed") | .run'
     """
     from experiment_runner.report.overview import Overview, overview
-    from experiment_runner.report.tables import format_table, one_line, terminal_width
+    from experiment_runner.report.tables import format_table, terminal_width
     from experiment_runner.store.layout import runs_under
     from experiment_runner.store.results import Results
 

@@ -24,11 +24,12 @@ from experiment_runner.analysis.stats import (
     mean,
     mean_of_last,
 )
-from experiment_runner.report.tables import counted, format_table, one_line, wrap
+from experiment_runner.report.tables import counted, format_table, wrap
 from experiment_runner.store.lock import lock_holder
 from experiment_runner.store.output import finite
 from experiment_runner.store.records import TUNED, UNSEEDED, TrialRecord
 from experiment_runner.store.results import Results
+from glue.console import one_line
 
 _WINDOW: Final = 100
 _SETTING_COLUMNS: Final = ("setting", "finished", "episodes", "mean", "95 % interval", "IQM", "converged")
@@ -176,7 +177,7 @@ def _header(results: Results) -> list[str]:
     run = overview(results)
     lines = [
         f"{one_line(str(run.directory))}: {run.state}"
-        + (f" ({run.reason})" if run.state == "running" else "")
+        + (f" ({one_line(run.reason)})" if run.state == "running" else "")
     ]
     if run.started is not None:
         lines.append(f"started  {date(run.started)}")

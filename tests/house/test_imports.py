@@ -43,7 +43,7 @@ DOORS = {
 OUTSIDE_THE_DOORS = {"glue/compiled/jit.py"}
 """Exceptions: a thread that watches for signals during compilation, which a simulation does not do."""
 
-MODULES_IN_A_FOLDER = 14
+MODULES_IN_A_FOLDER = 15
 
 HOMES: Mapping[str, Sequence[str]] = {
     "zmq": ["glue/client/libzmq.py"],
