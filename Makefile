@@ -5,10 +5,10 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 DEMO   := runs/demo
 READY  := $(VENV)/.ready
-FOUND  := $(VENV)/.found
 
-# Five processes for two cores, as they often wait; each takes one module at a time, in the order of tests/conftest.py.
-PARALLEL := --numprocesses=5 --dist=loadfile --no-loadscope-reorder
+# Each process takes one module at a time, in the order of tests/conftest.py. More than three cost memory and
+# imports, and gain nothing on two cores.
+PARALLEL := --numprocesses=3 --dist=loadfile --no-loadscope-reorder
 
 # The tests start hundreds of processes: each must find its modules compiled, whatever the shell's setting.
 unexport PYTHONDONTWRITEBYTECODE
@@ -52,26 +52,23 @@ check: $(READY)
 	$(BIN)/python -m tests.house.users_code build/users
 	MYPYPATH=build/users:docs/examples/python $(BIN)/mypy build/users docs/examples/python
 
-# Once; otherwise each test process would compile the simulator, the agents and the modules that the tests import.
-compile: games agents $(FOUND)
+# Once; otherwise each test process would compile the simulator and the agents.
+compile: games agents
 
 games agents: $(READY)
 	$(BIN)/python -m tests.compile $@
 
-$(FOUND): $(READY)
-	$(BIN)/python -m pytest --collect-only --quiet > /dev/null
-	@touch $(FOUND)
-
 # The slowest part begins first; the checks run once a core is free.
 test: $(READY)
-	$(MAKE) --jobs=2 pytest check
+	@began=$$(date +%s); $(MAKE) --jobs=2 pytest check && \
+	echo "make test: passed in $$(($$(date +%s) - began)) s; stages left to .ci/run: $$(.ci/run --list)"
 
 pytest: compile
 	$(BIN)/python -m pytest $(PARALLEL)
 
 # The full sizes take minutes each, several times as long on a slow machine.
 proof: compile
-	GLUE_PROOF=full $(BIN)/python -m pytest -m proof --timeout=1200 $(PARALLEL)
+	GLUE_PROOF=full $(BIN)/python -m pytest --stage all -m proof --timeout=1200 $(PARALLEL)
 
 # A few tests fail here, as coverage imports modules and writes files of its own; the report follows anyway.
 coverage: compile

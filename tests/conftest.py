@@ -1,4 +1,7 @@
-"""Configuration of all tests: makes modules such as `tests.players` importable, and Ctrl-C work.
+"""Configuration of all tests: stages, modules such as `tests.players` made importable, and Ctrl-C.
+
+`make test` runs the tests that have no stage, and `pytest --stage NAME` those of one stage of `.ci/run`. A
+test has a stage because its folder or module is in `FOLDERS`, or by the marker `stage`.
 
 Modules with slow tests run first, so that the other processes do not wait for one of them at the end. All
 tests of a module run in one process (`--dist=loadfile` in the Makefile), which creates shared objects once.
@@ -10,11 +13,36 @@ import os
 import signal
 import sys
 from pathlib import Path
+from typing import Final
 
 import pytest
 from hypothesis import settings
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
+FOLDERS: Final = {
+    "agents/soar": "soar",
+    "clients": "clients",
+    "experiment_runner/loggers": "loggers",
+    "experiment_runner/study": "studies",
+    "experiment_runner/view/browser": "page",
+    "jails": "containers",
+    "model": "model",
+    "package/test_coming_from.py": "coming_from",
+    "package/test_distributions.py": "package",
+    "package/test_names.py": "package",
+    "package/test_notebooks.py": "notebooks",
+    "package/test_site.py": "site",
+    "system/slurm": "slurm",
+    "system/test_ray.py": "ray",
+}
+"""The stage of all tests of a folder or module of `tests/`; other stages do not even import it."""
+
+STAGES: Final = sorted(
+    {*FOLDERS.values(), "attacks", "conformance", "docs", "gymnasium", "keys", "kills", "proof"}
+)
+
+_HERE: Final = Path(__file__).parent
+
+sys.path.insert(0, str(_HERE.parent))
 
 # A shell may start background jobs with interrupts ignored, and every process that we start inherits that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -27,6 +55,44 @@ settings.register_profile("glue", deadline=None)
 settings.load_profile("glue")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--stage",
+        choices=["test", *STAGES, "all"],
+        default="test",
+        help="run the tests of this stage of `.ci/run` instead of those of `make test`",
+    )
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    stage = FOLDERS.get(_name(collection_path))
+    return True if stage is not None and config.getoption("--stage") not in (stage, "all") else None
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    stage = config.getoption("--stage")
+    others = {item for item in items if stage not in (_stage(item), "all")}
+    config.hook.pytest_deselected(items=others)
+    items[:] = [item for item in items if item not in others]
     slow = {item.path for item in items if item.get_closest_marker("slow") is not None}
     items.sort(key=lambda item: item.path not in slow)
+
+
+def pytest_report_header(config: pytest.Config) -> str:
+    return f"stage: {config.getoption('--stage')}, of {', '.join(('test', *STAGES, 'all'))} (--stage)"
+
+
+def _stage(item: pytest.Item) -> str:
+    marker = item.get_closest_marker("stage")
+    if marker is None:
+        return next(
+            (FOLDERS[name] for name in map(_name, (item.path, *item.path.parents)) if name in FOLDERS), "test"
+        )
+    (stage,) = marker.args
+    assert stage in STAGES, f"{item.nodeid} has the unknown stage {stage!r}"
+    return str(stage)
+
+
+def _name(path: Path) -> str:
+    """Return the path below the folder of the tests."""
+    return path.relative_to(_HERE).as_posix() if path.is_relative_to(_HERE) else ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 import tempfile
 from collections.abc import Callable, Iterator
@@ -16,7 +15,7 @@ from glue import connect
 from glue.engine.experiment import Experiment
 from glue.engine.local import local
 from glue.errors import PeerLost
-from tests.clients.languages import LANGUAGES, SWITCH, Language
+from tests.clients.languages import LANGUAGES, Language
 from tests.clients.random_agent import RandomAgent
 from tests.clients.table import (
     SECONDS,
@@ -29,10 +28,9 @@ from tests.clients.table import (
 )
 from tests.system.proxy import Proxy
 
-FULL: Final = bool(os.environ.get(SWITCH))
-EPISODES: Final = 100 if FULL else 5
-CUTS: Final = 200 if FULL else 10
-KILLS: Final = 5 if FULL else 2
+EPISODES: Final = 100
+CUTS: Final = 200
+KILLS: Final = 5
 
 Expected = Callable[[int], Episode]
 

@@ -17,14 +17,10 @@ import pytest
 from env_server.toys import SkeletonEnvironment
 from glue import connect
 from glue.wire.messages import THREE_ROLES, Role
-from tests.clients.languages import CLIENTS, CPP, JAVASCRIPT, LANGUAGES, ROOT, RUST, SWITCH, Language, run
+from tests.clients.languages import CLIENTS, CPP, JAVASCRIPT, LANGUAGES, ROOT, RUST, Language, run
 from tests.clients.table import SECONDS, hub, program, serving
 
-FULL: Final = pytest.mark.skipif(not os.environ.get(SWITCH), reason=f"packages are made with {SWITCH}=1")
-
 CONFORM: Final = (sys.executable, "-c", "from glue_rl.commands import conform; conform()")
-
-TIER: Final = () if os.environ.get(SWITCH) else ("--tier", "plays")
 
 KIT_SECONDS: Final = 280.0
 
@@ -41,7 +37,6 @@ def test_own_tests_pass_and_documentation_is_whole(language: Language) -> None:
         run(command, language.folder, RUSTDOCFLAGS="-D warnings")
 
 
-@FULL
 @pytest.mark.parametrize("role", THREE_ROLES)
 def test_kit_finds_no_fault(language: Language, role: Role) -> None:
     mirror = language.programs["mirror"]
@@ -60,7 +55,6 @@ def test_kit_finds_no_fault(language: Language, role: Role) -> None:
     assert "broken" not in lines[-1]
 
 
-@FULL
 @pytest.mark.parametrize("role", THREE_ROLES)
 def test_scripts_of_random_faults_find_none(language: Language, role: Role) -> None:
     mirror = language.programs["mirror"]
@@ -154,7 +148,7 @@ def walks(start: Sequence[str]) -> None:
         assert second.returncode == 1
         assert "already has an agent" in second.stdout + second.stderr
     kit = subprocess.run(
-        [*CONFORM, "agent", *TIER, "--transport", "tcp", "--wait", "20", "--", *start],
+        [*CONFORM, "agent", "--transport", "tcp", "--wait", "20", "--", *start],
         capture_output=True,
         text=True,
     )
@@ -187,7 +181,6 @@ def test_first_agent_of_the_page_walks(
     walks(start)
 
 
-@FULL
 def test_fresh_project_installs_the_tarball_and_checks_its_types(tmp_path: Path) -> None:
     JAVASCRIPT.ready()
     if shutil.which("npm") is None:
@@ -238,7 +231,6 @@ def copy_of_sources(folder: Path) -> Path:
     return copy
 
 
-@FULL
 def test_another_cmake_project_finds_the_installed_package(tmp_path: Path) -> None:
     CPP.ready()
     run(["cmake", "--install", "build", "--prefix", str(tmp_path / "installed")], CPP.folder)
@@ -253,7 +245,6 @@ def test_another_cmake_project_finds_the_installed_package(tmp_path: Path) -> No
     assert (tmp_path / "build" / "own").exists()
 
 
-@FULL
 @pytest.mark.parametrize("tool", ["fmt", "clippy"])
 def test_rust_is_formatted_and_has_no_lint(tool: str) -> None:
     RUST.ready()

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import os
 from contextlib import ExitStack
-
-import pytest
 
 from env_server.toys import SkeletonEnvironment
 from glue.engine.local import local
-from tests.clients.languages import LANGUAGES, PYTHON, SWITCH
+from tests.clients.languages import LANGUAGES, PYTHON
 from tests.clients.random_agent import RandomAgent
 from tests.clients.table import SECONDS, Episode, hub, program, read_episodes
 
@@ -27,7 +24,6 @@ def expected() -> list[Episode]:
     ]
 
 
-@pytest.mark.skipif(not os.environ.get(SWITCH), reason=f"every combination is played with {SWITCH}=1")
 def test_every_combination_of_languages_plays_the_same_episodes() -> None:
     for language in LANGUAGES:
         language.ready()

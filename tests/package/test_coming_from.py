@@ -13,11 +13,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-import pytest
-
 from tests.forked import BIN
-
-pytestmark = pytest.mark.skipif("GLUE_COMING" not in os.environ, reason="needs the other libraries")
 
 TEXT: Final = (Path(__file__).parents[2] / "docs" / "coming-from.md").read_text()
 BLOCK: Final = re.compile(

@@ -15,10 +15,6 @@ from tests.house.imports import ROOT
 
 NOTEBOOKS: Final = sorted((ROOT / "docs/notebooks").glob("*.ipynb"))
 
-needs_jupyter: Final = pytest.mark.skipif(
-    "GLUE_NOTEBOOKS" not in os.environ, reason="run by `nox -s notebooks`"
-)
-
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_is_kept_without_output(path: Path) -> None:
@@ -28,7 +24,6 @@ def test_notebook_is_kept_without_output(path: Path) -> None:
             assert cell["execution_count"] is None
 
 
-@needs_jupyter
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 def test_notebook_runs(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]

@@ -5,7 +5,6 @@ Part of `make test` where Stable-Baselines3 is installed; a stage of .ci/run ins
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 from pathlib import Path
@@ -126,7 +125,7 @@ def test_a_policy_that_is_none_is_refused(tmp_path: Path) -> None:
             make_agent("sb3", policy=str(path))
 
 
-@pytest.mark.skipif("GYM_LEARN" not in os.environ, reason="learns for a minute or two: set GYM_LEARN")
+@pytest.mark.stage("gymnasium")
 def test_ppo_learns_to_finish_level_121() -> None:
     """This seed takes 204,800 steps, half a minute of CPU on the machine of docs/gymnasium.md."""
     progress = next((one for one in learn(seed=1) if one.goals >= 0.9), None)
