@@ -173,6 +173,8 @@ def _reason(error: OSError | sqlite3.Error | UnicodeDecodeError) -> str:
     if isinstance(error, OSError):
         return "the disk is full" if error.errno == errno.ENOSPC else error.strerror or str(error)
     code = getattr(error, "sqlite_errorcode", None)
+    if code == sqlite3.SQLITE_BUSY:
+        return f"{error}: another program writes to it, or its file system has no locks; then use a copy on one that has"
     return "the disk is full" if code == sqlite3.SQLITE_FULL else str(error)
 
 

@@ -34,6 +34,7 @@ class Terminated(KeyboardInterrupt):
 def start(module: str) -> NoReturn:
     """Import the module of a command and run its `main`, which exits."""
     handle_signals()
+    open_streams()
     if found := others(sys.path):
         message = (
             f"note: {', '.join(found.values())} has the name of a package of glue-rl; commands use ours, "
@@ -48,6 +49,24 @@ def start(module: str) -> NoReturn:
     finally:
         # While Python exits, nothing is left that could catch an exception.
         _handle_with(_leave)
+
+
+def open_streams() -> None:
+    """Open the null device in place of each standard stream that is closed, as in `glue-hub >&-`.
+
+    Otherwise the next file that is opened would get its number, and what is printed.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115
+    # A name that the terminal's encoding lacks is shown with escapes.
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def handle_signals() -> None:
