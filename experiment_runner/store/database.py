@@ -163,18 +163,20 @@ def reported(failed: str, hint: str = "", *, settings: tuple[str, ...] = ()) -> 
         yield
     except BrokenPipeError:  # the program that reads our output has closed it: not an error
         raise
-    except (OSError, sqlite3.Error, UnicodeDecodeError) as error:
+    except (OSError, sqlite3.Error, UnicodeError) as error:
         raise StorageError(f"{failed}: {_reason(error)}{hint}", settings=settings) from error
 
 
-def _reason(error: OSError | sqlite3.Error | UnicodeDecodeError) -> str:
-    if isinstance(error, UnicodeDecodeError):
+def _reason(error: OSError | sqlite3.Error | UnicodeError) -> str:
+    if isinstance(error, UnicodeEncodeError):
+        return "it would contain a name that is not UTF-8: rename that file or folder"
+    if isinstance(error, UnicodeError):
         return "it contains text that is not UTF-8"
     if isinstance(error, OSError):
         return "the disk is full" if error.errno == errno.ENOSPC else error.strerror or str(error)
     code = getattr(error, "sqlite_errorcode", None)
     if code == sqlite3.SQLITE_BUSY:
-        return f"{error}: another program writes to it, or its file system has no locks; then use a copy on one that has"
+        return f"{error}, or its file system has no locks: then use a copy of the run on another"
     return "the disk is full" if code == sqlite3.SQLITE_FULL else str(error)
 
 
