@@ -189,6 +189,8 @@ def _notes(results: Results) -> list[str]:
     names = results.trial_names()
     failed = [trial for trial in results.trials() if trial.failure is not None]
     notes = [f"failed: {names[trial.spec.id]}: {trial.failure}" for trial in failed]
+    if shorter := sum(not trial.finished for trial in failed):
+        notes.append(f"{counted(shorter, 'failed trial')} left out of the means")
     notes += [f"void: episode {v.episode} of {names[v.trial_id]}: {v.why}" for v in results.voids()]
     if cut := sum(results.cut_by_budget(trial.spec.id) for trial in results.trials() if trial.spec.steps):
         notes.append(f"the budget of steps has cut off the last episode of {counted(cut, 'trial')}")
@@ -280,7 +282,7 @@ def _programs(results: Results) -> list[str]:
 
 
 def _numbers(setting: Setting, over: str, rng: np.random.Generator) -> dict[str, object]:
-    begun = [returns for returns in setting.values if returns.size]
+    begun = [setting.values[i] for i in setting.counted()]
     numbers: dict[str, object] = {
         "setting": setting.label,
         "finished_trials": sum(trial.finished for trial in setting.trials),

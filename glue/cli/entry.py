@@ -26,6 +26,9 @@ EXIT_TERMINATED: Final = 128 + signal.SIGTERM
 _STDERR: Final = 2
 _IMPORTLIB: Final = "<frozen importlib"
 
+_received: Final[list[int]] = []
+"""Signals that have been received."""
+
 
 class Terminated(KeyboardInterrupt):
     """SIGTERM was received: clean up as for Ctrl-C."""
@@ -46,6 +49,11 @@ def start(module: str) -> NoReturn:
         raise AssertionError(f"{module}.main returned")
     except KeyboardInterrupt as interrupt:
         _leave(signal.SIGTERM if isinstance(interrupt, Terminated) else signal.SIGINT)
+    except Exception:
+        # An interruption within a lock of `threading` becomes another exception.
+        if _received:
+            _leave(_received[-1])
+        raise
     finally:
         # While Python exits, nothing is left that could catch an exception.
         _handle_with(_leave)
@@ -97,6 +105,7 @@ def _handle_with(handler: Callable[[int, FrameType | None], NoReturn]) -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    _received.append(number)
     if _is_importing(frame):
         _leave(number)
     raise Terminated if number == signal.SIGTERM else KeyboardInterrupt
