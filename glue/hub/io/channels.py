@@ -38,14 +38,14 @@ MAX_UNSENT: Final = 64 * 2**20
 MAX_UNSEATED: Final = 256
 """Maximum number of connections without a seat; one more, and the oldest is dropped."""
 
-GREETING_SECONDS: Final = 1.0
-"""Seconds that a connection may be without a seat before it is dropped, at the next tick."""
+_BASE: Final = 6144
+"""Bytes that a connection uses at most besides what it has received and not sent."""
+
+_SEAT: Final = 4608
+"""Bytes that a seat uses at most: the peer, its names, and the formats of its steps."""
 
 _MAX_COPIED: Final = 65_536
 """Maximum size of a body that is sent together with its head, in bytes; copying more costs memory."""
-
-_FAREWELL_SECONDS: Final = 1.0
-"""Maximum number of seconds that the hub waits, when it closes, for its last messages to be read."""
 
 _HELLO: Final = Kind.HELLO
 
@@ -75,6 +75,7 @@ class _Channel:
         self._held = 0
         self._dismissed = False
         connection.owner = self
+        self.account()
 
     def admits(self, role: Role, session: str) -> bool:
         """Return whether a peer that connects here may join `session` as `role`."""
@@ -133,9 +134,15 @@ class _Channel:
     def _weigh(self) -> None:
         """Account for data that is kept: incomplete messages, and messages that the peer has not read."""
         held = self._stream.buffered + self.connection.unsent
-        if held != self._held and not self.connection.closed:
+        if held != self._held:
             self._held = held
-            self._switchboard.memory.hold(self, held)
+            self.account()
+
+    def account(self) -> None:
+        """Account for the connection with its seats."""
+        if not self.connection.closed:
+            used = _BASE + _SEAT * self._switchboard.num_seats(self) + self._held
+            self._switchboard.memory.hold(self, used)
 
     def ready(self, now: float) -> None:
         """Act on messages received, at most one for each seat."""
@@ -289,7 +296,7 @@ class Channels:
             listener.stop()
         for channel in self._open:
             channel.connection.finish()
-        take_leave(lambda: [channel.connection for channel in self._open], _FAREWELL_SECONDS)
+        take_leave(lambda: [channel.connection for channel in self._open], self._config.farewell)
         for channel in self._open:
             channel.close()
 
@@ -314,6 +321,7 @@ class Channels:
 
     def greeted(self, channel: _Channel, hello: Message) -> None:
         """Note that a HELLO of a connection was answered."""
+        channel.account()
         if channel.seated:
             self._unseated.pop(channel, None)
         capabilities = hello.scalars[-1]
@@ -361,7 +369,8 @@ class Channels:
 
     def _tick(self, now: float) -> None:
         for channel in list(self._open):
+            channel.account()  # it may have left a session
             if channel.seated:
                 self._unseated.pop(channel, None)
-            elif now - self._unseated.setdefault(channel, now) >= GREETING_SECONDS:
+            elif now - self._unseated.setdefault(channel, now) >= self._config.greeting:
                 self.drop(channel, None)

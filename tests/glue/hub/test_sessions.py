@@ -336,7 +336,7 @@ def test_the_longest_names_and_texts_still_fit_into_every_header() -> None:
 
 
 def test_when_there_is_no_room_for_more_the_session_that_keeps_most_is_ended_and_told_why() -> None:
-    rig = Rig(HubConfig(max_body=100_000, max_memory=400_000, max_sessions=64))
+    rig = Rig(HubConfig(max_body=100_000, max_memory=560_000, max_sessions=64))
     for n in range(6):
         for route, role in ((f"a{n}", Role.AGENT), (f"x{n}", Role.EXPERIMENT)):
             assert rig.hello(route, role, session=f"{n}")[0].kind is Kind.WELCOME

@@ -10,7 +10,7 @@ from glue.hub.config import Bind, HubConfig
 from glue.hub.io.server import Hub
 from glue.hub.keys import Keys, Permit
 from glue.wire.codec import FROM_HUB, decode
-from glue.wire.messages import ErrorCode, Kind, Role
+from glue.wire.messages import ErrorCode, Kind, Message, Role
 from tests.scripted.curve import CurveClient, Pair
 from tests.scripted.peer import ScriptedPeer
 
@@ -35,7 +35,7 @@ def test_a_hub_reads_what_lies_behind_unknown_kinds(role: Role, keyed: bool) -> 
         peer.greet().join(role)
         beat = peer.frames_of(Kind.HEARTBEAT, 7)
         peer.send_bytes(b"".join(peer.encoded(*frames) for frames in (*UNKNOWN * 2, beat)))
-        heard = []
+        heard: list[Message] = []
         while not heard or heard[-1].kind is not Kind.HEARTBEAT:
             heard.append(decode(peer.receive_frames(), FROM_HUB))
     errors = [(message.seq, message.scalars[0]) for message in heard if message.kind is Kind.ERROR]
