@@ -20,7 +20,6 @@ from glue.client.players import serve_agent, serve_environment
 from glue.client.transport import open_transport
 from glue.doors import clock, network
 from glue.errors import GlueError, HubClosed, HubUnreachable, PeerFailed, PeerLost, Refused
-from glue.hub import session as sessions
 from glue.hub.config import Bind, HubConfig
 from glue.hub.io import channels
 from glue.hub.io.inside import InsideTransport
@@ -44,9 +43,6 @@ BOUND: Final = 90.0
 """Virtual seconds within which every session finishes once faults have ended."""
 
 MAX_TURNS: Final = 300_000
-
-LIGHT: Final = 1000
-"""Size in bytes of bodies that a session keeps without accounting: smaller than usual, to be exceeded."""
 
 
 class Outcome(NamedTuple):
@@ -160,6 +156,8 @@ class Run:
         if self.small:
             for session in self.sessions:
                 session.bulk = min(session.bulk, 40)
+        elif pieces.random() < 0.2:
+            pieces.choice(self.sessions).bulk = 60_000
         self.unsent = random.choice((64 * 2**20, 64 * 2**20, 400))
         self.heartbeat = random.choice((1.0, 1.0, 0.2))
         self.timeout = random.choice((5.0, 5.0, 1.5))
@@ -532,7 +530,6 @@ class Run:
         changed: list[tuple[Any, str, Any]] = [
             (channels, "MAX_UNSENT", self.unsent),
             (channels, "_MAX_COPIED", self.copied),
-            (sessions, "_LIGHT", LIGHT),
             (link, "open_transport", self._open_transport),
         ]
         with self.watch.entered(), world.entered(self.net), replacing(changed):

@@ -23,6 +23,7 @@ from glue.wire.messages import CALLS, Event, Kind, Message, Role
 from tests.simulation.order import Order
 from tests.simulation.shown import MOMENTS, Shown
 from tests.simulation.world import replacing
+from tests.weighing import check
 
 if TYPE_CHECKING:
     from tests.simulation.faults import Fault
@@ -246,19 +247,14 @@ class Watch:
         self.calls = seq
 
     def _memory(self, hub: Hub) -> None:
-        """Judge (d): memory of connections and sessions is within the limit, and accounted for."""
-        limit = hub.config.max_memory
-        held = 0
-        for channel in hub._channels._open:
-            if not channel.connection.closed:
-                held += channel._stream.buffered + channel.connection.unsent
-        if held > limit:
-            self._run.problems.append(f"(d) the connections of a hub keep {held} bytes, more than {limit}")
-        for holder in hub.switchboard.memory._held:
-            if isinstance(holder, channels._Channel) and holder not in hub._channels._open:
-                self._run.problems.append("(d) the hub accounts for a connection that is closed")
-            if isinstance(holder, Session) and hub.switchboard._sessions.get(holder.name) is not holder:
-                self._run.problems.append(f"(d) the hub accounts for session {holder.name}, which is over")
+        """Judge (d): the hub's account of its memory is what its holders weigh, and within the limit."""
+        try:
+            check(hub)
+        except AssertionError as error:
+            self._run.problems.append(f"(d) {error}")
+        total, limit = hub.switchboard.memory.total, hub.config.max_memory
+        if total > limit:
+            self._run.problems.append(f"(d) a hub accounts for {total} bytes, more than {limit}")
 
     @contextmanager
     def entered(self) -> Iterator[None]:
