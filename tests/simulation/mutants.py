@@ -41,6 +41,7 @@ def first_seed(mutant: Mutant, seeds: int = SEEDS) -> tuple[int, str] | None:
     with TemporaryDirectory() as folder:
         for part in ("glue", "tests/simulation"):
             shutil.copytree(ROOT / part, Path(folder) / part, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copy(ROOT / "tests/weighing.py", Path(folder) / "tests")
         changed = Path(folder) / mutant.file
         source = changed.read_text(encoding="utf-8")
         if source.count(mutant.before) != 1:

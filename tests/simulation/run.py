@@ -186,7 +186,8 @@ class Run:
             bind = Bind(URL, keys=Keys(hub.secret, {peer.public: Permit("peer", frozenset(Role))}))
         limits: dict[str, Any] = {"max_memory": 2**30}
         if self.small:
-            limits = {"max_body": 4096, "max_memory": 4 * 4096, "max_sessions": 4 * len(self.sessions)}
+            number = len(self.sessions)
+            limits = {"max_body": 4096, "max_memory": 2**16 * number + 4 * 4096, "max_sessions": 4 * number}
         return HubConfig(bind=(bind,), heartbeat=self.heartbeat, timeout=self.timeout, **limits)
 
     def _key(self) -> dict[str, Any]:

@@ -266,8 +266,8 @@ class Watch:
 
             _now: Message
 
-            def __init__(self, role: Role, player: Any) -> None:
-                super().__init__(role, player)
+            def __init__(self, *given: Any) -> None:
+                super().__init__(*given)
                 for kind, (handler, read) in list(self._handlers.items()):
                     self._handlers[kind] = self._counted(kind, handler), read
 
