@@ -33,7 +33,7 @@ class Attack:
         self._keys = [bytes.fromhex(key) for key in keys]
         self.huge = Observation(chars=bytes(size - 16)).body
 
-    def peer(self, role: str, *sessions: str, reads: bool = True, abilities: tuple[str, ...] = ()) -> Peer:
+    def peer(self, role: str, *sessions: str, reads: bool = True) -> Peer:
         """Let a peer join sessions."""
         keys = None
         if self._keys:
@@ -43,7 +43,7 @@ class Attack:
         peer.greet()
         peer.session = sessions[0]
         for session in sessions:
-            peer.hello(role, session=session, abilities=abilities)
+            peer.hello(role, session=session)
             while peer.receive().kind is not Kind.WELCOME:
                 pass
         return peer
@@ -176,13 +176,6 @@ def light_sessions(attack: Attack, name: str) -> None:
     environment.wait()
 
 
-def capabilities(attack: Attack, name: str) -> None:
-    """Peers that offer hundreds of capabilities each."""
-    offered = tuple(f"{number:03x}" for number in range(900))
-    for role in ("environment", "agent"):
-        attack.peer(role, *(f"{name}-{number}" for number in range(16)), abilities=offered)
-
-
 def half_a_message(attack: Attack, name: str) -> Peer:
     agent = attack.peer("agent", name)
     agent.send_bytes(agent.encoded(*agent.frames_of(Kind.AGENT_MESSAGE, 1, body=attack.huge))[:-1])
@@ -194,18 +187,17 @@ def half_a_message_before_leaving(attack: Attack, name: str) -> None:
 
 
 ATTACKS: dict[Callable[[Attack, str], object], int] = {
-    observation_over_agent_end: 25,
-    observation_for_a_replaced_agent: 25,
-    message_for_a_replaced_agent: 25,
-    task_spec: 25,
-    observers_of_a_step: 2,
-    observers_of_an_answer: 3,
-    experiment_that_does_not_read: 12,
-    agent_that_does_not_read: 15,
+    observation_over_agent_end: 10,
+    observation_for_a_replaced_agent: 10,
+    message_for_a_replaced_agent: 10,
+    task_spec: 10,
+    observers_of_a_step: 1,
+    observers_of_an_answer: 2,
+    experiment_that_does_not_read: 6,
+    agent_that_does_not_read: 10,
     light_sessions: 12,
-    capabilities: 12,
-    half_a_message: 25,
-    half_a_message_before_leaving: 25,
+    half_a_message: 10,
+    half_a_message_before_leaving: 10,
 }
 """The attacks, and in how many sessions each is made."""
 
@@ -223,7 +215,7 @@ def attacked(
     return hub.most() - before
 
 
-LIMIT, BODY, BESIDE = 12 * 2**20, 2**20, 4 * 2**20
+LIMIT, BODY, BESIDE = 16 * 2**20, 4 * 2**20, 12 * 2**20
 """The limit of a hub, the size of its largest body, and what it may use besides its limit, in bytes."""
 
 

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import threading
@@ -55,10 +56,11 @@ def victim(*, keys: Path | None = None, **settings: float) -> Iterator[Victim]:
     arguments = [json.dumps(settings), *([] if keys is None else [str(keys)])]
     with running("-m", "tests.system.attacks.victim", *arguments) as process:
         assert process.stderr is not None
-        url = process.stderr.readline().split()[-1]
+        listening = re.search(r"tcp://[\d.]+:\d+", process.stderr.readline())
+        assert listening is not None
         # Its log must not fill the pipe.
         threading.Thread(target=process.stderr.read, daemon=True).start()
-        yield Victim(url, process)
+        yield Victim(listening[0], process)
         assert process.poll() is None, "the hub has died"
 
 
