@@ -10,9 +10,11 @@ import pytest
 
 from glue.types import Observation
 from glue.wire.codec import FROM_HUB, decode
+from glue.wire.limits import MAX_BODY
 from glue.wire.messages import CALLS, Kind, Message
 from tests.scripted.curve import CurveClient, Pair
 from tests.scripted.peer import ScriptedPeer
+from tests.system.attacks import siege
 from tests.system.attacks.siege import make_keys
 from tests.system.attacks.victim import Victim, victim
 
@@ -44,7 +46,7 @@ class Attack:
         peer.session = sessions[0]
         for session in sessions:
             peer.hello(role, session=session)
-            while peer.receive().kind is not Kind.WELCOME:
+            while peer.following().kind is not Kind.WELCOME:
                 pass
         return peer
 
@@ -71,7 +73,7 @@ class Peer(ScriptedPeer):
     def following(self) -> Message:
         """Return the next message of any kind; raise ConnectionError once the session is over."""
         message = decode(self.receive_frames(), FROM_HUB)
-        if message.kind is Kind.GOODBYE or message.kind is Kind.ERROR:
+        if message.kind in (Kind.GOODBYE, Kind.ERROR, Kind.REFUSE):
             raise ConnectionError("the hub has ended the session")
         return message
 
@@ -161,7 +163,7 @@ def agent_that_does_not_read(attack: Attack, name: str) -> None:
 def light_sessions(attack: Attack, name: str) -> None:
     """Sessions that keep a task spec, an action and observations of moderate size."""
     body = Observation(chars=bytes(50_000)).body
-    every = [f"{name}-{number}" for number in range(32)]
+    every = [f"{name} {number}" for number in range(32)]
     environment, agent, experiment = attack.session(*every)
     for each in every:
         experiment.say(Kind.RL_INIT, 1, None, session=each)
@@ -236,7 +238,6 @@ def test_the_memory_of_a_hub_is_bounded(small: Victim, attack: Callable[[Attack,
 def test_the_memory_of_a_hub_is_bounded_with_the_largest_messages(
     attack: Callable[[Attack, str], object], keyed: bool, tmp_path: Path
 ) -> None:
-    _, _, keys = make_keys(tmp_path) if keyed else ((), {}, ())
-    limit, size = 64 * 2**20, 16 * 2**20
-    with victim(keys=tmp_path if keyed else None, max_memory=limit) as hub:
-        assert attacked(hub, attack, size, keys) <= limit + 30 * 2**20
+    folder, _, keys = make_keys(tmp_path) if keyed else (None, {}, ())
+    with victim(keys=folder, max_memory=siege.LIMIT) as hub:
+        assert attacked(hub, attack, MAX_BODY, keys) <= siege.LIMIT + siege.BESIDE
