@@ -46,28 +46,22 @@ class Weight(NamedTuple):
     truth: int
 
 
-def holders(hub: Hub) -> list[Any]:
-    """Return everything that holds memory at a hub, whether it accounts for it or not."""
-    board = hub.switchboard
-    found: dict[Any, None] = dict.fromkeys(board._sessions.values())
-    found |= dict.fromkeys(hub._channels._open)
-    found |= dict.fromkeys(board._seats)
-    found |= dict.fromkeys(board.memory.held)
-    return [holder for holder in found if isinstance(holder, _HOLDERS)]
-
-
 def weigh(hub: Hub) -> Weight:
     """Return the hub's account of its memory, and what everything that holds memory weighs together."""
-    found = holders(hub)
-    peers = [peer for seats in hub.switchboard._seats.values() for peer in seats.values()]
-    return Weight(hub.switchboard.memory.total, size_of([*found, *peers]))
+    board = hub.switchboard
+    peers = [peer for seats in board._seats.values() for peer in seats.values()]
+    return Weight(board.memory.total, size_of([*_holders(board, hub._channels._open), *peers]))
 
 
 def check(hub: Hub) -> None:
     """Raise AssertionError unless each holder's account is true: no less than it weighs, and hardly more."""
-    board = hub.switchboard
+    check_board(hub.switchboard, hub._channels._open)
+
+
+def check_board(board: Switchboard, connections: Iterable[Any] = ()) -> None:
+    """Do the same for a switchboard and the connections of its hub."""
     account = board.memory.held
-    found = holders(hub)
+    found = _holders(board, connections)
     seats: dict[Any, list[Peer]] = {route: list(peers.values()) for route, peers in board._seats.items()}
     peers = [peer for its in seats.values() for peer in its]
     for holder in found:
@@ -78,7 +72,13 @@ def check(hub: Hub) -> None:
         assert held <= truth + spare, f"{holder} accounts for {held} bytes and weighs {truth}"
     assert board.memory.total == sum(account.values())
     gone = [holder for holder in account if holder not in found]
-    assert not gone, f"the hub accounts for {gone}"
+    assert not gone, f"the hub accounts for {gone}, which it does not have"
+
+
+def _holders(board: Switchboard, connections: Iterable[Any]) -> list[Any]:
+    """Return everything that holds memory at a hub, whether it accounts for it or not."""
+    found = dict.fromkeys([*board._sessions.values(), *connections, *board._seats])
+    return [holder for holder in found if isinstance(holder, _HOLDERS)]
 
 
 def size_of(roots: Iterable[Any], others: Iterable[Any] = ()) -> int:

@@ -126,6 +126,7 @@ class _Channel:
     def forget(self, session: str) -> None:
         """Forget what was learned of the messages of a session, in which it takes part no longer."""
         self._stream.forget(session)
+        self.account()
 
     def evict(self, why: str) -> None:
         """Drop the connection, which uses too much memory."""
@@ -369,7 +370,6 @@ class Channels:
 
     def _tick(self, now: float) -> None:
         for channel in list(self._open):
-            channel.account()  # it may have left a session
             if channel.seated:
                 self._unseated.pop(channel, None)
             elif now - self._unseated.setdefault(channel, now) >= self._config.greeting:

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 import threading
@@ -17,7 +18,6 @@ from pathlib import Path
 
 from glue.cli.hub import serve_until_interrupted
 from glue.hub.config import Bind, HubConfig
-from glue.hub.io.log import LogLevel
 from glue.keys.allowed import read_keys
 from tests.scripted.process import running
 
@@ -49,22 +49,23 @@ class Victim:
 
 
 @contextmanager
-def victim(*, keys: Path | None = None, **settings: float) -> Iterator[Victim]:
+def victim(*, keys: Path | None = None, log_is_read: bool = True, **settings: float) -> Iterator[Victim]:
     """Start a hub, which waits long for a HELLO and for peers that do not answer."""
     settings = {"timeout": 60.0, "greeting": 60.0, "farewell": 0.1} | settings
     arguments = [json.dumps(settings), *([] if keys is None else [str(keys)])]
     with running("-m", "tests.system.attacks.victim", *arguments) as process:
         assert process.stderr is not None
-        url = process.stderr.readline().split()[-1]
-        # Its log must not fill the pipe.
-        threading.Thread(target=process.stderr.read, daemon=True).start()
-        yield Victim(url, process)
+        listening = re.search(r"tcp://[\d.]+:\d+", process.stderr.readline())
+        assert listening is not None
+        if log_is_read:
+            threading.Thread(target=process.stderr.read, daemon=True).start()
+        yield Victim(listening[0], process)
         assert process.poll() is None, "the hub has died"
 
 
 def _main(settings: str, keys: str = "") -> None:
     bind = Bind("tcp://127.0.0.1:*", keys=read_keys(Path(keys)) if keys else None)
-    serve_until_interrupted(HubConfig(bind=(bind,), **json.loads(settings)), (), LogLevel.ERROR)
+    serve_until_interrupted(HubConfig(bind=(bind,), **json.loads(settings)))
 
 
 if __name__ == "__main__":
