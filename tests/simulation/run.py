@@ -152,7 +152,7 @@ class Run:
         pieces = Random(f"pieces {seed}")
         self.joint = self.several and pieces.random() < 0.5
         self.copied = 300 if self.joint or pieces.random() < 0.3 else 65_536
-        self.small = random.random() < 0.15
+        self.small = random.random() < 0.15 and not self.inside
         if self.small:
             for session in self.sessions:
                 session.bulk = min(session.bulk, 40)

@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 
 from greenlet import getcurrent
 
+from glue.client.answers import ServedPlayer
 from glue.client.experiment import connect
 from glue.doors import clock
 from glue.errors import PeerLost
@@ -166,9 +167,9 @@ def _noting(run: _TracedRun) -> Iterator[None]:
         run.note("answer", str(peer.role), message.seq, of=session)
         return result
 
-    def carry_out(session: str, seq: int, kind: Kind) -> None:
+    def carry_out(player: ServedPlayer, session: str, seq: int, kind: Kind) -> None:
         current: Any = getcurrent()
-        original(session, seq, kind)
+        original(player, session, seq, kind)
         run.note("call", current.process.name, seq)
 
     changed: list[tuple[Any, str, Any]] = [

@@ -74,7 +74,7 @@ class Watch:
         self.calls = 0
         self._hubs: dict[int, Hub] = {}
         self._incarnations: Counter[tuple[int, str]] = Counter()
-        self._carried: set[tuple[int, str, int, int, int]] = set()
+        self._carried: set[tuple[ServedPlayer, str, int, int, int]] = set()
         self._roles: dict[int, tuple[Role, tuple[str, ...]]] = {}
         self._troubles: list[tuple[float, float, int]] = []  # time, duration in seconds, process; 0 for all
         self._killed: list[tuple[float, int]] = []
@@ -234,12 +234,12 @@ class Watch:
         if not hubs and not self._troubles and not self._killed and not self._run.small:
             self._run.problems.append(f"(c) session {session.name} was ended without a cause: {text}")
 
-    def _carry_out(self, session: str, seq: int, kind: Kind) -> None:
-        """Judge (a): a program carries out each call of a hub once."""
+    def _carry_out(self, player: ServedPlayer, session: str, seq: int, kind: Kind) -> None:
+        """Judge (a): a program carries out each call of a hub once, until it leaves."""
         current: Any = getcurrent()
         process: Process = current.process
         hub = process.heard or process.number
-        key = (process.number, session, hub, self._incarnations[hub, session], seq)
+        key = (player, session, hub, self._incarnations[hub, session], seq)
         self.note(process.name, "carries out", session, kind.name, seq)
         if key in self._carried:
             self._run.problems.append(f"(a) {process.name} carried out {kind.name} {seq} of {session} twice")
@@ -273,7 +273,7 @@ class Watch:
 
             def _counted(self, kind: Kind, handler: Any) -> Any:
                 def counted(scalars: Any, body: Any) -> Any:
-                    watch._carry_out(self._now.session, self._now.seq, kind)
+                    watch._carry_out(self, self._now.session, self._now.seq, kind)
                     return handler(scalars, body)
 
                 return counted
