@@ -326,7 +326,7 @@ class Session:
         return True
 
     def _replacing(self, kind: Kind, size: int) -> None:
-        """Note that an answer will be kept; a step takes the place of the one before, usually of that size."""
+        """Note that an answer will be kept; a step replaces the one before, usually of the same size."""
         engine = self._engine
         before = {_ENV_STEP: engine.observation, _AGENT_STEP: engine.last_action}.get(kind)
         self._heavy = True

@@ -39,8 +39,12 @@ def running(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 def address(hub: subprocess.Popen[str]) -> str:
     """Return the address that a hub prints first."""
     assert hub.stderr is not None
-    line = hub.stderr.readline()
-    listening = re.search(r"listening on ((?:tcp|ipc)://[^\s]*[^\s:])", line)
+    return address_in(hub.stderr.readline())
+
+
+def address_in(line: str) -> str:
+    """Return the address in the line with which a hub begins."""
+    listening = re.search(r"listening on (\S*[^\s:])", line)
     assert listening is not None, line
     return listening[1]
 

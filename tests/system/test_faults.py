@@ -277,7 +277,7 @@ def play_over_cuts(cuts: int, seed: int) -> None:
     """Play over connections that break at random bytes; the returns are those of a run in one process."""
     episodes = cuts * 6 // 10
     expected = chain(local(ChainAgent(), ChainEnvironment()), episodes)
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, timeout=60.0))
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, timeout=60.0, greeting=60.0))
     with hub.in_background():
         proxy = Proxy(port(hub), cuts=cuts, seed=seed)
         with (
@@ -365,7 +365,7 @@ def test_a_player_that_is_told_to_stop_tells_the_hub(number: signal.Signals, cod
             return super().env_step(action)
 
     agent = "from agents.cli.agent import main; main()"
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=60.0))
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=60.0, greeting=60.0))
     with hub.in_background(), ExitStack() as ending:
         (url,) = hub.endpoints
         ending.enter_context(serving(url, Walk()))
@@ -379,7 +379,7 @@ def test_a_player_that_is_told_to_stop_tells_the_hub(number: signal.Signals, cod
 
 
 def test_a_slow_session_delays_no_other() -> None:
-    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=1.0))
+    hub = Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=HEARTBEAT, timeout=60.0, greeting=60.0))
     release = threading.Event()
     waits = threading.Event()
 

@@ -16,7 +16,7 @@ from glue.hub.session import _MAX_QUERIES
 from glue.types import Action
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.messages import CALLS, Kind, Message, Role, Value
-from tests.scripted.peer import GREETING, READY, ScriptedPeer, framed, hello_scalars
+from tests.scripted.peer import GREETING, READY, TIMEOUT, ScriptedPeer, framed, hello_scalars
 
 REQUESTS = 20
 AGENT_STEP = b"\x94\x06"
@@ -27,7 +27,9 @@ class Rig:
     """A hub whose loop is turned by hand, and connections to it."""
 
     def __init__(self, stack: ExitStack) -> None:
-        self.hub = stack.enter_context(Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)))
+        self.hub = stack.enter_context(
+            Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=TIMEOUT))
+        )
         self._stack = stack
 
     def connect(self, *sent: bytes) -> ScriptedPeer:
