@@ -10,6 +10,7 @@ from enum import Enum
 from types import GeneratorType, MethodType
 from typing import Any, Final, NamedTuple
 
+from glue.hub import session
 from glue.hub.config import Bind, HubConfig
 from glue.hub.io import channels
 from glue.hub.io.log import Log
@@ -68,7 +69,7 @@ def check_board(board: Switchboard, connections: Iterable[Any] = ()) -> None:
         its = seats.get(holder, [])
         held, truth = account.get(holder, 0), size_of([holder, *its], [*found, *peers])
         assert truth <= held, f"{holder} weighs {truth} bytes and accounts for {held}"
-        spare = _SPARE + len(its) * channels._SEAT
+        spare = session._BASE if isinstance(holder, Session) else _SPARE + len(its) * channels._SEAT
         assert held <= truth + spare, f"{holder} accounts for {held} bytes and weighs {truth}"
     assert board.memory.total == sum(account.values())
     gone = [holder for holder in account if holder not in found]

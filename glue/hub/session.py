@@ -153,6 +153,7 @@ class Session:
         repeated reply, or after it.
         """
         role = peer.role
+        self._weigh()  # it was given up if its only peer was replaced
         if not same:
             self._confirmed.pop(role, None)
         self.peers[role] = peer

@@ -10,7 +10,7 @@ from tests.proof import size
 from tests.simulation.__main__ import many
 from tests.simulation.diagram import diagram
 from tests.simulation.faults import Fault, drawn
-from tests.simulation.mutants import MUTANTS, Mutant, first_seed
+from tests.simulation.mutants import MUTANTS, ROOT, Mutant, first_seed
 from tests.simulation.run import simulate
 from tests.simulation.shrinking import needed
 
@@ -129,10 +129,18 @@ def test_the_diagram_shows_faults_and_messages() -> None:
     assert any("HELLO" in line for line in lines)
 
 
+def test_every_mistake_can_be_made() -> None:
+    counts = {
+        mutant.mistake: (ROOT / mutant.file).read_text("utf-8").count(mutant.before) for mutant in MUTANTS
+    }
+
+    assert set(counts.values()) == {1}, counts
+
+
 @pytest.mark.proof
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize(
-    "mutant", MUTANTS[: size(1, len(MUTANTS))], ids=lambda mutant: mutant.mistake.replace(" ", "-")
+    "mutant", MUTANTS[: size(3, len(MUTANTS))], ids=lambda mutant: mutant.mistake.replace(" ", "-")
 )
 def test_a_mistake_is_found(mutant: Mutant) -> None:
     assert first_seed(mutant) is not None

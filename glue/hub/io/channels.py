@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
-from glue.doors import network
+from glue.doors import clock, network
 from glue.errors import RemoteProtocolError
 from glue.hub.config import Bind, HubConfig
 from glue.hub.io.connection import Connection, take_leave
@@ -129,8 +129,11 @@ class _Channel:
         self.account()
 
     def evict(self, why: str) -> None:
-        """Drop the connection, which uses too much memory."""
-        self._channels.drop(self, why)
+        """Drop the connection, which uses too much memory, or its seats if it is gone already."""
+        if self.connection.closed:
+            self._switchboard.lose(self, why, clock.monotonic())
+        else:
+            self._channels.drop(self, why)
 
     def _weigh(self) -> None:
         """Account for data that is kept: incomplete messages, and messages that the peer has not read."""
@@ -140,10 +143,9 @@ class _Channel:
             self.account()
 
     def account(self) -> None:
-        """Account for the connection with its seats."""
-        if not self.connection.closed:
-            used = _BASE + _SEAT * self._switchboard.num_seats(self) + self._held
-            self._switchboard.memory.hold(self, used)
+        """Account for the connection, if it is open, and for its seats, which may outlast it."""
+        used = 0 if self.connection.closed else _BASE + self._held
+        self._switchboard.memory.hold(self, used + _SEAT * self._switchboard.num_seats(self))
 
     def ready(self, now: float) -> None:
         """Act on messages received, at most one for each seat."""
@@ -334,10 +336,10 @@ class Channels:
         """Close a connection; `why`, if it should be logged, completes a sentence about it."""
         if why is not None:
             self.complain(channel, why)
-        self.switchboard.memory.hold(channel, 0)
         self._open.pop(channel, None)
         self._unseated.pop(channel, None)
         channel.close()
+        channel.account()
         self._log.connection(f"{channel.connection.name} is gone")
 
     def complain(self, channel: _Channel, why: str) -> None:
@@ -367,6 +369,7 @@ class Channels:
     def _left(self, route: Route, session: str) -> None:
         if isinstance(route, _Channel):
             route.forget(session)
+            route.account()
 
     def _tick(self, now: float) -> None:
         for channel in list(self._open):
