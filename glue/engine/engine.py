@@ -158,12 +158,11 @@ class Engine:
 
     @property
     def bodies(self) -> tuple[Any, ...]:
-        """Every body that the engine keeps, some of them several times; what is not kept is None.
+        """The bodies that the engine keeps, that of the outstanding call among them; None for none.
 
         The verbs keep no bodies in variables of their own, so that a host can account for the memory.
         """
-        asked = None if self.asked is None else self.asked.body
-        return self.task_spec, self.last_action, self.given, self.observation, asked
+        return self.task_spec, self.last_action, self.given, self.observation
 
     @property
     def in_episode(self) -> bool:

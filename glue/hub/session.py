@@ -31,6 +31,7 @@ _ALWAYS: Final = frozenset(
 
 # Bound once: looking up a member of an enum takes longer than comparing with it.
 _ENV_STEP: Final = Kind.ENV_STEP
+_AGENT_STEP: Final = Kind.AGENT_STEP
 _ERROR: Final = Kind.ERROR
 
 _message: Final = tuple.__new__
@@ -40,7 +41,7 @@ _LIGHT: Final = 2048
 """Maximum size of a body, in bytes, that a session keeps without accounting for it."""
 
 _BODIES: Final = 6
-"""Maximum number of bodies that a session keeps: those of the engine, and the reply."""
+"""Maximum number of bodies that a session keeps: those of the engine, and a reply of two."""
 
 _BASE: Final = 10_240 + _BODIES * _LIGHT
 """Bytes that a session uses at most besides larger bodies: its engine, the names of its peers, and texts."""
@@ -61,6 +62,7 @@ class Session:
     __slots__ = (
         "_board",
         "_confirmed",
+        "_due",
         "_engine",
         "_explained",
         "_heavy",
@@ -96,7 +98,8 @@ class Session:
         self._lost: dict[Role, str] = {}
         self._lost_since_reply: dict[Role, str] = {}
         self._slow = SlowCalls()
-        self._heavy = False
+        self._heavy = False  # a body is not light
+        self._due = False  # the size of the bodies that are kept has changed
         self._queries = 0  # number of requests without a call since the call `_queries_after`
         self._queries_after = 0
         board.memory.hold(self, _BASE)
@@ -117,9 +120,11 @@ class Session:
 
     def _weigh(self) -> None:
         """Account for the bodies that are kept."""
-        call, reply = self._outstanding, self._reply
-        bodies = (*self._engine.bodies, call and call.body, reply and reply.body)
-        sizes = {id(body): len(body) for body in bodies if body}.values()
+        engine, reply = self._engine, self._reply
+        sizes = [len(body) for body in engine.bodies if body]
+        if reply is not None and reply.body is not engine.task_spec:
+            sizes.append(len(reply.body))
+        self._due = False
         self._heavy = max(sizes, default=0) > _LIGHT
         self._board.memory.hold(self, _BASE + sum(sizes) if self._heavy else _BASE)
 
@@ -269,8 +274,8 @@ class Session:
         self._request_seq = message.seq
         self._reply = None
         self._lost, self._lost_since_reply = self._lost_since_reply, {}
-        if len(message.body) > _LIGHT:
-            self._heavy = True
+        if self._heavy or len(message.body) > _LIGHT:
+            self._heavy = self._due = True
         try:
             instruction = engine.begin(message.kind, message.scalars, message.body)
         except PeerLost as error:
@@ -308,8 +313,8 @@ class Session:
             return True
         if kind is _ENV_STEP and scalars[1] == CUT_OFF and "truncate" not in peer.capabilities:
             scalars = (scalars[0], True)  # to an older environment every nonzero number is true
-        if len(body) > _LIGHT:
-            self._heavy = True
+        if self._heavy or len(body) > _LIGHT:
+            self._replacing(kind, len(body))
         try:
             instruction = self._engine.resume(kind, scalars, body)
         except RemoteProtocolError as error:
@@ -320,6 +325,13 @@ class Session:
             self.observers.show(outstanding, scalars, body, self._engine)
         self._advance(instruction)
         return True
+
+    def _replacing(self, kind: Kind, size: int) -> None:
+        """Note that an answer will be kept; a step replaces the one before, usually of the same size."""
+        engine = self._engine
+        before = {_ENV_STEP: engine.observation, _AGENT_STEP: engine.last_action}.get(kind)
+        self._heavy = True
+        self._due = self._due or not before or len(before) != size
 
     def _answered_out_of_turn(self, peer: Peer, message: Message) -> None:
         """Refuse an answer to a call that was never made; ignore a late or repeated answer.
@@ -362,7 +374,7 @@ class Session:
         self._seq += 1
         body = body or b""
         self._outstanding = outstanding = _message(Message, (kind, self.name, self._seq, scalars, body))
-        if self._heavy:
+        if self._due:
             self._weigh()
         if player is not None:
             if self._time is not None and player.role is Role.AGENT:

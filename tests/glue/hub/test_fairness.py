@@ -16,7 +16,7 @@ from glue.hub.session import _MAX_QUERIES
 from glue.types import Action
 from glue.wire.codec import FROM_HUB, TO_HUB, decode, encode
 from glue.wire.messages import CALLS, Kind, Message, Role, Value
-from tests.scripted.peer import GREETING, READY, ScriptedPeer, framed, hello_scalars
+from tests.scripted.peer import GREETING, READY, TIMEOUT, ScriptedPeer, framed, hello_scalars
 
 REQUESTS = 20
 AGENT_STEP = b"\x94\x06"
@@ -27,7 +27,9 @@ class Rig:
     """A hub whose loop is turned by hand, and connections to it."""
 
     def __init__(self, stack: ExitStack) -> None:
-        self.hub = stack.enter_context(Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05)))
+        self.hub = stack.enter_context(
+            Hub(HubConfig(bind=("tcp://127.0.0.1:*",), heartbeat=0.05, greeting=TIMEOUT))
+        )
         self._stack = stack
 
     def connect(self, *sent: bytes) -> ScriptedPeer:
@@ -276,6 +278,6 @@ def test_a_newcomer_that_holds_little_is_not_evicted_for_those_that_fill_the_mem
 
 def test_who_takes_part_in_no_session_and_holds_much_is_evicted_first() -> None:
     memory = Memory(2**20)
-    seated, newcomer = Holding(memory, 2**20, True), Holding(memory, 2**17, False)
+    seated, newcomer = Holding(memory, 2**20 - 2**17, True), Holding(memory, 2**17, False)
     memory.relieve()
     assert (seated.evicted, newcomer.evicted) == (False, True)

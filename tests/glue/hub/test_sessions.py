@@ -770,13 +770,6 @@ def test_the_number_of_a_request_refused_as_busy_may_be_used_again(playing: Rig)
     assert reply.kind is Kind.RL_RETURN
 
 
-def test_a_hello_repeated_over_one_connection_is_not_noticed(rig: Rig) -> None:
-    rig.received("x")
-    (welcome,) = rig.hello("a", Role.AGENT)
-    assert welcome.kind is Kind.WELCOME
-    assert rig.received("x") == []
-
-
 def test_a_request_below_the_one_before_gets_an_error_and_a_repeated_one_none(rig: Rig) -> None:
     assert rig.say("x", Kind.RL_RETURN, 0)[0].scalars == (
         ErrorCode.NOT_ASKED,

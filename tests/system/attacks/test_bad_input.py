@@ -247,13 +247,16 @@ def test_a_flood_of_heartbeats_from_one_that_never_reads(hub: Target) -> None:
 
 
 def test_a_hub_whose_log_nobody_reads_goes_on() -> None:
-    with victim(log_is_read=False) as hub:
-        with connect(hub.url, "s") as glue, ScriptedPeer(hub.url).greet() as refused:
-            refused.join("agent", session="so that it may stay")
-            for _ in range(2000):
-                refused.hello("experiment", session="s")
-                assert refused.error()[0] == ErrorCode.ROLE_TAKEN
-            assert glue.rl_num_episodes() == 0
+    with (
+        victim(log_is_read=False) as hub,
+        connect(hub.url, "s") as glue,
+        ScriptedPeer(hub.url).greet() as refused,
+    ):
+        refused.join("agent", session="so that it may stay")
+        for _ in range(2000):
+            refused.hello("experiment", session="s")
+            assert refused.error()[0] == ErrorCode.ROLE_TAKEN
+        assert glue.rl_num_episodes() == 0
 
 
 def test_an_experiment_that_never_reads_its_replies(hub: Target) -> None:

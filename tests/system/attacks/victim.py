@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 import threading
@@ -19,7 +18,7 @@ from pathlib import Path
 from glue.cli.hub import serve_until_interrupted
 from glue.hub.config import Bind, HubConfig
 from glue.keys.allowed import read_keys
-from tests.scripted.process import running
+from tests.scripted.process import address, running
 
 
 class Victim:
@@ -54,12 +53,11 @@ def victim(*, keys: Path | None = None, log_is_read: bool = True, **settings: fl
     settings = {"timeout": 60.0, "greeting": 60.0, "farewell": 0.1} | settings
     arguments = [json.dumps(settings), *([] if keys is None else [str(keys)])]
     with running("-m", "tests.system.attacks.victim", *arguments) as process:
-        assert process.stderr is not None
-        listening = re.search(r"tcp://[\d.]+:\d+", process.stderr.readline())
-        assert listening is not None
+        url = address(process)
         if log_is_read:
+            assert process.stderr is not None
             threading.Thread(target=process.stderr.read, daemon=True).start()
-        yield Victim(listening[0], process)
+        yield Victim(url, process)
         assert process.poll() is None, "the hub has died"
 
 
