@@ -74,17 +74,6 @@ def faults_at(*faults: tuple[int, str, int]) -> list[Fault]:
     return [Fault(at, kind, which, 0.0) for at, kind, which in faults]
 
 
-def test_the_hub_names_losses_again_to_an_experiment_that_missed_them() -> None:
-    faults = faults_at(
-        *((22, "twin", 0), (26, "close", 105), (33, "break", 1565), (39, "break", 1772), (39, "twin", 0)),
-        *((44, "break", 1308), (50, "twin", 0), (52, "close", 416), (62, "break", 1682), (63, "break", 102)),
-        *((75, "twin", 0), (75, "close", 1141), (82, "twin", 0), (91, "twin", 0), (111, "break", 0)),
-        *((118, "kill", 0), (120, "close", 0)),
-    )
-
-    assert simulate(6664, faults).problems == []
-
-
 def test_half_an_episode_does_not_begin_with_a_newcomer() -> None:
     faults = faults_at(
         *((24, "close", 0), (29, "break", 0), (29, "twin", 0), (39, "close", 0), (43, "twin", 0)),

@@ -99,6 +99,7 @@ def test_compiling_is_said_once_for_each_state_of_the_code(program: Path) -> Non
 
 
 @pytest.mark.stage("proof")
+@pytest.mark.proof
 def test_code_that_checks_bounds_is_kept_beside_the_other(program: Path) -> None:
     run(program)
     assert "compiling" in run(program, environment={"NUMBA_BOUNDSCHECK": "1"})
