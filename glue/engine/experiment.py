@@ -45,6 +45,10 @@ class Experiment(Closing):
     def close(self) -> None:
         """Leave, without RL_cleanup."""
 
+    def steps_under_way(self) -> int | None:
+        """Return RL_num_steps of an episode that another thread is playing; None if it is not known here."""
+        return None
+
     def rl_init(self, seed: int | None = None) -> str:
         """Initialise the environment, then the agent; reset the counters. Return the task spec.
 
