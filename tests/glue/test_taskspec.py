@@ -307,6 +307,15 @@ def test_colon_infinite_bounds_and_stray_commas_are_read() -> None:
     assert (spec.observations, spec.actions) == (space, space)
 
 
+def test_colon_several_underscores_are_one() -> None:
+    text = "2:e:2_[f,f]_[0.0,200.0]_[0.0,200.0]:1_[i]{}[0,3]:[-1.0,0.0]"
+    assert (
+        parse_task_spec(text.format("__"))
+        == parse_task_spec(text.format("_ _ _"))
+        == parse_task_spec(text.format("_"))
+    )
+
+
 def test_colon_ints_and_doubles_are_separated_in_order() -> None:
     spec = parse_task_spec(" 2.0 : c : 4 _ [ i, F, I, f ] _ [0,1.000] _ [2,3] _ [4,5] _ [6,7] : 0_[] ")
     assert spec.problem_type == "continuing"

@@ -379,9 +379,9 @@ def payloads() -> Iterator[tuple[Vocabulary, int, bytes]]:
 
 def test_a_payload_cut_short_anywhere_is_an_error() -> None:
     for vocabulary, kind, payload in payloads():
-        for size in range(len(payload)):
+        for end in range(len(payload)):
             with pytest.raises(RemoteProtocolError, match="more bytes were expected"):
-                decode(raw(kind, payload[:size]), vocabulary)
+                decode(raw(kind, payload[:end]), vocabulary)
 
 
 def test_surplus_payload_is_ignored() -> None:
@@ -393,8 +393,8 @@ def test_surplus_payload_is_ignored() -> None:
 def test_an_unfinished_frame_gives_nothing() -> None:
     for vocabulary, kind, payload in payloads():
         whole = raw(kind, payload)
-        for size in range(len(whole)):
-            assert decode(whole[:size], vocabulary) == []
+        for end in range(len(whole)):
+            assert decode(whole[:end], vocabulary) == []
 
 
 @pytest.mark.parametrize("counts", [(MAX_COUNT + 1, 0, 0), (0, MAX_COUNT + 1, 0), (0, 0, MAX_COUNT + 1)])

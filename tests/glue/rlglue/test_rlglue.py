@@ -16,6 +16,7 @@ from glue.options import build, parameters
 from glue.plugins.loading import file_in, find, located
 from glue.rlglue.package import provide
 from glue.rlglue.parser import TaskSpecParser
+from glue.taskspec import parse_task_spec
 from glue.testing import check_agent, check_environment
 from glue.types import Action, Observation
 from glue.wire.messages import Role
@@ -170,11 +171,58 @@ class Neither:
 """
 
 
+OLDER = """
+from RlGlue import BaseAgent, BaseEnvironment, RlGlue
+from RlGlue.environment import BaseEnvironment as Same
+import numpy as np
+
+
+class Count(BaseEnvironment):
+    def __init__(self, extra: bool = False):
+        assert Same is BaseEnvironment
+        self.extra = extra
+
+    def start(self):
+        self.at = 0
+        return np.array([self.at])
+
+    def step(self, action):
+        self.at += action
+        found = (-1.5, np.array([self.at]), self.at >= 3)
+        return (*found, {"gamma": 1}) if self.extra else found
+
+
+class Up(BaseAgent):
+    def start(self, observation):
+        self.log = [("start", int(observation))]
+        return 1
+
+    def step(self, reward, observation):
+        self.log.append((reward, int(observation)))
+        return 1
+
+    def end(self, reward):
+        self.log.append(("end", reward))
+"""
+
+SILENT = """
+from rlglue.environment.Environment import Environment
+
+
+class Silent(Environment):
+    def env_init(self):
+        pass
+
+    env_start = env_step = env_init
+"""
+
+
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The working directory, which holds players of both packages."""
     (tmp_path / "codec.py").write_text(CODEC)
     (tmp_path / "andnp.py").write_text(ANDNP)
+    (tmp_path / "older.py").write_text(OLDER)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -236,6 +284,25 @@ def test_players_of_rlglue_andnp_play_as_by_its_own_loop(form: str, here: Path) 
     assert found == [(theirs.runEpisode(30), theirs.total_reward) for _ in range(20)]
     assert {ended for ended, _ in found} == {True, False}
     assert agent._made.log == original.log
+
+
+@pytest.mark.parametrize("extra", [False, True])
+def test_players_of_rlglue_as_it_was_before_2025_play(here: Path, extra: bool) -> None:
+    agent, environment = players("older.py:Count", "older.py:Up", extra=extra)
+    with local(agent, environment) as glue:
+        glue.rl_init()
+        assert glue.rl_episode(9)
+        assert (glue.rl_return(), glue.rl_num_steps()) == (-4.5, 3)
+    assert agent._made.log == [("start", 0), (-1.5, 1), (-1.5, 2), ("end", -1.5)]
+
+
+def test_an_environment_of_the_codec_without_a_task_spec_states_none_or_that_of_its_option(
+    here: Path,
+) -> None:
+    (here / "silent.py").write_text(SILENT)
+    silent = find(Role.ENVIRONMENT, "rlglue:silent.py:Silent")
+    assert parse_task_spec(build(silent, {}).env_init()).actions.stated is False
+    assert build(silent, {"task_spec": "VERSION mine"}).env_init() == "VERSION mine"
 
 
 def test_same_numbers_in_one_process_and_in_three(here: Path) -> None:
