@@ -157,33 +157,30 @@ def test_module_that_says_what_it_needs_is_quoted_alone(folder: Path) -> None:
     assert str(raised.value) == "install the extra"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "missing", "remedy"),
-    [
-        (("sb3",), "gymnasium", "glue-rl[sb3]"),
-        (("sb3",), "stable_baselines3", "glue-rl[sb3]"),
-        (("soar-mines",), "soar_sml", "glue-rl[soar]"),
-        (("soar",), "nothing", "--productions"),
-    ],
-)
-def test_player_that_needs_more_says_so_before_it_looks_for_a_hub(
-    arguments: tuple[str, ...], missing: str, remedy: str, tmp_path: Path
-) -> None:
+def test_players_that_need_more_say_so_before_they_look_for_a_hub(tmp_path: Path) -> None:
     """This holds even in a plain install."""
-    program = f"""
+    program = """
 import sys
+missing = "nothing"
 class Missing:
     def find_spec(self, name, path=None, target=None):
-        if name.partition(".")[0] == {missing!r}:
+        if name.partition(".")[0] == missing:
             raise ModuleNotFoundError(name, name=name)
 sys.meta_path.insert(0, Missing())
-sys.argv[1:] = {[*arguments, "--hub", "ipc:///nowhere/hub"]!r}
 from glue_rl.commands import agent
-agent()
+for missing, name in (
+    ("gymnasium", "sb3"), ("stable_baselines3", "sb3"), ("soar_sml", "soar-mines"), ("nothing", "soar")
+):
+    sys.argv[1:] = [name, "--hub", "ipc:///nowhere/hub"]
+    try:
+        agent()
+    except SystemExit as end:
+        assert end.code == 2
 """
     shown = subprocess.run(
         [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=60
     )
-    assert shown.returncode == 2
-    (line,) = shown.stderr.splitlines()
-    assert remedy in line
+    assert shown.returncode == 0, shown.stderr
+    remedies = ("glue-rl[sb3]", "glue-rl[sb3]", "glue-rl[soar]", "--productions")
+    for line, remedy in zip(shown.stderr.splitlines(), remedies, strict=True):
+        assert remedy in line
