@@ -312,7 +312,7 @@ def test_same_numbers_in_processes_and_by_a_plan_in_one(here: Path) -> None:
         'episodes = 5\nseed = 3\n[environments.Grid]\nclass = "rlglue:../andnp.py:Grid"\n'
         '[agents.Wanderer]\nclass = "rlglue:../andnp.py:Wanderer"\n'
     )
-    returns = []
+    returns: list[list[float]] = []
     for words in ([*pair, "--episodes", "5"], ["--plan", "in/plan.toml", "--in-process"]):
         name = f"run-{len(returns)}"
         done = forked.run("glue-experiment", *words, "--out", name, cwd=here)
