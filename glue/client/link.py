@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 from glue.client.target import OwnKey
 from glue.client.transport import Transport, open_transport
-from glue.console import LOG
+from glue.console import LOG, one_line
 from glue.doors import chance, clock
 from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolError, Refused
 from glue.hub.config import check_session
@@ -166,9 +166,9 @@ class Link:
         if kind is Kind.GOODBYE:
             # It needs no answer; an answer to a hub that has gone would only keep this socket from closing.
             self._welcomed.pop(session, None)
-            raise HubClosed(str(scalars[0]))
+            raise HubClosed(one_line(str(scalars[0])))
         if kind is Kind.REFUSE:
-            raise Refused(f"the hub at {self._hub} refused this {self._role}: {scalars[1]!s}")
+            raise Refused(f"the hub at {self._hub} refused this {self._role}: {one_line(str(scalars[1]))}")
         if kind is Kind.ERROR and scalars[0] == ErrorCode.UNKNOWN_PEER:
             self._transport.notice_connections()
             # A HELLO under way will be answered; this error is about a message sent before it.
@@ -212,7 +212,8 @@ class Link:
         if not self._known and self._wait is not None and now - self._started >= self._wait:
             raise HubUnreachable(
                 f"no hub has answered at {self._hub} for {self._wait:g} s: "
-                f"start one with glue-hub or glue-experiment, or check the address; wait=None waits for ever"
+                f"start one with glue-hub or glue-experiment, or check the address",
+                settings=("wait",),
             )
         if self._heard:
             self._heard = False

@@ -28,7 +28,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
 from glue.console import show_failure
-from glue.errors import ConfigError, GlueError, PeerFailed
+from glue.errors import ConfigError, GlueError, PeerFailed, described
 from glue.options import Value, build
 from glue.suggestions import did_you_mean
 from glue.wire.messages import Role
@@ -82,8 +82,7 @@ def construct(factory: type, options: Mapping[str, Value]) -> Any:
         raise
     except Exception as error:
         show_failure(error)
-        why = f"{type(error).__name__}: {error}"
-        raise PeerFailed(f"{factory.__name__} raised in its constructor: {why}") from None
+        raise PeerFailed(f"{factory.__name__} raised in its constructor: {described(error)}") from None
     take_seeds(player)
     return player
 
@@ -306,9 +305,7 @@ def _broken(source: str, error: BaseException) -> str:
     if isinstance(error, SyntaxError):  # shown as Python does: file, line and a caret
         return f"{source} cannot be imported:\n{''.join(traceback.format_exception_only(error)).rstrip()}"
     last = traceback.extract_tb(error.__traceback__)[-1]
-    return (
-        f"{source} cannot be imported: {type(error).__name__}: {error} ({last.filename}, line {last.lineno})"
-    )
+    return f"{source} cannot be imported: {described(error)} ({last.filename}, line {last.lineno})"
 
 
 def _class_of(module: ModuleType, attribute: str, source: str) -> type:
