@@ -15,7 +15,6 @@ nothing but its speed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 from glue.errors import RemoteProtocolError
 from glue.wire import zmtp
@@ -23,6 +22,7 @@ from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, decode, encode
 from glue.wire.limits import MAX_BODY
 from glue.wire.messages import Kind, Message
 from glue.wire.steps import STEPS, StepFormat, StepReader, lead_of, step_formats
+
 
 class Malformed(RemoteProtocolError):
     """The frames received are not a message; later frames may be valid."""

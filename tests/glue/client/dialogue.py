@@ -144,7 +144,7 @@ def greet(
     hub = Dialogue(script, *welcomed)
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(clock, "monotonic", lambda: hub.now)
-        reason = _serve(role, players, Target("tcp://hub:1", "default"), wait, None, None, hub)
+        reason = _serve(role, players, Target("tcp://hub:1", "default"), wait, None, None, None, hub)
     assert hub.over
     return reason
 
