@@ -201,7 +201,7 @@ def _main(command: Sequence[str], cwd: Path, env: Mapping[str, str], printed: Se
     # Python reads the variable only at start-up.
     sys.path[:0] = filter(None, env.get("PYTHONPATH", "").split(os.pathsep))
     os.chdir(cwd)
-    children.spawn = _Child  # type: ignore[attr-defined]
+    vars(children)["spawn"] = _Child
     sys.argv = [str(BIN / command[0]), *command[1:]]
     runpy.run_path(sys.argv[0], run_name="__main__")
     return 0

@@ -362,7 +362,7 @@ def test_run_whose_hub_cannot_be_joined_leaves_nothing_behind(
     Path("mine").mkdir()
     invoke("--episodes", "3", *arguments, "--out", "mine")
     invoke("--episodes", "3", *arguments)
-    assert sorted(map(str, Path().rglob("*"))) == ["mine", "plan.toml", "runs"]
+    assert sorted(map(str, Path().rglob("*"))) == ["mine", "plan.toml"]
 
 
 def test_run_whose_hub_is_gone_stays_as_it_is() -> None:
