@@ -61,6 +61,8 @@ class Silent:
         if self._left == 0:
             raise KeyboardInterrupt
 
+    def playing(self, spec: TrialSpec, episode: int, steps: int | None) -> None: ...
+
     def end(self, spec: TrialSpec) -> None: ...
 
     def say(self, line: str) -> None:
