@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -237,43 +236,7 @@ def test_second_run_into_a_directory_is_refused(tmp_path: Path) -> None:
     first.communicate()
 
 
-def on_a_disk(kind: str, folder: Path, *command: object) -> subprocess.CompletedProcess[str]:
-    """Run a shell command with `folder` as a disk of its own; the shell's arguments are `command`."""
-    mounting = ["unshare", "--map-root-user", "--mount", "sh", "-c"]
-    mount = f'mount -t tmpfs -o {kind} none "$0" && cd "$0" && '
-    if not shutil.which("unshare") or subprocess.run([*mounting, mount + "true", str(folder)]).returncode:
-        pytest.skip("this user may not mount a disk")
-    script, *arguments = map(str, command)
-    return subprocess.run(
-        [*mounting, mount + script, str(folder), *arguments], capture_output=True, text=True, timeout=100
-    )
-
-
-def test_read_only_directory_is_refused(tmp_path: Path) -> None:
-    done = on_a_disk(
-        "ro", tmp_path, '"$@"', *COMMAND, *SARSA, "--episodes", 5, "--in-process", "--out", "run"
-    )
-    assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr == "Error: cannot make run: Read-only file system\n"
-
-
-def test_full_disk_is_named_and_what_was_stored_is_readable(tmp_path: Path) -> None:
-    script = '"$@" >/dev/null; code=$?; glue() { "$1" -m experiment_runner.cli.results export run; }; '
-    script += 'glue "$1" | tail -n 1 | cut -d , -f 1,2; exit $code'
-    plan = (*SARSA, "--episodes", 100_000, "--in-process", "--out", "run")
-    done = on_a_disk("size=400k", tmp_path, script, *COMMAND, *plan)
-    assert done.returncode == 1
-    trial, last = done.stdout.strip().split(",")
-    assert trial == "sarsa/mines/0"
-    assert re.fullmatch(
-        rf"Error: episode {int(last) + 1} of {trial} is not recorded(, nor are \d+ after it)?: "
-        "the disk is full; the episodes before it are. Solve that, and resume the run in run \\(--resume\\)",
-        done.stderr.strip().splitlines()[-1],
-    )
-    assert "Traceback" not in done.stderr
-
-
-@pytest.mark.parametrize("workers", [(), ("--workers", "1")])
+@pytest.mark.parametrize("workers", [("--workers", "1")])
 def test_file_that_may_not_grow_ends_the_run_and_what_was_stored_is_readable(
     tmp_path: Path, workers: tuple[str, ...]
 ) -> None:

@@ -24,7 +24,6 @@ from experiment_runner.executors.trial import BEGINNING, Start, run_trial
 from experiment_runner.meeting.players import BOTH, Meeting
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
-from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results
 from glue.engine.experiment import Experiment
 from glue.engine.local import LocalExperiment, local
@@ -90,8 +89,9 @@ def in_results(directory: Path) -> list[tuple[float, int, bool]]:
         return [(e.episode_return, e.steps, e.terminal) for e in results.episodes(trial.spec.id)]
 
 
-@pytest.mark.parametrize("how", [("--in-process",), ()], ids=["one process", "three processes"])
-@pytest.mark.parametrize("name", PLAYERS)
+@pytest.mark.parametrize(
+    ("name", "how"), [*((name, ("--in-process",)) for name in PLAYERS), ("skeleton", ())]
+)
 def test_recorded_run_has_the_usual_results_and_replays(name: str, how: tuple[str, ...]) -> None:
     agent, max_steps = PLAYERS[name]
     command = ("--env", name, "--agent", agent, "--episodes", "6", "--max-steps", max_steps, "--seed", "3")
@@ -311,7 +311,7 @@ def test_trial_that_goes_on_is_recorded_from_its_checkpoint() -> None:
     assert rest[0].run.state == whole.checkpoints[10].environment
 
 
-@pytest.mark.slow
+@pytest.mark.stage("kills")
 def test_killed_recording_holds_every_episode_of_the_results_and_the_rest_goes_to_another(
     tmp_path: Path,
 ) -> None:
