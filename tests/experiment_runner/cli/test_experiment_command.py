@@ -294,7 +294,7 @@ def test_runs_that_begin_in_one_second_have_directories_of_their_own() -> None:
         assert first.is_dir()
         assert first.name.split("-", 2)[2] == "mine"
         (second / "something").touch()
-    assert [path for path in Path("runs").iterdir()] == [second]
+    assert list(Path("runs").iterdir()) == [second]
     with own_directory(Path("given"), "mine") as given:
         assert (given, given.exists()) == (Path("given"), False)
 

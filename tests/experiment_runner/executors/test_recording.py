@@ -24,6 +24,7 @@ from experiment_runner.executors.trial import BEGINNING, Start, run_trial
 from experiment_runner.meeting.players import BOTH, Meeting
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult
 from experiment_runner.store.results import Results
 from glue.engine.experiment import Experiment
 from glue.engine.local import LocalExperiment, local
