@@ -273,7 +273,7 @@ print("imported")
 class Loud(RandomAgent):
     def agent_start(self, observation):
         print("a new episode")
-        os.write(1, b"raw \\xff")
+        os.write(1, b"raw")
         return super().agent_start(observation)
 """
 

@@ -521,7 +521,7 @@ def test_comparison_of_few_trials_says_so(run: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["curves", "profile"])
 def test_plot_draws_each_kind(run: Path, tmp_path: Path, kind: str) -> None:
-    arguments = [str(run), "--kind", kind, "--select", "sarsa", "-o", str(tmp_path / "out.svg")]
+    arguments = [str(run), "--kind", kind, "-o", str(tmp_path / "out.svg")]
     CliRunner().invoke(plot, arguments, catch_exceptions=False, standalone_mode=False)
     assert (tmp_path / "out.svg").read_text().count("<path") > 50
     for wrong, why in (("--select=nobody", "no setting has nobody"), ("--size=3", "as in 6.4x4; not 3")):
