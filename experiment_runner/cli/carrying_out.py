@@ -36,7 +36,7 @@ from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from experiment_runner.view.starting import viewed
 from glue.cli.screen import has_color
-from glue.console import say
+from glue.console import one_line, say
 from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_SESSION
 
@@ -116,7 +116,7 @@ def carry_out_search(directory: Path, plan: Plan, config: RunConfig) -> int:
         click.echo(tabulate(results, time.monotonic() - began, terminal_width()))
         for event in results.events():
             if event.kind == TUNED:
-                click.echo(event.text)
+                click.echo(one_line(event.text))
     return 1 if failed else 0
 
 

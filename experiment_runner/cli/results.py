@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ from experiment_runner.cli.out import naming_out, over_option, select_option, se
 from experiment_runner.loggers import LOGGERS
 from glue import __version__
 from glue.cli.shared import run
-from glue.console import say
+from glue.console import one_line, say
 from glue.errors import ConfigError, ExperimentError
 from glue.suggestions import did_you_mean
 
@@ -63,7 +64,7 @@ def list_runs(folder: Path, as_json: bool) -> int:
       glue-results list --json | jq -r '.[] | select(.state == "failed") | .run'
     """
     from experiment_runner.report.overview import Overview, overview
-    from experiment_runner.report.tables import format_table, one_line, terminal_width
+    from experiment_runner.report.tables import format_table, terminal_width
     from experiment_runner.store.layout import runs_under
     from experiment_runner.store.results import Results
 
@@ -209,19 +210,20 @@ def compare(first: Path, second: Path, over: str, as_json: bool) -> None:
       glue-results compare runs/new runs/old --over steps --json
     """
     from experiment_runner.analysis.stats import FEW_TRIALS
-    from experiment_runner.report.comparing import COLUMNS, compared
+    from experiment_runner.report.comparing import COLUMNS, compared, left_out
     from experiment_runner.report.overview import FEW
     from experiment_runner.report.tables import format_table, terminal_width
     from experiment_runner.store.results import Results
 
     with Results.open(first) as a, Results.open(second) as b:
-        rows = compared(a, b, over)
+        rows, notes = compared(a, b, over), left_out(a, b)
     if as_json:
         click.echo(json.dumps([row.as_json() for row in rows], indent=2))
     else:
         click.echo(format_table(COLUMNS, [row.cells() for row in rows], width=terminal_width()))
         if any(row.found.trials < FEW_TRIALS for row in rows):
             click.echo(f"({FEW.strip()} fewer than {FEW_TRIALS} trials: their intervals are too narrow)")
+    _say_all(notes)
 
 
 @results.command("table")
@@ -279,17 +281,18 @@ def power(directory: Path, difference: float, chance: float, over: str) -> None:
     Examples:
       glue-results power runs/pilot --difference 10
     """
-    from experiment_runner.report.comparing import needed
+    from experiment_runner.report.comparing import left_out, needed
     from experiment_runner.report.tables import format_table, terminal_width
     from experiment_runner.store.results import Results
 
     if difference == 0:
         raise ConfigError("--difference is not 0")
     with Results.open(directory) as found:
-        rows = needed(found, difference, chance, over)
+        rows, notes = needed(found, difference, chance, over), left_out(found)
     click.echo(
         format_table(("setting", "pilot trials", "trials of each agent"), rows, width=terminal_width())
     )
+    _say_all(notes)
 
 
 @results.command()
@@ -305,14 +308,15 @@ def sensitivity(directory: Path, over: str) -> None:
     Examples:
       glue-results sensitivity runs/sweep
     """
-    from experiment_runner.report.comparing import sensitivities
+    from experiment_runner.report.comparing import left_out, sensitivities
     from experiment_runner.report.tables import format_table, terminal_width
     from experiment_runner.store.results import Results
 
     with Results.open(directory) as found:
-        rows = sensitivities(found, over)
+        rows, notes = sensitivities(found, over), left_out(found)
     columns = ("agent", "configurations", "environments", "sensitivity", "best on average")
     click.echo(format_table(columns, rows, width=terminal_width(), prose=True))
+    _say_all(notes)
 
 
 @results.command()
@@ -505,6 +509,11 @@ def _why_unsaved(found: Results, trial: TrialRecord) -> str:
         f"{trial.spec.id} has no checkpoint yet, after {trial.done} of {length_of(trial.spec)}: "
         "one is written at its end, and before that as often as --checkpoint-every says"
     )
+
+
+def _say_all(lines: Iterable[str]) -> None:
+    for line in lines:
+        say(f"note: {line}")
 
 
 def main() -> None:

@@ -25,6 +25,7 @@ from experiment_runner.competition.remover import MODULE as REMOVER
 from experiment_runner.competition.settings import Entrant, Limits
 from experiment_runner.competition.starting import SOCKET, Launch
 from experiment_runner.meeting.watchdog import spawn
+from experiment_runner.store.layout import write_flushed
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError
 
@@ -213,7 +214,7 @@ class Container:
             _remove(self._container)
         self._dismiss()
         with suppress(OSError):  # the disk is full: the log is not worth the trial
-            self.log.write_bytes(self._printed.take())
+            write_flushed(self.log, self._printed.take())
 
     def _dismiss(self) -> None:
         """Kill the remover, which is no longer needed."""

@@ -38,14 +38,14 @@ _TRIALS: Final = range(1, 1001)
 _PIDS: Final = range(1, 2**22)
 
 
-def load_competition(path: Path) -> Competition:
+def load_competition(path: Path, *, follow: bool = True) -> Competition:
     """Return the competition that a TOML file describes.
 
     Raises:
         ConfigError: the file cannot be read or describes no competition; the message names file and line.
     """
     try:
-        text = read(path, "competition")
+        text = read(path, "competition", follow)
     except ExperimentError as error:
         raise ConfigError(str(error)) from error
     return parse_competition(text, path)

@@ -31,6 +31,7 @@ from experiment_runner.meeting.scratch import scratch_folder
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.database import reported
 from glue.client.experiment import RemoteExperiment, connect_over
+from glue.console import one_line
 from glue.errors import ConfigError, ExperimentError, GlueError, HubClosed, PeerFailed, PeerLost
 from glue.hub.config import DEFAULT_SESSION, Bind, HubConfig
 from glue.hub.io.inside import InsideTransport
@@ -207,7 +208,7 @@ class _Playing:
                 raise ExperimentError(f"the environment failed: {inside.failure}") from error
             inside.end(Ending.VOID)
             self._record.close()
-            self._send(Forfeited(_one_line(self._reason(error, inside, running))))
+            self._send(Forfeited(one_line(self._reason(error, inside, running), _MAX_REASON)))
             return
         with suppress(GlueError):  # everything is played; the agent's cleanup changes nothing
             glue.rl_cleanup()
@@ -242,13 +243,6 @@ class _Playing:
         if isinstance(error, PeerLost) and running.wait(_LAST_WORDS_SECONDS):
             return f"its program {running.reason}"
         return str(error)
-
-
-def _one_line(text: str) -> str:
-    """Return a text, possibly chosen by the entrant, as one printable line."""
-    line = " ".join(text.split())
-    printable = "".join(char if char.isprintable() else "?" for char in line)
-    return printable if len(printable) <= _MAX_REASON else printable[: _MAX_REASON - 3] + "..."
 
 
 def main() -> None:

@@ -110,7 +110,7 @@ def competition_of(directory: Path) -> Competition:
     path = directory / COMPETITION_FILE
     if not path.is_file():
         raise ExperimentError(f"{directory} holds no competition: glue-compete run makes one")
-    return load_competition(path)
+    return load_competition(path, follow=False)
 
 
 def matches(

@@ -25,6 +25,7 @@ from experiment_runner.store.database import reported
 from experiment_runner.store.lock import LOCK_FILE, RunLock
 from experiment_runner.store.records import EpisodeResult
 from glue.errors import ConfigError, ExperimentError
+from glue.files import open_regular
 
 EPISODES: Final = 3
 _MAX_STEPS: Final = 1_000
@@ -131,7 +132,7 @@ def _report(
 
 
 def _tail(log: Path) -> list[str]:
-    with reported(f"cannot read {log}"), log.open("rb") as file:
+    with reported(f"cannot read {log}"), open_regular(log) as file:
         size = file.seek(0, 2)
         file.seek(max(0, size - _MAX_TAIL))
         text = file.read().decode("utf-8", "replace")

@@ -36,6 +36,7 @@ from experiment_runner.store.layout import PLAN_FILE
 from experiment_runner.store.records import TUNED
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
+from glue.files import read_text
 
 SEARCH: Final = "search"
 RESULT: Final = "result"
@@ -96,7 +97,7 @@ def _open(directory: Path, plan: Plan, specs: Sequence[TrialSpec], say: Callable
     text, sources = dump_plan(plan), sources_of([*plan.agents, *plan.environments])
 
     def check(store: Store) -> None:
-        if (directory / PLAN_FILE).read_text(encoding="utf-8") != text:
+        if read_text(directory / PLAN_FILE) != text:
             raise ExperimentError(f"{directory} is of another plan: choose another folder, or its own plan")
         check_sources(directory, sources)
 

@@ -18,6 +18,7 @@ from experiment_runner.report.tables import counted, format_table, wrap
 from experiment_runner.store.database import reported
 from experiment_runner.store.output import finite
 from experiment_runner.store.records import EpisodeResult, TrialRecord
+from glue.console import for_terminal
 
 _WINDOW: Final = 100
 _TTY_SECONDS: Final = 0.2
@@ -133,7 +134,7 @@ class Progress:
 
     def say(self, line: str) -> None:
         self._erase()
-        print(line, file=self._stream, flush=True)
+        print(for_terminal(line), file=self._stream, flush=True)
 
     def close(self) -> None:
         self._erase()

@@ -17,7 +17,7 @@ from glue.client.bodies import READ, write
 from glue.client.link import Link
 from glue.client.target import Target, find_target
 from glue.client.transport import Transport
-from glue.console import LOG
+from glue.console import LOG, one_line
 from glue.engine.experiment import Experiment
 from glue.errors import GlueError, HubClosed, LocalProtocolError, PeerFailed, PeerLost, Unsupported
 from glue.hub.config import DEFAULT_SESSION
@@ -177,7 +177,7 @@ class RemoteExperiment(Experiment):
             )
 
     def _notice(self, message: Message) -> None:
-        event, role, name = map(str, message.scalars)
+        event, role, name = (one_line(str(scalar)) for scalar in message.scalars)
         if event not in _EVENTS or role not in _PLAYERS:
             return  # from a newer hub
         if event == Event.SLOW:
@@ -244,7 +244,7 @@ class RemoteExperiment(Experiment):
 
     def _error(self, message: Message) -> GlueError:
         """Return the exception for an ERROR in answer to a request."""
-        code, text = map(str, message.scalars)
+        code, text = (one_line(str(scalar)) for scalar in message.scalars)
         if code in (ErrorCode.PEER_LOST, ErrorCode.PEER_FAILED):
             self._loss = None
         return _ERRORS.get(code, LocalProtocolError)(text)

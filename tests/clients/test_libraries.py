@@ -138,7 +138,7 @@ def test_first_agent_in_python_walks(tmp_path: Path) -> None:
 
 
 def walks(start: Sequence[str]) -> None:
-    """Check that an agent walks to the end, reports a refusal, and passes the kit without a mirror."""
+    """Check that an agent walks to the end, reports a refusal, and passes the kit, SHOULDs included."""
     with hub() as url, program(start, url), connect(url) as glue:
         glue.rl_agent_message("are you there?")
         second = subprocess.run(
@@ -152,6 +152,7 @@ def walks(start: Sequence[str]) -> None:
         text=True,
     )
     assert kit.returncode == 0, kit.stdout
+    assert "should" not in {line.partition(" ")[0] for line in kit.stdout.splitlines()}, kit.stdout
     assert "plays, as far as can be told without the mirror" in kit.stdout.splitlines()[-1]
     with (
         hub() as url,

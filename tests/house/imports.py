@@ -75,7 +75,7 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
         "glue/trajectory",
     ),
     "experiment_runner/slurm": ("experiment_runner/store",),
-    "experiment_runner/loggers": ("experiment_runner/report",),
+    "experiment_runner/loggers": ("experiment_runner/store",),
     "experiment_runner/competition/records": ("experiment_runner/executors",),
     "experiment_runner/competition": ("experiment_runner/competition/records",),
     "experiment_runner/competition/board": ("experiment_runner/competition",),

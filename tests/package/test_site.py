@@ -29,7 +29,7 @@ def test_every_command_and_every_public_name_is_there() -> None:
     import glue
     from tests.package.environments import COMMANDS
 
-    commands = (SITE / "reference/commands.html").read_text(encoding="utf-8")
+    commands = (SITE / "commands.html").read_text(encoding="utf-8")
     assert [command for command in COMMANDS if f"Usage: {command} " not in commands] == []
     names = (SITE / "reference/api.html").read_text(encoding="utf-8")
     public = {name for name in glue.__all__ if not name.startswith("_")} - {"spaces", "taskspec"}
