@@ -9,7 +9,8 @@ from typing import Final, NamedTuple
 from experiment_runner.analysis.settings import Setting
 from experiment_runner.analysis.stats import FEW_TRIALS, has_scipy
 from experiment_runner.report.overview import FEW, setting_numbers
-from experiment_runner.report.tables import counted, one_line
+from experiment_runner.report.tables import counted
+from glue.console import one_line
 from glue.errors import ExperimentError
 
 _RETURN: Final = "mean return"  # the only column's title, if the environment has no name
