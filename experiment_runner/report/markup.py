@@ -67,7 +67,7 @@ def _cell(numbers: dict[str, object], markup: Markup) -> str:
 
 
 def _notes(settings: Sequence[Setting], numbers: Sequence[dict[str, object]], over: str) -> list[str]:
-    counts = sorted({len(setting.trials) for setting in settings})
+    counts = sorted({len(setting.counted()) for setting in settings})
     trials = counted(counts[0], "trial") if len(counts) == 1 else f"{counts[0]} to {counts[-1]} trials"
     part = "last 100 episodes" if over == "episodes" else "last tenth of the steps"
     notes = [f"Mean over {trials} of the mean return of the {part}"]
@@ -75,8 +75,11 @@ def _notes(settings: Sequence[Setting], numbers: Sequence[dict[str, object]], ov
         notes[0] += ", with its 95 % bootstrap interval"
     if any(row["few_trials"] for row in numbers):
         notes.append(f"{FEW.strip()} of fewer than {FEW_TRIALS} trials: the interval may well miss the mean")
-    if unfinished := sum(not trial.finished for setting in settings for trial in setting.trials):
-        notes.append(f"{counted(unfinished, 'trial')} not finished")
+    left = [trial for setting in settings for trial in setting.trials if not trial.finished]
+    if failed := sum(trial.failure is not None for trial in left):
+        notes.append(f"{counted(failed, 'failed trial')} left out")
+    if len(left) > failed:
+        notes.append(f"{counted(len(left) - failed, 'trial')} not finished")
     return [f"{note}." for note in notes]
 
 

@@ -81,7 +81,7 @@ def test_long_words_are_never_broken_nor_rows_merged() -> None:
 
 
 def test_control_characters_do_not_reach_the_terminal() -> None:
-    assert format_table(("a", "b"), [("x\x1b[2J\ny", "1\r2")]) == "a           b\nx?[2J y  1 2"
+    assert format_table(("a", "b"), [("x\x1b[2J\ny", "1\r2")]) == "a          b\nx?[2J y  1 2"
 
 
 def test_table_and_summary_are_of_all_episodes_and_of_the_last(store: Store) -> None:
@@ -123,6 +123,9 @@ def test_paper_table_has_agents_in_rows_and_environments_in_columns(tmp_path: Pa
         for number, spec in enumerate(plan.expand()):
             record(store, spec.id, -float(number), -float(number))
         settings = collect([store])
+        store.rewind(spec.id, 1)
+        store.record_failure(spec.id, "a mistake")
+        assert "1 failed trial left out." in paper_table(collect([store]), "episodes", MARKDOWN)
         latex, markdown = (paper_table(settings, "episodes", markup) for markup in (LATEX, MARKDOWN))
     few = "(!) of fewer than 5 trials: the interval may well miss the mean."
     mean = "Mean over 2 trials of the mean return of the last 100 episodes, with its 95 % bootstrap interval."
