@@ -530,24 +530,11 @@ MISTAKES = {
     "two options at once": (["glue-hub", "--legacy-port", "0.0.0.0:4096"], "(--legacy-port, --insecure)"),
     "a legacy port without a session": (["glue-hub", "--legacy-port", "4096="], "the name of a session"),
     "no legacy port": (["glue-hub", "--legacy-port", "http"], "write [HOST:]PORT[=SESSION]"),
-    "a legacy port of another's hub": (
-        ["glue-experiment", "--episodes", "1", "--hub", "tcp://127.0.0.1:4097", "--legacy-port", "4096"],
-        "--hub",
-    ),
-    "a legacy port in one process": (
-        ["glue-experiment", "--episodes", "1", "--in-process", "--legacy-port", "4096"],
-        "--in-process",
-    ),
     "a file that is not there": (["glue-agent", "nowhere.py:Agent"], "no file nowhere.py"),
     "a module that is not there": (["glue-env", "nowhere:Env"], "no module 'nowhere'"),
     "a class that is not there": (["glue-env", "env_server.toys:MineEnvironment"], "did you mean Mines"),
     "no class": (["glue-env", "env_server.toys"], "module:Class"),
     "a class without a name": (["glue-agent", "agents.baselines:"], "module:Class"),
-    "no agent in one process": (
-        ["glue-experiment", "--env", "mines", "--in-process", "--episodes", "1"],
-        "--agent NAME",
-    ),
-    "no episodes": (["glue-experiment", "--env", "mines", "--agent", "random"], "--episodes"),
 }
 
 

@@ -165,12 +165,6 @@ def test_trial_that_gets_no_further_is_given_up(undisturbed: Path, tmp_path: Pat
     assert contents(tmp_path / "run") == contents(undisturbed)
 
 
-def test_trial_lost_after_its_last_episode_is_finished(undisturbed: Path, tmp_path: Path) -> None:
-    with create_run(tmp_path / "run", PLAN) as store:
-        hand_out(store, Unreliable(1, {FIRST: [12]}))
-    assert contents(tmp_path / "run") == contents(undisturbed)
-
-
 def test_an_interrupted_run_says_how_to_continue_as_it_was_begun(tmp_path: Path) -> None:
     (tmp_path / "interrupted_one.py").write_text("from agents.tabular import SarsaAgent as One")
     plan = replace(PLAN, agents=(RoleSweep(f"{tmp_path}/interrupted_one.py:One"),))
@@ -334,10 +328,3 @@ def test_the_total_reward_is_the_sum_of_the_returns(tmp_path: Path) -> None:
         ends = np.cumsum(store.measure(FIRST, "steps"))
         assert steps.tolist() == list(range(1, 334))
         np.testing.assert_allclose(totals[ends.astype(int) - 1], np.cumsum(returns))
-
-
-def test_metrics_change_no_result(budgeted: Path, tmp_path: Path) -> None:
-    plan = replace(STEPS, metrics=MetricsPlan(10))
-    with create_run(tmp_path / "run", plan) as store:
-        run_trials(store, RunConfig(HERE, checkpoint_every=5, metrics=plan.metrics), Silent())
-    assert contents(tmp_path / "run") == contents(budgeted)

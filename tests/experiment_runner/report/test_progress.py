@@ -227,16 +227,3 @@ def test_json_lines_name_their_trial() -> None:
         {"trial": FIRST.id, "episode": 1, "return": -1.5, "steps": 100, "terminal": True},
     ]
     assert people.getvalue() == "a word\n"
-
-
-def test_json_lines_have_no_number_that_json_lacks() -> None:
-    stream = io.StringIO()
-    lines = JsonLines(stream, io.StringIO())
-    lines.begin(FIRST, 0, 0)
-    for episode, episode_return in enumerate((math.nan, math.inf, -math.inf), 1):
-        lines.episode(FIRST, result(episode, episode_return))
-    lines.write({"summary": True, "mean_return": math.nan, "seconds": 1.5})
-    written = stream.getvalue().splitlines()
-    *episodes, summary = [json.loads(line, parse_constant=pytest.fail) for line in written]
-    assert [episode["return"] for episode in episodes] == [None] * 3
-    assert summary == {"summary": True, "mean_return": None, "seconds": 1.5}
