@@ -226,10 +226,6 @@ def test_interrupted_run_leaves_nobody_and_goes_on(
     assert errors.count("interrupted") == 1, errors
     assert "Traceback" not in errors
     assert not any(map(alive, everybody))
-    for episodes, checkpoint in contents(tmp_path / "run").values():
-        if episodes and how == ("--in-process",):  # a short episode ends in time, and nothing is repeated
-            assert checkpoint is not None
-            assert checkpoint[0] == len(episodes)
     assert run("--resume", "run", "--in-process", cwd=tmp_path).returncode == 0
     assert contents(tmp_path / "run") == undisturbed
 
