@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Final
 
@@ -31,8 +32,9 @@ def sketches(curves: Mapping[str, FloatArray], window: int, measure: str, width:
     window = fitting_window(window, (values.shape[1] for values in curves.values()))
     means = {name: running_mean(returns, window).mean(axis=0) for name, returns in curves.items()}
     means = {name: curve for name, curve in means.items() if curve.size}
-    low = min(float(curve.min()) for curve in means.values())
-    high = max(float(curve.max()) for curve in means.values())
+    # Means that are infinite or NaN are left blank.
+    drawn = np.concatenate([curve[np.isfinite(curve)] for curve in means.values()])
+    low, high = (float(drawn.min()), float(drawn.max())) if drawn.size else (0.0, 0.0)
     shown = []
     for name, curve in means.items():
         title = f"{name}: {measure}, running mean of {counted(window, 'episode')}"
@@ -47,8 +49,11 @@ def _sketch(title: str, means: FloatArray, scale: tuple[float, float], episodes:
     number = min(max(width - margin - 2, _MIN_COLUMNS), means.size)
     columns = [float(part.mean()) for part in np.array_split(means, number)]
     steps = len(_BLOCKS) - 1
-    span = high - low or 1.0
-    filled = [max(1, round((value - low) / span * steps * _HEIGHT)) for value in columns]
+    span = high / 2 - low / 2 or 1.0  # halves, as the difference of two floats may be infinite
+    filled = [
+        max(1, round((value / 2 - low / 2) / span * steps * _HEIGHT)) if math.isfinite(value) else 0
+        for value in columns
+    ]
     lines = [title]
     for row, label in enumerate(labels):
         below = steps * (_HEIGHT - 1 - row)
