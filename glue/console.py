@@ -16,6 +16,8 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Final
 
+_MOST_LETTERS: Final = 10_000  # in a part of a traceback, such as the text of an exception
+
 _CALLERS: Final = frozenset({"glue", "experiment_runner"})
 """Packages that call users' code."""
 
@@ -114,7 +116,9 @@ def show_failure(error: BaseException) -> None:
     trace = error.__traceback__
     while trace is not None and _package(trace.tb_frame.f_globals) in _CALLERS:
         trace = trace.tb_next
-    traceback.print_exception(type(error), error, trace or error.__traceback__)
+    lines = traceback.format_exception(type(error), error, trace or error.__traceback__)
+    shown = [line if len(line) <= _MOST_LETTERS else f"{line[:_MOST_LETTERS]}...\n" for line in lines]
+    say("".join(shown).removesuffix("\n"))
 
 
 def _package(variables: dict[str, object]) -> str:

@@ -16,6 +16,7 @@ from experiment_runner.slurm.batch import (
     MAX_TASKS,
     array_script,
     can_submit,
+    check_folder,
     check_options,
     gathering_job,
     is_queued,
@@ -58,6 +59,7 @@ def carry_out_array(
     if not can_submit():
         raise ConfigError("--engine slurm submits with sbatch, which is not here: use a login node of SLURM")
     check_options(sbatch)
+    check_folder(directory.absolute())
     if again:
         with naming_out(""):
             clear(directory)

@@ -1,4 +1,4 @@
-"""`glue-results`: list, show, compare, export, merge and remove runs, and save a trained agent."""
+"""`glue-results`: list, show, compare, tabulate, export, merge and remove runs, and save a trained agent."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from experiment_runner.cli.out import naming_out, over_option
+from experiment_runner.cli.out import naming_out, over_option, select_option, selected
 from experiment_runner.loggers import LOGGERS
 from glue import __version__
 from glue.cli.shared import run
@@ -45,6 +45,7 @@ def results() -> None:
       glue-results list
       glue-results show runs/mine
       glue-results export runs/mine --out mine.csv
+      glue-results table runs/mine --format latex
       glue-results merge runs/lab1 runs/lab2 --out runs/both
       glue-results agent runs/mine --out mine.agent
       glue-results remove runs/mistake
@@ -224,6 +225,39 @@ def compare(first: Path, second: Path, over: str, as_json: bool) -> None:
         if any(row.found.trials < FEW_TRIALS for row in rows):
             click.echo(f"({FEW.strip()} fewer than {FEW_TRIALS} trials: their intervals are too narrow)")
     _say_all(notes)
+
+
+@results.command("table")
+@click.argument("directories", metavar="RUN...", nargs=-1, required=True, type=_directory)
+@click.option(
+    "--format",
+    "kind",
+    type=click.Choice(["latex", "markdown"]),
+    default="markdown",
+    show_default=True,
+    help="For LaTeX, with the package booktabs, or for Markdown.",
+)
+@over_option
+@select_option
+def table_command(directories: tuple[Path, ...], kind: str, over: str, select: tuple[str, ...]) -> None:
+    """Write the table of a paper: a row for each agent, a column for each environment of each RUN.
+
+    A cell is the mean over trials, with its 95 % bootstrap interval, of the mean return of the last 100
+    episodes or, over steps, of the last tenth; as in glue-results show.
+
+    \b
+    Examples:
+      glue-results table runs/sweep --format latex > table.tex
+      glue-results table runs/mine runs/other --select sarsa
+    """
+    from experiment_runner.analysis.settings import collect
+    from experiment_runner.report.markup import LATEX, MARKDOWN, paper_table
+    from experiment_runner.store.results import Results
+
+    with ExitStack() as stack:
+        runs = [stack.enter_context(Results.open(directory)) for directory in directories]
+        settings = selected(collect(runs), select)
+    click.echo(paper_table(settings, over, LATEX if kind == "latex" else MARKDOWN))
 
 
 @results.command()

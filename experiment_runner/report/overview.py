@@ -27,7 +27,7 @@ from experiment_runner.analysis.stats import (
 from experiment_runner.report.tables import counted, format_table, wrap
 from experiment_runner.store.lock import lock_holder
 from experiment_runner.store.output import finite
-from experiment_runner.store.records import TUNED, UNSEEDED, TrialRecord
+from experiment_runner.store.records import OF_PLAYERS, TUNED, UNSEEDED, TrialRecord
 from experiment_runner.store.results import Results
 from glue.console import one_line
 
@@ -194,11 +194,17 @@ def _notes(results: Results) -> list[str]:
     notes += [f"void: episode {v.episode} of {names[v.trial_id]}: {v.why}" for v in results.voids()]
     if cut := sum(results.cut_by_budget(trial.spec.id) for trial in results.trials() if trial.spec.steps):
         notes.append(f"the budget of steps has cut off the last episode of {counted(cut, 'trial')}")
+    alike: dict[tuple[str, str], dict[str, None]] = defaultdict(dict)
     for event in results.events():
-        if event.trial_id is not None:
+        if event.kind in OF_PLAYERS and event.trial_id is not None:
+            alike[event.kind, event.text][names[event.trial_id]] = None
+        elif event.trial_id is not None:
             notes.append(f"{event.kind}: {names[event.trial_id]}: {event.text}")
         elif event.kind in (UNSEEDED, TUNED):
             notes.append(event.text)
+    for (kind, text), (first, *others) in alike.items():
+        more = f" and {counted(len(others), 'other trial')}" if others else ""
+        notes.append(f"{kind}: {first}{more}: {text}")
     return notes
 
 

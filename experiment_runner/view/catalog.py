@@ -88,7 +88,7 @@ class Catalog:
         for folder in self._folders:
             for directory in runs_under(folder):
                 name = str(directory.relative_to(folder.parent))
-                entries.setdefault(_id(directory), Entry(directory, name))
+                entries.setdefault(run_id(directory), Entry(directory, name))
         self._entries = entries
         return entries
 
@@ -303,5 +303,14 @@ def _version(path: Path) -> tuple[int, int] | None:
     return status.st_mtime_ns, status.st_size
 
 
-def _id(directory: Path) -> str:
+def address_of(folders: Sequence[Path]) -> str:
+    """Return the end of the page's address for a run, a competition (its standings), or all runs."""
+    if len(folders) != 1 or not (folders[0] / DATABASE_FILES[0]).is_file():
+        return ""
+    view = "standings" if (folders[0] / COMPETITION_FILE).is_file() else "run"
+    return f"#/{view}/{run_id(folders[0].absolute())}"
+
+
+def run_id(directory: Path) -> str:
+    """Return the id of a run, given by its absolute path, in addresses of the page."""
     return hashlib.sha256(os.fsencode(directory)).hexdigest()[:_ID_LETTERS]

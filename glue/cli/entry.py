@@ -12,6 +12,7 @@ import signal
 import sys
 from importlib import import_module
 
+import glue.doors.forks  # noqa: F401  # for the handlers that are set here
 from glue.names import others
 
 TYPE_CHECKING = False
