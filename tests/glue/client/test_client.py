@@ -156,8 +156,8 @@ def test_an_unknown_kind_is_answered_with_an_error_and_changes_nothing(hub: Hub)
 def test_a_refusal_is_an_error_with_the_hubs_reason(hub: Hub) -> None:
     serving = hub.run(serve_environment, ScriptedEnvironment(), hub.url)
     hub.hear(Kind.HELLO)
-    hub.say(Kind.REFUSE, 0, "role-taken", "there is one already")
-    with pytest.raises(Refused, match="refused this environment: there is one already"):
+    hub.say(Kind.REFUSE, 0, "role-taken", "there is one\r\x1b[2J\nError: forged")
+    with pytest.raises(Refused, match=r"refused this environment: there is one \?\[2J Error: forged"):
         serving.result(TIMEOUT)
 
 
