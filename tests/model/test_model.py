@@ -28,7 +28,10 @@ LEFT_OUT: Final = {
 }
 """Rules of a peer about bodies and about messages that the model leaves out."""
 
-with_tlc = pytest.mark.skipif("TLA2TOOLS" not in os.environ, reason="TLA2TOOLS names no tla2tools.jar; docs/verification.md says how to install it")
+with_tlc = pytest.mark.skipif(
+    "TLA2TOOLS" not in os.environ,
+    reason="TLA2TOOLS names no tla2tools.jar; docs/verification.md says how to install it",
+)
 
 
 def flat(text: str) -> str:
