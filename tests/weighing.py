@@ -68,6 +68,8 @@ def check_board(board: Switchboard, connections: Iterable[Any] = ()) -> None:
     for holder in found:
         its = seats.get(holder, [])
         held, truth = account.get(holder, 0), size_of([holder, *its], [*found, *peers])
+        if isinstance(holder, channels._Channel) and holder.connection._glanced:
+            truth -= len(holder.connection._glanced)  # it has just been read, and is acted on at once
         assert truth <= held, f"{holder} weighs {truth} bytes and accounts for {held}"
         spare = session._BASE if isinstance(holder, Session) else _SPARE + len(its) * channels._SEAT
         assert held <= truth + spare, f"{holder} accounts for {held} bytes and weighs {truth}"

@@ -96,7 +96,7 @@ class Bind:
         """Return a line that says where the hub listens, and who else can join there."""
         who = self.warning
         return f"listening on {endpoint}" + (
-            f": open to {who}, unless keys say who may join (glue-keys)" if who else ""
+            f" (open to {who}, unless keys say who may join: glue-keys)" if who else ""
         )
 
     def admits(self, role: Role, session: str) -> bool:
