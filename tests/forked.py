@@ -200,8 +200,10 @@ def _record(printed: Path, run: Callable[..., int], arguments: tuple[Any, ...]) 
 
 
 def _main(command: Sequence[str], cwd: Path, env: Mapping[str, str], printed: Sequence[Path]) -> int:
-    for stream, path in zip((sys.stdout, sys.stderr), printed, strict=True):
-        redirect(stream.fileno(), path)
+    for number, name, path in zip((1, 2), ("stdout", "stderr"), printed, strict=True):
+        redirect(number, path)
+        # A stream asks only at its creation whether it can seek, as files can and pipes cannot.
+        setattr(sys, name, open(number, "w", -1 if number == 1 else 1, closefd=False))  # noqa: SIM115
     os.environ.clear()
     os.environ.update(env)
     # Python reads the variable only at start-up.
