@@ -34,6 +34,7 @@ from glue.errors import ConfigError, ExperimentError, GlueError, HubClosed, Peer
 from glue.hub.config import DEFAULT_SESSION, Bind, HubConfig
 from glue.hub.io.inside import InsideTransport
 from glue.hub.io.server import Hub
+from glue.options import build
 from glue.plugins.loading import find
 from glue.trajectory import ActionWriter, Ending
 from glue.wire.limits import MAX_BODY
@@ -284,14 +285,14 @@ def _one_line(text: str) -> str:
 
 
 def prepare(environments: Sequence[str]) -> None:
-    """Import environments, for the processes that are forked from this one.
+    """Import environments and load what they have compiled, for the processes that are forked from this one.
 
     Those in a user's own file are left to each process: what the file does is not known.
     """
     for name in environments:
         if ":" not in name:
-            with suppress(ConfigError):
-                find(Role.ENVIRONMENT, name)
+            with suppress(Exception):  # a process that plays says what is wrong
+                build(find(Role.ENVIRONMENT, name), {}).env_init()
 
 
 def main() -> None:
