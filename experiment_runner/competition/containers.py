@@ -64,7 +64,7 @@ _REMOVED: Final = (404, 409)
 _SIGNALLED: Final = 128
 """The exit status for signal 0."""
 
-_BYTES_PER_SECOND: Final = 2**16
+_BYTES_PER_SECOND: Final = 2**15
 """Rate at which the output of a container is read."""
 
 _READS_PER_SECOND: Final = 50

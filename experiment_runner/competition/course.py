@@ -127,7 +127,7 @@ class Course:
         entrant, task, _ = found.parts
         repeated = sum(one.parts[:2] == (entrant, task) for one in self.reruns)
         again = TrialId.of(entrant, task, self.competition.trials + repeated)
-        return act(RERUN, trial, reason, trial=again)
+        return act(RERUN, trial, reason, trial=str(again))
 
 
 def course_of(directory: Path) -> Course:
