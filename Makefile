@@ -13,7 +13,7 @@ PARALLEL := --numprocesses=3 --dist=loadfile --no-loadscope-reorder
 # The tests start hundreds of processes: each must find its modules compiled, whatever the shell's setting.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help demo test pytest proof check compile games agents coverage picture screenshots vectors bench docs release clean
+.PHONY: help demo test pytest proof check compile games agents coverage screenshots vectors bench docs release clean
 
 help:
 	@echo "make demo   set up, then let an agent learn Infinite Mario, as three processes"
@@ -21,9 +21,8 @@ help:
 	@echo "make proof  run the tests that prove more the longer they run, for minutes instead of seconds"
 	@echo "make check  ruff and mypy, also on the programs of README and the pages"
 	@echo "make coverage  which lines and branches the tests reach, in every process that they start"
-	@echo "make picture  draw the folders and who imports whom: docs/images/architecture.svg"
 	@echo "make screenshots  take the pictures of glue-view: docs/images/view-*.png; needs chromium, its driver and selenium"
-	@echo "make vectors  write glue/testing/vectors.json from the examples of docs/protocol.md"
+	@echo "make vectors  write glue/testing/vectors.json from the examples of docs/protocol-reference.md"
 	@echo "make docs   build the site of documents: build/site/index.html"
 	@echo "make release  check version, changelog and tag, and build and prove the distributions: build/dist"
 	@echo "make bench  measure, and write docs/performance.md"
@@ -35,14 +34,13 @@ $(READY): pyproject.toml
 
 demo: $(READY)
 	@rm -rf $(DEMO)
-	$(BIN)/glue-experiment --env mario --agent hierarchical --episodes 300 --seed 1 --out $(DEMO)
-	$(BIN)/glue-plot $(DEMO)
-	$(BIN)/glue-plot $(DEMO) --out $(DEMO)/curve.png
-	@echo 'Watch the agent play, after 300 episodes of learning:'
-	@echo '    $(BIN)/glue-watch --env mario --agent hierarchical --after 300'
-	@echo 'A planner, which learns nothing but knows the rules, on ten levels that it has not seen:'
-	@$(BIN)/glue-generalise --set test-1000:10 --agent planner --seed 1 --out $(DEMO)/planner
-	@echo 'Watch it play, with its plan:'
+	$(BIN)/glue-experiment --env mario --agent hierarchical --episodes 100 --trials 3 --seed 1 --out $(DEMO)
+	@$(BIN)/glue-plot $(DEMO)
+	@echo 'The mean of three trials rises. The same as a picture, and the agent at play after 100 episodes:'
+	@echo '    $(BIN)/glue-plot $(DEMO) --out curve.png'
+	@echo '    $(BIN)/glue-watch --env mario --agent hierarchical --after 100'
+	@echo 'A planner, which learns nothing but knows the rules: on ten levels that it has not seen, and at play with its plan:'
+	@echo '    $(BIN)/glue-generalise --set test-1000:10 --agent planner --seed 1'
 	@echo '    $(BIN)/glue-watch --env mario --agent planner --plan'
 
 check: $(READY)
@@ -77,9 +75,6 @@ coverage: compile
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report
 
-picture: $(READY)
-	$(BIN)/python -m tests.house.picture
-
 screenshots: $(READY)
 	$(BIN)/python -m tests.experiment_runner.view.browser.screenshots
 
@@ -94,7 +89,7 @@ docs: $(READY)
 # A release without the upload: version, changelog and tag agree, and the wheel is tested outside the checkout.
 release: $(READY)
 	$(BIN)/python -m tests.package.release
-	$(BIN)/python -m nox --non-interactive --session package names
+	$(BIN)/python -m nox --non-interactive --session package
 	@echo 'proved, in build/dist: push the tag, and publish it from the release page (.github/workflows/publish.yml)'
 
 bench: $(READY)

@@ -22,35 +22,37 @@ DIST = Path("build/dist")
 SITE = "build/site"
 TESTING = ["hypothesis", "pytest", "pytest-timeout"]
 
+UV = [sys.executable, "-m", "uv", "--quiet"]
+
 PYTHONS = ["3.11", "3.12", "3.13", "3.14"]
-LOWEST_TESTING = ["hypothesis>=6.100", "pytest>=8.2", "pytest-timeout>=2.3"]
+
+ROOMS = ["contract", "fuzzing", "glue/engine", "glue/plugins", "glue/test_types.py", "glue/wire", "house"]
+COMPILED = ["mario", "soar", "planner", "best", "hierarchical", "tiles", "objects"]
 MATRIX = [
-    *(
-        f"tests/{room}"
-        for room in ("glue/wire", "glue/engine", "glue/plugins", "glue/test_types.py", "contract")
-    ),
-    *(
-        "-k",
-        " and ".join(
-            f"not {name}" for name in ["mario", "soar", "planner", "best", "hierarchical", "tiles", "objects"]
-        ),
-    ),
+    *(f"tests/{room}" for room in ROOMS),
+    "tests/system/test_older_run.py",
+    *("-k", " and ".join(f"not {name}" for name in COMPILED)),
 ]
-"""Tests for each Python: the whole protocol, and the players that compile nothing."""
+"""Tests for each Python: the whole protocol, old files, and the players that compile nothing."""
 
+LOWEST_TESTING = ["hypothesis>=6.100", "pytest>=8.2", "pytest-timeout>=2.3"]
 
-def build(session: nox.Session) -> dict[str, str]:
-    """Rebuild wheel and sdist; return the environment variable that names their folder to the tests."""
-    shutil.rmtree(DIST, ignore_errors=True)
-    session.install("build", *TESTING, "--editable", ".")
-    session.run("pyproject-build", "--outdir", str(DIST))
-    return {"GLUE_DIST": str(DIST)}
+LIBRARIES = {
+    "coming_from": "tests/package/test_coming_from.py",
+    "loggers": "tests/experiment_runner/loggers",
+    "notebooks": "tests/package/test_notebooks.py",
+}
+"""Stages that need optional libraries, all in one environment, and their tests."""
 
 
 @nox.session
 def package(session: nox.Session) -> None:
-    """Build wheel and sdist, check their contents, and try everything with only the wheel installed."""
-    session.run("pytest", "tests/package/test_distributions.py", *session.posargs, env=build(session))
+    """Build wheel and sdist; check their contents, and try them alone and beside others of the same names."""
+    shutil.rmtree(DIST, ignore_errors=True)
+    session.install("build", *TESTING, "--editable", ".")
+    session.run("pyproject-build", "--outdir", str(DIST))
+    tests = ["tests/package/test_distributions.py", "tests/package/test_names.py"]
+    session.run("pytest", "--stage", "package", *tests, *session.posargs, env={"GLUE_DIST": str(DIST)})
 
 
 @nox.session(default=False)
@@ -62,39 +64,22 @@ def mutation(session: nox.Session) -> None:
 
 
 @nox.session(default=False)
-def names(session: nox.Session) -> None:
-    """Test next to distributions with packages of the same names, in both orders of installation."""
-    session.run("pytest", "tests/package/test_names.py", *session.posargs, env=build(session))
-
-
-@nox.session(default=False)
-def docs(session: nox.Session) -> None:
+def site(session: nox.Session) -> None:
     """Build the site without warnings, and check it in Chromium, with axe-core if AXE_CORE names it."""
     session.install("--editable", ".[docs]", *TESTING, "selenium>=4.20")
     session.run("sphinx-build", "--fail-on-warning", "--keep-going", "--quiet", "docs", SITE)
-    session.run("pytest", "tests/package/test_site.py", *session.posargs, env={"GLUE_SITE": SITE})
+    tests = ["--stage", "site", "tests/package/test_site.py"]
+    session.run("pytest", *tests, *session.posargs, env={"GLUE_SITE": SITE})
 
 
 @nox.session(default=False)
-def notebooks(session: nox.Session) -> None:
-    """Execute the notebooks of docs/notebooks."""
-    session.install("--editable", ".[notebooks]", *TESTING)
-    session.run("pytest", "tests/package/test_notebooks.py", *session.posargs, env={"GLUE_NOTEBOOKS": "1"})
-
-
-@nox.session(default=False)
-def coming_from(session: nox.Session) -> None:
-    """Play the experiments of docs/coming-from.md with the other libraries, and with ours."""
-    libraries = ["dm-env", "PyExpUtils-andnp", "rlglue-andnp"]
-    session.install("--editable", ".[gym,pandas,polars]", *libraries, *TESTING)
-    session.run("pytest", "tests/package/test_coming_from.py", *session.posargs, env={"GLUE_COMING": "1"})
-
-
-@nox.session(default=False)
-def loggers(session: nox.Session) -> None:
-    """Send runs to TensorBoard, W&B, MLflow and Trackio, and compare them with their servers' data."""
-    session.install("--editable", ".[tensorboard,trackio,wandb]", "mlflow", *TESTING)
-    session.run("pytest", "tests/experiment_runner/loggers", *session.posargs)
+def libraries(session: nox.Session) -> None:
+    """Run the named stages that need optional libraries, or all: coming_from, loggers, notebooks."""
+    extras = "gym,notebooks,pandas,polars,tensorboard,trackio,wandb"
+    others = ["dm-env", "mlflow", "PyExpUtils-andnp", "rlglue-andnp"]
+    session.install("--editable", f".[{extras}]", *others, *TESTING)
+    for stage in session.posargs or LIBRARIES:
+        session.run("pytest", "--stage", stage, LIBRARIES[stage])
 
 
 @nox.session(default=False)
@@ -108,31 +93,37 @@ def repository(session: nox.Session) -> None:
 
 @nox.session(default=False, venv_backend="none")
 def pythons(session: nox.Session) -> None:
-    """Run tests on every installed Python, with the lowest and the newest dependencies."""
-    found = {version: path for version in PYTHONS if (path := interpreter(version))}
-    session.log(f"found {found}")
-    for version, path in found.items():
-        for resolution in ("lowest-direct", "highest"):
-            folder = f"{session.create_tmp()}/{version}-{resolution}"
-            uv = [sys.executable, "-m", "uv", "--quiet"]
-            session.run(*uv, "venv", "--clear", "--python", path, folder)
-            install = [*uv, "pip", "install", "--python", folder]
-            extras = [f"--extra={name}" for name in ("gym", "keys", "web")]
-            wanted = ["-r", "pyproject.toml", *extras, *LOWEST_TESTING]
-            session.run(*install, "--resolution", resolution, "--only-binary", ":all:", *wanted)
-            session.run(*install, "--no-deps", "--editable", ".")
-            pytest = [f"{folder}/bin/python", "-m", "pytest", "-p", "no:cacheprovider"]
-            session.run(*pytest, *MATRIX, *session.posargs)
+    """Run tests on the system's Python, the oldest with the lowest versions, the newest with the highest."""
+    oldest, *_, newest = interpreters()
+    environments = {
+        "system": ("/usr/bin/python3", "highest"),
+        "oldest": (oldest, "lowest-direct"),
+        "newest": (newest, "highest"),
+    }
+    session.log(f"found {environments}")
+    extras = [f"--extra={name}" for name in ("gym", "keys", "web")]
+    for name, (python, resolution) in environments.items():
+        folder = f"{session.create_tmp()}/{name}"
+        session.run(*UV, "venv", "--clear", "--python", python, folder)
+        install = [*UV, "pip", "install", "--python", folder]
+        wanted = ["-r", "pyproject.toml", *extras, *LOWEST_TESTING]
+        session.run(*install, "--resolution", resolution, "--only-binary", ":all:", *wanted)
+        session.run(*install, "--no-deps", "--editable", ".")
+        pytest = [f"{folder}/bin/python", "-m", "pytest", "-p", "no:cacheprovider"]
+        session.run(*pytest, *MATRIX, *session.posargs)
 
 
-def interpreter(version: str) -> str | None:
-    """Return a Python of this version, from the path or from pyenv."""
-    pyenv = sorted(Path.home().glob(f".pyenv/versions/{version}.*/bin/python"))
-    for candidate in filter(None, [shutil.which(f"python{version}"), *pyenv]):
-        asked = [candidate, "-c", "import sys; print(*sys.version_info[:2], sep='.')"]
-        if subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip() == version:
-            return str(candidate)
-    return None
+def interpreters() -> list[str]:
+    """Return a Python of each version that is installed, from pyenv or from the path, the oldest first."""
+    found = []
+    for version in PYTHONS:
+        pyenv = sorted(Path.home().glob(f".pyenv/versions/{version}.*/bin/python"))
+        for candidate in (*map(str, pyenv), shutil.which(f"python{version}")):
+            asked = [candidate, "-c", "import sys; print(*sys.version_info[:2], sep='.')"]
+            if candidate and subprocess.run(asked, capture_output=True, text=True).stdout.strip() == version:
+                found.append(candidate)
+                break
+    return found
 
 
 if __name__ == "__main__":

@@ -159,8 +159,10 @@ def _one_int(spec: TaskSpec, what: str) -> tuple[int, int]:
         low, high = space.ints[0].ends
         if np.isfinite(low) and np.isfinite(high):
             return int(low), int(high) - int(low) + 1
+    remedy = "; the agent linear learns from numbers" if what == "observation" and space.doubles else ""
     raise LocalProtocolError(
         f"tabular SARSA needs a task whose {what} is one int with bounds; this one has {str(space) or 'none'}"
+        f"{remedy}"
     )
 
 

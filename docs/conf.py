@@ -102,7 +102,7 @@ def complete_pages(app: Sphinx, error: Exception | None) -> None:
 
 def setup(app: Sphinx) -> None:
     """Register what this site adds to Sphinx."""
-    for language in ("body", "message", "zmtp"):  # the bytes of docs/protocol.md
+    for language in ("body", "message", "zmtp"):  # the bytes of docs/protocol-reference.md
         app.add_lexer(language, TextLexer)
     app.add_directive("command-help", CommandHelp)
     app.connect("source-read", link_to_source)

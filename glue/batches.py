@@ -1,9 +1,9 @@
 """Many environments in one session: observations, rewards and terminals of N games in one message.
 
-An ordinary abstract type carries a batch; docs/protocol.md has its layout, byte for byte. Environment and
-agent both offer the capability `batch`: see `BatchEnvironment` and `BatchAgent` in `glue.roles`. A game that
-is over begins its next episode at once, and shows its first observation. For a game that was cut off, the
-last observation is in the batch as well, after all others.
+An ordinary abstract type carries a batch; docs/protocol-reference.md has its layout, byte for byte.
+Environment and agent both offer the capability `batch`: see `BatchEnvironment` and `BatchAgent` in
+`glue.roles`. A game that is over begins its next episode at once, and shows its first observation. For a game
+that was cut off, the last observation is in the batch as well, after all others.
 """
 
 from __future__ import annotations

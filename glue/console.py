@@ -1,4 +1,10 @@
-"""Lines for people, printed to standard error so that standard output carries only results."""
+"""Texts for people: lines on standard error, as standard output carries only results; and texts of others.
+
+Names, reasons and answers come from peers, files and folders of others. Wherever one leaves, for a terminal,
+a page or a spreadsheet, it passes through one of these functions: `one_line` for a text of others inside a
+line of ours, `for_terminal` for whole lines, `printable` for a page, `cell` for a spreadsheet. JSON is in
+ASCII.
+"""
 
 from __future__ import annotations
 
@@ -10,11 +16,52 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Final
 
+_MOST_LETTERS: Final = 10_000  # in a part of a traceback, such as the text of an exception
+
 _CALLERS: Final = frozenset({"glue", "experiment_runner"})
 """Packages that call users' code."""
 
+_MOST: Final = 1000
+_FORMULA: Final = ("=", "+", "-", "@")
+
 LOG: Final = logging.getLogger("glue.client")
 """Log of a hub's clients: whether the hub can be reached, and which sessions a player is in."""
+
+
+def printable(text: str) -> str:
+    """Return a text with `?` for each character that a terminal or page would act upon, or cannot show.
+
+    Such are escape sequences, characters that reverse the direction of writing, and the bytes of a file name
+    that are no text. Lines stay lines, and a tab becomes a space.
+    """
+    if text.isprintable():
+        return text
+    plain = text.replace("\t", " ").replace("\r\n", "\n")
+    return "".join(one if one.isprintable() or one == "\n" else "?" for one in plain)
+
+
+def one_line(text: str, most: int = _MOST) -> str:
+    """Return a text as one printable line; if it has more than `most` characters, without its middle."""
+    return _shortened(printable(" ".join(text.split())), most)
+
+
+def for_terminal(text: str) -> str:
+    """Return printable lines, none of them too long.
+
+    All but the first are indented, so that no text of others begins a line that looks like one of ours.
+    """
+    return "\n  ".join(_shortened(line, _MOST) for line in printable(text).split("\n"))
+
+
+def cell(text: str) -> str:
+    """Return a text for a cell of a spreadsheet, which takes it for text and not for a formula."""
+    line = printable(" ".join(text.split()))
+    return f"'{line}" if line.startswith(_FORMULA) else line
+
+
+def _shortened(line: str, most: int) -> str:
+    end = most // 4
+    return line if len(line) <= most else f"{line[: most - end - 5]} ... {line[-end:]}"
 
 
 @contextmanager
@@ -30,7 +77,7 @@ def errors_only() -> Iterator[None]:
 
 def say(line: str) -> None:
     """Print a line to standard error, at once and in one piece, because several threads may print."""
-    print(f"{line}\n", end="", file=sys.stderr, flush=True)
+    print(f"{for_terminal(line)}\n", end="", file=sys.stderr, flush=True)
 
 
 _Report = Callable[[str], object]
@@ -69,7 +116,9 @@ def show_failure(error: BaseException) -> None:
     trace = error.__traceback__
     while trace is not None and _package(trace.tb_frame.f_globals) in _CALLERS:
         trace = trace.tb_next
-    traceback.print_exception(type(error), error, trace or error.__traceback__)
+    lines = traceback.format_exception(type(error), error, trace or error.__traceback__)
+    shown = [line if len(line) <= _MOST_LETTERS else f"{line[:_MOST_LETTERS]}...\n" for line in lines]
+    say("".join(shown).removesuffix("\n"))
 
 
 def _package(variables: dict[str, object]) -> str:

@@ -20,6 +20,25 @@ class GlueError(Exception):
         self.settings = settings
 
 
+_MOST_LETTERS = 2000  # of an exception's text
+
+
+def described(error: BaseException) -> str:
+    """Return an exception of anyone's code as a text that can be shown, stored and sent.
+
+    It may be too long to be any of these, have characters that cannot be encoded, or raise another one.
+    """
+    try:
+        text = str(error)
+    except Exception:
+        text = "(its text cannot be shown)"
+    if not isinstance(error, GlueError):
+        text = f"{type(error).__name__}: {text}"
+    if len(text) > _MOST_LETTERS:
+        text = f"{text[:_MOST_LETTERS]}... ({len(text):,} characters)"
+    return text.encode("utf-8", "replace").decode()
+
+
 class LocalProtocolError(GlueError):
     """The caller broke the protocol: a call out of place, or a value that cannot be sent."""
 

@@ -37,7 +37,8 @@ def globals_restored() -> Iterator[None]:
 def take_seeds(player: Any) -> None:
     """Give an agent or environment without `agent_seed` or `env_seed` a method that seeds the generators."""
     for prefix in ("agent", "env"):
-        if callable(getattr(player, f"{prefix}_start", None)) and not hasattr(player, f"{prefix}_seed"):
+        start, seed = (getattr(player, f"{prefix}_{verb}", None) for verb in ("start", "seed"))
+        if callable(start) and not callable(seed):
             try:
                 setattr(player, f"{prefix}_seed", seed_globals)
             except AttributeError:  # it has __slots__

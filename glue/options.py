@@ -118,7 +118,11 @@ def parameters(factory: type) -> dict[str, Parameter]:
     """
     found: dict[str, Parameter] = {}
     hints = _hints(factory)
-    for name, parameter in inspect.signature(getattr(factory, "Options", factory)).parameters.items():
+    try:
+        signature = inspect.signature(getattr(factory, "Options", factory))
+    except (TypeError, ValueError) as error:  # a class that is not written in Python
+        raise ConfigError(f"{factory.__name__} is no agent or environment: {error}") from None
+    for name, parameter in signature.parameters.items():
         if parameter.kind in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
             continue
         if parameter.default is parameter.empty or parameter.kind is parameter.POSITIONAL_ONLY:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -85,12 +86,15 @@ def pytest_report_header(config: pytest.Config) -> str:
 def _stage(item: pytest.Item) -> str:
     marker = item.get_closest_marker("stage")
     if marker is None:
-        return next(
-            (FOLDERS[name] for name in map(_name, (item.path, *item.path.parents)) if name in FOLDERS), "test"
-        )
+        return _stage_of(item.path)
     (stage,) = marker.args
     assert stage in STAGES, f"{item.nodeid} has the unknown stage {stage!r}"
     return str(stage)
+
+
+@cache
+def _stage_of(path: Path) -> str:
+    return next((FOLDERS[name] for name in map(_name, (path, *path.parents)) if name in FOLDERS), "test")
 
 
 def _name(path: Path) -> str:

@@ -1,23 +1,29 @@
 """Processes forked from one that has already imported everything: each starts almost instantly.
 
-A short command spends most of its time on imports, and the tests run hundreds of commands. Use
-`tests.terminal.run_anew` to test a command's start-up.
+A short command spends most of its time on imports, and the tests run hundreds of commands. The players and
+workers of such a command are forked from it, too. Use `tests.terminal.run_anew` to test a command's start-up.
 """
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import multiprocessing.connection
 import os
 import runpy
+import signal
 import subprocess
 import sys
 import tempfile
 import threading
+import traceback
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Any, Final
+
+from experiment_runner.meeting import children
 
 BIN: Final = Path(sys.executable).parent
 
@@ -122,6 +128,54 @@ def start(*command: str, cwd: Path, env: Mapping[str, str] | None = None, printe
     return Forked(_main, command, cwd, environment, printed, daemon=False)
 
 
+class _Child(subprocess.Popen[bytes]):
+    """A module in a process forked from this one, in place of `experiment_runner.meeting.watchdog.spawn`.
+
+    It keeps no descriptor of this process but the standard ones and `pass_fds`, and has signals as a new one.
+    """
+
+    def __init__(self, module: str, arguments: Sequence[str], *, pass_fds: Sequence[int] = ()) -> None:
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        reader, writer = os.pipe()
+        with warnings.catch_warnings(
+            action="ignore", category=DeprecationWarning
+        ):  # this process has threads
+            pid = os.fork()
+        if not pid:
+            os._exit(_become(module, arguments, reader, pass_fds))
+        os.close(reader)
+        self.pid, self.args, self.returncode = pid, [module, *arguments], None
+        self.stdin, self.stdout, self.stderr = os.fdopen(writer, "wb", 0), None, None
+        self._child_created, self._waitpid_lock = True, threading.Lock()
+
+
+def _become(module: str, arguments: Sequence[str], stdin: int, pass_fds: Sequence[int]) -> int:
+    """Run a module in this process, just forked; return its exit status."""
+    os.setpgid(0, 0)
+    os.dup2(stdin, 0)
+    for number in map(int, os.listdir("/proc/self/fd")):
+        if number > 2 and number not in pass_fds:
+            with contextlib.suppress(OSError):
+                os.close(number)
+    signal.set_wakeup_fd(-1)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    warnings.filterwarnings("ignore", category=RuntimeWarning, module="runpy")  # it was imported already
+    sys.argv = [module, *arguments]
+    try:
+        runpy.run_module(module, run_name="__main__", alter_sys=True)
+        code: object = 0
+    except SystemExit as ending:
+        code = ending.code
+    except BaseException:
+        traceback.print_exc()
+        code = 1
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    return code if isinstance(code, int) else 0 if code is None else 1
+
+
 def redirect(descriptor: int, path: Path) -> None:
     """Append to a file everything that this process writes to `descriptor`."""
     opened = os.open(path, os.O_CREAT | os.O_WRONLY | os.O_APPEND)
@@ -147,6 +201,7 @@ def _main(command: Sequence[str], cwd: Path, env: Mapping[str, str], printed: Se
     # Python reads the variable only at start-up.
     sys.path[:0] = filter(None, env.get("PYTHONPATH", "").split(os.pathsep))
     os.chdir(cwd)
+    children.spawn = _Child  # type: ignore[attr-defined]
     sys.argv = [str(BIN / command[0]), *command[1:]]
     runpy.run_path(sys.argv[0], run_name="__main__")
     return 0

@@ -101,7 +101,7 @@ class PlannerAgent(MarioAgent):
     def _warm_up(self) -> None:
         """Compile all functions or load them from disk, so that no step of an episode has to wait."""
         nothing = Observation([0] * 3, [0.0] * 4, bytes(CHARS))
-        with announce_compilation(f"the agent {self.name}", 18):
+        with announce_compilation(f"the agent {self.name}"):
             self._reset()
             self.agent_start(nothing)
             self.agent_step(0.0, nothing)

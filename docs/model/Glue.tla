@@ -1,6 +1,6 @@
 ------------------------------- MODULE Glue -------------------------------
 (***************************************************************************)
-(* One session of docs/protocol.md: a hub, an experiment, an environment   *)
+(* One session of docs/protocol-reference.md: a hub, an experiment, an environment   *)
 (* and an agent.  Connections break, programs are killed and started       *)
 (* again, the hub is restarted, peers stay away beyond the timeout.        *)
 (*                                                                         *)
@@ -9,7 +9,7 @@
 (* Left out: bodies, observers, batches, GOODBYE (it is a loss without the wait) and         *)
 (* malformed messages (they end a connection, as a break does).            *)
 (*                                                                         *)
-(* A comment "MUST: ..." quotes the sentence of docs/protocol.md that an   *)
+(* A comment "MUST: ..." quotes the sentence of docs/protocol-reference.md that an   *)
 (* action implements; tests/model/ holds the two texts together.           *)
 (***************************************************************************)
 EXTENDS Naturals, Sequences, FiniteSets
@@ -462,7 +462,7 @@ ExactlyOnce == ~twice
 RequestOnce == ~begunTwice
 
 \* The hub accepts no answer to another call than the outstanding one.  The answer to the first call of a hub may
-\* be one that the player gave to the same first call of an earlier hub: docs/protocol.md lets it keep that answer.
+\* be one that the player gave to the same first call of an earlier hub: docs/protocol-reference.md lets it keep that answer.
 NoStaleAnswer == ~stale
 
 \* At most one call is outstanding, and only while a request is under way.

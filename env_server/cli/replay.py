@@ -14,7 +14,7 @@ import click
 
 from glue import __version__
 from glue.cli.shared import run
-from glue.console import say
+from glue.console import one_line, say
 from glue.errors import ConfigError
 from glue.options import parse_assignments
 from glue.plugins.loading import find
@@ -148,7 +148,7 @@ def replay(
             _save(shown, speed, gif, mp4, png)
         if isinstance(reader, TrajectoryReader) and reader.torn:
             say(f"{file} was not closed: its last, incomplete episode is left out")
-        print(f"{file}: {counted}: {'not compared' if check is False else 'no difference'}")
+        print(one_line(f"{file}: {counted}: {'not compared' if check is False else 'no difference'}"))
 
 
 class _Counted:

@@ -101,7 +101,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
         self.render_mode = render_mode
         self._view = observation
         self._action = action
-        self._copy = copy
+        self.copy: bool = copy  # called as Gymnasium's own vector environments do
         self._mode = mode
         self.closed = False
 
@@ -181,7 +181,7 @@ class InfiniteMarioVectorEnv(VectorEnv[Any, Any, Any]):  # type: ignore[misc]
 
     def _observations(self) -> Any:
         cells, reals = self._games.cells, self._games.reals
-        if self._copy:
+        if self.copy:
             cells, reals = cells.copy(), reals.copy()
         return unpack(self._view, cells, reals)
 

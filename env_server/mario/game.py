@@ -203,5 +203,5 @@ def _play_first(
 @cache
 def _prepare() -> None:
     """Load the compiled rules or, on first use, compile them and announce it."""
-    with announce_compilation("Infinite Mario", 10):
+    with announce_compilation("Infinite Mario"):
         _carry_out(np.zeros(1, WORLD), np.zeros(1, LEVEL), True, 0, 0, 0, np.zeros(BODY_SIZE, np.uint8))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy.typing as npt
 from env_server.render.scene import element_name, is_scene
 from env_server.replay.golden import Digest, GoldenEpisode, GoldenLevel, GoldenReader, GoldenRun, digest
 from glue.errors import ConfigError, GlueError
+from glue.files import open_regular
 from glue.options import Value, build
 from glue.plugins.loading import find, names
 from glue.roles import Environment, SaveableEnvironment, SeedableEnvironment, offers
@@ -70,7 +72,7 @@ def open_recording(path: str | os.PathLike[str]) -> TrajectoryReader | GoldenRea
         TrajectoryError: it is neither, or cannot be read.
     """
     try:
-        with open(path, "rb") as file:
+        with open_regular(Path(path)) as file:
             head = file.read(4096)
         first = zlib.decompressobj(31).decompress(head, 1)
     except IsADirectoryError:

@@ -23,6 +23,7 @@ from typing import Any, ClassVar, Final, NamedTuple, Protocol, runtime_checkable
 
 from env_server.mario.level import Level, Spawn, level_difference
 from glue.errors import GlueError
+from glue.files import open_regular
 from glue.options import Value, build
 from glue.roles import Environment
 from glue.trajectory import MAX_EPISODE, MAX_STEPS, TrajectoryError
@@ -76,7 +77,7 @@ def _lines_of(path: Path) -> Iterator[_Line]:
         TrajectoryError: the file cannot be read, or a line is too long or is not a JSON object.
     """
     try:
-        with gzip.open(path, "rb") as file:
+        with open_regular(path) as packed, gzip.open(packed) as file:
             number = 0
             while line := file.readline(_MAX_LINE + 1):
                 number += 1

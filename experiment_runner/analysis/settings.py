@@ -17,6 +17,7 @@ from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.readings import NO_METRIC, Metric
 from experiment_runner.store.records import TOTAL_REWARD, TrialRecord
 from experiment_runner.store.results import Results
+from glue.console import one_line
 from glue.errors import ExperimentError
 
 REWARD: Final = "reward"
@@ -52,11 +53,8 @@ class Setting:
         return f"{self.agent}, {self.environment}" if self.environment else self.agent
 
     def curves(self) -> FloatArray:
-        """Return the values of the finished trials, shape (trials, episodes).
-
-        If no trial is finished, use all trials that have begun, up to the length of the shortest.
-        """
-        used = [self.values[i] for i in self._drawn()]
+        """Return the values of the trials that count, shape (trials, episodes of the shortest)."""
+        used = [self.values[i] for i in self.counted()]
         length = min((len(r) for r in used), default=0)
         return np.array([r[:length] for r in used]).reshape(len(used), length)
 
@@ -64,7 +62,7 @@ class Setting:
         """Return the totals over steps of the trials in `curves`: of the return of the episode under way, of
         the reward, or of another measure of the episode under way.
         """
-        return [self._totals(i) for i in self._drawn() if self.values[i].size]
+        return [self._totals(i) for i in self.counted()]
 
     def totals_by_trial(self) -> dict[str, StepTotals]:
         """Return the totals of every trial that has begun, by its id; see `step_totals`."""
@@ -89,9 +87,14 @@ class Setting:
             return np.array([mean_of_last(values, window) for values in self.curves()])
         return np.array([trial.last(window) for trial in self.step_totals()])
 
-    def _drawn(self) -> list[int]:
+    def counted(self) -> list[int]:
+        """Return which of the trials count: the finished ones; if there are none, those that have begun.
+
+        A trial that has failed does not count, as it is shorter than the others, and seldom by chance.
+        """
         finished = [i for i, trial in enumerate(self.trials) if trial.finished]
-        return finished or [i for i, values in enumerate(self.values) if values.size]
+        begun = [i for i, values in enumerate(self.values) if values.size and not self.trials[i].failure]
+        return [i for i in finished if self.values[i].size] or begun
 
 
 def collect(runs: Iterable[Results], measure: str = "return", metric: str = "") -> list[Setting]:
@@ -181,5 +184,5 @@ def _names(described: Sequence[tuple[str, Mapping[str, object]]]) -> list[str]:
     for label, fields in described:
         same_label = [other_fields for other, other_fields in described if other == label]
         differing = [name for name in fields if any(o.get(name) != fields[name] for o in same_label)]
-        names.append(" ".join([label, *(f"{name}={fields[name]}" for name in differing)]))
+        names.append(one_line(" ".join([label, *(f"{name}={fields[name]}" for name in differing)])))
     return names

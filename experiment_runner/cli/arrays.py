@@ -16,6 +16,7 @@ from experiment_runner.slurm.batch import (
     MAX_TASKS,
     array_script,
     can_submit,
+    check_folder,
     check_options,
     gathering_job,
     is_queued,
@@ -27,6 +28,7 @@ from experiment_runner.store.layout import PARTS, clear, replace_flushed
 from experiment_runner.store.store import Store
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError
+from glue.files import read_text
 
 _SCRIPT = "array.sh"
 _JOB = "job"
@@ -57,6 +59,7 @@ def carry_out_array(
     if not can_submit():
         raise ConfigError("--engine slurm submits with sbatch, which is not here: use a login node of SLURM")
     check_options(sbatch)
+    check_folder(directory.absolute())
     if again:
         with naming_out(""):
             clear(directory)
@@ -105,7 +108,7 @@ def _gather(directory: Path) -> tuple[int, int]:
     """Gather the results; return the number of unfinished trials, and of all trials."""
     job = directory / PARTS / _JOB
     with reported(f"cannot read {job}"):
-        number = job.read_text(encoding="utf-8").strip() if job.exists() else ""
+        number = read_text(job).strip() if job.exists() else ""
     if number and is_queued(number):
         raise ExperimentError(
             f"job {number} has tasks of {directory} that wait or run: see squeue --jobs={number}, "

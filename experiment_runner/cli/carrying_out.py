@@ -9,6 +9,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import TextIO
 
 import click
 
@@ -35,7 +36,7 @@ from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from experiment_runner.view.starting import viewed
 from glue.cli.screen import has_color
-from glue.console import say
+from glue.console import one_line, say
 from glue.errors import ConfigError
 from glue.hub.config import DEFAULT_SESSION
 
@@ -45,7 +46,7 @@ def carry_out(
     plan: Plan,
     config: RunConfig,
     record: Path | None,
-    as_json: bool,
+    results: TextIO | None,
     view: bool,
     again: bool = False,
 ) -> int:
@@ -56,11 +57,12 @@ def carry_out(
         plan: of the run.
         config: how to execute the plan, checked for it.
         record: file of the recording; None for none.
-        as_json: print JSON lines instead of a table.
+        results: receives JSON lines; None for a table on standard output.
         view: show the run on a page, which stays until Ctrl-C.
         again: replace a run in the directory.
     """
-    progress = (JsonLines if as_json else Progress)(color=has_color(sys.stderr))
+    color = has_color(sys.stderr)
+    progress = Progress(color=color) if results is None else JsonLines(results, color=color)
     began = time.monotonic()
 
     def kept() -> None:
@@ -69,7 +71,7 @@ def carry_out(
     with kept_if_begun(directory, kept), ExitStack() as stack:
         # Before anything is written, because an address may be in use.
         addresses = stack.enter_context(ExitStack())
-        meeting = addresses.enter_context(listening(plan, config.meeting))
+        meeting = addresses.enter_context(listening(plan, config.meeting, progress.say))
         # A recording may be one of the run's own files: then the run's folder must exist first.
         inside = record is not None and record.absolute().parent == directory.absolute()
         recording = None if inside else stack.enter_context(recorded(record))
@@ -114,7 +116,7 @@ def carry_out_search(directory: Path, plan: Plan, config: RunConfig) -> int:
         click.echo(tabulate(results, time.monotonic() - began, terminal_width()))
         for event in results.events():
             if event.kind == TUNED:
-                click.echo(event.text)
+                click.echo(one_line(event.text))
     return 1 if failed else 0
 
 

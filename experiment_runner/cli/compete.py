@@ -18,6 +18,7 @@ from glue import __version__
 from glue.cli.shared import run
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError
+from glue.files import read_text
 from glue.hub.config import DEFAULT_HUB
 from glue.keys.certificates import encode, read_pair, read_public
 
@@ -120,7 +121,7 @@ def run_command(file: Path, out: Path, workers: int | None, keys: Path | None, b
         check_view()
     competition = _load(file)
     secret = read_secret(competition, os.environ, say)
-    text = file.read_text(encoding="utf-8")
+    text = read_text(file, follow=True)
 
     def kept() -> None:
         say("nothing is lost: start the same command again")

@@ -3,21 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, TextIO
 
 import click
 from click.core import ParameterSource
 
 from experiment_runner.cli.backend import backend_options, check_backend
 from experiment_runner.cli.grouped import GroupedCommand
+from experiment_runner.cli.out import results_alone
 from experiment_runner.cli.planning import (
     ask_for_trust,
     find_players,
     make_plan,
     names_of,
-    new_directory,
+    own_directory,
     role_sweeps,
 )
 from experiment_runner.executors.settings import CHECKPOINT_EVERY, Backend
@@ -290,7 +292,7 @@ def _only_one(ctx: click.Context, option: click.Parameter, names: Sequence[str])
 @click.option("--dry-run", is_flag=True, help="Show the trials and their seeds, without running them.")
 @click.option("--json", "as_json", is_flag=True, help="Print JSON lines: each episode, then a summary.")
 @click.version_option(__version__, prog_name="glue-experiment")
-def experiment(**given: Any) -> int:
+def experiment(**settings: Any) -> int:
     """Run an experiment: an agent in an environment, or everything in a plan.
 
     The same command with --out, or --resume, continues an interrupted run. The results are those of an
@@ -302,13 +304,18 @@ def experiment(**given: Any) -> int:
       glue-experiment --env mines --agent my.py:Mine --episodes 9 --in-process
       glue-experiment --plan sweep.toml --workers 4 --out runs/sweep
     """
+    with results_alone() if settings["as_json"] else nullcontext() as results:
+        return _experiment(Options(**settings), results)
+
+
+def _experiment(options: Options, results: TextIO | None) -> int:
+    """Carry out the command; `results` receives JSON lines, None for a table on standard output."""
     from experiment_runner.cli.arrays import carry_out_array
     from experiment_runner.cli.carrying_out import carry_out, carry_out_search, check_players, check_recording
     from experiment_runner.executors.run import RunConfig
     from experiment_runner.meeting.players import Meeting
 
-    options = Options(**given)
-    plan, directory = _planned(options)
+    plan, given = _planned(options)
     inside = [*PLAYERS] if options.in_process else options.inside or plan.inside
     roles = frozenset(PLAYERS[player] for player in inside)
     meeting = Meeting(roles, _hub_options(options), any_reward=options.any_reward)
@@ -326,21 +333,23 @@ def experiment(**given: Any) -> int:
         return 0
     if options.sbatch and backend is not Backend.SLURM:
         raise ConfigError("--sbatch is for --engine slurm")
-    if plan.tune is not None:
-        if options.record or options.view or options.again or options.as_json:
-            raise ConfigError("a plan with a search has no --record, --view, --again or --json")
-        return carry_out_search(directory, plan, config)
-    if backend is Backend.SLURM:
-        if options.view or options.as_json:
-            raise ConfigError("a job array runs later: it has no --view and no --json")
-        return carry_out_array(directory, plan, config, options.sbatch, options.again)
+    if plan.tune is not None and (options.record or options.view or options.again or options.as_json):
+        raise ConfigError("a plan with a search has no --record, --view, --again or --json")
+    if backend is Backend.SLURM and (options.view or options.as_json):
+        raise ConfigError("a job array runs later: it has no --view and no --json")
     if options.view:
         check_view()
-    return carry_out(directory, plan, config, options.record, options.as_json, options.view, options.again)
+    name = options.plan_file.stem if options.plan_file else names_of(plan)
+    with own_directory(given, name) as directory:
+        if plan.tune is not None:
+            return carry_out_search(directory, plan, config)
+        if backend is Backend.SLURM:
+            return carry_out_array(directory, plan, config, options.sbatch, options.again)
+        return carry_out(directory, plan, config, options.record, results, options.view, options.again)
 
 
-def _planned(options: Options) -> tuple[Plan, Path]:
-    """Return the plan that the options describe, and the directory of its run.
+def _planned(options: Options) -> tuple[Plan, Path | None]:
+    """Return the plan that the options describe, and the directory of its run; None for a new one.
 
     Raises:
         ConfigError: the options contradict each other, or the plan is wrong.
@@ -362,7 +371,7 @@ def _planned(options: Options) -> tuple[Plan, Path]:
         if options.again and options.out is None:
             raise ConfigError("--again replaces the run in a directory: name it with --out")
         plan = make_plan(file, counts, roles)
-        return plan, options.out or new_directory(file.stem if file else names_of(plan))
+        return plan, options.out
     others = any(roles.values()) or file or options.out or options.again
     if others or counts.keys() - {*BUDGETS, "trials"}:
         raise ConfigError(

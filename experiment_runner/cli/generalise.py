@@ -7,6 +7,7 @@ import json
 import shlex
 import sys
 import zlib
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -14,7 +15,7 @@ import click
 
 from experiment_runner.cli.backend import backend_options, check_backend
 from experiment_runner.cli.out import naming_out
-from experiment_runner.cli.planning import new_directory
+from experiment_runner.cli.planning import own_directory
 from experiment_runner.executors.settings import Backend
 from experiment_runner.plan.plan import RoleSpec
 from glue import __version__
@@ -162,7 +163,7 @@ def generalise(
 
     certified = solvable(_read(certificates)) if certificates else frozenset()
     if results:
-        print(table([_read(path) for path in results], certified))
+        print(table([_read(path) for path in results], certified, plain=sys.stdout.isatty()))
         return 0
     if agent_name is None:
         raise click.UsageError("name the agent with --agent, or results with --table")
@@ -189,15 +190,14 @@ def generalise(
     check_backend(config)
     require_scipy()  # now, not after hours of playing
     is_file = out is not None and out.suffix == ".json"
-    directory = out or new_directory(f"generalise-{RoleSpec(agent_name).label}")
-    if is_file:
-        directory = directory.with_suffix("")
-    again = (
-        f"the same command with --out {shlex.quote(str(directory))}" if out is None else "the same command"
-    )
-    with naming_out():
-        store = open_benchmark(directory, benchmark, say)
-    with store:
+    given = out.with_suffix("") if out is not None and is_file else out
+    with ExitStack() as stack:
+        directory = stack.enter_context(own_directory(given, f"generalise-{RoleSpec(agent_name).label}"))
+        again = "the same command"
+        if out is None:
+            again += f" with --out {shlex.quote(str(directory))}"
+        with naming_out():
+            store = stack.enter_context(open_benchmark(directory, benchmark, say))
         failed = run_trials(store, config, Progress(color=has_color(sys.stderr)), again=again)
         if failed:
             say(f"{failed} of {len(store.trials())} trials have failed: {again} plays them again")
@@ -207,7 +207,7 @@ def generalise(
         with reported(f"cannot write {out}"):
             out.write_text(json.dumps(scores) + "\n", encoding="utf-8")
         say(f"wrote {out}")
-    print(table([scores], certified))
+    print(table([scores], certified, plain=sys.stdout.isatty()))
     say(f"results in {directory}")
     return 0
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import itertools
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -118,8 +119,27 @@ def names_of(plan: Plan) -> str:
     return "-".join(sweeps[0].label for sweeps in (plan.agents, plan.environments) if sweeps) or REMOTE
 
 
-def new_directory(name: str) -> Path:
-    """Return a directory in runs/ that does not exist, named by the time and `name`."""
+@contextmanager
+def own_directory(given: Path | None, name: str) -> Iterator[Path]:
+    """Yield the directory of a run: the given one, or a new one in runs/, named by the time and `name`.
+
+    A new one is made at once, as another run may begin in the same second; it is removed if it stays empty.
+
+    Raises:
+        ExperimentError: it cannot be made.
+    """
+    from experiment_runner.store.database import reported
+
+    if given is not None:
+        yield given
+        return
     first = Path("runs") / f"{time.strftime('%Y%m%d-%H%M%S')}-{name}"
-    candidates = itertools.chain([first], (Path(f"{first}-{number}") for number in itertools.count(2)))
-    return next(path for path in candidates if not path.exists())
+    for path in itertools.chain([first], (Path(f"{first}-{number}") for number in itertools.count(2))):
+        with reported(f"cannot make {path}"), suppress(FileExistsError):
+            path.mkdir(parents=True)
+            break
+    try:
+        yield path
+    finally:
+        with suppress(OSError):
+            path.rmdir()

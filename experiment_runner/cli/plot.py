@@ -9,11 +9,27 @@ from pathlib import Path
 
 import click
 
-from experiment_runner.cli.out import over_option
+from experiment_runner.cli.out import over_option, select_option, selected
 from glue import __version__
 from glue.cli.shared import run
 from glue.console import say
 from glue.suggestions import did_you_mean
+
+
+class _Size(click.ParamType[tuple[float, float]]):
+    name = "size"
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, float]:
+        width, _, height = str(value).partition("x")
+        try:
+            size = float(width), float(height)
+        except ValueError:
+            size = (0.0, 0.0)
+        if not all(1 <= inches <= 50 for inches in size):
+            self.fail(f"write width and height in inches, from 1 to 50, as in 6.4x4; not {value}", param, ctx)
+        return size
 
 
 @click.command("glue-plot")
@@ -30,8 +46,8 @@ from glue.suggestions import did_you_mean
     default="curves",
     show_default=True,
     help="Learning curves with confidence bands; every episode as a dot, in a panel for each setting; or a "
-    "comparison of the agents' final performance, in a panel for each environment; or performance profiles, "
-    "the share of trials above each final performance.",
+    "comparison of the agents' final performance; or performance profiles, the share of trials above each "
+    "final performance. Each environment has a panel.",
 )
 @click.option(
     "--measure",
@@ -55,6 +71,10 @@ from glue.suggestions import did_you_mean
     help="Bands of curves: 95 % bootstrap intervals of the mean, or tolerance intervals of "
     "single trials, which need at least 46.",
 )
+@select_option
+@click.option("--title", metavar="TEXT", help="Title, in place of the description of what is drawn.")
+@click.option("--size", type=_Size(), metavar="WxH", help="Width and height in inches, as in 3.3x2.5.")
+@click.option("--columns", type=click.IntRange(1, 20), metavar="N", help="Panels side by side. [default: 2]")
 @click.version_option(__version__, prog_name="glue-plot")
 def plot(
     directories: tuple[Path, ...],
@@ -65,6 +85,10 @@ def plot(
     over: str,
     window: int | None,
     band: str,
+    select: tuple[str, ...],
+    title: str | None,
+    size: tuple[float, float] | None,
+    columns: int | None,
 ) -> None:
     """Plot the results of each RUN, a directory that glue-experiment created, also while it runs.
 
@@ -75,10 +99,12 @@ def plot(
       glue-plot runs/mine --over steps -o curves.png
       glue-plot runs/mine --metric "mean TD error" -o errors.png
       glue-plot runs/mine runs/other --kind comparison -o comparison.svg
+      glue-plot runs/sweep --select sarsa --size 6.4x3 --columns 3 -o sarsa.pdf
     """
     from experiment_runner.analysis.settings import REWARD, collect
     from experiment_runner.analysis.stats import FloatArray, bootstrap_rng
     from experiment_runner.report.plots import (
+        Layout,
         comparison,
         learning_curves,
         metric_curves,
@@ -103,6 +129,8 @@ def plot(
         raise click.UsageError(f"--band tolerance is for curves: leave out --kind {kind}")
     if kind == "scatter" and over == "steps":
         raise click.UsageError("a scatter plot has a dot for each episode: leave out --over steps")
+    if out is None and (title is not None or size or columns):
+        raise click.UsageError("--title, --size and --columns are for a file: --out curves.png")
     if metric and (out is None or kind != "curves"):
         raise click.UsageError("--metric draws curves and needs a file: --out metric.png")
     with ExitStack() as stack:
@@ -113,34 +141,39 @@ def plot(
                 "; glue-experiment records metrics with --metrics-every, of agents that have them"
             )
             raise click.UsageError(f"there is no metric {metric}{near}")
-        found = collect(runs, measure, metric)
+        found = selected(collect(runs, measure, metric), select)
+    layout = Layout(title, size, columns or 0)
     settings = [setting for setting in found if setting.curves().size]
     rng, label = bootstrap_rng(), "reward per step" if measure == REWARD else MEASURES[measure].label
     last = window or 100
-    totals = {setting.label: setting.step_totals() for setting in settings} if over == "steps" else {}
+    totals = {(s.environment, s.agent): s.step_totals() for s in settings} if over == "steps" else {}
     if totals:
         last = step_window(window or 0, totals.values())
     if metric:
-        readings = {s.label: [(m.steps, m.values) for m in s.metrics if m.steps.size] for s in found}
-        figure = metric_curves(readings, rng, metric, tolerance)
+        readings = {
+            (s.environment, s.agent): [(m.steps, m.values) for m in s.metrics if m.steps.size] for s in found
+        }
+        figure = metric_curves(readings, rng, metric, tolerance, layout)
     elif kind == "comparison":
         environments: dict[str, dict[str, FloatArray]] = defaultdict(dict)
         for setting in settings:
             environments[setting.environment][setting.agent] = setting.final(last, over)
-        figure = comparison(environments, rng, final=f"last {counted(last, over[:-1])}", label=label)
+        final = f"last {counted(last, over[:-1])}"
+        figure = comparison(environments, rng, final=final, label=label, layout=layout)
     elif kind == "profile":
-        figure = profiles({s.label: s.final(last, over) for s in settings}, label=label)
+        reached = {(s.environment, s.agent): s.final(last, over) for s in settings}
+        figure = profiles(reached, label=label, layout=layout)
     elif totals:
-        figure = step_curves(totals, rng, window=last, label=label, tolerance=tolerance)
-    else:
-        curves = {setting.label: setting.curves() for setting in settings}
+        figure = step_curves(totals, rng, window=last, label=label, tolerance=tolerance, layout=layout)
+    elif kind == "curves":
+        curves = {(s.environment, s.agent): s.curves() for s in settings}
         if out is None:
             click.echo(sketches(curves, last, measure, shutil.get_terminal_size().columns))
             return
-        if kind == "curves":
-            figure = learning_curves(curves, rng, window=last, label=label, tolerance=tolerance)
-        else:
-            figure = scatter(curves, window=last, label=label)
+        figure = learning_curves(curves, rng, window=last, label=label, tolerance=tolerance, layout=layout)
+    else:
+        named = {setting.label: setting.curves() for setting in settings}
+        figure = scatter(named, window=last, label=label, layout=layout)
     assert out is not None
     save(figure, out)
     say(f"wrote {out}")

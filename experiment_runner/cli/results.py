@@ -1,20 +1,21 @@
-"""`glue-results`: list, show, compare, export, merge and remove runs, and save a trained agent."""
+"""`glue-results`: list, show, compare, tabulate, export, merge and remove runs, and save a trained agent."""
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from experiment_runner.cli.out import naming_out, over_option
+from experiment_runner.cli.out import naming_out, over_option, select_option, selected
 from experiment_runner.loggers import LOGGERS
 from glue import __version__
 from glue.cli.shared import run
-from glue.console import say
+from glue.console import one_line, say
 from glue.errors import ConfigError, ExperimentError
 from glue.suggestions import did_you_mean
 
@@ -43,6 +44,7 @@ def results() -> None:
       glue-results list
       glue-results show runs/mine
       glue-results export runs/mine --out mine.csv
+      glue-results table runs/mine --format latex
       glue-results merge runs/lab1 runs/lab2 --out runs/both
       glue-results agent runs/mine --out mine.agent
       glue-results remove runs/mistake
@@ -62,7 +64,7 @@ def list_runs(folder: Path, as_json: bool) -> int:
       glue-results list --json | jq -r '.[] | select(.state == "failed") | .run'
     """
     from experiment_runner.report.overview import Overview, overview
-    from experiment_runner.report.tables import format_table, one_line, terminal_width
+    from experiment_runner.report.tables import format_table, terminal_width
     from experiment_runner.store.layout import runs_under
     from experiment_runner.store.results import Results
 
@@ -208,19 +210,53 @@ def compare(first: Path, second: Path, over: str, as_json: bool) -> None:
       glue-results compare runs/new runs/old --over steps --json
     """
     from experiment_runner.analysis.stats import FEW_TRIALS
-    from experiment_runner.report.comparing import COLUMNS, compared
+    from experiment_runner.report.comparing import COLUMNS, compared, left_out
     from experiment_runner.report.overview import FEW
     from experiment_runner.report.tables import format_table, terminal_width
     from experiment_runner.store.results import Results
 
     with Results.open(first) as a, Results.open(second) as b:
-        rows = compared(a, b, over)
+        rows, notes = compared(a, b, over), left_out(a, b)
     if as_json:
         click.echo(json.dumps([row.as_json() for row in rows], indent=2))
     else:
         click.echo(format_table(COLUMNS, [row.cells() for row in rows], width=terminal_width()))
         if any(row.found.trials < FEW_TRIALS for row in rows):
             click.echo(f"({FEW.strip()} fewer than {FEW_TRIALS} trials: their intervals are too narrow)")
+    _say_all(notes)
+
+
+@results.command("table")
+@click.argument("directories", metavar="RUN...", nargs=-1, required=True, type=_directory)
+@click.option(
+    "--format",
+    "kind",
+    type=click.Choice(["latex", "markdown"]),
+    default="markdown",
+    show_default=True,
+    help="For LaTeX, with the package booktabs, or for Markdown.",
+)
+@over_option
+@select_option
+def table_command(directories: tuple[Path, ...], kind: str, over: str, select: tuple[str, ...]) -> None:
+    """Write the table of a paper: a row for each agent, a column for each environment of each RUN.
+
+    A cell is the mean over trials, with its 95 % bootstrap interval, of the mean return of the last 100
+    episodes or, over steps, of the last tenth; as in glue-results show.
+
+    \b
+    Examples:
+      glue-results table runs/sweep --format latex > table.tex
+      glue-results table runs/mine runs/other --select sarsa
+    """
+    from experiment_runner.analysis.settings import collect
+    from experiment_runner.report.markup import LATEX, MARKDOWN, paper_table
+    from experiment_runner.store.results import Results
+
+    with ExitStack() as stack:
+        runs = [stack.enter_context(Results.open(directory)) for directory in directories]
+        settings = selected(collect(runs), select)
+    click.echo(paper_table(settings, over, LATEX if kind == "latex" else MARKDOWN))
 
 
 @results.command()
@@ -245,17 +281,18 @@ def power(directory: Path, difference: float, chance: float, over: str) -> None:
     Examples:
       glue-results power runs/pilot --difference 10
     """
-    from experiment_runner.report.comparing import needed
+    from experiment_runner.report.comparing import left_out, needed
     from experiment_runner.report.tables import format_table, terminal_width
     from experiment_runner.store.results import Results
 
     if difference == 0:
         raise ConfigError("--difference is not 0")
     with Results.open(directory) as found:
-        rows = needed(found, difference, chance, over)
+        rows, notes = needed(found, difference, chance, over), left_out(found)
     click.echo(
         format_table(("setting", "pilot trials", "trials of each agent"), rows, width=terminal_width())
     )
+    _say_all(notes)
 
 
 @results.command()
@@ -271,14 +308,15 @@ def sensitivity(directory: Path, over: str) -> None:
     Examples:
       glue-results sensitivity runs/sweep
     """
-    from experiment_runner.report.comparing import sensitivities
+    from experiment_runner.report.comparing import left_out, sensitivities
     from experiment_runner.report.tables import format_table, terminal_width
     from experiment_runner.store.results import Results
 
     with Results.open(directory) as found:
-        rows = sensitivities(found, over)
+        rows, notes = sensitivities(found, over), left_out(found)
     columns = ("agent", "configurations", "environments", "sensitivity", "best on average")
     click.echo(format_table(columns, rows, width=terminal_width(), prose=True))
+    _say_all(notes)
 
 
 @results.command()
@@ -471,6 +509,11 @@ def _why_unsaved(found: Results, trial: TrialRecord) -> str:
         f"{trial.spec.id} has no checkpoint yet, after {trial.done} of {length_of(trial.spec)}: "
         "one is written at its end, and before that as often as --checkpoint-every says"
     )
+
+
+def _say_all(lines: Iterable[str]) -> None:
+    for line in lines:
+        say(f"note: {line}")
 
 
 def main() -> None:

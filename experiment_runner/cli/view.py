@@ -87,6 +87,7 @@ def show(
 ) -> None:
     """Serve the page, and print its address."""
     try:
+        from experiment_runner.view.catalog import address_of
         from experiment_runner.view.server import is_loopback, serve
     except ModuleNotFoundError as error:
         if error.name not in ("starlette", "uvicorn"):
@@ -102,6 +103,7 @@ def show(
     os.nice(_NICENESS)  # the runs have priority
 
     def ready(url: str) -> None:
+        url += address_of(directories)
         click.echo(f"the page is at {url}", err=err)
         if browser and _has_display():
             # open() may wait for the browser.

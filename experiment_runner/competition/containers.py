@@ -29,6 +29,7 @@ from experiment_runner.competition.remover import MODULE as REMOVER
 from experiment_runner.competition.settings import Entrant, Limits
 from experiment_runner.competition.starting import SOCKET, Launch, Running
 from experiment_runner.meeting.watchdog import spawn
+from experiment_runner.store.layout import write_flushed
 from glue.console import say
 from glue.errors import ConfigError, ExperimentError
 
@@ -268,7 +269,7 @@ class Container:
         with suppress(OSError, HTTPError):
             self._events.close()
         with suppress(OSError):  # the disk is full: the log is not worth the trial
-            self.log.write_bytes(self._printed.take())
+            write_flushed(self.log, self._printed.take())
 
     def _dismiss(self) -> None:
         """Kill the remover, which is no longer needed."""
@@ -314,7 +315,7 @@ class _NotStarted:
         self.log = log
         self.reason: str | None = reason
         with suppress(OSError):
-            log.write_text(f"{reason}\n", encoding="utf-8")
+            write_flushed(log, f"{reason}\n")
 
     def wait(self, seconds: float) -> bool:
         """Return True: it has ended."""

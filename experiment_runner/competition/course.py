@@ -139,4 +139,4 @@ def course_of(directory: Path) -> Course:
     path = directory / COMPETITION_FILE
     if not path.is_file():
         raise ExperimentError(f"{directory} holds no competition: glue-compete run makes one")
-    return Course(load_competition(path), acts_of(directory))
+    return Course(load_competition(path, follow=False), acts_of(directory))

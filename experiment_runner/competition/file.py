@@ -41,14 +41,14 @@ _LEAST_MEMORY: Final = 6 * 2**20  # of Docker's containers
 _LEAST_CPUS: Final = 0.01  # likewise
 
 
-def load_competition(path: Path) -> Competition:
+def load_competition(path: Path, *, follow: bool = True) -> Competition:
     """Return the competition that a TOML file describes.
 
     Raises:
         ConfigError: the file cannot be read or describes no competition; the message names file and line.
     """
     try:
-        text = read(path, "competition")
+        text = read(path, "competition", follow)
     except ExperimentError as error:
         raise ConfigError(str(error)) from error
     return parse_competition(text, path)

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from experiment_runner.meeting.watchdog import watch_parent
+from glue.files import create_regular
 
 MODULE: Final = "experiment_runner.competition.keeper"
 
@@ -42,7 +43,7 @@ def main() -> None:
 
 
 def _keep(log: Path, size: int, command: Sequence[str]) -> int:
-    with log.open("wb", buffering=0) as kept:
+    with create_regular(log) as kept:
         try:
             program = subprocess.Popen(
                 command,
@@ -95,6 +96,7 @@ def _copy(program: subprocess.Popen[bytes], kept: BinaryIO, size: int) -> None:
             elif size > 0:
                 with suppress(OSError):  # the disk is full: the log is not worth the trial
                     kept.write(data[:size])
+                    kept.flush()
                     size -= len(data)
                     if size <= 0:
                         kept.write(_CUT)

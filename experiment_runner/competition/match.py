@@ -30,6 +30,7 @@ from experiment_runner.meeting.scratch import scratch_folder
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.database import reported
 from glue.client.experiment import RemoteExperiment, connect_over
+from glue.console import one_line
 from glue.errors import ConfigError, ExperimentError, GlueError, HubClosed, PeerFailed, PeerLost
 from glue.hub.config import DEFAULT_SESSION, Bind, HubConfig
 from glue.hub.io.inside import InsideTransport
@@ -205,7 +206,7 @@ class _Playing:
                 running.stop()
                 why = running.offence and f"its program {running.offence}"
             if why is not None:
-                self._send(Forfeited(_one_line(why)))
+                self._send(Forfeited(one_line(why, _MAX_REASON) or "no reason was given"))
 
     def _launch(self, scratch: Path, session: str) -> Launch:
         shared = self._match.entrant.folder
@@ -275,13 +276,6 @@ class _Playing:
         if isinstance(error, PeerLost) and running.wait(_LAST_WORDS_SECONDS):
             return f"its program {running.reason}"
         return str(error)
-
-
-def _one_line(text: str) -> str:
-    """Return a text, possibly chosen by the entrant, as one printable line."""
-    line = " ".join(text.split())
-    printable = "".join(char if char.isprintable() else "?" for char in line) or "no reason was given"
-    return printable if len(printable) <= _MAX_REASON else printable[: _MAX_REASON - 3] + "..."
 
 
 def prepare(environments: Sequence[str]) -> None:

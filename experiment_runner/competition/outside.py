@@ -12,6 +12,7 @@ from pathlib import Path
 from experiment_runner.competition.settings import Entrant, Gate, Limits
 from experiment_runner.competition.starting import SOCKET, Launch
 from experiment_runner.store.database import reported
+from experiment_runner.store.layout import write_flushed
 from glue.errors import ConfigError
 from glue.hub.config import Bind
 from glue.hub.keys import Keys, Permit
@@ -56,8 +57,8 @@ class Outside:
     def start(self, entrant: Entrant, limits: Limits, launch: Launch) -> _Elsewhere:
         """Write to the log that the program is started elsewhere."""
         with reported(f"cannot write {launch.log}"):
-            launch.log.write_text(
-                f"{entrant.name} is not started here: its log is where its program is\n", encoding="utf-8"
+            write_flushed(
+                launch.log, f"{entrant.name} is not started here: its log is where its program is\n"
             )
         return _Elsewhere(launch.log)
 

@@ -17,6 +17,7 @@ from experiment_runner.competition.settings import Competition, Task
 from experiment_runner.plan.ids import TrialId
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from glue.errors import ConfigError
+from glue.files import open_regular
 from glue.options import Value, build, parameters
 from glue.plugins.loading import find
 from glue.wire.messages import Role
@@ -56,7 +57,7 @@ def read_secret(
     else:
         where = str(path)
         try:
-            with path.open("rb") as file:
+            with open_regular(path, follow=True) as file:
                 secret = file.read(_MAX_SECRET)
                 mode = os.fstat(file.fileno()).st_mode
         except OSError as error:

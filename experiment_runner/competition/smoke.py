@@ -23,9 +23,11 @@ from experiment_runner.competition.starting import name_of_run
 from experiment_runner.executors.job import Ended, Lost, Recorded
 from experiment_runner.executors.local import LocalExecutor
 from experiment_runner.store.database import reported
+from experiment_runner.store.layout import write_flushed
 from experiment_runner.store.lock import LOCK_FILE, RunLock
 from experiment_runner.store.records import EpisodeResult
 from glue.errors import ConfigError, ExperimentError
+from glue.files import open_regular
 
 EPISODES: Final = 3
 _MAX_STEPS: Final = 1_000
@@ -74,7 +76,7 @@ def _check_entrants(
             folder.mkdir(parents=True, exist_ok=True)
         problem, lines = _checked(competition, entrant, folder, run, executor)
         with reported(f"cannot write to {folder}"):
-            (folder / "report.txt").write_text("\n".join(lines) + "\n", "utf-8")
+            write_flushed(folder / "report.txt", "\n".join(lines) + "\n")
         failed += problem is not None and entrant.key is None
         result = problem or f"played {EPISODES} episodes of each task"
         say(f"{entrant.name}: {result}; see {folder / 'report.txt'}")
@@ -106,7 +108,7 @@ def _checked(
     for task in competition.tasks:
         log = folder / f"{task.name}.log"
         with reported(f"cannot write to {log}"):
-            log.write_bytes(b"")
+            write_flushed(log, "")
         most = min(task.max_steps or _MAX_STEPS, _MAX_STEPS)
         spec = public_trial(task, entrant.name, EPISODES, most)
         episodes, problem = _try(executor, Match(spec, found, competition.limits, 0, log, run))
@@ -146,7 +148,7 @@ def _try(executor: LocalExecutor, played: Match) -> tuple[list[EpisodeResult], s
 
 
 def _tail(log: Path) -> list[str]:
-    with reported(f"cannot read {log}"), log.open("rb") as file:
+    with reported(f"cannot read {log}"), open_regular(log) as file:
         size = file.seek(0, 2)
         file.seek(max(0, size - _MAX_TAIL))
         text = file.read().decode("utf-8", "replace")

@@ -10,6 +10,7 @@ admits only the agent of one session. Nothing else connects the entrant with the
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,7 +105,7 @@ def name_of_run(directory: Path) -> str:
     Only the holder of the directory's lock starts entrants under this name, so containers that have it when a
     run begins were left behind by a process that was killed.
     """
-    return hashlib.sha256(str(directory.absolute()).encode()).hexdigest()[:16]
+    return hashlib.sha256(os.fsencode(directory.absolute())).hexdigest()[:16]
 
 
 def variables(hub: str, session: str) -> Mapping[str, str]:

@@ -7,8 +7,8 @@ Reports are sent, in order, to the only process that writes the store, see
 from __future__ import annotations
 
 import threading
-import traceback
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from typing import Any, Final, NamedTuple, TypeVar, get_args
 
 import msgpack
@@ -23,10 +23,22 @@ from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.store.database import StorageError
 from experiment_runner.store.records import Answer, Checkpoint, EpisodeResult, Reading
 from glue.console import show_failure
-from glue.errors import ConfigError, ExperimentError, GlueError, HubUnreachable, PeerFailed, Refused
+from glue.engine.experiment import Experiment
+from glue.errors import (
+    ConfigError,
+    ExperimentError,
+    GlueError,
+    HubUnreachable,
+    PeerFailed,
+    Refused,
+    described,
+)
 from glue.trajectory import TrajectoryWriter
 
 _T = TypeVar("_T")
+
+_LONG_SECONDS: Final = 5.0
+"""Seconds after which it is reported that an episode has not ended."""
 
 _MAX_MESSAGE: Final = 2**31 - 1
 """Maximum size of a job or report in bytes; most of it is a checkpoint."""
@@ -93,6 +105,13 @@ class Met(NamedTuple):
     session: str
 
 
+class Playing(NamedTuple):
+    """An episode has not ended for a while; it has this many steps so far, None if that is not known."""
+
+    episode: int
+    steps: int | None
+
+
 class Said(NamedTuple):
     """A line to show to the user."""
 
@@ -111,7 +130,7 @@ class Lost(NamedTuple):
     why: str
 
 
-Report = Recorded | Voided | Happened | Joined | Met | Said | Ended | Lost
+Report = Recorded | Voided | Happened | Joined | Met | Playing | Said | Ended | Lost
 
 
 def run_job(
@@ -144,14 +163,17 @@ def run_job(
     failure = None
     sender = _Sender(send_alone, job.start.after)
     try:
-        with open_experiment(
-            job.spec,
-            job.meeting,
-            lambda line: send_alone(Said(line)),
-            lambda: sender.done,
-            lambda *player: send_alone(Joined(*player)),
-            lambda hub, session: send_alone(Met(hub, session)),
-        ) as glue:
+        with (
+            open_experiment(
+                job.spec,
+                job.meeting,
+                lambda line: send_alone(Said(line)),
+                lambda: sender.done,
+                lambda *player: send_alone(Joined(*player)),
+                lambda hub, session: send_alone(Met(hub, session)),
+            ) as glue,
+            _watched(glue, sender, send_alone),
+        ):
             run_trial(
                 glue,
                 job.spec,
@@ -164,18 +186,43 @@ def run_job(
                 questions=job.questions,
                 metrics=job.metrics,
             )
-    except (StorageError, BrokenPipeError):
+    except (StorageError, BrokenPipeError, KeyboardInterrupt):
         raise
     except GlueError as error:
         if job.meeting.hub.hub is not None and isinstance(error, ConfigError | HubUnreachable | Refused):
             raise
         if isinstance(error, PeerFailed) and not isinstance(error.__cause__, GlueError | None):
             show_failure(error.__cause__)
-        failure = str(error)
-    except (Exception, SystemExit) as error:
-        traceback.print_exception(error)
-        failure = f"{type(error).__name__}: {error}"
+        failure = described(error)
+    except BaseException as error:
+        show_failure(error)
+        failure = described(error)
     send_alone(Ended(failure))
+
+
+@contextmanager
+def _watched(
+    glue: Experiment, sender: _Sender, send: Callable[[Report], None], seconds: float = _LONG_SECONDS
+) -> Iterator[None]:
+    """Report, every so many seconds in which no episode ended, how far the one under way is."""
+    over = threading.Event()
+
+    def watch() -> None:
+        before = sender.done
+        while not over.wait(seconds):
+            done, steps = sender.done, glue.steps_under_way()
+            if done == before and steps != 0:  # 0: it is still being initialised
+                with suppress(OSError, KeyboardInterrupt):  # nobody reads the reports any more
+                    send(Playing(done + 1, steps))
+            before = done
+
+    watcher = threading.Thread(target=watch, name="watcher", daemon=True)
+    watcher.start()
+    try:
+        yield
+    finally:
+        over.set()
+        watcher.join()
 
 
 class _Sender:

@@ -274,7 +274,7 @@ def recorded_plan(directory: Path) -> Plan:
         raise ExperimentError(f"{directory} is a competition, which glue-compete run continues")
     if not path.exists():
         raise ExperimentError(f"{directory} was merged from other runs: continue those")
-    plan = load_plan(path, "id")  # a line says so in the plan of every later version
+    plan = load_plan(path, "id", follow=False)  # a line says so in the plan of every later version
     if plan.tune is not None:
         raise ExperimentError(f"{directory} is a part of {directory.parent}, which its plan continues")
     return plan

@@ -16,7 +16,14 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from experiment_runner.analysis.stats import interquartile_mean, require_scipy
-from experiment_runner.executors.resume import check_sources, lengthen, open_trials, remaining, sources_of
+from experiment_runner.executors.resume import (
+    check_sources,
+    go_back,
+    lengthen,
+    open_trials,
+    remaining,
+    sources_of,
+)
 from experiment_runner.executors.run import RunConfig, run_trials
 from experiment_runner.executors.samplers import Configuration, Score, sampler_of
 from experiment_runner.plan.file import dump_plan
@@ -29,6 +36,7 @@ from experiment_runner.store.layout import PLAN_FILE
 from experiment_runner.store.records import TUNED
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
+from glue.files import read_text
 
 SEARCH: Final = "search"
 RESULT: Final = "result"
@@ -72,18 +80,24 @@ def tune(
         for spec in _specs(plan, one.sweep, {}, range(plan.tune.trials, plan.tune.trials + plan.tune.final))
     ]
     with _open(directory / RESULT, plan, specs, reporter.say) as store:
+        failed = run_trials(store, config, reporter, again=again)
         known = {event.text for event in store.events()}
         for one in chosen:
-            if one.report and one.report not in known:
-                store.record_event(TUNED, one.report)
-        return directory / RESULT, run_trials(store, config, reporter, again=again)
+            if not one.report:
+                continue
+            score = _score(store, [spec for spec in specs if spec.id.startswith(f"{one.sweep.label}/")])
+            here = f"in the {counted(plan.tune.final, 'trial')} here, with other seeds: {score:.2f}"
+            text = f"{one.report}; {here}"
+            if text not in known:
+                store.record_event(TUNED, text)
+        return directory / RESULT, failed
 
 
 def _open(directory: Path, plan: Plan, specs: Sequence[TrialSpec], say: Callable[[str], None]) -> Store:
     text, sources = dump_plan(plan), sources_of([*plan.agents, *plan.environments])
 
     def check(store: Store) -> None:
-        if (directory / PLAN_FILE).read_text(encoding="utf-8") != text:
+        if read_text(directory / PLAN_FILE) != text:
             raise ExperimentError(f"{directory} is of another plan: choose another folder, or its own plan")
         check_sources(directory, sources)
 
@@ -128,10 +142,11 @@ def _search(
     shown = " ".join(f"{name}={plain(value)}" for name, value in best.items())
     done = [trial for trial in store.trials() if trial.spec.id.startswith(f"{sweep.label}/")]
     episodes = sum(trial.done for trial in done)
+    distinct = len({tuple(one.items()) for one, _ in scores})
     report = (
-        f"{sweep.label} has {shown}, the best of {counted(len(scores), 'configuration')} of a {tune.sampler} "
-        f"search, with an interquartile mean of {score:.6g} there; the search took "
-        f"{counted(len(done), 'trial')} with other seeds, of {counted(episodes, 'episode')} in all"
+        f"{sweep.label} has {shown}, the best of {counted(distinct, 'configuration')} of a search (sampler "
+        f"{tune.sampler}; {counted(len(done), 'trial')}, of {counted(episodes, 'episode')} in all). "
+        f"Interquartile mean of the returns in the last quarter of each trial: in the search {score:.2f}"
     )
     return _Chosen(replace(sweep, options={**sweep.options, **best}), report)
 
@@ -166,16 +181,23 @@ def _shortened(spec: TrialSpec) -> TrialSpec:
 def _run(
     store: Store, specs: Sequence[TrialSpec], run: Callable[[], None], say: Callable[[str], None]
 ) -> None:
-    """Run the trials that the store does not have, or has only at a shorter length."""
+    """Run the trials that the store does not have, or has only at a shorter length.
+
+    A sampler may propose a configuration twice, even at once: it is run once.
+    """
     known = {trial.spec.id: trial.spec for trial in store.trials()}
+    wanted = {spec.id: spec for spec in specs}
     new = [
         spec
-        for spec in specs
+        for spec in wanted.values()
         if (old := known.get(spec.id)) is None or (old.episodes, old.steps) < (spec.episodes, spec.steps)
     ]
     lengthen(store, new, say)
-    wanted = {spec.id for spec in specs}
-    if any(trial.trial_id in wanted for trial in remaining(store)):
+    left = [trial for trial in remaining(store) if trial.trial_id in wanted]
+    for trial in left:
+        if trial.dropped:  # its players could not be saved at its shorter length
+            go_back(store, trial)
+    if left:
         run()
 
 

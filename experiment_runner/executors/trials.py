@@ -19,6 +19,7 @@ from experiment_runner.executors.job import (
     Job,
     Joined,
     Met,
+    Playing,
     Recorded,
     Report,
     Said,
@@ -30,7 +31,7 @@ from experiment_runner.executors.trial import BEGINNING, Start
 from experiment_runner.plan.plan import TrialSpec
 from experiment_runner.report.progress import Reporter
 from experiment_runner.store.meetings import LiveSession, Meetings
-from experiment_runner.store.records import UNSEEDED
+from experiment_runner.store.records import OF_PLAYERS, UNSEEDED
 from experiment_runner.store.store import Store
 from glue.closing import Closing
 from glue.trajectory import TrajectoryWriter
@@ -56,6 +57,7 @@ class Trials(Closing):
         self._specs: dict[str, TrialSpec] = {record.spec.id: record.spec for record in store.trials()}
         self._unstored: list[tuple[str, Recorded]] = []
         self._stored_at = -math.inf
+        self._said: set[str] = set()  # texts about all trials of a player
         self._joined: dict[tuple[str, str], str] = {}
         """The names of players that joined from outside, by trial and role."""
 
@@ -117,6 +119,8 @@ class Trials(Closing):
                     self.commit()
             case Met(hub, session):
                 self._meetings.begin(trial_id, LiveSession(hub, session))
+            case Playing(episode, steps):
+                self._reporter.playing(self._specs[trial_id], episode, steps)
             case Said(line):
                 self._say(trial_id, line)
             case Voided(episode, why):
@@ -171,6 +175,10 @@ class Trials(Closing):
     def _record_event(self, trial_id: str, kind: str, text: str) -> None:
         self.commit()
         self._store.record_event(kind, text, trial_id)
+        if kind in OF_PLAYERS:
+            if text in self._said:
+                return
+            self._said.add(text)
         self._say(trial_id, text)
 
     def _note_unseeded(self, line: str) -> None:

@@ -20,14 +20,14 @@ from typing import Final
 
 from experiment_runner.loggers import LOGGERS
 from experiment_runner.loggers.points import Logger, Source, points_of
-from experiment_runner.report.tables import one_line
 from experiment_runner.store.export import settings_of
-from experiment_runner.store.layout import STREAMS, replace_flushed
+from experiment_runner.store.layout import STREAMS, check_links, replace_flushed
 from experiment_runner.store.lock import RunLock, lock_holder
-from experiment_runner.store.output import read_regular
 from experiment_runner.store.results import Results
+from glue.console import one_line
 from glue.doors import chance, clock
 from glue.errors import ConfigError, ExperimentError, GlueError
+from glue.files import read_regular
 
 _TOGETHER: Final = 500
 """Number of episodes written together; after a kill, as many may be written again."""
@@ -69,6 +69,7 @@ def stream(directory: Path, name: str, project: str) -> int:
     """
     Results.open(directory).close()
     folder = directory / STREAMS / name
+    check_links(directory)
     folder.mkdir(parents=True, exist_ok=True)
     lock = RunLock(folder)
     try:
@@ -148,12 +149,12 @@ def _read(path: Path) -> dict[str, _Position]:
     Raises:
         ExperimentError: the file is damaged.
     """
-    text = read_regular(path, _MOST_BYTES)
-    if not text:
+    if not path.exists():
         return {}
     try:
+        text = read_regular(path, _MOST_BYTES)
         return {str(project): _position(fields) for project, fields in json.loads(text).items()}
-    except (ValueError, TypeError, AttributeError, RecursionError):
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
         raise ExperimentError(f"cannot read {path}: it is damaged; remove it to send all again") from None
 
 

@@ -25,7 +25,6 @@ class Hints:
         named: the roles whose players the experiment starts itself; each is mentioned once.
         ports: ports at which original RL-Glue programs join.
         keys: directory of the hub's keys, which players from outside need; None for none.
-        warnings: lines to be shown once, after the first hint.
     """
 
     def __init__(
@@ -36,11 +35,9 @@ class Hints:
         named: Collection[Role],
         ports: Sequence[LegacyPort] = (),
         keys: Path | None = None,
-        warnings: Sequence[str] = (),
     ) -> None:
         self._say = say
         self._named = named
-        self._once = list(warnings)
         self._starting: set[Role] = set()
         self._where = "" if hub == DEFAULT_HUB else f" --hub {_from_outside(hub)}"
         self._where += "" if session == DEFAULT_SESSION else f" --session {session}"
@@ -58,9 +55,6 @@ class Hints:
             else:
                 command = f"{_COMMANDS[role]} {example(role)}{self._where}"
                 self._say(f"waiting for an {role}; in another terminal: {command}{self._legacy}")
-        for line in self._once:
-            self._say(line)
-        self._once = []
 
 
 def _from_outside(endpoint: str) -> str:

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -127,8 +128,10 @@ def open_experiment(
 
 
 @contextmanager
-def listening(plan: Plan, meeting: Meeting) -> Iterator[Meeting]:
+def listening(plan: Plan, meeting: Meeting, say: Say) -> Iterator[Meeting]:
     """Listen for players from outside during a whole run; yield `meeting` with the open addresses.
+
+    `say` shows, once in the run, which of them strangers can reach.
 
     Raises:
         ConfigError: an address is in use, or is not one of this machine.
@@ -137,10 +140,14 @@ def listening(plan: Plan, meeting: Meeting) -> Iterator[Meeting]:
     expected = options.hub is None and not (plan.agents and plan.environments)
     outside = _outside(options, expected)
     # Refuses addresses without keys that other machines can reach.
-    HubConfig(bind=_binds(options, expected, frozenset(Role)), insecure=options.insecure)
+    binds = _binds(options, expected, frozenset(Role))
+    HubConfig(bind=binds, insecure=options.insecure)
     with ExitStack() as stack:
         opened = {url: stack.enter_context(open_address(url)) for url in outside}
         legacy = {port: stack.enter_context(open_legacy_port(port)) for port in options.legacy}
+        for bind in binds:
+            if bind.warning:
+                say(bind.announcement(opened[bind.url].endpoint))
         yield replace(meeting, opened=opened, opened_legacy=legacy)
 
 
@@ -230,8 +237,9 @@ class _OverHub:
             hints = Hints(self._say, url, options.session, self._named.keys())
         self._hints = hints
         session = options.session
-        if transport is not None:
-            glue = connect_over(transport, session, on_notice=self._notice)
+        if transport is not None and self._hub is not None:
+            steps = partial(self._hub.switchboard.num_steps, session)
+            glue = connect_over(transport, session, on_notice=self._notice, num_steps=steps)
         else:
             glue = connect(
                 url,
@@ -281,12 +289,10 @@ class _OverHub:
         for port in ports:
             self._say(f"original RL-Glue programs join on {port}")
         stack.enter_context(hub.in_background())
-        pairs = zip(binds, hub.endpoints[1:], strict=True)
-        warnings = [f"{bind.warning}listening on {endpoint}" for bind, endpoint in pairs if bind.warning]
         public = hub.endpoints[1] if binds else inside
         if binds and not expected:
             self._say(f"observers can join at {public}")
-        hints = Hints(self._say, public, options.session, self._named.keys(), ports, options.keys, warnings)
+        hints = Hints(self._say, public, options.session, self._named.keys(), ports, options.keys)
         return inside, InsideTransport(hub, self._inside, options.session), hints
 
     def _notice(self, event: Event, role: Role, name: str) -> None:

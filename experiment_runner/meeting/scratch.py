@@ -10,13 +10,19 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from experiment_runner.store.lock import LOCK_FILE, RunLock, lock_holder
+from experiment_runner.store.database import StorageError
+from experiment_runner.store.lock import LOCK_FILE, DirectoryTaken, NoLocks, RunLock, lock_holder
 from glue.errors import ExperimentError
 from glue.hub.io.listener import is_left_over
 
 _PREFIX: Final = "glue-"
 _OURS: Final = _PREFIX + 8 * "?"
 """Pattern of names made by `tempfile`. Checking a folder may mean connecting to its socket."""
+
+_MAX_PARENT: Final = 80
+"""Bytes of the longest path of a folder in which sockets are made: the path of a socket has at most 107."""
+
+_SHORT: Final = Path("/tmp")
 
 SOCKET: Final = "hub"
 """Name of the Unix socket in such a folder."""
@@ -27,9 +33,12 @@ def scratch_folder() -> Iterator[Path]:
     """Yield a new folder that only this user can enter, for the sockets of one trial.
 
     Raises:
+        ExperimentError: the file system of temporary folders has no locks.
         OSError: it cannot be made.
     """
     parent = Path(tempfile.gettempdir())
+    if len(os.fsencode(parent)) > _MAX_PARENT:
+        parent = _SHORT
     _remove_abandoned(parent)
     folder, lock = _make(parent)
     try:
@@ -42,8 +51,12 @@ def scratch_folder() -> Iterator[Path]:
 def _make(parent: Path) -> tuple[Path, RunLock]:
     while True:
         folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=parent))
-        with suppress(ExperimentError):
-            lock = RunLock(folder)
+        with suppress(DirectoryTaken):
+            try:
+                lock = RunLock(folder)
+            except (NoLocks, StorageError) as error:
+                shutil.rmtree(folder, ignore_errors=True)
+                raise ExperimentError(f"{error}; TMPDIR=DIR sets that of temporary folders") from None
             if (folder / LOCK_FILE).exists():
                 return folder, lock
             lock.release()

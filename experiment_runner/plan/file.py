@@ -50,7 +50,7 @@ from glue.options import Value
 _KEYS: Final = (*COUNTS, "seeds", "inside", "metrics_every", "metrics", "tune", *ROLES)
 
 
-def load_plan(path: Path, seeds: Seeds = "number") -> Plan:
+def load_plan(path: Path, seeds: Seeds = "number", *, follow: bool = True) -> Plan:
     """Return the plan in a TOML file.
 
     Args:
@@ -60,7 +60,7 @@ def load_plan(path: Path, seeds: Seeds = "number") -> Plan:
     Raises:
         ExperimentError: the file cannot be read, or is not a plan; the message names the file.
     """
-    text = read(path, "plan")
+    text = read(path, "plan", follow)
     with naming_lines(path, text):
         return parse_plan(text, seeds)
 

@@ -199,7 +199,7 @@ class Plan:
         if self.seeds not in get_args(Seeds):
             raise SettingError(f"seeds must be 'number' or 'id', not {shown(self.seeds)}", "seeds")
         for player in self.inside:
-            if player not in PLAYERS:
+            if not isinstance(player, str) or player not in PLAYERS:
                 raise SettingError(f"inside lists any of {', '.join(PLAYERS)}, not {shown(player)}", "inside")
         for role in ROLES:
             labels = [sweep.label for sweep in getattr(self, role)]

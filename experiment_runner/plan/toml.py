@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from glue.errors import ExperimentError
+from glue.files import read_regular
 from glue.suggestions import did_you_mean
 
 _MAX_BYTES: Final = 2**22
@@ -33,22 +34,19 @@ class SettingError(ExperimentError):
         return SettingError(str(self), *keys, *self.keys)
 
 
-def read(path: Path, what: str) -> str:
+def read(path: Path, what: str, follow: bool = True) -> str:
     """Return the text of a file.
 
     Args:
         path: of the file.
         what: what the file describes, for messages.
+        follow: whether it may be a symbolic link: the user has named it.
 
     Raises:
         ExperimentError: the file cannot be read, is no text or too large; the message names it.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read(_MAX_BYTES + 1)
-        if len(data) > _MAX_BYTES:
-            raise ExperimentError(f"cannot read the {what} {path}: it has more than {_MAX_BYTES:,} bytes")
-        return data.decode()
+        return read_regular(path, _MAX_BYTES, follow=follow).decode()
     except OSError as error:
         raise ExperimentError(f"cannot read the {what} {path}: {error.strerror or error}") from error
     except UnicodeDecodeError as error:

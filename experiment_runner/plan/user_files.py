@@ -15,7 +15,7 @@ from typing import Final, NamedTuple
 
 import glue
 from experiment_runner.plan.plan import RoleSpec, RoleSweep, class_files
-from glue.plugins.loading import PACKAGES
+from glue.plugins.loading import PACKAGES, all_modules
 
 _LOADED_BEFORE: Final = frozenset(sys.modules)
 _MAX_COPY: Final = 2**24
@@ -51,7 +51,7 @@ def changed_files(recorded: Mapping[str, str], present: Mapping[str, UserFile]) 
 def _modules() -> Iterator[Path]:
     libraries = {Path(folder).resolve() for folder in sysconfig.get_paths().values()}
     ours = {Path(glue.__file__).resolve().parents[1] / name for name in PACKAGES}
-    for name, module in list(sys.modules.items()):
+    for name, module in all_modules():
         file = getattr(module, "__file__", None)
         if name in _LOADED_BEFORE or name == "__main__" or not isinstance(file, str):
             continue

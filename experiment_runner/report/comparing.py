@@ -13,6 +13,7 @@ from experiment_runner.analysis.settings import Setting, collect
 from experiment_runner.analysis.stats import FEW_TRIALS, Estimate, bootstrap_rng, mean_of_last
 from experiment_runner.plan.plan import RoleSpec, plain
 from experiment_runner.report.overview import FEW
+from experiment_runner.report.tables import counted
 from experiment_runner.store.output import finite
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
@@ -125,13 +126,26 @@ def sensitivities(sweep: Results, over: str) -> list[tuple[str, ...]]:
 
 
 def _performance(setting: Setting, over: str) -> dict[int, float]:
-    """Return the performance of each trial that has begun, by its seed."""
+    """Return the performance of each trial that counts, by its seed."""
+    seeds = [setting.trials[i].spec.seed for i in setting.counted()]
     if over == "steps":
-        totals = setting.totals_by_trial()
-        reached = {name: trial.last(max(1, int(trial.steps[-1]) // 10)) for name, trial in totals.items()}
-        return {t.spec.seed: reached[t.spec.id] for t in setting.trials if t.spec.id in reached}
-    pairs = zip(setting.trials, setting.values, strict=True)
-    return {trial.spec.seed: mean_of_last(values, _WINDOW) for trial, values in pairs if values.size}
+        reached = [trial.last(max(1, int(trial.steps[-1]) // 10)) for trial in setting.step_totals()]
+    else:
+        reached = [mean_of_last(setting.values[i], _WINDOW) for i in setting.counted()]
+    return dict(zip(seeds, reached, strict=True))
+
+
+def left_out(*runs: Results) -> list[str]:
+    """Return a line for each run of which trials do not count, or not as a whole."""
+    lines = []
+    for run in runs:
+        trials = [trial for trial in run.trials() if not trial.finished]
+        failed = sum(trial.failure is not None for trial in trials)
+        if failed:
+            lines.append(f"{counted(failed, 'failed trial')} of {run.directory} left out")
+        if len(trials) > failed:
+            lines.append(f"{counted(len(trials) - failed, 'trial')} of {run.directory} not finished")
+    return lines
 
 
 def _environment(setting: Setting) -> str:

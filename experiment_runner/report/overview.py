@@ -24,11 +24,12 @@ from experiment_runner.analysis.stats import (
     mean,
     mean_of_last,
 )
-from experiment_runner.report.tables import counted, format_table, one_line, wrap
+from experiment_runner.report.tables import counted, format_table, wrap
 from experiment_runner.store.lock import lock_holder
 from experiment_runner.store.output import finite
-from experiment_runner.store.records import TUNED, UNSEEDED, TrialRecord
+from experiment_runner.store.records import OF_PLAYERS, TUNED, UNSEEDED, TrialRecord
 from experiment_runner.store.results import Results
+from glue.console import one_line
 
 _WINDOW: Final = 100
 _SETTING_COLUMNS: Final = ("setting", "finished", "episodes", "mean", "95 % interval", "IQM", "converged")
@@ -176,7 +177,7 @@ def _header(results: Results) -> list[str]:
     run = overview(results)
     lines = [
         f"{one_line(str(run.directory))}: {run.state}"
-        + (f" ({run.reason})" if run.state == "running" else "")
+        + (f" ({one_line(run.reason)})" if run.state == "running" else "")
     ]
     if run.started is not None:
         lines.append(f"started  {date(run.started)}")
@@ -188,14 +189,22 @@ def _notes(results: Results) -> list[str]:
     names = results.trial_names()
     failed = [trial for trial in results.trials() if trial.failure is not None]
     notes = [f"failed: {names[trial.spec.id]}: {trial.failure}" for trial in failed]
+    if shorter := sum(not trial.finished for trial in failed):
+        notes.append(f"{counted(shorter, 'failed trial')} left out of the means")
     notes += [f"void: episode {v.episode} of {names[v.trial_id]}: {v.why}" for v in results.voids()]
     if cut := sum(results.cut_by_budget(trial.spec.id) for trial in results.trials() if trial.spec.steps):
         notes.append(f"the budget of steps has cut off the last episode of {counted(cut, 'trial')}")
+    alike: dict[tuple[str, str], dict[str, None]] = defaultdict(dict)
     for event in results.events():
-        if event.trial_id is not None:
+        if event.kind in OF_PLAYERS and event.trial_id is not None:
+            alike[event.kind, event.text][names[event.trial_id]] = None
+        elif event.trial_id is not None:
             notes.append(f"{event.kind}: {names[event.trial_id]}: {event.text}")
         elif event.kind in (UNSEEDED, TUNED):
             notes.append(event.text)
+    for (kind, text), (first, *others) in alike.items():
+        more = f" and {counted(len(others), 'other trial')}" if others else ""
+        notes.append(f"{kind}: {first}{more}: {text}")
     return notes
 
 
@@ -279,7 +288,7 @@ def _programs(results: Results) -> list[str]:
 
 
 def _numbers(setting: Setting, over: str, rng: np.random.Generator) -> dict[str, object]:
-    begun = [returns for returns in setting.values if returns.size]
+    begun = [setting.values[i] for i in setting.counted()]
     numbers: dict[str, object] = {
         "setting": setting.label,
         "finished_trials": sum(trial.finished for trial in setting.trials),

@@ -11,6 +11,7 @@ import contextlib
 import math
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -26,6 +27,7 @@ from experiment_runner.analysis.stats import (
     mean,
     running_mean,
 )
+from experiment_runner.report.overview import FEW
 from experiment_runner.report.tables import counted
 from experiment_runner.store.output import written
 from glue.errors import ExperimentError
@@ -60,6 +62,7 @@ _METADATA: Final[dict[str, dict[str, Any]]] = {
 _WIDTH: Final = 6.4  # inches, as all lengths below
 _HEIGHT: Final = 4.0
 _PANEL_HEIGHT: Final = 2.6
+_MARGIN: Final = 1.2  # for the title, the labels and the legend
 _ROW_HEIGHT: Final = 0.45
 _NAME_LETTERS: Final = 28  # of an agent, in a line
 _TITLE_LETTERS: Final = 72  # across a figure
@@ -68,23 +71,47 @@ _TOLERANCE: Final = "bands for 90 % of the trials (tolerance intervals, 95 %)"
 _RETURN: Final = "episode return (reward)"
 
 
+Key = tuple[str, str]
+"""A curve: its environment, which has a panel, and its name there. A single environment may have no name."""
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """What a user sets of a figure.
+
+    Args:
+        title: text above it; None for a description of what is drawn.
+        size: width and height in inches; None for 6.4 and the height that the panels need.
+        columns: number of panels side by side; 0 for at most two.
+    """
+
+    title: str | None = None
+    size: tuple[float, float] | None = None
+    columns: int = 0
+
+
+_PLAIN: Final = Layout()
+
+
 def learning_curves(
-    curves: Mapping[str, FloatArray],
+    curves: Mapping[Key, FloatArray],
     rng: np.random.Generator,
     *,
     window: int = 100,
     label: str = _RETURN,
     tolerance: bool = False,
+    layout: Layout = _PLAIN,
 ) -> Figure:
     """Return a figure of running means over trials, each with its 95 % bootstrap band.
 
     Args:
-        curves: (trials, episodes) by name. A single trial has no band, and a curve shorter than the window
+        curves: (trials, episodes) of each. A single trial has no band, and a curve shorter than the window
             is left out.
         rng: for resampling.
         window: episodes in the running mean; at most a tenth of the longest curve is used.
         label: of the axis of values.
         tolerance: whether the bands are tolerance intervals of single trials.
+        layout: of the figure.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
@@ -92,56 +119,58 @@ def learning_curves(
     window = fitting_window(window, (values.shape[1] for values in curves.values()))
     if not any(np.isfinite(values).any() for values in curves.values()):
         raise ExperimentError(f"there is nothing to draw: no episode has a value of {label}")
-    found = {name: over_episodes(values, window, rng) for name, values in curves.items()}
-    return _curves(found, window, "episode", label, curves.values(), tolerance)
+    found = {key: over_episodes(values, window, rng) for key, values in curves.items()}
+    return _curves(found, window, "episode", label, tolerance, layout)
 
 
 def step_curves(
-    totals: Mapping[str, Sequence[StepTotals]],
+    totals: Mapping[Key, Sequence[StepTotals]],
     rng: np.random.Generator,
     *,
     window: int = 0,
     label: str = _RETURN,
     tolerance: bool = False,
+    layout: Layout = _PLAIN,
 ) -> Figure:
     """Return a figure like that of `learning_curves`, over steps.
 
     Args:
-        totals: of each trial, by name. A curve with a trial shorter than the window is left out.
+        totals: of the trials of each. A curve with a trial shorter than the window is left out.
         rng: for resampling.
         window: steps in the running mean; at most a tenth of the longest trial is used. 0 for a fiftieth.
         label: of the axis of values.
-        tolerance: as in `learning_curves`.
+        tolerance, layout: as in `learning_curves`.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
     """
     window = step_window(window, totals.values())
-    found = {name: over_steps(trials, window, rng) for name, trials in totals.items()}
-    return _curves(found, window, "step", label, totals.values(), tolerance)
+    found = {key: over_steps(trials, window, rng) for key, trials in totals.items()}
+    return _curves(found, window, "step", label, tolerance, layout)
 
 
 def metric_curves(
-    readings: Mapping[str, Sequence[tuple[FloatArray, FloatArray]]],
+    readings: Mapping[Key, Sequence[tuple[FloatArray, FloatArray]]],
     rng: np.random.Generator,
     label: str,
     tolerance: bool = False,
+    layout: Layout = _PLAIN,
 ) -> Figure:
     """Return a figure of a metric over steps: the mean over trials, with bands as in `learning_curves`.
 
     Args:
-        readings: steps and values of each trial, by name of the curve.
+        readings: steps and values of the trials of each.
         rng: for resampling.
         label: name of the metric.
-        tolerance: as in `learning_curves`.
+        tolerance, layout: as in `learning_curves`.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
     """
-    found = {name: of_metric(trials, rng) for name, trials in readings.items()}
+    found = {key: of_metric(trials, rng) for key, trials in readings.items()}
     if not any(found.values()):
         raise ExperimentError(_NOTHING)
-    return _curves(found, 0, "step", label, readings.values(), tolerance)
+    return _curves(found, 0, "step", label, tolerance, layout)
 
 
 def step_window(window: int, totals: Iterable[Sequence[StepTotals]]) -> int:
@@ -155,31 +184,32 @@ def step_window(window: int, totals: Iterable[Sequence[StepTotals]]) -> int:
 
 
 def _curves(
-    curves: Mapping[str, Curve | None],
+    curves: Mapping[Key, Curve | None],
     window: int,
     unit: str,
     label: str,
-    trials: Iterable[Sized],
     tolerance: bool,
+    layout: Layout,
 ) -> Figure:
+    drawn = {key: curve for key, curve in curves.items() if curve is not None}  # others are too short yet
     with _style():
-        figure, (axes,) = _panels(1, 1, _HEIGHT)
-        for number, (name, curve) in enumerate(curves.items()):
-            if curve is None:
-                continue  # too short yet
+        figure, axes_of = _environments(drawn, layout, unit, label)
+        names = list(dict.fromkeys(name for _, name in curves))
+        for (environment, name), curve in drawn.items():
             value, low, high = curve.band
             if tolerance:
                 low, high = np.array([tolerance_interval(values) for values in curve.means.T]).T
-            color, dash = _look(number)
-            axes.plot(curve.at, value, label=name, color=color, linestyle=dash)
+            color, dash = _look(names.index(name))
+            axes = axes_of[environment]
+            axes.plot(curve.at, value, label=_marked(name, curve.means), color=color, linestyle=dash)
             axes.fill_between(curve.at, low, high, color=color, alpha=0.2, linewidth=0)
         means = f"running mean of {counted(window, unit)}" if window else "mean"
         bands = _TOLERANCE if tolerance else "95 % bootstrap bands"
-        _title(figure, f"{means} over {_trials(trials)}, with {bands}", trials)
-        axes.set_xlabel(unit)
-        axes.set_ylabel(label)
-        axes.set_xlim(left=0)
-        _legend_below(figure, axes)
+        trials = [curve.means for curve in drawn.values()]
+        _title(figure, f"{means} over {_trials(trials)}, with {bands}", trials, layout)
+        for axes in axes_of.values():
+            axes.set_xlim(left=0)
+        _legend_below(figure, axes_of.values())
     return figure
 
 
@@ -189,6 +219,7 @@ def scatter(
     window: int = 100,
     reference: tuple[str, FloatArray] | None = None,
     label: str = _RETURN,
+    layout: Layout = _PLAIN,
 ) -> Figure:
     """Return a figure with a panel for each curve: a dot for each episode of each trial, and their mean.
 
@@ -197,6 +228,7 @@ def scatter(
         window: episodes in the running mean; at most a tenth of the longest curve is used.
         reference: name and values, (trials, episodes), of a curve whose running mean is in every panel.
         label: of the axis of values.
+        layout: of the figure, which has no title of its own.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
@@ -204,10 +236,10 @@ def scatter(
     Source of the design: Mohan (2010), figures 2 to 13.
     """
     window = fitting_window(window, (values.shape[1] for values in curves.values()))
-    columns = 1 if len(curves) == 1 else 2
-    rows = math.ceil(len(curves) / columns)
     with _style():
-        figure, panels = _panels(rows, columns, _HEIGHT if rows == 1 else rows * _PANEL_HEIGHT, len(curves))
+        figure, panels, columns = _grid(len(curves), layout, "all")
+        if layout.title:
+            _title(figure, "", [], layout)
         for number, (name, returns) in enumerate(curves.items()):
             axes = panels[number]
             episode = np.broadcast_to(np.arange(1, returns.shape[1] + 1), returns.shape)
@@ -234,7 +266,7 @@ def scatter(
         figure.supylabel(label, fontsize="medium")
         # The dots in the panels are too faint for a legend.
         panels[0].plot([], [], ".", color=_COLORS[0], label="an episode")
-        _legend_below(figure, panels[0])
+        _legend_below(figure, panels[:1])
     return figure
 
 
@@ -244,6 +276,7 @@ def comparison(
     *,
     final: str,
     label: str = _RETURN,
+    layout: Layout = _PLAIN,
 ) -> Figure:
     """Return a figure of the final performance of each agent, with 95 % bootstrap intervals.
 
@@ -253,6 +286,7 @@ def comparison(
         rng: for resampling.
         final: the part of a trial over which its performance was measured, as in `last 100 episodes`.
         label: of the axis of values.
+        layout: of the figure.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
@@ -261,51 +295,51 @@ def comparison(
         raise ExperimentError(_NOTHING)
     rows = max(map(len, environments.values()))
     with _style():
-        figure, panels = _panels(
-            len(environments),
-            1,
-            1.2 + len(environments) * (0.4 + _ROW_HEIGHT * rows),
-            len(environments),
-            "none",
-        )
+        figure, panels, _ = _grid(len(environments), layout, "none", 0.4 + _ROW_HEIGHT * rows, 1)
         for axes, (environment, agents) in zip(panels, environments.items(), strict=True):
             for row, values in enumerate(agents.values()):
                 _plot_performance(axes, row, values, rng)
-            axes.set_yticks(range(len(agents)), [textwrap.fill(name, _NAME_LETTERS) for name in agents])
+            axes.set_yticks(
+                range(len(agents)),
+                [textwrap.fill(_marked(name, values), _NAME_LETTERS) for name, values in agents.items()],
+            )
             axes.set_ylim(len(agents) - 0.5, -0.5)
             axes.grid(visible=False, axis="y")
             if environment:
                 axes.set_title(textwrap.fill(environment, _TITLE_LETTERS))
         panels[-1].set_xlabel(label)
         curves = [values for agents in environments.values() for values in agents.values()]
-        _title(figure, f"{final} of each trial, with 95 % bootstrap intervals", curves)
-        _legend_below(figure, panels[0])
+        _title(figure, f"{final} of each trial, with 95 % bootstrap intervals", curves, layout)
+        _legend_below(figure, panels[:1])
     return figure
 
 
-def profiles(reached: Mapping[str, FloatArray], *, label: str = _RETURN) -> Figure:
+def profiles(reached: Mapping[Key, FloatArray], *, label: str = _RETURN, layout: Layout = _PLAIN) -> Figure:
     """Return a figure of performance profiles: the share of trials above each value.
 
     Args:
-        reached: performance of each trial, (trials,), by name.
+        reached: performance of the trials of each, (trials,).
         label: of the axis of values.
+        layout: of the figure.
 
     Raises:
         ExperimentError: matplotlib is not installed, or there is nothing to draw yet.
     """
     if not any(values.size for values in reached.values()):
         raise ExperimentError(_NOTHING)
-    known = np.concatenate(list(reached.values()))
-    at = np.linspace(known.min(), known.max(), 400)
     with _style():
-        figure, (axes,) = _panels(1, 1, _HEIGHT)
-        for number, (name, values) in enumerate(reached.items()):
-            color, dash = _look(number)
-            axes.step(at, profile(values, at), label=name, color=color, linestyle=dash)
-        _title(figure, f"performance profiles of {_trials(reached.values())}", reached.values())
-        axes.set_xlabel(label)
-        axes.set_ylabel("share of trials above")
-        _legend_below(figure, axes)
+        figure, axes_of = _environments(reached, layout, label, "share of trials above")
+        names = list(dict.fromkeys(name for _, name in reached))
+        for environment, axes in axes_of.items():
+            here = {name: values for (where, name), values in reached.items() if where == environment}
+            known = np.concatenate(list(here.values()))
+            at = np.linspace(known.min(), known.max(), 400)
+            for name, values in here.items():
+                color, dash = _look(names.index(name))
+                axes.step(at, profile(values, at), label=_marked(name, values), color=color, linestyle=dash)
+        title = f"performance profiles of {_trials(reached.values())}"
+        _title(figure, title, reached.values(), layout)
+        _legend_below(figure, axes_of.values())
     return figure
 
 
@@ -348,23 +382,69 @@ def _style() -> Iterator[None]:
         yield
 
 
-def _panels(
-    rows: int, columns: int, height: float, used: int = 1, share: Literal["all", "none"] = "all"
-) -> tuple[Figure, list[Axes]]:
+def _grid(
+    panels: int,
+    layout: Layout,
+    share: Literal["all", "none"],
+    height: float = _PANEL_HEIGHT,
+    columns: int = 2,
+) -> tuple[Figure, list[Axes], int]:
+    """Return a figure, its panels, and the number of those side by side: `columns`, unless `layout` says it.
+
+    Args:
+        panels: their number.
+        layout: of the figure.
+        share: whether the panels have the same scales.
+        height: of a panel, in inches.
+        columns: the most panels side by side, by default.
+    """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(_WIDTH, height))
-    grid = figure.subplots(rows, columns, sharex=share, sharey=share, squeeze=False)
-    panels = list(grid.flat)
-    for axes in panels[used:]:
+    columns = min(layout.columns or columns, panels)
+    rows = math.ceil(panels / columns)
+    usual = (_WIDTH, _HEIGHT if rows == 1 and height == _PANEL_HEIGHT else _MARGIN + rows * height)
+    figure = Figure(figsize=layout.size or usual)
+    grid = list(figure.subplots(rows, columns, sharex=share, sharey=share, squeeze=False).flat)
+    for axes in grid[panels:]:
         axes.remove()
-    return figure, panels[:used]
+    return figure, grid[:panels], columns
 
 
-def _title(figure: Figure, text: str, curves: Iterable[Sized]) -> None:
+def _environments(
+    curves: Iterable[Key], layout: Layout, across: str, up: str
+) -> tuple[Figure, dict[str, Axes]]:
+    """Return a figure with a panel for each environment, as their values have no common scale.
+
+    Args:
+        curves: those that it will have.
+        layout: of the figure.
+        across, up: labels of the axes.
+    """
+    names = list(dict.fromkeys(environment for environment, _ in curves))
+    figure, panels, columns = _grid(len(names), layout, "none")
+    for number, (name, axes) in enumerate(zip(names, panels, strict=True)):
+        if name:
+            axes.set_title(textwrap.fill(name, _TITLE_LETTERS // columns))
+        if number + columns >= len(panels):  # no panel below
+            axes.set_xlabel(across)
+    if len(panels) == 1:
+        panels[0].set_ylabel(up)
+    else:
+        figure.supylabel(up, fontsize="medium")
+    return figure, dict(zip(names, panels, strict=True))
+
+
+def _marked(name: str, trials: Sized) -> str:
+    """Return a curve's name, marked if its interval is one of few trials."""
+    return name + (FEW if len(trials) < FEW_TRIALS else "")
+
+
+def _title(figure: Figure, text: str, curves: Iterable[Sized], layout: Layout) -> None:
     """Write a title on as many lines as needed, with a warning if intervals have few trials."""
     if any(len(values) < FEW_TRIALS for values in curves):
-        text += f"; fewer than {FEW_TRIALS} trials: unreliable"
+        text += f"; {FEW.strip()}\N{NO-BREAK SPACE}fewer than {FEW_TRIALS} trials: unreliable"
+    if layout.title is not None:
+        text = layout.title
     figure.suptitle(textwrap.fill(text, _TITLE_LETTERS), fontsize="small", x=0.02, ha="left")
 
 
@@ -373,10 +453,14 @@ def _plot_mean(axes: Axes, returns: FloatArray, window: int, name: str, dash: st
     axes.plot(np.arange(len(means)) + window, means, dash, color=color, linewidth=1.2, label=name)
 
 
-def _legend_below(figure: Figure, axes: Axes) -> None:
-    handles, names = axes.get_legend_handles_labels()
-    columns = max(1, min(len(names), _LEGEND_LETTERS // (max(map(len, names)) + 6)))
-    figure.legend(handles, names, loc="outside lower center", ncols=columns, fontsize="small")
+def _legend_below(figure: Figure, panels: Iterable[Axes]) -> None:
+    found: dict[str, Any] = {}
+    for axes in panels:
+        for handle, name in zip(*axes.get_legend_handles_labels(), strict=True):
+            found.setdefault(name, handle)
+    room = max(1, round(_LEGEND_LETTERS * figure.get_figwidth() / _WIDTH))
+    columns = max(1, min(len(found), room // (max(map(len, found)) + 6)))
+    figure.legend(found.values(), found.keys(), loc="outside lower center", ncols=columns, fontsize="small")
 
 
 def fitting_window(window: int, lengths: Iterable[int]) -> int:

@@ -14,9 +14,11 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, Protocol, TextIO
 
 from experiment_runner.plan.plan import TrialSpec
-from experiment_runner.report.tables import format_table
+from experiment_runner.report.tables import counted, format_table, wrap
+from experiment_runner.store.database import reported
 from experiment_runner.store.output import finite
 from experiment_runner.store.records import EpisodeResult, TrialRecord
+from glue.console import for_terminal
 
 _WINDOW: Final = 100
 _TTY_SECONDS: Final = 0.2
@@ -52,6 +54,10 @@ class Reporter(Protocol):
 
     def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
         """Report a finished episode."""
+        ...
+
+    def playing(self, spec: TrialSpec, episode: int, steps: int | None) -> None:
+        """Report that an episode has not ended for a while, after so many steps; None if not known."""
         ...
 
     def end(self, spec: TrialSpec) -> None:
@@ -112,6 +118,12 @@ class Progress:
         if now - self._shown_at >= self._every:
             self._show(now)
 
+    def playing(self, spec: TrialSpec, episode: int, steps: int | None) -> None:
+        self._rows[spec.id].play(episode, steps)
+        now = self._clock()
+        if now - self._shown_at >= self._every:
+            self._show(now)
+
     def end(self, spec: TrialSpec) -> None:
         row = self._rows[spec.id]
         if self._live:
@@ -122,7 +134,7 @@ class Progress:
 
     def say(self, line: str) -> None:
         self._erase()
-        print(line, file=self._stream, flush=True)
+        print(for_terminal(line), file=self._stream, flush=True)
 
     def close(self) -> None:
         self._erase()
@@ -138,11 +150,20 @@ class Progress:
         else:
             for row in begun:
                 self.say(row.line(now))
+        if not self._live:
+            for line in self._under_way():
+                self.say(line)
+
+    def _under_way(self) -> list[str]:
+        """Return a line for each trial whose episode does not end."""
+        return [f"{row.name}: {row.under_way}" for row in self._rows.values() if row.under_way]
 
     def _draw(self, now: float, begun: Sequence[_Row]) -> None:
         width, height = shutil.get_terminal_size()
         room = max(height - 5, 1)
-        lines = _table([row.cells(now) for row in begun[:room]], width - 1)
+        lines = _table([row.cells(now) for row in begun[:room]], width - 1) if begun else []
+        under_way = [part for line in self._under_way() for part in wrap(line, width - 1).splitlines()]
+        lines += under_way[: max(room - len(begun), 0)]
         if len(begun) > room:
             lines.append(f"and {len(begun) - room} more")
         if self._total.trials > 1:
@@ -166,6 +187,7 @@ class _Row:
     Attributes:
         name: the first column.
         recent: the returns of the newest episodes.
+        under_way: a line about an episode that does not end; empty if there is none.
     """
 
     def __init__(self, spec: TrialSpec, done: int, steps: int) -> None:
@@ -175,9 +197,17 @@ class _Row:
         self._steps_before = steps
         self._steps = 0
         self._began = 0.0
+        self.under_way: str = ""
         self.recent: deque[float] = deque(maxlen=_WINDOW)
 
+    def play(self, episode: int, steps: int | None) -> None:
+        so_far = "has not ended yet" if steps is None else f"has {counted(steps, 'step')} so far"
+        limited = self._spec.max_steps or self._spec.steps
+        remedy = "" if limited else "; --max-steps N (max_steps in a plan) cuts such episodes off"
+        self.under_way = f"episode {episode} {so_far}{remedy}"
+
     def add(self, result: EpisodeResult, now: float) -> None:
+        self.under_way = ""
         if not self.recent:
             self._began = now - result.wall_time  # excluding the time in which the players started
         self._done = result.episode
@@ -253,20 +283,20 @@ class JsonLines(Progress):
     """Also writes a JSON object for each episode, one on each line.
 
     Args:
-        lines: stream for the objects; None for standard output.
+        lines: stream for the objects.
         stream, clock, color: as in `Progress`.
     """
 
     def __init__(
         self,
-        lines: TextIO | None = None,
+        lines: TextIO,
         stream: TextIO | None = None,
         clock: Callable[[], float] = time.monotonic,
         *,
         color: bool = False,
     ) -> None:
         super().__init__(stream, clock, color=color)
-        self._lines = lines or sys.stdout
+        self._lines = lines
 
     def episode(self, spec: TrialSpec, result: EpisodeResult) -> None:
         self.write(
@@ -281,9 +311,14 @@ class JsonLines(Progress):
         super().episode(spec, result)
 
     def write(self, value: dict[str, Any]) -> None:
-        """Write one object on a line; numbers that are infinite or NaN are null."""
+        """Write one object on a line; numbers that are infinite or NaN are null.
+
+        Raises:
+            StorageError: it cannot be written.
+        """
         numbers = {name: finite(number) for name, number in value.items()}
-        print(json.dumps(numbers), file=self._lines, flush=True)
+        with reported("cannot write the results"):
+            print(json.dumps(numbers), file=self._lines, flush=True)
 
 
 def _table(rows: Sequence[tuple[str, ...]], width: int) -> list[str]:

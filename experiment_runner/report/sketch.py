@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from experiment_runner.analysis.stats import FloatArray, running_mean
-from experiment_runner.report.plots import fitting_window
+from experiment_runner.report.plots import Key, fitting_window
 from experiment_runner.report.tables import counted
 
 _BLOCKS: Final = " ▁▂▃▄▅▆▇█"
@@ -16,11 +16,11 @@ _HEIGHT: Final = 8  # lines of a curve
 _MIN_COLUMNS: Final = 10
 
 
-def sketches(curves: Mapping[str, FloatArray], window: int, measure: str, width: int) -> str:
-    """Return the running means over trials, one curve below the other, all on one scale.
+def sketches(curves: Mapping[Key, FloatArray], window: int, measure: str, width: int) -> str:
+    """Return the running means over trials, one curve below the other, on one scale for each environment.
 
     Args:
-        curves: (trials, episodes) by name; a curve that is shorter than the window is left out.
+        curves: (trials, episodes) of each; a curve that is shorter than the window is left out.
         window: episodes in the running mean; a tenth of the longest curve if that is less.
         measure: name of the values.
         width: columns of the terminal.
@@ -29,14 +29,16 @@ def sketches(curves: Mapping[str, FloatArray], window: int, measure: str, width:
         ExperimentError: there is nothing to show yet.
     """
     window = fitting_window(window, (values.shape[1] for values in curves.values()))
-    means = {name: running_mean(returns, window).mean(axis=0) for name, returns in curves.items()}
-    means = {name: curve for name, curve in means.items() if curve.size}
-    low = min(float(curve.min()) for curve in means.values())
-    high = max(float(curve.max()) for curve in means.values())
+    means = {key: running_mean(returns, window).mean(axis=0) for key, returns in curves.items()}
+    means = {key: curve for key, curve in means.items() if curve.size}
     shown = []
-    for name, curve in means.items():
+    for key, curve in means.items():
+        environment, agent = key
+        there = [other for (where, _), other in means.items() if where == environment]
+        scale = (min(float(other.min()) for other in there), max(float(other.max()) for other in there))
+        name = f"{agent}, {environment}" if environment else agent
         title = f"{name}: {measure}, running mean of {counted(window, 'episode')}"
-        shown.append(_sketch(title, curve, (low, high), curves[name].shape[1], width))
+        shown.append(_sketch(title, curve, scale, curves[key].shape[1], width))
     return "\n\n".join(shown)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import shutil
 import sys
 import textwrap
@@ -11,6 +10,7 @@ from typing import Final
 
 from experiment_runner.store.records import Totals
 from experiment_runner.store.results import Results
+from glue.console import one_line
 
 _LAST: Final = 100
 _COLUMNS: Final = ("trial", "episodes", "steps", "mean return", f"mean of last {_LAST}", "cut off", "void")
@@ -26,14 +26,6 @@ def terminal_width() -> int | None:
 def counted(number: int, thing: str) -> str:
     """Return a number and its noun, as in `1 trial` and `2 trials`."""
     return f"{number:,} {thing}" if number == 1 else f"{number:,} {thing}s"
-
-
-def one_line(text: str) -> str:
-    """Return a text from a run as one line, safe for a terminal: without control characters, and encodable.
-
-    The name of a file may contain any bytes.
-    """
-    return re.sub(r"[\x00-\x1f\x7f-\x9f]+", " ", text).strip().encode("utf-8", "replace").decode()
 
 
 def format_table(
@@ -112,7 +104,7 @@ def tabulate(results: Results, seconds: float, width: int | None = None) -> str:
             )
         )
         if record.failure is not None and len(trials) > 1:
-            failures.append(f"failed: {names[record.spec.id]}: {record.failure}")
+            failures.append(one_line(f"failed: {names[record.spec.id]}: {record.failure}"))
     lines = [format_table(_COLUMNS, rows, width=width), "", *failures]
     lines.append(f"{seconds:.1f} s; results in {one_line(str(results.directory))}")
     return "\n".join([lines[0], *(wrap(line, width) for line in lines[1:])])

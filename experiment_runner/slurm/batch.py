@@ -43,6 +43,18 @@ def check_options(options: Sequence[str]) -> None:
             raise ConfigError(f"{option!r:.80} is no option for sbatch: write NAME=VALUE, as in time=2:00:00")
 
 
+def check_folder(folder: Path) -> None:
+    """Check that SLURM can be given a path in the lines of a script.
+
+    Raises:
+        ConfigError: it has a line break, or another character that cannot be shown.
+    """
+    if not str(folder).isprintable():
+        raise ConfigError(
+            f"SLURM cannot be given the path {str(folder)!r}: choose a directory with --out, on one line"
+        )
+
+
 def array_script(
     folder: Path, command: Sequence[str], tasks: int, at_once: int | None, options: Sequence[str]
 ) -> str:
@@ -55,10 +67,13 @@ def array_script(
         at_once: maximum number of tasks that run at the same time; None for no limit.
         options: further options for sbatch, as NAME or NAME=VALUE.
     """
+    quoted = (
+        _pattern(folder).replace("\\", "\\\\").replace('"', '\\"')
+    )  # a directive is read like a shell's line
     limit = "" if at_once is None else f"%{at_once}"
     ours = [
         f"array=0-{tasks - 1}{limit}",
-        f"output={folder}/%a.log",
+        f'output="{quoted}/%a.log"',
         "open-mode=append",
         "requeue",
         f"signal=B:TERM@{_NOTICE_SECONDS}",
@@ -78,8 +93,13 @@ def gathering_job(job: str, folder: Path, command: Sequence[str], options: Seque
         command: the command.
         options: further options for sbatch, like those of the array.
     """
-    ours = [f"dependency=afterany:{job}", f"output={folder}/gather.log", "open-mode=append"]
+    ours = [f"dependency=afterany:{job}", f"output={_pattern(folder)}/gather.log", "open-mode=append"]
     return [*(f"--{option}" for option in (*ours, *options)), f"--wrap=exec {shlex.join(command)}"]
+
+
+def _pattern(folder: Path) -> str:
+    """Return a path for SLURM, which replaces `%a` and its kin."""
+    return str(folder).replace("%", "%%")
 
 
 def submit(arguments: Sequence[str]) -> str:

@@ -11,6 +11,7 @@ from functools import partial
 from experiment_runner.store.database import reported
 from experiment_runner.store.layout import ABOUT_FILE, PARTS, PLAN_FILE, parts_of, remove_run
 from experiment_runner.store.store import Store
+from glue.files import read_text
 
 
 def divide(store: Store, tasks: int) -> int:
@@ -25,7 +26,7 @@ def divide(store: Store, tasks: int) -> int:
     """
     left = [trial for trial in store.trials() if not trial.finished]
     with reported(f"cannot read {store.directory}"):
-        files = {name: (store.directory / name).read_bytes() for name in (PLAN_FILE, ABOUT_FILE)}
+        files = {name: read_text(store.directory / name) for name in (PLAN_FILE, ABOUT_FILE)}
     count = min(tasks, len(left))
     for number in range(count):
         share = left[number::count]

@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import os
 import shutil
 import sqlite3
+import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -88,7 +90,7 @@ def holds_run(directory: Path) -> bool:
         ExperimentError: the database is not that of a run, or a newer release wrote it.
         sqlite3.Error: the database cannot be read.
     """
-    if not (directory / _DATABASE).is_file():
+    if not os.path.lexists(directory / _DATABASE):
         return False
     with contextlib.closing(_connect_to_read(directory)) as connection:
         return schema.check(connection, directory) > 0
@@ -124,6 +126,7 @@ def open_to_write(directory: Path) -> Database:
         ExperimentError: the database is not that of a run, or a newer release wrote it.
         sqlite3.Error: the database cannot be written to.
     """
+    _check_files(directory, links=1)
     connection = sqlite3.connect(directory / _DATABASE, isolation_level=None, timeout=_BUSY_SECONDS)
     try:
         for pragma in ("journal_mode = WAL", "synchronous = NORMAL", "foreign_keys = ON"):
@@ -160,16 +163,20 @@ def reported(failed: str, hint: str = "", *, settings: tuple[str, ...] = ()) -> 
         yield
     except BrokenPipeError:  # the program that reads our output has closed it: not an error
         raise
-    except (OSError, sqlite3.Error, UnicodeDecodeError) as error:
+    except (OSError, sqlite3.Error, UnicodeError) as error:
         raise StorageError(f"{failed}: {_reason(error)}{hint}", settings=settings) from error
 
 
-def _reason(error: OSError | sqlite3.Error | UnicodeDecodeError) -> str:
-    if isinstance(error, UnicodeDecodeError):
+def _reason(error: OSError | sqlite3.Error | UnicodeError) -> str:
+    if isinstance(error, UnicodeEncodeError):
+        return "it would contain a name that is not UTF-8: rename that file or folder"
+    if isinstance(error, UnicodeError):
         return "it contains text that is not UTF-8"
     if isinstance(error, OSError):
         return "the disk is full" if error.errno == errno.ENOSPC else error.strerror or str(error)
     code = getattr(error, "sqlite_errorcode", None)
+    if code == sqlite3.SQLITE_BUSY:
+        return f"{error}, or its file system has no locks: then use a copy of the run on another"
     return "the disk is full" if code == sqlite3.SQLITE_FULL else str(error)
 
 
@@ -177,7 +184,29 @@ def _size(directory: Path) -> int:
     return sum(path.stat().st_size for path in (directory / _DATABASE, directory / _WAL) if path.exists())
 
 
+def _check_files(directory: Path, links: int | None = None) -> None:
+    """Check that SQLite, which opens files by itself, opens those of this run and no others.
+
+    Args:
+        directory: of the run.
+        links: maximum number of names of a file, None for any: a hard link may be another run's file, too.
+    """
+    for path in (directory / name for name in DATABASE_FILES):
+        try:
+            status = path.lstat()
+        except FileNotFoundError:
+            continue
+        if not stat.S_ISREG(status.st_mode):
+            kind = "a symbolic link" if path.is_symlink() else "no regular file"
+            raise ExperimentError(f"{path} is {kind}, and may lead to another run: put the file itself there")
+        if links is not None and status.st_nlink > links:
+            raise ExperimentError(
+                f"{path} is a hard link, and may be the file of another run, too: use a copy of the directory"
+            )
+
+
 def _connect_to_read(directory: Path) -> sqlite3.Connection:
+    _check_files(directory)
     uri = (directory / _DATABASE).absolute().as_uri() + "?mode=ro"
     connection = sqlite3.connect(uri, uri=True, isolation_level=None, timeout=_BUSY_SECONDS)
     try:

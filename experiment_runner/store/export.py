@@ -16,7 +16,7 @@ from typing import Final, NamedTuple, TextIO
 
 from experiment_runner.plan.ids import REMOTE
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
-from experiment_runner.store.output import finite, written
+from experiment_runner.store.output import csv_row, finite, written
 from experiment_runner.store.records import MEASURES
 from experiment_runner.store.results import Results
 from glue.errors import ExperimentError
@@ -112,11 +112,11 @@ def settings_of(spec: TrialSpec, joined: Mapping[tuple[str, str], str]) -> dict[
 
 
 def write_csv(table: Table, file: TextIO) -> None:
-    """Write a header and a line for each row; booleans are `true` and `false`."""
+    """Write a header and a line for each row."""
     writer = csv.writer(file, lineterminator="\n")
-    writer.writerow(table.types)
+    writer.writerow(csv_row([*table.types]))
     for rows in table.rows:
-        writer.writerows([str(c).lower() if isinstance(c, bool) else c for c in row] for row in rows)
+        writer.writerows(map(csv_row, rows))
 
 
 def write_json(table: Table, file: TextIO) -> None:
@@ -126,7 +126,7 @@ def write_json(table: Table, file: TextIO) -> None:
     for rows in table.rows:
         for row in rows:
             cells = {n: c for n, c in zip(table.types, row, strict=True) if c is not None}
-            file.write(separator + json.dumps({n: finite(c) for n, c in cells.items()}, ensure_ascii=False))
+            file.write(separator + json.dumps({n: finite(c) for n, c in cells.items()}))
             separator = ",\n"
     file.write("\n]\n")
 

@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from experiment_runner.store.database import DATABASE_FILES, holds_run, reported
-from experiment_runner.store.lock import LOCK_FILE, DirectoryTaken, RunLock, is_lock
+from experiment_runner.store.lock import LOCK_FILE, DirectoryTaken, RunLock
 from experiment_runner.store.meetings import MEETINGS_FILE
 from glue.errors import ExperimentError
+from glue.files import create_regular, read_text
 
 PLAN_FILE: Final = "plan.toml"
 ABOUT_FILE: Final = "run.json"
@@ -39,8 +40,6 @@ _FILES: Final = (
     *(MEETINGS_FILE, LOCK_FILE),
 )
 """Files of a run, in the order of their removal: without the first, the rest does not count as a run."""
-
-_MAX_ABOUT: Final = 2**26  # bytes
 
 UNFINISHED: Final = ".unfinished"  # the subfolder in which a new run is written
 
@@ -67,13 +66,11 @@ def new_run(directory: Path) -> Iterator[NewRun]:
     """
     made = not directory.exists()
     directory.mkdir(parents=True, exist_ok=True)
-    had_lock = (directory / LOCK_FILE).exists()
+    had_lock = os.path.lexists(directory / LOCK_FILE)
     lock = None
     try:
         if not had_lock:
             _check_free(directory)
-        elif not is_lock(directory / LOCK_FILE):
-            raise _taken(directory, LOCK_FILE)
         lock = RunLock(directory)
         _check_free(directory)
         folder = directory / UNFINISHED
@@ -91,6 +88,19 @@ def new_run(directory: Path) -> Iterator[NewRun]:
             with contextlib.suppress(OSError):  # another process has put something in it
                 directory.rmdir()
         raise
+
+
+def check_links(directory: Path) -> None:
+    """Check that no folder below a run directory leads elsewhere, before files are written there.
+
+    Raises:
+        ExperimentError: one is a symbolic link, or holds one.
+    """
+    for name in (SOURCES, PARTS, STREAMS, RECORDS, LOGS):
+        for folder, folders, files in os.walk(directory / name):
+            for path in (Path(folder), *(Path(folder, each) for each in (*folders, *files))):
+                if path.is_symlink():
+                    raise ExperimentError(f"{path} is a symbolic link, which no run has: remove it")
 
 
 def clear(directory: Path) -> None:
@@ -169,19 +179,17 @@ def read_about(directory: Path) -> dict[str, Any]:
         ExperimentError: it is not a JSON object, is nested too deeply or is too large.
     """
     path = directory / ABOUT_FILE
-    if not path.exists():
+    if not os.path.lexists(path):
         return {}
     try:
-        with path.open("rb") as file:
-            text = file.read(_MAX_ABOUT + 1)
-        if len(text) > _MAX_ABOUT:
-            raise ValueError(f"it has more than {_MAX_ABOUT} bytes")
-        about = json.loads(text, parse_constant=_refuse)
+        about = json.loads(read_text(path), parse_constant=_refuse)
         if not isinstance(about, dict):
             raise ValueError("it is not a JSON object")
     except RecursionError:
         raise ExperimentError(f"cannot read {path}: it is nested too deeply") from None
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise ExperimentError(f"cannot read {path}: {error.strerror}") from None
+    except ValueError as error:
         raise ExperimentError(f"cannot read {path}: {error}") from None
     return about
 
@@ -193,7 +201,7 @@ def _refuse(constant: str) -> None:
 def write_flushed(path: Path, content: str | bytes) -> None:
     """Write a file and flush it to the disk."""
     path.parent.mkdir(exist_ok=True)
-    with path.open("wb") as file:
+    with create_regular(path) as file:
         file.write(content.encode() if isinstance(content, str) else content)
         file.flush()
         os.fsync(file.fileno())

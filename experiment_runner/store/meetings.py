@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 from urllib.parse import urlsplit
 
-from experiment_runner.store.output import read_regular
 from glue.errors import ConfigError
+from glue.files import create_regular, read_regular
 from glue.hub.config import check_session, check_url
 
 MEETINGS_FILE: Final = "hubs.json"
@@ -64,10 +64,8 @@ class Meetings:
             if not self._live:
                 self._path.unlink(missing_ok=True)
                 return
-            new.unlink(missing_ok=True)
-            file = os.open(new, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-            with os.fdopen(file, "w") as opened:
-                json.dump(self._live, opened)
+            with create_regular(new, mode=0o600) as file:
+                file.write(json.dumps(self._live).encode())
             new.replace(self._path)
 
 
@@ -76,7 +74,7 @@ def meetings_in(directory: Path) -> dict[str, LiveSession]:
     try:
         fields: Any = json.loads(read_regular(directory / MEETINGS_FILE, _MOST_BYTES, own=True))
         found = {str(trial_id): LiveSession(hub, session) for trial_id, (hub, session) in fields.items()}
-    except (ValueError, TypeError, AttributeError, RecursionError):
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
         return {}
     return {trial_id: live for trial_id, live in found.items() if _is_ours(live)}
 

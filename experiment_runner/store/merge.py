@@ -21,6 +21,7 @@ from experiment_runner.store.records import TrialRecord
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
+from glue.files import read_text
 
 
 class _Source(NamedTuple):
@@ -109,4 +110,4 @@ def _longest(sources: Sequence[_Source]) -> _Source:
 
 def _text(path: Path) -> str:
     with reported(f"cannot read {path}"):
-        return path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+        return read_text(path) if path.exists() else ""

@@ -1,21 +1,28 @@
-"""Files and numbers: files are replaced as a whole, untrusted ones are read within limits, and JSON has only
-numbers that it can represent."""
+"""Files are replaced as a whole; JSON has only numbers that it can represent, and CSV no formulas."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import os
-import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from experiment_runner.store.database import reported
+from glue.console import cell
 
 
 def finite(value: object) -> object:
     """Return `value`, or None if it is infinite or NaN, which JSON cannot represent."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def csv_row(cells: Sequence[object]) -> list[object]:
+    """Return the cells of a row of CSV: booleans are `true` and `false`, and no text is a formula."""
+    return [
+        str(value).lower() if isinstance(value, bool) else cell(value) if isinstance(value, str) else value
+        for value in cells
+    ]
 
 
 @contextlib.contextmanager
@@ -38,24 +45,3 @@ def written(path: Path) -> Iterator[Path]:
             partial.replace(target)
         finally:
             partial.unlink(missing_ok=True)
-
-
-def read_regular(path: Path, most: int, *, own: bool = False) -> bytes:
-    """Return the beginning of a file that may come from anyone; empty unless it is a regular file.
-
-    Symbolic links are not followed, and reading a pipe does not block.
-
-    Args:
-        path: path of the file.
-        most: maximum number of bytes to read.
-        own: whether the file must belong to this user.
-    """
-    try:
-        file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    except OSError:
-        return b""
-    with os.fdopen(file, "rb") as opened:
-        status = os.fstat(file)
-        if not stat.S_ISREG(status.st_mode) or (own and status.st_uid != os.getuid()):
-            return b""
-        return opened.read(most)

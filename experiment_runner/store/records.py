@@ -11,6 +11,9 @@ from experiment_runner.plan.plan import TrialSpec
 from glue.engine.experiment import Experiment
 from glue.options import Value
 
+OF_PLAYERS: Final = ("unsaved", "unmetered")
+"""Kinds of events that say the same of every trial of a player: each text is shown once."""
+
 UNSEEDED: Final = "unseeded"
 """Kind of the event of a player that takes no seed."""
 

@@ -24,7 +24,7 @@ from typing import Final, Self
 
 from experiment_runner.plan.plan import RoleSpec, TrialSpec
 from experiment_runner.store.database import KEPT, Database, holds_run, open_to_write, reported, transaction
-from experiment_runner.store.layout import new_run, write_flushed
+from experiment_runner.store.layout import check_links, new_run, write_flushed
 from experiment_runner.store.lock import RunLock
 from experiment_runner.store.readings import Block
 from experiment_runner.store.records import (
@@ -119,6 +119,7 @@ class Store(Results):
         with reported(f"cannot open {directory}"):
             if not holds_run(directory):
                 raise ExperimentError(f"{directory} holds no run")
+            check_links(directory)
             return cls._open(directory, RunLock(directory), clock)
 
     @classmethod

@@ -20,11 +20,12 @@ from experiment_runner.report.overview import Overview, overview
 from experiment_runner.store.database import DATABASE_FILES
 from experiment_runner.store.layout import COMPETITION_FILE, NOTES_FILE, replace_flushed, runs_under
 from experiment_runner.store.lock import lock_holder
-from experiment_runner.store.output import read_regular
 from experiment_runner.store.results import Results
 from experiment_runner.view.reader import Reader
 from experiment_runner.view.stream import Pulse, Topic
+from glue.console import one_line, printable
 from glue.errors import ExperimentError
+from glue.files import read_regular
 
 _ID_LETTERS: Final = 12
 _MOST_NAMES: Final = 20  # of agents, environments and values of an option in a line
@@ -87,7 +88,7 @@ class Catalog:
         for folder in self._folders:
             for directory in runs_under(folder):
                 name = str(directory.relative_to(folder.parent))
-                entries.setdefault(_id(directory), Entry(directory, _printable(name)))
+                entries.setdefault(run_id(directory), Entry(directory, name))
         self._entries = entries
         return entries
 
@@ -112,7 +113,7 @@ class Catalog:
                 summary = _summary(results)
             summary |= read_notes(directory)
         except ExperimentError as error:
-            return {"state": "damaged", "reason": _printable(str(error)), "path": str(directory)}
+            return {"state": "damaged", "reason": str(error), "path": str(directory)}
         if summary["state"] == "running":
             rate = self._rates.setdefault(run_id, _Rate())
             rate.add(time.monotonic(), summary["done"])
@@ -225,14 +226,14 @@ def _options(specs: Sequence[TrialSpec]) -> dict[str, list[str]]:
             for name, value in (role.options if role is not None else {}).items():
                 if name in found or len(found) < _MOST_OPTIONS:
                     found.setdefault(name, {})[str(value)] = None
-    return {_printable(name): _some(list(values)) for name, values in found.items()}
+    return {name: _some(list(values)) for name, values in found.items()}
 
 
 def read_notes(directory: Path) -> dict[str, Any]:
     """Return a run's `note` and `tags`, which may come from anyone: within limits, or empty."""
     try:
         return checked_notes(read_regular(directory / NOTES_FILE, NOTES_LIMIT))
-    except ExperimentError:
+    except (OSError, ExperimentError):
         return {"note": "", "tags": []}
 
 
@@ -244,7 +245,7 @@ def checked_notes(content: bytes) -> dict[str, Any]:
     """
     try:
         found = json.loads(content)
-        note, tags = _printable(found["note"]), [_printable(tag.strip()) for tag in found["tags"]]
+        note, tags = printable(found["note"]), [one_line(tag) for tag in found["tags"]]
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
         raise ExperimentError('notes are JSON: {"note": "text", "tags": ["word"]}') from None
     tags = [tag for tag in dict.fromkeys(tags) if tag]
@@ -283,7 +284,7 @@ def _label(role: RoleSpec | None, joined: str | None) -> str:
 
 
 def _some(names: Sequence[str]) -> list[str]:
-    distinct = [_printable(name) for name in dict.fromkeys(names)]
+    distinct = [*dict.fromkeys(names)]
     more = len(distinct) - _MOST_NAMES
     return distinct if more <= 0 else [*distinct[:_MOST_NAMES], f"and {more} more"]
 
@@ -302,10 +303,14 @@ def _version(path: Path) -> tuple[int, int] | None:
     return status.st_mtime_ns, status.st_size
 
 
-def _id(directory: Path) -> str:
+def address_of(folders: Sequence[Path]) -> str:
+    """Return the end of the page's address for a run, a competition (its standings), or all runs."""
+    if len(folders) != 1 or not (folders[0] / DATABASE_FILES[0]).is_file():
+        return ""
+    view = "standings" if (folders[0] / COMPETITION_FILE).is_file() else "run"
+    return f"#/{view}/{run_id(folders[0].absolute())}"
+
+
+def run_id(directory: Path) -> str:
+    """Return the id of a run, given by its absolute path, in addresses of the page."""
     return hashlib.sha256(os.fsencode(directory)).hexdigest()[:_ID_LETTERS]
-
-
-def _printable(text: str) -> str:
-    """Replace the characters of a text that cannot be encoded: a file name may hold any bytes."""
-    return text.encode("utf-8", "replace").decode("utf-8")

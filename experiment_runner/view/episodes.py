@@ -8,7 +8,6 @@ looked up among the files that were found.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import os
 import re
@@ -24,7 +23,7 @@ from starlette.responses import Response
 from starlette.routing import BaseRoute, Route
 
 from experiment_runner.view.catalog import Catalog
-from experiment_runner.view.reader import Kept, Reader, json_response
+from experiment_runner.view.reader import Kept, Reader, as_json, json_response
 from glue.errors import ExperimentError, TaskSpecError
 from glue.taskspec import Bound, Ranges, parse_task_spec
 from glue.trajectory import Answer, Episode, TrajectoryError, TrajectoryReader
@@ -148,9 +147,9 @@ def _listed(name: str, path: Path, kept: Kept) -> dict[str, Any]:
     try:
         status = path.lstat()
     except OSError as error:
-        return {"id": name, "name": _printable(path), "episodes": [], "error": str(error.strerror)}
+        return {"id": name, "name": path.name, "episodes": [], "error": str(error.strerror)}
     found: dict[str, Any] = kept.get(path, (status.st_mtime_ns, status.st_size), lambda: _episodes(path))
-    return {"id": name, "name": _printable(path), **found}
+    return {"id": name, "name": path.name, **found}
 
 
 def _episodes(path: Path) -> dict[str, Any]:
@@ -183,12 +182,10 @@ def _packed(directory: Path, name: str, wanted: int) -> bytes:
 
 def _pieces(path: Path, count: int, episode: Episode) -> Iterator[bytes]:
     if episode.start is None:
-        raise ExperimentError(
-            f"{_printable(path)} has no observations: glue-replay shows it with its environment"
-        )
+        raise ExperimentError(f"{path.name} has no observations: glue-replay shows it with its environment")
     size = len(episode.steps)
     header: Mapping[str, Any] = {
-        "recording": _printable(path),
+        "recording": path.name,
         "episode": count,
         "steps": size,
         "ending": episode.ending.value,
@@ -196,7 +193,7 @@ def _pieces(path: Path, count: int, episode: Episode) -> Iterator[bytes]:
         "spec": described(episode.run.task_spec),
         "answers": _answers(episode),
     }
-    encoded = json.dumps(header).encode()
+    encoded = as_json(header).encode()
     yield _LENGTH.pack(len(encoded)) + encoded
     yield _REWARD.pack(0.0) + Action().body + episode.start.body
     sent = 0
@@ -206,7 +203,7 @@ def _pieces(path: Path, count: int, episode: Episode) -> Iterator[bytes]:
         sent += len(piece)
         if size > _MOST_SENT_STEPS or sent > _MOST_SENT_BYTES:
             raise ExperimentError(
-                f"episode {count} of {_printable(path)} has {size} steps: the page shows at most "
+                f"episode {count} of {path.name} has {size} steps: the page shows at most "
                 f"{_MOST_SENT_STEPS} steps and {_MOST_SENT_BYTES >> 20} MiB of an episode: use glue-replay"
             )
         yield piece
@@ -217,7 +214,3 @@ def number(value: float) -> float | str:
     if math.isfinite(value):
         return value
     return "NaN" if math.isnan(value) else "Infinity" if value > 0 else "-Infinity"
-
-
-def _printable(path: Path) -> str:
-    return path.name.encode("utf-8", "replace").decode()

@@ -5,15 +5,16 @@ It has the page's style sheet, its tables and its drawings of curves.
 
 from __future__ import annotations
 
+import html
 import json
 from collections.abc import Iterable, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any, Final
 
 from experiment_runner.competition.board.forms import LEGEND, number, told
 from experiment_runner.competition.board.standings import Standing, Standings
 from experiment_runner.report import svg
+from glue.console import printable
 
 _STYLE: Final = Path(__file__).with_name("static") / "style.css"
 _POLICY: Final = "default-src 'none'; style-src 'unsafe-inline'"
@@ -42,7 +43,7 @@ def figures(board: Standings) -> list[dict[str, Any]]:
 
 def as_page(board: Standings) -> str:
     """Return the standings as an HTML page."""
-    title = escape(board.competition)
+    title = _escape(board.competition)
     placed = [standing for standing in board.entrants if standing.place is not None]
     forfeits = [
         (standing.name, lost.task, str(lost.trial), lost.reason)
@@ -58,7 +59,7 @@ def as_page(board: Standings) -> str:
         body.append(_table("Forfeits", ("entrant", "task", "trial", "reason"), forfeits))
     if players := [(one.name, one.player, one.id) for one in board.entrants if one.id]:
         body.append(_table("Programs", ("entrant", "program", "id"), players))
-    body += [f"<p>{escape(told(act))}</p>" for act in board.acts]
+    body += [f"<p>{_escape(told(act))}</p>" for act in board.acts]
     body.append("<h2>Learning</h2><p>Sum of rewards over the course of a task; mean over trials.</p>")
     body.append(_drawings(board))
     if board.seeds:
@@ -75,6 +76,11 @@ def as_page(board: Standings) -> str:
     )
 
 
+def _escape(text: str) -> str:
+    """Return a text as HTML."""
+    return html.escape(printable(text))
+
+
 def _held(board: Standings) -> str:
     without = sum(standing.place is None for standing in board.entrants)
     verified = (
@@ -85,14 +91,14 @@ def _held(board: Standings) -> str:
             "entrants have no place."
         )
     )
-    return f"{verified} Held by {escape(board.program)}."
+    return f"{verified} Held by {_escape(board.program)}."
 
 
 def _drawings(board: Standings) -> str:
     parts = []
     for figure in figures(board):
-        names = "".join(f"<li>{one['sample']} {escape(one['name'])}</li>" for one in figure["legend"])
-        task = escape(figure["task"])
+        names = "".join(f"<li>{one['sample']} {_escape(one['name'])}</li>" for one in figure["legend"])
+        task = _escape(figure["task"])
         parts.append(
             f'<figure class="card" role="img" aria-label="Learning curves of {task}">'
             f"<figcaption>{task}</figcaption>"
@@ -117,16 +123,16 @@ def _row(standing: Standing, board: Standings) -> tuple[str, ...]:
 def _legend() -> Iterable[str]:
     for line in LEGEND:
         term, _, meaning = line.partition(" ")
-        yield f"<dt>{escape(term)}</dt><dd>{escape(meaning.strip())}</dd>"
+        yield f"<dt>{_escape(term)}</dt><dd>{_escape(meaning.strip())}</dd>"
 
 
 def _table(caption: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     lines = [
         f'<div class="scroll"><table class="board"><caption>{caption}</caption>',
         "<thead><tr>"
-        + "".join(f'<th scope="col">{escape(name)}</th>' for name in header)
+        + "".join(f'<th scope="col">{_escape(name)}</th>' for name in header)
         + "</tr></thead><tbody>",
-        *("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows),
+        *("<tr>" + "".join(f"<td>{_escape(cell)}</td>" for cell in row) + "</tr>" for row in rows),
         "</tbody></table></div>",
     ]
     return "\n".join(lines)

@@ -1,8 +1,9 @@
 """The topics `live:RUN`: a trial in progress, as an observer of its session sees it.
 
-An observer (docs/protocol.md) cannot change anything, and the hub never waits for it. All pages that show the
-same trial share one observer, and without pages there is none. It requests one moment, a start or a step,
-at a time, at most 30 a second, so moments in between are never sent; a slower page gets only the newest.
+An observer (docs/protocol-reference.md) cannot change anything, and the hub never waits for it. All pages
+that show the same trial share one observer, and without pages there is none. It requests one moment, a start
+or a step, at a time, at most 30 a second, so moments in between are never sent; a slower page gets only the
+newest.
 """
 
 from __future__ import annotations

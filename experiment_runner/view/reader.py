@@ -14,6 +14,8 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 from starlette.responses import Response
 
+from glue.console import printable
+
 _T = TypeVar("_T")
 
 _MOST_ANSWERS: Final = 32
@@ -80,7 +82,19 @@ class Kept:
         return found.value
 
 
+def as_json(content: object) -> str:
+    """Return JSON in which every text is printable: names of files and players may hold any characters."""
+    return json.dumps(_shown(content), allow_nan=False, separators=(",", ":"))
+
+
 def json_response(content: object, status: int = 200) -> Response:
-    """Return a response in JSON, in ASCII: a file name may hold bytes that are not UTF-8."""
-    text = json.dumps(content, allow_nan=False, separators=(",", ":"))
-    return Response(text, status, media_type="application/json")
+    """Return a response in JSON."""
+    return Response(as_json(content), status, media_type="application/json")
+
+
+def _shown(value: object) -> object:
+    if isinstance(value, str):
+        return printable(value)
+    if isinstance(value, dict):
+        return {printable(name): _shown(part) for name, part in value.items()}
+    return [*map(_shown, value)] if isinstance(value, list | tuple) else value

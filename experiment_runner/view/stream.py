@@ -9,7 +9,6 @@ skipped.
 from __future__ import annotations
 
 import asyncio
-import json
 import secrets
 import time
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
@@ -20,6 +19,8 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import Response, StreamingResponse
 from starlette.routing import BaseRoute, Route
+
+from experiment_runner.view.reader import as_json
 
 _HEARTBEAT_SECONDS: Final = 15.0
 _LEAST_SECONDS: Final = 0.03  # between two events to a page
@@ -118,7 +119,7 @@ async def _events(
             # The first event also has topics that are empty or missing.
             changed = found if first else {name: values for name, values in found.items() if values}
             if changed:
-                yield f"id: {pulse.run}-{seen}\ndata: {json.dumps(changed, allow_nan=False)}\n\n"
+                yield f"id: {pulse.run}-{seen}\ndata: {as_json(changed)}\n\n"
                 first, spoke = False, time.monotonic()
                 await asyncio.sleep(_LEAST_SECONDS)
             elif time.monotonic() - spoke >= _HEARTBEAT_SECONDS:

@@ -12,9 +12,9 @@ from experiment_runner.competition.board.standings import standings
 from experiment_runner.competition.course import course_of
 from experiment_runner.report.overview import as_object
 from experiment_runner.store.layout import ABOUT_FILE, COMPETITION_FILE, PLAN_FILE
-from experiment_runner.store.output import read_regular
 from experiment_runner.store.results import Results
 from experiment_runner.view.export import figures
+from glue.files import read_regular
 
 _MOST_NOTES: Final = 200  # voids and events, the newest; answers
 _MOST_TEXT: Final = 2000  # of an answer
@@ -79,5 +79,8 @@ def _finite(text: str) -> float | str:
 
 
 def _text(path: Path) -> str:
-    """Return the contents of a text file, if there is one."""
-    return read_regular(path, _MOST_BYTES).decode("utf-8", "replace")
+    """Return the contents of a text file; empty if it cannot be read, or should not."""
+    try:
+        return read_regular(path, _MOST_BYTES).decode("utf-8", "replace")
+    except OSError:
+        return ""

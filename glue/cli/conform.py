@@ -13,7 +13,7 @@ from glue import __version__
 from glue.cli.shared import run
 from glue.conform.hub.clients import TRANSPORTS, starter
 from glue.conform.hub.rules import Tier
-from glue.console import say
+from glue.console import for_terminal, say
 from glue.errors import ConfigError
 from glue.wire.messages import THREE_ROLES, Role
 
@@ -104,7 +104,7 @@ def conform(
 
     def report(verdict: Verdict) -> None:
         if not as_json and (not scripts or verdict.outcome is not Outcome.PASSED):
-            click.echo(line(verdict))
+            click.echo(for_terminal(line(verdict)))
 
     if scripts and (role == _HUB or (seed is not None and seeds is not None)):
         raise ConfigError("scripts of faults are for clients: give --seeds N, or --seed N for one of them")

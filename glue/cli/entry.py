@@ -12,6 +12,7 @@ import signal
 import sys
 from importlib import import_module
 
+import glue.doors.forks  # noqa: F401  # for the handlers that are set here
 from glue.names import others
 
 TYPE_CHECKING = False
@@ -26,6 +27,9 @@ EXIT_TERMINATED: Final = 128 + signal.SIGTERM
 _STDERR: Final = 2
 _IMPORTLIB: Final = "<frozen importlib"
 
+_received: Final[list[int]] = []
+"""Signals that have been received."""
+
 
 class Terminated(KeyboardInterrupt):
     """SIGTERM was received: clean up as for Ctrl-C."""
@@ -34,6 +38,7 @@ class Terminated(KeyboardInterrupt):
 def start(module: str) -> NoReturn:
     """Import the module of a command and run its `main`, which exits."""
     handle_signals()
+    open_streams()
     if found := others(sys.path):
         message = (
             f"note: {', '.join(found.values())} has the name of a package of glue-rl; commands use ours, "
@@ -45,9 +50,32 @@ def start(module: str) -> NoReturn:
         raise AssertionError(f"{module}.main returned")
     except KeyboardInterrupt as interrupt:
         _leave(signal.SIGTERM if isinstance(interrupt, Terminated) else signal.SIGINT)
+    except Exception:
+        # An interruption within a lock of `threading` becomes another exception.
+        if _received:
+            _leave(_received[-1])
+        raise
     finally:
         # While Python exits, nothing is left that could catch an exception.
         _handle_with(_leave)
+
+
+def open_streams() -> None:
+    """Open the null device in place of each standard stream that is closed, as in `glue-hub >&-`.
+
+    Otherwise the next file that is opened would get its number, and what is printed.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.open(os.devnull, os.O_RDWR)  # gets the lowest number that is free
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(number, "w" if number else "r", closefd=False))  # noqa: SIM115
+    # A name that the terminal's encoding lacks is shown with escapes.
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def handle_signals() -> None:
@@ -78,6 +106,7 @@ def _handle_with(handler: Callable[[int, FrameType | None], NoReturn]) -> None:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
+    _received.append(number)
     if _is_importing(frame):
         _leave(number)
     raise Terminated if number == signal.SIGTERM else KeyboardInterrupt

@@ -140,7 +140,7 @@ def serve_until_interrupted(
             stack.enter_context(renewed_on_hangup(running, keys))
         gateway = Gateway(running, ports, log)
         for bind, endpoint in zip(config.binds, running.endpoints, strict=True):
-            say(f"{bind.warning}listening on {endpoint}")
+            say(bind.announcement(endpoint))
         if keys is not None:
             say(f"{config.binds[0].keys}; the hub's public key, for --hub-key, is in {keys / HUB}{PUBLIC}")
         for port in gateway.ports:

@@ -7,6 +7,7 @@ of each are the parameters of its constructor (see `glue.options`) and the optio
 from __future__ import annotations
 
 import inspect
+import re
 import shlex
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
@@ -26,6 +27,7 @@ from glue.options import Parameter, Value, parameters
 from glue.plugins.loading import construct, find, names, summaries, without_seed
 from glue.wire.messages import Role
 
+_LABEL_LETTERS: Final = 100
 _COMMANDS: Final = {Role.AGENT: "glue-agent", Role.ENVIRONMENT: "glue-env"}
 
 
@@ -131,11 +133,11 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
         with errors_only() if _quiet else nullcontext():
             if (warning := without_seed(role, name, factory)) is not None:
                 LOG.warning("%s", warning)
-            reason = serve(players, _hub, key=_key, hub_key=_hub_key, wait=_wait)
+            reason = serve(players, _hub, key=_key, hub_key=_hub_key, wait=_wait, name=_label(name, given))
             LOG.info("the hub said goodbye: %s", reason)
 
     # The parameters are listed as options.
-    summary = inspect.cleandoc(factory.__doc__ or f"The {role} {name}.").partition("\n\nArgs:")[0]
+    summary = _help(factory.__doc__ or f"The {role} {name}.")
     common = [
         click.Option(
             ["--hub", "_hub"],
@@ -176,6 +178,19 @@ def _serving(role: Role, name: str, factory: type, extra: Extra) -> click.Comman
         option.allow_from_autoenv = False
     examples = f"\b\nExamples:\n{_examples(role, name, known)}"
     return click.Command(name, callback=reporting(start), params=[*options], help=summary, epilog=examples)
+
+
+def _help(docstring: str) -> str:
+    """Return a docstring for Click: programs keep their lines, and sections for programmers are left out."""
+    parts = inspect.cleandoc(docstring).split("\n\n")
+    kept = [part for part in parts if not re.match(r"(Args|Attributes|Raises|Returns):\n", part)]
+    return "\n\n".join(f"\b\n{part}" if part.startswith(" ") else part for part in kept)
+
+
+def _label(name: str, options: Mapping[str, Value]) -> str:
+    """Return the name of a player in lines and in results, as in `sarsa step_size=0.2`."""
+    words = [name.rpartition(":")[2] or name, *(f"{option}={value}" for option, value in options.items())]
+    return textwrap.shorten(" ".join(words), _LABEL_LETTERS, placeholder="...")
 
 
 def _examples(role: Role, name: str, known: Mapping[str, Parameter]) -> str:

@@ -18,7 +18,14 @@ from typing import Any, Final, NoReturn, TypeVar
 
 import click
 
-from glue.cli.entry import EXIT_INTERRUPTED, EXIT_TERMINATED, Terminated, handle_signals, is_stuck
+from glue.cli.entry import (
+    EXIT_INTERRUPTED,
+    EXIT_TERMINATED,
+    Terminated,
+    handle_signals,
+    is_stuck,
+    open_streams,
+)
 from glue.console import LOG, say
 from glue.errors import ConfigError, GlueError
 from glue.hub.config import HUB_KEY_VARIABLE, KEY_VARIABLE
@@ -121,6 +128,7 @@ def run(command: click.Command) -> NoReturn:
     glue-experiment, unless it declares another one.
     """
     handle_signals()
+    open_streams()
     _print_log()
     _prepare(command)
     prefix = (command.name or "").upper().replace("-", "_")
@@ -147,8 +155,24 @@ def run(command: click.Command) -> NoReturn:
         sys.exit(1)
     except OSError as error:
         if error.errno != errno.ENOSPC:
-            raise
+            say(f"Error: {_reason(error)}")
+            sys.exit(1)
         say(f"Error: cannot write the output: {error.strerror}")
         # Python would try again at exit, and complain.
         os._exit(1)
     sys.exit(code if isinstance(code, int) else 0)
+
+
+def _reason(error: OSError) -> str:
+    """Return the reason of an error of the system that no command expects.
+
+    Raises:
+        OSError: `error`, if it names no file: it may be a mistake of ours.
+    """
+    try:
+        os.getcwd()
+    except OSError:
+        return "the working directory is gone: change to one that exists"
+    if error.filename is None:
+        raise error
+    return f"{error.filename}: {error.strerror}"

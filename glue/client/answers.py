@@ -18,13 +18,18 @@ _message: Final = tuple.__new__
 class ServedPlayer:
     """One agent or environment, in one session: its calls, and its last answer.
 
+    Args:
+        role: agent or environment.
+        player: the object.
+        name: its name for people; by default that of its class.
+
     Attributes:
         name: its name, for people.
         capabilities: optional calls of its role that it offers.
     """
 
-    def __init__(self, role: Role, player: AgentLike | EnvironmentLike) -> None:
-        self.name: str = name_of(player)
+    def __init__(self, role: Role, player: AgentLike | EnvironmentLike, name: str | None = None) -> None:
+        self.name: str = name or name_of(player)
         self.capabilities: tuple[str, ...] = capabilities(player)
         self._handlers: Final[dict[Kind, tuple[Handler, Callable[[bytes], Any]]]] = {
             kind: (handler, READ[CALLS[kind].request.body])

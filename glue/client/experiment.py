@@ -17,7 +17,7 @@ from glue.client.bodies import READ, write
 from glue.client.link import Link
 from glue.client.target import Target, find_target
 from glue.client.transport import Transport
-from glue.console import LOG
+from glue.console import LOG, one_line
 from glue.engine.experiment import Experiment
 from glue.errors import GlueError, HubClosed, LocalProtocolError, PeerFailed, PeerLost, Unsupported
 from glue.hub.config import DEFAULT_SESSION
@@ -73,6 +73,7 @@ def connect_over(
     *,
     name: str = "experiment",
     on_notice: OnNotice | None = None,
+    num_steps: Callable[[], int] | None = None,
 ) -> RemoteExperiment:
     """Return an experiment of `session` over an open connection, once the hub has let it in.
 
@@ -81,12 +82,13 @@ def connect_over(
         session: name of the session.
         name: as for `connect`.
         on_notice: as for `connect`.
+        num_steps: returns RL_num_steps from any thread; None if the hub is not in this process.
 
     Raises:
         ConfigError: the session name is malformed.
         Refused: the hub does not let it in.
     """
-    return RemoteExperiment(Target("inside", session), name, None, None, on_notice, transport)
+    return RemoteExperiment(Target("inside", session), name, None, None, on_notice, transport, num_steps)
 
 
 class RemoteExperiment(Experiment):
@@ -100,7 +102,9 @@ class RemoteExperiment(Experiment):
         context: Context | None,
         on_notice: OnNotice | None,
         transport: Transport | None = None,
+        num_steps: Callable[[], int] | None = None,
     ) -> None:
+        self._num_steps = num_steps
         self._session = session = target.session
         self._on_notice = on_notice
         self._seq = 0
@@ -126,6 +130,9 @@ class RemoteExperiment(Experiment):
         if not self._closed:
             self._closed = True
             self._link.close("the experiment is over")
+
+    def steps_under_way(self) -> int | None:
+        return None if self._num_steps is None else self._num_steps()
 
     def give_up(self, reason: str) -> None:
         """Make the verb that is waiting, or the next one, raise HubClosed; callable from any thread."""
@@ -170,7 +177,7 @@ class RemoteExperiment(Experiment):
             )
 
     def _notice(self, message: Message) -> None:
-        event, role, name = map(str, message.scalars)
+        event, role, name = (one_line(str(scalar)) for scalar in message.scalars)
         if event not in _EVENTS or role not in _PLAYERS:
             return  # from a newer hub
         if event == Event.SLOW:
@@ -237,7 +244,7 @@ class RemoteExperiment(Experiment):
 
     def _error(self, message: Message) -> GlueError:
         """Return the exception for an ERROR in answer to a request."""
-        code, text = map(str, message.scalars)
+        code, text = (one_line(str(scalar)) for scalar in message.scalars)
         if code in (ErrorCode.PEER_LOST, ErrorCode.PEER_FAILED):
             self._loss = None
         return _ERRORS.get(code, LocalProtocolError)(text)

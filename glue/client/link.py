@@ -6,13 +6,14 @@ the peer over the latest connection, anything else sent there is ignored: a diff
 
 from __future__ import annotations
 
+import os
 import platform
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
 from glue.client.target import OwnKey
 from glue.client.transport import Transport, open_transport
-from glue.console import LOG
+from glue.console import LOG, one_line
 from glue.doors import chance, clock
 from glue.errors import ConfigError, HubClosed, HubUnreachable, LocalProtocolError, Refused
 from glue.hub.config import check_session
@@ -64,6 +65,7 @@ class Link:
         self._hub = hub
         self._names = {check_session(session): name for session, name in names.items()}
         self._wait = wait
+        self._process = os.getpid()
         self._instance = chance.random_bytes(INSTANCE_SIZE)
         self._max_body = MAX_BODY
         self._heartbeat, self._timeout = _HEARTBEAT, _TIMEOUT
@@ -96,8 +98,10 @@ class Link:
         """Send a message. If it is lost with the connection, the hub asks for it again, or it is repeated.
 
         Raises:
-            LocalProtocolError: the body is larger than the hub accepts.
+            LocalProtocolError: the body is larger than the hub accepts, or this is a fork of the process that
+                has made the connection.
         """
+        self._check_process()
         if len(message.body) > self._max_body:
             kind, size = message.kind.name, len(message.body)
             raise LocalProtocolError(f"the body of {kind} has {size} bytes; the hub takes {self._max_body}")
@@ -110,7 +114,9 @@ class Link:
             HubClosed: the hub said goodbye.
             HubUnreachable: no hub has answered in the time allowed.
             Refused: the hub does not admit us.
+            LocalProtocolError: this is a fork of the process that has made the connection.
         """
+        self._check_process()
         try:
             message = self._transport.receive_message(self._max_body)
         except UnknownKind as error:
@@ -132,10 +138,20 @@ class Link:
         return self._control(message)
 
     def close(self, reason: str) -> None:
-        """Say goodbye to the hub, if there is one, and close."""
+        """Say goodbye to the hub, if there is one, and close; in a fork, do nothing."""
+        if os.getpid() != self._process:
+            return
         for session in self._welcomed:
             self._transport.send_message(Message(Kind.GOODBYE, session, 0, (clip(reason),)))
         self._transport.close(None if self._welcomed else 0)
+
+    def _check_process(self) -> None:
+        """Raise LocalProtocolError in a forked child, which would take the replies of its parent."""
+        if os.getpid() != self._process:
+            raise LocalProtocolError(
+                f"the connection to the hub at {self._hub} is that of process {self._process}, and this is a "
+                "fork of it: connect in each process"
+            )
 
     def _end_silence(self) -> None:
         self._heard = True
@@ -150,9 +166,9 @@ class Link:
         if kind is Kind.GOODBYE:
             # It needs no answer; an answer to a hub that has gone would only keep this socket from closing.
             self._welcomed.pop(session, None)
-            raise HubClosed(str(scalars[0]))
+            raise HubClosed(one_line(str(scalars[0])))
         if kind is Kind.REFUSE:
-            raise Refused(f"the hub at {self._hub} refused this {self._role}: {scalars[1]!s}")
+            raise Refused(f"the hub at {self._hub} refused this {self._role}: {one_line(str(scalars[1]))}")
         if kind is Kind.ERROR and scalars[0] == ErrorCode.UNKNOWN_PEER:
             self._transport.notice_connections()
             # A HELLO under way will be answered; this error is about a message sent before it.
@@ -196,7 +212,8 @@ class Link:
         if not self._known and self._wait is not None and now - self._started >= self._wait:
             raise HubUnreachable(
                 f"no hub has answered at {self._hub} for {self._wait:g} s: "
-                f"start one with glue-hub or glue-experiment, or check the address; wait=None waits for ever"
+                f"start one with glue-hub or glue-experiment, or check the address",
+                settings=("wait",),
             )
         if self._heard:
             self._heard = False

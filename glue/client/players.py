@@ -23,7 +23,7 @@ from glue.client.link import Link
 from glue.client.target import Target, find_target
 from glue.console import LOG, reporting, show_failure
 from glue.doors import threads
-from glue.errors import GlueError, HubClosed, PeerFailed, Refused
+from glue.errors import GlueError, HubClosed, PeerFailed, Refused, described
 from glue.roles import AgentLike, EnvironmentLike
 from glue.wire.codec import clip
 from glue.wire.messages import CALLS, ErrorCode, Event, Kind, Message, Role
@@ -44,6 +44,7 @@ def serve_agent(
     wait: float | None = None,
     context: Context | None = None,
     stop: threads.Event | None = None,
+    name: str | None = None,
 ) -> str:
     """Let `agent` take part in a session until the hub says goodbye; return the hub's reason.
 
@@ -58,6 +59,7 @@ def serve_agent(
         wait: seconds to wait for the hub to answer before raising HubUnreachable; None waits forever.
         context: the ZeroMQ context, to connect through libzmq.
         stop: once it is set, the player leaves, after its current call or within a heartbeat.
+        name: its name for people, in lines and in results; by default that of its class.
 
     Raises:
         ConfigError: an address, a key or a session name is malformed, or the host's name does not resolve.
@@ -67,7 +69,7 @@ def serve_agent(
     """
     target = find_target(hub, session, key, hub_key)
     agents = agent if isinstance(agent, Mapping) else {target.session: agent}
-    return _serve(Role.AGENT, agents, target, wait, context, stop)
+    return _serve(Role.AGENT, agents, target, wait, context, stop, name)
 
 
 def serve_environment(
@@ -80,11 +82,12 @@ def serve_environment(
     wait: float | None = None,
     context: Context | None = None,
     stop: threads.Event | None = None,
+    name: str | None = None,
 ) -> str:
     """Let `environment` take part in a session; arguments and errors are those of `serve_agent`."""
     target = find_target(hub, session, key, hub_key)
     environments = environment if isinstance(environment, Mapping) else {target.session: environment}
-    return _serve(Role.ENVIRONMENT, environments, target, wait, context, stop)
+    return _serve(Role.ENVIRONMENT, environments, target, wait, context, stop, name)
 
 
 def _serve(
@@ -94,8 +97,9 @@ def _serve(
     wait: float | None,
     context: Context | None,
     stop: threads.Event | None,
+    name: str | None,
 ) -> str:
-    served = {session: ServedPlayer(role, player) for session, player in players.items()}
+    served = {session: ServedPlayer(role, player, name) for session, player in players.items()}
     names = {session: (player.name, player.capabilities) for session, player in served.items()}
     link = Link(role, target.hub, names, wait, context, key=target.key)
     reason = "interrupted"
@@ -120,7 +124,9 @@ def _serve(
                         answer = player.answer(message)
                         if answer is not None:
                             link.send(answer)
-                    except Exception as error:
+                    except (KeyboardInterrupt, SystemExit):
+                        raise
+                    except BaseException as error:  # also asyncio.CancelledError and GeneratorExit
                         what = message.kind.name.lower()
                         reason = f"{type(error).__name__} in {what}"
                         text = _report(link, message, error)
@@ -139,10 +145,10 @@ def _serve(
         link.close(reason)
 
 
-def _report(link: Link, call: Message, error: Exception) -> str:
+def _report(link: Link, call: Message, error: BaseException) -> str:
     """Print where the user's code failed; send the hub a short text, and return it."""
     if not isinstance(error, GlueError):
         show_failure(error)
-    text = str(error) if isinstance(error, GlueError) else f"{type(error).__name__}: {error}"
+    text = described(error)
     link.send(Message(Kind.ERROR, call.session, call.seq, (str(ErrorCode.EXCEPTION), clip(text))))
     return text

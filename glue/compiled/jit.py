@@ -11,8 +11,10 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
+import itertools
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -30,6 +32,7 @@ from glue.console import say, say_why_slow
 from glue.doors import clock
 
 _POLL_SECONDS: Final = 0.1
+_SPIN_SECONDS: Final = 0.5
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -118,18 +121,21 @@ class _PartCompiler(Compiler):
 
 
 @contextmanager
-def announce_compilation(what: str, seconds: int | None = None) -> Iterator[None]:
-    """Print to stderr that `what` is being compiled, and how long it took.
+def announce_compilation(what: str) -> Iterator[None]:
+    """Print to stderr that `what` is being compiled, in a terminal the time passed, and how long it took.
 
     Nothing is printed if no entry called in this block has to be compiled. If another process is compiling
-    the same entry, wait for its machine code, and say so. `seconds` is the approximate time on a free core.
+    the same entry, wait for its machine code, and say so.
     """
-    listener = _Announcement(what, seconds)
-    with event.install_listener("numba:compile", listener), _leaving_at_once():
-        try:
-            yield
-        finally:
-            _Cache.release()
+    listener = _Announcement(what)
+    try:
+        with event.install_listener("numba:compile", listener), _leaving_at_once():
+            try:
+                yield
+            finally:
+                _Cache.release()
+    finally:
+        listener.over.set()
     listener.finish()
 
 
@@ -163,17 +169,31 @@ def _leave_for_signals(reader: int, leave: Callable[[int], object]) -> None:
 
 
 class _Announcement(event.Listener):
-    """A line before the first compilation and one after the last: other programs write in between."""
+    """A line before the first compilation and one after the last: other programs write in between.
 
-    def __init__(self, what: str, seconds: int | None) -> None:
+    Attributes:
+        over: set when nothing more is compiled.
+    """
+
+    def __init__(self, what: str) -> None:
         self._what = what
-        self._expected = "" if seconds is None else f": about {seconds} s on a free core"
         self._began: float | None = None
+        self.over = threading.Event()
 
     def on_start(self, event: object) -> None:
         if self._began is None:
             self._began = clock.monotonic()
-            say_why_slow(f"compiling {self._what}, this once{self._expected} ...")
+            say_why_slow(f"compiling {self._what}, this once ...")
+            if sys.stderr.isatty():
+                threading.Thread(target=self._spin, name="spinner", daemon=True).start()
+
+    def _spin(self) -> None:
+        """Show the time passed; the cursor stays at the beginning, for lines of other programs."""
+        for mark in itertools.cycle("|/-\\"):
+            if self.over.wait(_SPIN_SECONDS) or self._began is None:
+                return
+            passed = f"{clock.monotonic() - self._began:.0f} s"
+            print(f"  {mark} {passed}\x1b[K", end="\r", file=sys.stderr, flush=True)
 
     def on_end(self, event: object) -> None:
         pass

@@ -10,7 +10,7 @@ from functools import partial
 from glue.conform.hub.clients import Start
 from glue.conform.hub.connection import Listener
 from glue.conform.hub.experiment import ExperimentHarness
-from glue.conform.hub.harness import Harness
+from glue.conform.hub.harness import QUIET, Harness
 from glue.conform.hub.player import PlayerHarness
 from glue.conform.hub.rules import Broken, NotJudged, Requirement, Rule, Tier
 from glue.conform.peers.checking import judged_rules
@@ -68,6 +68,7 @@ def judge(
     transport: str = "tcp",
     tier: Tier = Tier.COMPLETE,
     wait: float = 5.0,
+    quiet: float = QUIET,
     only: Container[str] | None = None,
     report: Callable[[Verdict], None] = lambda verdict: None,
 ) -> list[Verdict]:
@@ -79,6 +80,7 @@ def judge(
         transport: `tcp` or `ipc`.
         tier: the highest tier to judge.
         wait: timeout of each message, in seconds.
+        quiet: seconds of silence after which no message is expected any more.
         only: names of the rules to judge; None judges all.
         report: called with each verdict as soon as there is one.
 
@@ -86,7 +88,7 @@ def judge(
         ConfigError: the client cannot be started.
     """
     rules = [rule for rule in rules_of(role, tier) if only is None or rule.name in only]
-    return _judge(role, start, rules, transport, wait, report)
+    return _judge(role, start, rules, transport, (wait, quiet), report)
 
 
 def judge_scripts(
@@ -96,6 +98,7 @@ def judge_scripts(
     *,
     transport: str = "tcp",
     wait: float = 5.0,
+    quiet: float = QUIET,
     report: Callable[[Verdict], None] = lambda verdict: None,
 ) -> list[Verdict]:
     """Judge clients by a script of faults for each seed; arguments and errors are those of `judge`."""
@@ -110,7 +113,7 @@ def judge_scripts(
         )
         for seed in seeds
     ]
-    return _judge(role, start, rules, transport, wait, report)
+    return _judge(role, start, rules, transport, (wait, quiet), report)
 
 
 def _judge(
@@ -118,12 +121,12 @@ def _judge(
     start: Start,
     rules: Sequence[Rule],
     transport: str,
-    wait: float,
+    times: tuple[float, float],
     report: Callable[[Verdict], None],
 ) -> list[Verdict]:
     listener = Listener(transport)
     kit: Harness = (ExperimentHarness if role is Role.EXPERIMENT else PlayerHarness)(
-        role, start, listener, wait
+        role, start, listener, *times
     )
     verdicts: list[Verdict] = []
     try:

@@ -8,7 +8,7 @@ from typing import Any, Final
 from glue.conform.hub.rules import Tier
 from glue.conform.judge import Outcome, Verdict
 
-_PAGE: Final = "docs/protocol.md"
+_PAGE: Final = "docs/protocol-reference.md"
 
 _SHOWN: Final = 64
 """Maximum number of bytes of a frame shown in a line."""

@@ -26,7 +26,7 @@ class Start(NamedTuple):
 
 
 class Experiment(Closing):
-    """RL-Glue's verbs. docs/protocol.md defines their meaning, including corner cases.
+    """RL-Glue's verbs. docs/protocol-reference.md defines their meaning, including corner cases.
 
     Every verb may raise these errors.
 
@@ -44,6 +44,10 @@ class Experiment(Closing):
 
     def close(self) -> None:
         """Leave, without RL_cleanup."""
+
+    def steps_under_way(self) -> int | None:
+        """Return RL_num_steps of an episode that another thread is playing; None if it is not known here."""
+        return None
 
     def rl_init(self, seed: int | None = None) -> str:
         """Initialise the environment, then the agent; reset the counters. Return the task spec.

@@ -17,7 +17,7 @@ from typing import Any
 from glue.engine.calls import name_of, role_calls, skippable, unfit_for_batch, unsupported
 from glue.engine.engine import Engine, Instruction
 from glue.engine.experiment import Experiment
-from glue.errors import GlueError, PeerFailed, Unsupported
+from glue.errors import PeerFailed, Unsupported, described
 from glue.roles import AgentLike, EnvironmentLike, capabilities
 from glue.types import CUT_OFF, Action
 from glue.wire.messages import CALLS, Kind, Role, Value
@@ -41,6 +41,9 @@ class LocalExperiment(Experiment):
         self._unfit = unfit_for_batch(capabilities(environment), capabilities(agent), name_of(agent))
         self._names = {Role.AGENT: name_of(agent), Role.ENVIRONMENT: name_of(environment)}
 
+    def steps_under_way(self) -> int:
+        return self._engine.num_steps
+
     def rl_agent_metrics(self) -> dict[str, float]:
         metrics: dict[str, float] = self._call(Kind.RL_AGENT_METRICS)[1]  # in one process they need no body
         return metrics
@@ -63,7 +66,9 @@ class LocalExperiment(Experiment):
                 else:
                     try:
                         scalars, body = handler(scalars, body)
-                    except Exception as error:
+                    except (KeyboardInterrupt, SystemExit):
+                        raise
+                    except BaseException as error:  # also asyncio.CancelledError and GeneratorExit
                         raise self._failure(call, error) from error
                     call, scalars, body = engine.resume(call, scalars, body)
         except BaseException:
@@ -79,8 +84,7 @@ class LocalExperiment(Experiment):
         assert role is not None
         raise Unsupported(unsupported(kind, role, self._names[role]))
 
-    def _failure(self, kind: Kind, error: Exception) -> PeerFailed:
+    def _failure(self, kind: Kind, error: BaseException) -> PeerFailed:
         role = CALLS[kind].callee
         assert role is not None
-        text = str(error) if isinstance(error, GlueError) else f"{type(error).__name__}: {error}"
-        return PeerFailed(f"{role} {self._names[role]} raised in {kind.name.lower()}: {text}")
+        return PeerFailed(f"{role} {self._names[role]} raised in {kind.name.lower()}: {described(error)}")

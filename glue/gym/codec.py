@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,9 @@ from glue.errors import SimulatorError
 from glue.gym.leaves import CHAR, DOUBLE, INT, Leaf, SpaceLike, ends_of, leaves_of
 from glue.taskspec import Range, Ranges, Space
 from glue.types import AbstractType
+
+_TYPES: Final = (np.int32, np.float64, np.uint8)
+"""The type of the numbers of each run."""
 
 
 class Codec:
@@ -40,13 +43,20 @@ class Codec:
         return Space(Ranges(tuple(runs[INT])), Ranges(tuple(runs[DOUBLE])), chars)
 
     def pack(self, value: Any) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.float64], bytes]:
-        """Return a value of the space as ints, doubles and chars."""
+        """Return a value of the space as ints, doubles and chars.
+
+        Doubles may be outside their bounds, by rounding for example, and axes of length one may be missing.
+
+        Raises:
+            SimulatorError: the value has other parts, shapes or kinds of numbers than the space, or an int or
+                char is outside its bounds.
+        """
         parts: tuple[list[npt.NDArray[Any]], ...] = ([], [], [])
         for leaf, part in zip(self._leaves, _parts(self.space, value), strict=True):
-            parts[leaf.run].append(np.asarray(part).reshape(-1))
+            parts[leaf.run].append(_numbers(leaf, part))
         ints, doubles, chars = (
-            np.concatenate(run).astype(dtype, copy=False) if run else np.empty(0, dtype)
-            for run, dtype in zip(parts, (np.int32, np.float64, np.uint8), strict=True)
+            np.concatenate(run) if run else np.empty(0, dtype)
+            for run, dtype in zip(parts, _TYPES, strict=True)
         )
         return ints, doubles, chars.tobytes()
 
@@ -94,6 +104,38 @@ class Codec:
         )
 
 
+def _numbers(leaf: Leaf, part: Any) -> npt.NDArray[Any]:
+    """Return the value of a leaf as a flat array of its run's type.
+
+    Raises:
+        SimulatorError: the value is not in the leaf's space.
+    """
+    try:
+        given = np.asarray(part)
+    except ValueError:  # rows of different lengths
+        given = np.asarray(None)
+    if given.dtype.kind not in "biuf":
+        raise SimulatorError(f"expected numbers of {leaf.space!r:.200}, not {part!r:.80}")
+    if given.shape != leaf.shape and _long_axes(given.shape) != _long_axes(leaf.shape):
+        raise SimulatorError(f"expected the shape {leaf.shape} of {leaf.space!r:.200}, not {given.shape}")
+    flat = given.reshape(-1)
+    if leaf.run == DOUBLE:
+        return flat.astype(np.float64, copy=False)
+    low, high = ends_of(leaf)
+    wrong = (flat < low) | (flat > high)
+    if given.dtype.kind == "f":
+        wrong |= flat != np.floor(flat)
+    if wrong.any():
+        index = int(wrong.argmax())
+        place = f" at {[*map(int, np.unravel_index(index, given.shape))]}" if given.shape else ""
+        raise SimulatorError(f"{flat[index]}{place} is not in {leaf.space!r:.200}")
+    return flat.astype(_TYPES[leaf.run], copy=False)
+
+
+def _long_axes(shape: tuple[int, ...]) -> list[int]:
+    return [length for length in shape if length != 1]
+
+
 def _runs(leaf: Leaf) -> Iterator[tuple[int, Range]]:
     """Yield the ranges of a leaf's numbers as runs of equal neighbours."""
     low, high = ends_of(leaf)
@@ -105,11 +147,19 @@ def _runs(leaf: Leaf) -> Iterator[tuple[int, Range]]:
 
 
 def _parts(space: SpaceLike, value: Any) -> Iterator[Any]:
-    """Yield the parts of a value, one for each leaf."""
+    """Yield the parts of a value, one for each leaf.
+
+    Raises:
+        SimulatorError: the value does not have the parts of the space.
+    """
     if isinstance(space, spaces.Dict):
+        if not isinstance(value, Mapping) or value.keys() != space.spaces.keys():
+            raise SimulatorError(f"expected a dict of {', '.join(space.spaces)}, not {value!r:.80}")
         for key in sorted(space.spaces):
             yield from _parts(space.spaces[key], value[key])
     elif isinstance(space, spaces.Tuple):
+        if not isinstance(value, Sequence | np.ndarray) or len(value) != len(space.spaces):
+            raise SimulatorError(f"expected a tuple of {len(space.spaces)} parts, not {value!r:.80}")
         for part, one in zip(space.spaces, value, strict=True):
             yield from _parts(part, one)
     else:

@@ -45,12 +45,17 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc]
         envs: the vector environment; it is closed with this one.
 
     Raises:
-        ConfigError: its episodes do not begin in the same step (autoreset_mode="SameStep").
+        ConfigError: its episodes do not begin in the same step (autoreset_mode="SameStep"), or a step
+            overwrites the observations of the previous one (copy=False), which Stable-Baselines3 keeps.
     """
 
     def __init__(self, envs: Any) -> None:
         if envs.metadata.get("autoreset_mode") is not AutoresetMode.SAME_STEP:
             raise ConfigError("Stable-Baselines3 needs autoreset_mode='SameStep' of a vector environment")
+        if not getattr(envs.unwrapped, "copy", True):
+            raise ConfigError(
+                "Stable-Baselines3 keeps observations: it needs copy=True of a vector environment"
+            )
         self._envs = envs
         self.render_mode: str | None = envs.render_mode
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)

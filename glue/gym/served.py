@@ -2,11 +2,17 @@
 
 Its spaces become the task spec (see `glue.gym.spaces`), and its truncations those of the steps. Infos
 are not sent. An action of floats is clipped to its bounds; any other action that is not in the space is
-refused without stepping the environment.
+refused without stepping the environment. An observation that is not in its space is an error, except that
+floats may exceed their bounds.
+
+Seeds are made for Gymnasium's generator, of 64 bits. Many environments draw from NumPy's old one: it is
+seeded, too, and a seed that their reset refuses is given again in fewer bits. An environment whose reset does
+not even read its seed has no `env_seed`, and is treated as any player without one.
 """
 
 from __future__ import annotations
 
+import dis
 import inspect
 from collections.abc import Callable
 from typing import Annotated, Any, Final
@@ -15,6 +21,7 @@ import gymnasium
 from gymnasium.envs.registration import load_env_creator
 
 from glue.errors import ConfigError, SimulatorError
+from glue.global_seeds import seed_globals
 from glue.gym.codec import Codec
 from glue.gym.spaces import task_spec
 from glue.options import Option
@@ -25,6 +32,9 @@ from glue.types import Action, Observation, Step
 
 _TEXT: Final = "ansi"
 """The render mode of environments that are drawn as text."""
+
+_SEEDS: Final = 2**63
+_OLD_SEEDS: Final = 2**31  # That fit C's int. NumPy's old generator takes twice as many.
 
 _MaxEpisodeSteps = Annotated[
     int | None, Option("steps after which an episode is cut off, in place of the registered limit", low=1)
@@ -52,15 +62,17 @@ class GymnasiumEnvironment(Environment):
         self._actions = Codec(self._env.action_space)
         self._task_spec = task_spec(self._observations, self._actions)
         self._seed: int | None = None
+        self._seeds = _SEEDS
         self._playing = False
         own = self._env.unwrapped
         if callable(getattr(own, "env_save", None)) and callable(getattr(own, "env_load", None)):
-            self.env_save: Callable[[], bytes] = own.env_save
-            self.env_load: Callable[[bytes], None] = own.env_load
+            self.env_save: Callable[[], bytes] = lambda: self._opened().unwrapped.env_save()
+            self.env_load: Callable[[bytes], None] = lambda saved: self._opened().unwrapped.env_load(saved)
 
     def env_seed(self, seed: int) -> None:
         """Seed the next episode, and thereby those after it."""
         self._seed = seed
+        seed_globals(seed)
 
     def env_init(self) -> str:
         """Return the task spec that describes the spaces."""
@@ -71,10 +83,18 @@ class GymnasiumEnvironment(Environment):
 
     def env_start(self) -> Observation:
         """Reset the environment; return its observation."""
-        observation, _ = self._opened().reset(seed=self._seed)
-        self._seed = None
+        seed, self._seed = self._seed, None
+        try:
+            observation, _ = self._opened().reset(seed=seed if seed is None else seed % self._seeds)
+        except (ValueError, OverflowError, TypeError):
+            if seed is None or seed % self._seeds < _OLD_SEEDS:
+                raise
+            self._seed, self._seeds = seed, _OLD_SEEDS
+            self._env.close()
+            self._env = self._make()  # Gymnasium's wrappers are of no use after a reset that failed.
+            return self.env_start()
         self._playing = True
-        return Observation(*self._observations.pack(observation))
+        return self._shown(observation)
 
     def env_step(self, action: Action) -> Step:
         """Carry out an action.
@@ -87,7 +107,7 @@ class GymnasiumEnvironment(Environment):
             raise SimulatorError("no episode is being played: env_start begins one")
         observation, reward, terminated, truncated, _ = env.step(self._actions.unpack(action))
         self._playing = not (terminated or truncated)
-        shown = Observation(*self._observations.pack(observation))
+        shown = self._shown(observation)
         return Step(float(reward), shown, not self._playing, bool(truncated and not terminated))
 
     def env_cleanup(self) -> None:
@@ -107,6 +127,17 @@ class GymnasiumEnvironment(Environment):
         if self._env is None or self._env.render_mode != _TEXT:
             return None
         return str(self._env.render()).splitlines()
+
+    def _shown(self, observation: Any) -> Observation:
+        """Return an observation as ints, doubles and chars.
+
+        Raises:
+            SimulatorError: it is not in the space.
+        """
+        try:
+            return Observation(*self._observations.pack(observation))
+        except SimulatorError as error:
+            raise SimulatorError(f"the environment's observation is not in its space: {error}") from None
 
     def _opened(self) -> Any:
         if self._env is None:
@@ -154,9 +185,26 @@ def environment_class(name: str) -> type[GymnasiumEnvironment]:
     )
     options = keywords(creator, "keyword of the Gymnasium environment", spec.kwargs)
     own = [option for option in options if option.name != "render_mode"]
-    members = {"__init__": with_options(__init__, [*own, limit])}
+    members: dict[str, Any] = {
+        "__init__": with_options(__init__, [*own, limit]),
+        # Repeatability without a seed is up to its author.
+        "__module__": getattr(creator, "__module__", __name__),
+    }
+    if not _reads_seed(creator):
+        members["env_seed"] = None
     about = f"Gymnasium's {spec.id}, served to RL-Glue agents (docs/gymnasium.md)."
     return type(spec.id.replace("/", "-"), (GymnasiumEnvironment,), {**members, "__doc__": about})
+
+
+def _reads_seed(creator: Any) -> bool:
+    """Return whether an environment's reset reads its parameter `seed`; True if that is not known."""
+    reset = getattr(creator, "reset", None)
+    code = None if reset is None else getattr(inspect.unwrap(reset), "__code__", None)
+    if code is None or "seed" not in code.co_varnames[: code.co_argcount + code.co_kwonlyargcount]:
+        return True
+    loaded = [one.argval for one in dis.get_instructions(code) if "LOAD_FAST" in one.opname]
+    # One instruction of Python 3.13 loads two variables.
+    return "seed" in code.co_cellvars or any("seed" in ((x,) if isinstance(x, str) else x) for x in loaded)
 
 
 def _registered(name: str) -> str:

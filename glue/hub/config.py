@@ -87,11 +87,17 @@ class Bind:
 
     @property
     def warning(self) -> str:
-        """Start of a line that warns who else can join; empty if keys or a file mode prevent it."""
+        """Who else can join, unless keys or a file mode prevent it; otherwise empty."""
         if self.keys is not None or (self.url.startswith("ipc://") and self.url[6] != "@"):
             return ""
-        who = "any user of this machine" if _is_local(self.url) else "anyone who reaches this machine"
-        return f"{who} can join, unless the hub requires keys (see glue-keys): "
+        return "every user of this machine" if _is_local(self.url) else "everyone who reaches this machine"
+
+    def announcement(self, endpoint: str) -> str:
+        """Return a line that says where the hub listens, and who else can join there."""
+        who = self.warning
+        return f"listening on {endpoint}" + (
+            f": open to {who}, unless keys say who may join (glue-keys)" if who else ""
+        )
 
     def admits(self, role: Role, session: str) -> bool:
         """Return whether a peer that connects here can join `session` as `role`."""

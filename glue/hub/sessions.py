@@ -61,6 +61,11 @@ class Switchboard:
         self._sessions: dict[str, Session] = {}
         self._seats: dict[Route, dict[str, Peer]] = {}
         """The peers of each connection, by session."""
+        self._left: Callable[[Route, str], None] = lambda route, session: None
+
+    def on_leave(self, left: Callable[[Route, str], None]) -> None:
+        """Call `left` with the route and the session whenever a route takes part in a session no longer."""
+        self._left = left
 
     def num_seats(self, route: Route) -> int:
         """Return the number of sessions in which a route takes part."""
@@ -299,6 +304,7 @@ class Switchboard:
         del seats[peer.session.name]
         if not seats:
             del self._seats[peer.route]
+        self._left(peer.route, peer.session.name)
 
     def send(self, route: Route, message: Message) -> bool:
         """Send `message`; return False, having sent nothing, if the other side is gone or does not read."""

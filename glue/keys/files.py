@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Final
 
 from glue.errors import ConfigError
+from glue.files import open_regular
 
 _OTHERS: Final = 0o077
 _OTHERS_WRITE: Final = 0o022
@@ -19,8 +20,8 @@ _MAX_LINKS: Final = 40
 def read_own(path: Path, limit: int, secret: bool = False) -> bytes:
     """Return the content of a file that no other user can have written.
 
-    The file and every symbolic link on the way to it belong to this user or to root, and others can write
-    neither to the file nor to a directory in which such a link, or its target, could be replaced.
+    The file, every folder and every symbolic link on the way to it belong to this user or to root, and others
+    can neither write to the file nor replace it, such a link, or a folder.
 
     Args:
         path: the file.
@@ -33,12 +34,9 @@ def read_own(path: Path, limit: int, secret: bool = False) -> bytes:
             too large.
     """
     try:
-        _check_links(path)
-        # Non-blocking, because opening a FIFO would wait for its writer.
-        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with open(descriptor, "rb") as file:
-            state = os.fstat(descriptor)
-            _check_kind(path, state)
+        _check_way(path)
+        with open_regular(path, follow=True) as file:
+            state = os.fstat(file.fileno())
             _check_owner(path, state)
             if secret and state.st_mode & _OTHERS:
                 raise ConfigError(
@@ -60,11 +58,10 @@ def check_directory(path: Path) -> None:
     """Check that no other user can replace files in a directory.
 
     Raises:
-        ConfigError: the directory belongs to another user, or others can write to it or replace a link on the
-            way to it.
+        ConfigError: the directory belongs to another user, or others can write to it, or replace it.
     """
     try:
-        _check_links(path)
+        _check_way(path)
         state = path.stat()
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from None
@@ -72,8 +69,8 @@ def check_directory(path: Path) -> None:
     _check_mode(path, state)
 
 
-def _check_links(path: Path) -> None:
-    """Follow the symbolic links on the way to `path`; check each of them, and the directories involved."""
+def _check_way(path: Path) -> None:
+    """Follow the folders and symbolic links on the way to `path`, and check each of them."""
     at = Path("/")
     ahead = list(path.absolute().parts[1:])
     links = 0
@@ -82,6 +79,7 @@ def _check_links(path: Path) -> None:
         if part == "..":
             at = at.parent
             continue
+        _check_folder(at)
         at /= part
         state = at.lstat()
         if stat.S_ISLNK(state.st_mode):
@@ -89,12 +87,9 @@ def _check_links(path: Path) -> None:
             if links > _MAX_LINKS:
                 raise ConfigError(f"cannot read {path}: more than {_MAX_LINKS} symbolic links lead to it")
             _check_owner(at, state)
-            _check_folder(at.parent)
             target = Path(os.readlink(at))
             at = Path("/") if target.is_absolute() else at.parent
             ahead = [*(target.parts[1:] if target.is_absolute() else target.parts), *ahead]
-    if links:
-        _check_folder(at.parent)
 
 
 def _check_folder(path: Path) -> None:
@@ -103,13 +98,6 @@ def _check_folder(path: Path) -> None:
     _check_owner(path, state)
     if not state.st_mode & stat.S_ISVTX:
         _check_mode(path, state)
-
-
-def _check_kind(path: Path, state: os.stat_result) -> None:
-    if stat.S_ISDIR(state.st_mode):
-        raise ConfigError(f"cannot read {path}: Is a directory")
-    if not stat.S_ISREG(state.st_mode):
-        raise ConfigError(f"cannot read {path}: it is no regular file")
 
 
 def _check_owner(path: Path, state: os.stat_result) -> None:

@@ -57,8 +57,9 @@ class LegacyPeer:
         """Ask the switchboard for the role."""
         capabilities = () if self._role is Role.EXPERIMENT else (ONE_RUN,)
         instance = chance.random_bytes(INSTANCE_SIZE)
-        name = self._connection.name
-        scalars = ((PROTOCOL_VERSION,), str(self._role), instance, name, _CODEC, capabilities)
+        # Its protocol declares no name. Its address differs in each trial, so it must not name it in results.
+        name, codec = f"original {self._role}", f"{_CODEC} at {self._connection.name}"
+        scalars = ((PROTOCOL_VERSION,), str(self._role), instance, name, codec, capabilities)
         self._send(Message(Kind.HELLO, self._session, 0, scalars), now)
         if self._decoder.buffered:
             self._connection.later()

@@ -6,6 +6,10 @@ A name has one of four forms: an installed entry point (group `glue.agents` or `
 
 A file called random.py or agents.py in the user's folder shadows no module: the folder is searched
 after everything that is installed.
+
+Files of two folders may import modules of the same name, each that of its own folder: the modules of the
+other folder are set aside. An import that is executed later, in a method, finds those of the folder that was
+used last.
 """
 
 from __future__ import annotations
@@ -24,7 +28,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
 from glue.console import show_failure
-from glue.errors import ConfigError, GlueError, PeerFailed
+from glue.errors import ConfigError, GlueError, PeerFailed, described
 from glue.options import Value, build
 from glue.suggestions import did_you_mean
 from glue.wire.messages import Role
@@ -78,8 +82,7 @@ def construct(factory: type, options: Mapping[str, Value]) -> Any:
         raise
     except Exception as error:
         show_failure(error)
-        why = f"{type(error).__name__}: {error}"
-        raise PeerFailed(f"{factory.__name__} raised in its constructor: {why}") from None
+        raise PeerFailed(f"{factory.__name__} raised in its constructor: {described(error)}") from None
     take_seeds(player)
     return player
 
@@ -95,7 +98,7 @@ def without_seed(role: Role, label: str, factory: type) -> str | None:
         factory: the class.
     """
     method = "env_seed" if role is Role.ENVIRONMENT else "agent_seed"
-    if hasattr(factory, method) or factory.__module__.partition(".")[0] in PACKAGES:
+    if callable(getattr(factory, method, None)) or factory.__module__.partition(".")[0] in PACKAGES:
         return None
     return (
         f"the {role} {label} has no {method}: the trial's seed goes to Python's and NumPy's global "
@@ -181,6 +184,11 @@ def import_user_module(name: str) -> ModuleType:
     return _import(name)
 
 
+def all_modules() -> list[tuple[str, ModuleType]]:
+    """Return the name and module of everything that is imported, and of what is set aside."""
+    return [*sys.modules.items(), *(one for modules in _aside.values() for one in modules.items())]
+
+
 def _adapted_name(role: Role, name: str) -> str:
     """Return the suggestion for a name like Gymnasium's CartPole-v1; empty for any other."""
     known = any(point.name == "gymnasium" for point in entry_points(group=_ADAPTERS[role]))
@@ -240,9 +248,9 @@ def _import(module: str) -> ModuleType:
 def _import_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise ConfigError(f"there is no file {path}")
-    _look_in(path.resolve().parent)
     name = f"_glue_user_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
+    _look_in(path.resolve().parent, name)
+    spec = importlib.util.spec_from_file_location(name, path.resolve())
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -255,19 +263,49 @@ def _import_file(path: Path) -> ModuleType:
     return module
 
 
-def _look_in(folder: Path) -> None:
-    """Let modules of `folder` be imported, unless something of that name is installed."""
-    if str(folder) not in sys.path:
-        sys.path.append(str(folder))
+_aside: Final[dict[Path, dict[str, ModuleType]]] = {}
+"""By each of the user's folders, its modules that are set aside."""
+
+_searched: Final[list[str]] = []
+"""The user's folders that we have added to `sys.path`."""
+
+
+def _look_in(folder: Path, own: str = "") -> None:
+    """Let modules of `folder` be imported, unless something of that name is installed.
+
+    Modules of the user's other folders are set aside if `folder` has one of the same name. They return when
+    their folder is used again.
+
+    Args:
+        folder: absolute, without links.
+        own: name of a module that will be made of a file in `folder`.
+    """
+    here = str(folder)
+    if here in _searched or here not in sys.path:
+        sys.path[:] = [path for path in sys.path if path not in _searched]
+        _searched[:] = [here, *(path for path in _searched if path != here)]
+        sys.path += _searched
+    for top in {name.partition(".")[0] for name in sys.modules}:
+        home = _home(sys.modules.get(top))
+        if home in _aside and home != folder and (top == own or PathFinder.find_spec(top, [here])):
+            for name in [name for name in sys.modules if name == top or name.startswith(f"{top}.")]:
+                _aside[home][name] = sys.modules.pop(name)
+    sys.modules.update(_aside.get(folder, {}))
+    _aside[folder] = {}
+
+
+def _home(module: ModuleType | None) -> Path | None:
+    """Return the folder that holds a module or package; None if that is not known."""
+    variables = {} if module is None else vars(module)
+    place = next(iter(variables.get("__path__", ())), variables.get("__file__"))
+    return Path(place).parent if isinstance(place, str) else None
 
 
 def _broken(source: str, error: BaseException) -> str:
     if isinstance(error, SyntaxError):  # shown as Python does: file, line and a caret
         return f"{source} cannot be imported:\n{''.join(traceback.format_exception_only(error)).rstrip()}"
     last = traceback.extract_tb(error.__traceback__)[-1]
-    return (
-        f"{source} cannot be imported: {type(error).__name__}: {error} ({last.filename}, line {last.lineno})"
-    )
+    return f"{source} cannot be imported: {described(error)} ({last.filename}, line {last.lineno})"
 
 
 def _class_of(module: ModuleType, attribute: str, source: str) -> type:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from glue.errors import ConfigError
+from glue.files import read_regular
 from glue.roles import Agent, SaveableAgent, completed, offers
 
 _MAX_SIZE: Final = 2**30
@@ -41,8 +42,6 @@ def load_trained(agent: Any, path: Path) -> Trained:
     if not offers(agent, SaveableAgent):
         raise ConfigError(f"{type(agent).__name__} cannot load what was learned: it has no agent_load")
     try:
-        if path.stat().st_size > _MAX_SIZE:
-            raise ConfigError(f"{path} is larger than {_MAX_SIZE} bytes, and no saved agent")
-        return Trained(agent, path.read_bytes())
+        return Trained(agent, read_regular(path, _MAX_SIZE, follow=True))
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from error

@@ -1,24 +1,24 @@
 """Players of rlglue-andnp: methods `start`, `step` and `end`, and actions that are ints.
 
+Until March 2025 it was called RlGlue. Its environments returned reward, observation and terminal, some with a
+fourth value, and its agents took no `extra`; most public code is like that, and is read as well.
+
 Source: rlglue-andnp 2.0.1 (github.com/andnp/rl-glue).
 """
 
 from __future__ import annotations
 
 import inspect
+from collections.abc import Callable
 from operator import index
-from typing import Annotated, Any, ClassVar, Final
+from typing import Any, ClassVar
 
 import numpy as np
 
 from glue.errors import LocalProtocolError
-from glue.options import Option
-from glue.rlglue.borrowed import Adapter
+from glue.rlglue.borrowed import Adapter, EnvironmentAdapter
 from glue.roles import Agent, Environment
 from glue.types import Action, Observation, Step, arrays_of
-
-_UNSTATED: Final = "VERSION rlglue-andnp"
-_TaskSpec = Annotated[str, Option("the task spec, which the environment does not have")]
 
 
 class AndnpAgent(Adapter, Agent):
@@ -33,7 +33,8 @@ class AndnpAgent(Adapter, Agent):
 
     def agent_init(self, task_spec: str) -> None:
         """Make an agent."""
-        self._new()
+        made = self._new()
+        self._step, self._end = _extended(made.step, 3), _extended(made.end, 2)
 
     def agent_start(self, observation: Observation) -> Action:
         """Begin an episode; return the first action."""
@@ -41,29 +42,15 @@ class AndnpAgent(Adapter, Agent):
 
     def agent_step(self, reward: float, observation: Observation) -> Action:
         """Learn from a reward, and return the next action."""
-        return _action(self._made.step(reward, _value(observation), {}))
+        return _action(self._step(reward, _value(observation), {}))
 
     def agent_end(self, reward: float) -> None:
         """Learn from the last reward of an episode."""
-        self._made.end(reward, {})
+        self._end(reward, {})
 
 
-class AndnpEnvironment(Adapter, Environment):
-    """An environment of rlglue-andnp. A new one is made for each task.
-
-    Args:
-        task_spec: a task spec, for agents that need one.
-        options: keywords of the environment's constructor.
-    """
-
-    seeded_by: ClassVar[str] = "env_seed"
-    own_options: ClassVar[tuple[inspect.Parameter, ...]] = (
-        inspect.Parameter("task_spec", inspect.Parameter.KEYWORD_ONLY, default="", annotation=_TaskSpec),
-    )
-
-    def __init__(self, *, task_spec: str = "", **options: Any) -> None:
-        super().__init__(**options)
-        self._task_spec = task_spec or _UNSTATED
+class AndnpEnvironment(EnvironmentAdapter, Environment):
+    """An environment of rlglue-andnp. A new one is made for each task."""
 
     def env_init(self) -> str:
         """Make an environment; return the task spec."""
@@ -78,9 +65,28 @@ class AndnpEnvironment(Adapter, Environment):
         """Carry out an action."""
         if action.counts != (1, 0, 0):
             raise LocalProtocolError(f"an action of rlglue-andnp is one int, not {action!r:.80}")
-        observation, reward, terminal, truncated, _ = self._made.step(int(action.ints[0]))
+        truncated = False
+        match self._made.step(int(action.ints[0])):
+            case (observation, reward, terminal, truncated, _):
+                pass
+            case (reward, observation, terminal) | (reward, observation, terminal, _):
+                pass
+            case other:
+                raise LocalProtocolError(
+                    "a step of rlglue-andnp returns observation, reward, terminal, truncated and extra, or, "
+                    f"as in RlGlue, reward, observation and terminal, not {other!r:.80}"
+                )
         ended = bool(terminal or truncated)
         return Step(float(reward), _observation(observation), ended, bool(truncated and not terminal))
+
+
+def _extended(method: Callable[..., Any], count: int) -> Callable[..., Any]:
+    """Return a method of `count` arguments that omits the last, `extra`, if `method` does not take it."""
+    try:
+        inspect.signature(method).bind(*range(count))
+    except TypeError:
+        return lambda *arguments: method(*arguments[:-1])
+    return method
 
 
 def _action(value: Any) -> Action:

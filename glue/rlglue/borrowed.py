@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import inspect
-from typing import Any, ClassVar, Final
+from typing import Annotated, Any, ClassVar, Final
 
 from glue.errors import ConfigError
+from glue.options import Option
 from glue.plugins.keywords import keywords, with_options
 
 _SEED: Final = "seed"
+_UNSTATED: Final = "VERSION rlglue"
+_TaskSpec = Annotated[str, Option("the task spec, if the environment has none")]
 
 
 class Adapter:
@@ -49,6 +52,24 @@ class Adapter:
         """Make the next object with this seed."""
         self._options[_SEED] = seed
         self._made = None
+
+
+class EnvironmentAdapter(Adapter):
+    """The base of the adapters of environments, many of which have no task spec.
+
+    Args:
+        task_spec: a task spec, for agents that need one.
+        options: keywords of the environment's constructor.
+    """
+
+    seeded_by: ClassVar[str] = "env_seed"
+    own_options: ClassVar[tuple[inspect.Parameter, ...]] = (
+        inspect.Parameter("task_spec", inspect.Parameter.KEYWORD_ONLY, default="", annotation=_TaskSpec),
+    )
+
+    def __init__(self, *, task_spec: str = "", **options: Any) -> None:
+        super().__init__(**options)
+        self._task_spec = task_spec or _UNSTATED
 
 
 def adapted(adapter: type[Adapter], source: type) -> type[Adapter]:

@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import Any, ClassVar, TypeVar
 
 from glue.errors import LocalProtocolError
-from glue.rlglue.borrowed import Adapter
+from glue.rlglue.borrowed import Adapter, EnvironmentAdapter
 from glue.roles import Agent, Environment
 from glue.types import AbstractType, Action, Observation, Step
 
@@ -47,14 +47,12 @@ class CodecAgent(Adapter, Agent):
         return str(self._same().agent_message(message) or "")
 
 
-class CodecEnvironment(Adapter, Environment):
+class CodecEnvironment(EnvironmentAdapter, Environment):
     """An environment of the codec. It is made once, and its own `env_init` prepares it again."""
 
-    seeded_by: ClassVar[str] = "env_seed"
-
     def env_init(self) -> str:
-        """Return the task spec."""
-        return str(self._same().env_init())
+        """Return the task spec: that of the environment, if its `env_init` returns one."""
+        return str(self._same().env_init() or self._task_spec)
 
     def env_start(self) -> Observation:
         """Return the first observation of an episode."""

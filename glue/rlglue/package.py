@@ -1,4 +1,4 @@
-"""The modules called rlglue that players import, provided where they are not installed.
+"""The modules called rlglue and RlGlue that players import, provided where they are not installed.
 
 RL-Glue's Python codec has never been released for Python 3; its players import little from it.
 """
@@ -24,6 +24,14 @@ class _BaseEnvironment(Protocol):
     """The base class of environments of rlglue-andnp."""
 
 
+class _RlGlue:
+    """The loop of rlglue-andnp, in whose place ours plays."""
+
+    def __init__(self, agent: object, environment: object) -> None:
+        names = " --env ".join(f"rlglue:FILE.py:{type(player).__name__}" for player in (agent, environment))
+        raise ConfigError(f"run them with glue-experiment --agent {names}")
+
+
 class _Agent:
     """The base class of agents of the codec."""
 
@@ -41,8 +49,9 @@ def _refusing(role: str) -> Callable[[object], None]:
     return load
 
 
+_ANDNP: Final = {"BaseAgent": _BaseAgent, "BaseEnvironment": _BaseEnvironment, "RlGlue": _RlGlue}
 _MODULES: Final[Mapping[str, Mapping[str, object]]] = {
-    "rlglue": {"BaseAgent": _BaseAgent, "BaseEnvironment": _BaseEnvironment},
+    "rlglue": _ANDNP,
     "rlglue.types": {name: getattr(values, name) for name in values.__all__},
     "rlglue.agent": {"BaseAgent": _BaseAgent},
     "rlglue.agent.Agent": {"Agent": _Agent},
@@ -52,6 +61,9 @@ _MODULES: Final[Mapping[str, Mapping[str, object]]] = {
     "rlglue.environment.EnvironmentLoader": {"loadEnvironment": _refusing("env")},
     "rlglue.utils": {},
     "rlglue.utils.TaskSpecVRLGLUE3": {"TaskSpecParser": TaskSpecParser},
+    "RlGlue": _ANDNP,
+    "RlGlue.agent": {"BaseAgent": _BaseAgent},
+    "RlGlue.environment": {"BaseEnvironment": _BaseEnvironment},
 }
 """Contents of each module, a package before its modules."""
 

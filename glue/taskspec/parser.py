@@ -50,7 +50,8 @@ _PARTS: Final = ("INTS", "DOUBLES", "CHARCOUNT")
 _KEYWORDS: Final = {
     word: re.compile(word + after, re.IGNORECASE)
     for words, after in (
-        (("VERSION", "PROBLEMTYPE", "EXTRA"), r"(?!\S)"),  # Text follows, so a space must come between.
+        (("VERSION", "PROBLEMTYPE"), r"(?!\S)"),  # Text follows, so a space must come between.
+        (("EXTRA",), r"S?(?!\S)"),  # Public environments write EXTRAS, which the original parsers read.
         (("DISCOUNTFACTOR", "OBSERVATIONS", "ACTIONS", "REWARDS", *_PARTS), ""),
     )
     for word in words
@@ -140,8 +141,9 @@ def _read_rewards(scan: _Scanner) -> Range:
     if not scan.take_sign("("):
         return Range()
     words = _read_words(scan)
-    if len(words) == 3:
-        raise scan.error(words[0].at, "a reward is one number, so its range has no repeat")
+    # The Java codec wrote a repeat of 1 until January 2009.
+    if len(words) == 3 and (repeat := _count(scan, *words[0])) != 1:
+        raise scan.error(words[0].at, f"a reward is one number, so its range is not repeated {repeat} times")
     return _range(scan, words, whole=False)
 
 
@@ -154,7 +156,7 @@ def _read_words(scan: _Scanner) -> list[_Word]:
         if word is None or len(words) == 3:
             scan.at = at
             raise scan.unexpected("')'" if len(words) > 1 else _either("a number", *_SPECIALS))
-        words.append(_Word(at, word))
+        words.append(_Word(at, scan.checked(at, word, _SPECIALS)))
     if len(words) < 2:
         raise scan.error(scan.at - 1, f"a range has two bounds, maybe after a repeat; {len(words)} received")
     return words
@@ -197,6 +199,8 @@ _COLON_PROBLEM: Final = re.compile(r"[A-Za-z]++")
 _COLON_COUNT: Final = re.compile(r"[0-9]{1,8}+")
 _COLON_LETTER: Final = re.compile(r"[if](?=[\s,\]])", re.IGNORECASE)
 _COLON_BOUND: Final = re.compile(r"[^\s:_,\[\]]++")
+# Several are one, as in the Java parser: environments of rl-library send two.
+_COLON_JOINT: Final = re.compile(r"_(?:\s*+_)*+")
 
 
 def _read_colon(scan: _Scanner) -> TaskSpec:
@@ -224,7 +228,7 @@ def _read_colon(scan: _Scanner) -> TaskSpec:
 def _read_colon_space(scan: _Scanner) -> Space:
     at = scan.skip()
     count = int(scan.expect(_COLON_COUNT, "a number of dimensions"))
-    scan.expect_sign("_")
+    scan.expect(_COLON_JOINT, "'_'")
     scan.expect_sign("[")
     letters: list[str] = []
     while not scan.take_sign("]"):
@@ -234,7 +238,7 @@ def _read_colon_space(scan: _Scanner) -> Space:
     if len(letters) != count:
         raise scan.error(at, f"{count} dimensions need as many letters; {len(letters)} received")
     ranges: list[Range] = []
-    while len(ranges) < count and scan.take_sign("_"):
+    while len(ranges) < count and scan.take(_COLON_JOINT):
         scan.expect_sign("[")
         ranges.append(_read_colon_range(scan, whole=letters[len(ranges)] == "i"))
     if not ranges:
@@ -345,10 +349,8 @@ class _Scanner:
         Raises:
             TaskSpecError: `word` is not a bound, or does not fit a double, or, if `whole`, 32 bits.
         """
-        if word.upper() in specials:
+        if self.checked(at, word, specials).upper() in specials:
             return specials[word.upper()]
-        if not _NUMBER.fullmatch(word):
-            raise self.error(at, f"expected {_either('a number', *specials)}, not {_excerpt(word)}")
         if not whole:
             number = float(word)
             if math.isinf(number):
@@ -358,6 +360,16 @@ class _Scanner:
         if not INT32_MIN <= integer <= INT32_MAX:
             raise self.error(at, f"expected a whole number of 32 bits, not {integer}")
         return integer
+
+    def checked(self, at: int, word: str, specials: Mapping[str, Bound]) -> str:
+        """Return `word`, which begins at `at`, if it is a number or a special.
+
+        Raises:
+            TaskSpecError: it is neither.
+        """
+        if word.upper() not in specials and not _NUMBER.fullmatch(word):
+            raise self.error(at, f"expected {_either('a number', *specials)}, not {_excerpt(word)}")
+        return word
 
     def integer(self, at: int, word: str) -> int:
         """Return the value of a whole number, which begins at `at`.

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
+from glue.files import open_regular
 from glue.trajectory import limits
 from glue.trajectory.actions import ActionSteps, read_block
 from glue.trajectory.records import (
@@ -59,7 +60,7 @@ class TrajectoryReader:
     def __iter__(self) -> Iterator[Episode]:
         self.torn = False
         try:
-            with open(self.path, "rb") as file:
+            with open_regular(self.path) as file:
                 unpacked = Unpacked(file, str(self.path))
                 while unpacked.next_member(MAGIC):
                     yield from _episodes(unpacked)

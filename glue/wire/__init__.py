@@ -1,1 +1,1 @@
-"""The protocol of docs/protocol.md without I/O: messages, their frames, and ZeroMQ's wire protocol."""
+"""The protocol (docs/protocol.md) without I/O: messages, their frames, and ZeroMQ's wire protocol."""

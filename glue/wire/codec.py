@@ -4,7 +4,7 @@ A message is a header frame, the msgpack array `[kind, session, seq, scalar, ...
 body, a second frame. All input is checked here, sizes first, so that no code after this module sees a value
 of an unexpected type.
 
-The layout is described byte by byte in docs/protocol.md.
+The layout is described byte by byte in docs/protocol-reference.md.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def decode(frames: Sequence[bytes], shapes: Mapping[Kind, Shape], max_body: int 
 
     Raises:
         UnknownKind: the kind is not one of `shapes`.
-        RemoteProtocolError: the frames violate docs/protocol.md in any other way.
+        RemoteProtocolError: the frames violate docs/protocol-reference.md in any other way.
     """
     count = len(frames)
     if not 1 <= count <= 2:

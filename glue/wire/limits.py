@@ -1,4 +1,4 @@
-"""Limits of the protocol; see docs/protocol.md."""
+"""Limits of the protocol; see docs/protocol-reference.md."""
 
 from __future__ import annotations
 

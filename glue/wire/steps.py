@@ -69,7 +69,6 @@ _struct: Final = lru_cache(struct.Struct)
 """Shared by all sessions: many sessions are fast only if their formats fit into the processor's caches."""
 
 
-@lru_cache(maxsize=4096)
 def step_formats(kind: Kind, session: str) -> tuple[StepFormat, StepFormat] | None:
     """Return the formats of the request and the reply of ENV_STEP or AGENT_STEP in a session.
 
@@ -143,16 +142,16 @@ class StepFormat:
 
 
 class StepReader:
-    """Recognises the messages of one format, and remembers the shape of the last one.
+    """Recognises the messages of one format, and remembers the shape of one of them.
 
-    Most messages differ from the last one only in their number, their scalars and the elements of their body.
-    Two comparisons of bytes then replace all other checks.
+    Most messages differ from an earlier one only in their number, their scalars and the elements of their
+    body. Two comparisons of bytes then replace all other checks.
 
     Args:
         form: the format.
 
     Attributes:
-        size: size of the last message read, in bytes.
+        end: offset of the end of the last message read.
     """
 
     __slots__ = (
@@ -161,14 +160,15 @@ class StepReader:
         "_kind",
         "_num_scalars",
         "_session",
+        "_size",
         "_start",
         "_tail",
         "_unpack",
-        "size",
+        "end",
     )
 
     def __init__(self, form: StepFormat) -> None:
-        self.size: int = 0
+        self.end: int = 0
         self._form = form
         self._kind = form.kind
         self._session = form.session
@@ -177,6 +177,7 @@ class StepReader:
         self._start = b""  # the bytes before the number
         self._tail = b""  # the bytes between the scalars and the elements of the body
         self._body_at = 0
+        self._size = 0
 
     def read(self, data: bytes, at: int, max_body: int) -> Message | None:
         """Return the message that begins at `at`.
@@ -195,7 +196,7 @@ class StepReader:
                 scalars = (reward, _TERMINALS[terminal])
         except (struct.error, ValueError, LookupError):
             return self._read_another(data, at, max_body)
-        begin, end = at + self._body_at, at + self.size
+        begin, end = at + self._body_at, at + self._size
         if (
             start != self._start
             or tail != self._tail
@@ -204,10 +205,11 @@ class StepReader:
             or end - begin > max_body
         ):
             return self._read_another(data, at, max_body)
+        self.end = end
         return _message(Message, (self._kind, self._session, seq, scalars, data[begin:end]))
 
     def _read_another(self, data: bytes, at: int, max_body: int) -> Message | None:
-        """Return a message of any shape, like `read`, and remember its shape."""
+        """Return a message of any shape, like `read`, and remember its shape if it can be compared."""
         try:
             layout = self._form.layout_of(data, at)
             head = layout.long if data[at + layout.head] else layout.short
@@ -230,13 +232,14 @@ class StepReader:
             or reserved
         ):
             return None
-        self.size = end - at
+        self.end = end
         # A number of a single byte has no fixed first byte to compare.
         if len(start) > self._form.number_at:
             self._start = start
             self._tail = data[at + layout.head : body_at + PREFIX_SIZE]
             self._unpack = _struct(f">{len(start)}s{layout.numbers}{len(self._tail)}s").unpack_from
             self._body_at = head.size
+            self._size = end - at
         return Message(self._kind, self._session, seq, tuple(scalars), data[body_at:end])
 
 

@@ -8,13 +8,13 @@
 
 Nearly all messages of an experiment belong to steps. The formats of `glue.wire.steps` write and recognise
 them as a whole; no other module needs to know. A stream learns both formats of a session's steps when it
-writes the first message of a step there: at a hub a call, at a player an answer.
+writes the first message of a step there: at a hub a call, at a player an answer. What it has learned changes
+nothing but its speed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 from glue.errors import RemoteProtocolError
 from glue.wire import zmtp
@@ -22,9 +22,6 @@ from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, decode, encode
 from glue.wire.limits import MAX_BODY
 from glue.wire.messages import Kind, Message
 from glue.wire.steps import STEPS, StepFormat, StepReader, lead_of, step_formats
-
-_MAX_FORMATS: Final = 4096
-"""Maximum number of formats that a stream remembers; beyond it, all are forgotten."""
 
 
 class Malformed(RemoteProtocolError):
@@ -51,6 +48,7 @@ class Stream:
         "_data",
         "_decoder",
         "_incoming",
+        "_leads",
         "_mechanism",
         "_only",
         "_outgoing",
@@ -72,6 +70,7 @@ class Stream:
         self._decoder = zmtp.Decoder(own, max_frame, mechanism)
         self._written: dict[str, StepFormat] = {}  # by session
         self._read: dict[bytes, StepReader] = {}  # by the lead of the format
+        self._leads: dict[str, bytes] = {}  # of the formats in `_read`, by session
         self._only: StepReader | None = None  # if there is only one
         self._data = b""  # begins with a message, and is not in the decoder yet
         self._at = 0  # number of its bytes that have been read
@@ -117,7 +116,7 @@ class Stream:
             reader = self._only or self._read.get(lead_of(data, at))
             message = None if reader is None else reader.read(data, at, self.max_body)
             if reader is not None and message is not None:
-                at += reader.size
+                at = reader.end
                 if at == len(data):
                     self._data, self._at = b"", 0
                     self.empty = self._mechanism is None or not self._decoder.buffered
@@ -181,17 +180,21 @@ class Stream:
             return self._mechanism.encode(frames), b""
         return zmtp.encode_parts(frames)
 
+    def forget(self, session: str) -> None:
+        """Forget the formats of a session that this connection has left."""
+        if self._written.pop(session, None) is not None:
+            del self._read[self._leads.pop(session)]
+            self._only = next(iter(self._read.values())) if len(self._read) == 1 else None
+
     def _learn(self, kind: Kind, session: str) -> StepFormat | None:
         """Remember the formats of a call and its answer; return the format that this end writes, if any."""
         formats = step_formats(kind, session)
         if formats is None:
             return None
-        if len(self._written) >= _MAX_FORMATS:
-            self._written.clear()
-            self._read.clear()
+        self.forget(session)
         written, read = formats if self._at_hub else reversed(formats)
         self._written[session] = written
-        if read.lead not in self._read:
-            self._read[read.lead] = StepReader(read)
-        self._only = self._read[read.lead] if len(self._read) == 1 else None
+        self._leads[session] = read.lead
+        self._read[read.lead] = reader = StepReader(read)
+        self._only = reader if len(self._read) == 1 else None
         return written

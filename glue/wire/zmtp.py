@@ -193,8 +193,9 @@ class Decoder:
 
     @property
     def buffered(self) -> int:
-        """Number of bytes kept, waiting for more or for `next_event`."""
-        return self._size + sum(map(len, self._frames)) if self._frames else self._size
+        """Number of bytes kept, waiting for more or for `next_event`; a frame counts even if it is empty."""
+        frames = self._frames
+        return self._size + len(frames) + sum(map(len, frames)) if frames else self._size
 
     def receive_data(self, data: bytes) -> None:
         """Add bytes received from the connection."""

@@ -19,8 +19,9 @@ from agents.mohan2010.hierarchical import (
     ObjectsCoarseAgent,
 )
 from glue.options import parameters
+from tests.pages import DOCS, rows
 
-DOCUMENT = (Path(__file__).parents[2] / "docs" / "agents.md").read_text(encoding="utf-8")
+DOCUMENT = (DOCS / "agents.md").read_text(encoding="utf-8")
 EXPERIMENTS: dict[type[MarioAgent], str] = {
     SampleAgent: "",
     TilesAgent: "1",
@@ -45,9 +46,8 @@ def test_every_agent_and_option_is_documented(kind: type[MarioAgent]) -> None:
 
 
 def test_no_option_is_documented_that_is_not_there() -> None:
-    table = DOCUMENT.partition("| option |")[2].partition("\n\n")[0]
     known = {name for kind in EXPERIMENTS for name in parameters(kind)}
-    assert set(re.findall(r"^\| `(\w+)` \|", table, re.MULTILINE)) == known
+    assert {row[0].strip("`") for row in rows(DOCUMENT, "| option |")} == known
 
 
 def test_the_modules_that_are_documented_are_there() -> None:

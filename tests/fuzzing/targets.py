@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import json
-import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from functools import cache
@@ -145,10 +144,11 @@ def recording(data: bytes) -> None:
 def results(data: bytes) -> None:
     """Open a run's database with some bytes changed: each four bytes of `data` are a position and a value."""
     from experiment_runner.store.run_data import load_run
+    from tests.system.runs import unpack_older_runs
 
     folder = _folder() / "run"
     if not folder.exists():
-        shutil.unpack_archive(ROOT / "tests/golden/run-0.1.0.tar.gz", folder, filter="data")
+        unpack_older_runs(folder)
     where = folder / "undisturbed/results.sqlite"
     original = _original(where)
     for log in where.parent.glob("results.sqlite-*"):

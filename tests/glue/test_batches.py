@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import re
 import socket
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -33,10 +31,11 @@ from glue.plugins.batched import BatchedEnvironments
 from glue.roles import capabilities
 from glue.types import Step
 from tests.hubs import over_the_hub
+from tests.pages import DOCS, blocks, section
 from tests.players import ActingInAll, ScriptedAgent, ScriptedEnvironment
 
 Glue = Callable[[Agent, Environment], AbstractContextManager[Experiment]]
-PROTOCOL = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text(encoding="utf-8")
+PROTOCOL = (DOCS / "protocol-reference.md").read_text(encoding="utf-8")
 
 VALUES = st.builds(
     Observation,
@@ -48,9 +47,8 @@ VALUES = st.builds(
 
 def documented() -> list[bytes]:
     """Return the bodies shown in the section on batches."""
-    section = PROTOCOL[PROTOCOL.index("## Batches\n") : PROTOCOL.index("## Errors\n")]
-    blocks = re.findall(r"```body\n(.*?)```", section, re.DOTALL)
-    return [bytes.fromhex("".join(line.split(";")[0] for line in block.splitlines())) for block in blocks]
+    shown = [block.body for block in blocks(section(PROTOCOL, "Batches"), "body")]
+    return [bytes.fromhex("".join(line.split(";")[0] for line in body.splitlines())) for body in shown]
 
 
 def test_examples_of_the_document_are_what_the_program_packs() -> None:

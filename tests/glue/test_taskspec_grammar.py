@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from glue.errors import TaskSpecError
 from glue.taskspec import parse_task_spec
+from tests.pages import blocks
 from tests.proof import size
 
 DOCUMENT: Final = (Path(__file__).parents[2] / "docs/taskspec.md").read_text()
@@ -41,7 +42,7 @@ BEYOND: Final = (
 
 def rules() -> dict[str, str]:
     """Return the rules of the grammar by name."""
-    (block,) = re.findall(r"^```ebnf\n(.*?)^```$", DOCUMENT, re.MULTILINE | re.DOTALL)
+    ((_, _, block),) = blocks(DOCUMENT, "ebnf")
     return {
         name.strip(): rule.strip() for name, rule in re.findall(r"([\w ]+?) *= (.*?) ;", block, re.DOTALL)
     }

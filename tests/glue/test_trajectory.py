@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import json
-import re
 import resource
 import struct
 import subprocess
@@ -33,6 +32,7 @@ from glue.trajectory import (
     limits,
 )
 from glue.types import Action, Observation
+from tests.pages import DOCS, blocks
 
 RUN = Run("corridor", {"length": 21, "slip": 0.25, "walls": True, "name": "a"}, "VERSION RL-Glue-3.0 ...", 7)
 
@@ -493,8 +493,8 @@ def test_declared_sizes_and_bombs_take_no_memory(tmp_path: Path, monkeypatch: py
 def test_programs_of_the_documentation_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    manual = Path(__file__).parents[2] / "docs" / "trajectories.md"
-    programs = re.findall(r"<!-- runs in the tests -->\n```python\n(.*?)```", manual.read_text(), re.DOTALL)
+    manual = DOCS / "trajectories.md"
+    programs = [body for _, _, body in blocks(manual.read_text("utf-8"), "python") if "corridor.traj" in body]
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
     for program in programs:

@@ -1,4 +1,4 @@
-"""The allowed and the actual imports between the folders of the program.
+"""The allowed and the actual imports between the folders of the program, whose modules are parsed once.
 
 A unit is a folder that holds modules. `glue/__init__.py`, which re-exports the public names, is a unit of its
 own above the folders of its package, with `glue/api.py`.
@@ -7,10 +7,11 @@ own above the folders of its package, with `glue/api.py`.
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
+import re
+from collections.abc import Iterable, Iterator
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Final, NamedTuple
 
 ROOT: Final = Path(__file__).parents[2]
 
@@ -74,7 +75,7 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
         "glue/trajectory",
     ),
     "experiment_runner/slurm": ("experiment_runner/store",),
-    "experiment_runner/loggers": ("experiment_runner/report",),
+    "experiment_runner/loggers": ("experiment_runner/store",),
     "experiment_runner/competition/records": ("experiment_runner/executors",),
     "experiment_runner/competition": ("experiment_runner/competition/records",),
     "experiment_runner/competition/board": ("experiment_runner/competition",),
@@ -100,12 +101,43 @@ MAY_IMPORT: Final[dict[str, tuple[str, ...]]] = {
 """From the bottom up: a folder may import itself, the folders named here, and all that those may import."""
 
 
-def files() -> list[Path]:
-    """Return every module of the program, relative to the repository."""
-    return sorted(path.relative_to(ROOT) for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
-
-
 _PUBLIC: Final = (Path("glue/__init__.py"), Path("glue/api.py"))
+
+_HANDED_OVER: Final = {"BitGenerator", "Generator", "PCG64", "SeedSequence", "default_rng"}
+"""Names of `np.random` that draw from no global generator."""
+
+_FLAG: Final = re.compile(r"(?<![\w-])--[a-z]")
+
+
+class Module(NamedTuple):
+    """What a module of the program imports and uses.
+
+    imported    dotted names of modules, imported anywhere in it
+    at_import   those of them that are imported when it is
+    used        dotted names such as `os.environ`; calls such as `eval()`; `np.random.*` for a function that
+                draws from NumPy's global generator; `--option` for a string, no docstring, with an option
+    """
+
+    file: Path
+    imported: frozenset[str]
+    at_import: frozenset[str]
+    used: frozenset[str]
+
+    @property
+    def unit(self) -> str:
+        """The unit that the module belongs to."""
+        return unit(self.file)
+
+    @property
+    def names(self) -> frozenset[str]:
+        """All names of `imported`, those of their packages, and all of `used`."""
+        return self.imported | {name.partition(".")[0] for name in self.imported} | self.used
+
+
+@cache
+def modules() -> list[Module]:
+    """Return every module of the program; their paths are relative to the repository."""
+    return [_read(path) for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
 
 
 def unit(file: Path) -> str:
@@ -113,43 +145,53 @@ def unit(file: Path) -> str:
     return "glue/__init__" if file in _PUBLIC else str(file.parent)
 
 
-@cache
-def tree(file: Path) -> ast.Module:
-    return ast.parse((ROOT / file).read_text(encoding="utf-8"), str(file))
-
-
-def imported(file: Path, at_import: bool = False) -> Iterator[str]:
-    """Yield the dotted names of all modules that `file` imports, anywhere or only at its own import."""
-    for node in tree(file).body if at_import else ast.walk(tree(file)):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{file}: imports are absolute"
-            assert node.module is not None
-            yield from (_module(node.module, alias.name) for alias in node.names)
-
-
-def _module(name: str, member: str) -> str:
-    path = ROOT / name.replace(".", "/") / member
-    return f"{name}.{member}" if path.is_dir() or path.with_suffix(".py").exists() else name
-
-
-def imported_files(file: Path, at_import: bool = False) -> Iterator[Path]:
-    """Yield the modules of this program that `file` imports, anywhere or only at its own import."""
-    for name in imported(file, at_import):
+def files_of(names: Iterable[str]) -> Iterator[Path]:
+    """Yield the modules of this program among modules with these dotted names."""
+    for name in names:
         path = Path(name.replace(".", "/"))
         if path.parts[0] in PACKAGES:
             yield path / "__init__.py" if (ROOT / path).is_dir() else path.with_suffix(".py")
 
 
-def arrows() -> dict[str, set[str]]:
-    """Return, for each unit, the other units that its modules import."""
-    found: dict[str, set[str]] = {name: set() for name in MAY_IMPORT}
-    for file in files():
-        found.setdefault(unit(file), set()).update(map(unit, imported_files(file)))
-    return {name: imports - {name} for name, imports in found.items()}
-
-
 def below(name: str) -> set[str]:
     """Return every unit that the modules of a unit may import."""
     return {name}.union(*(below(other) for other in MAY_IMPORT[name]))
+
+
+def _read(path: Path) -> Module:
+    tree = ast.parse(path.read_text(encoding="utf-8"), str(path))
+    imported: set[str] = set()
+    used: set[str] = set()
+    docstrings = set()
+    for node in ast.walk(tree):
+        match node:
+            case ast.Import() | ast.ImportFrom():
+                imported.update(_imported(node))
+                used.update(f"{getattr(node, 'module', None)}.{alias.name}" for alias in node.names)
+            case ast.Attribute(value=ast.Name(id=owner), attr=name):
+                used.add(f"{owner}.{name}")
+            case ast.Attribute(value=ast.Attribute(value=ast.Name(id="np"), attr="random"), attr=name):
+                used.update({"np.random.*"} if name not in _HANDED_OVER else ())
+            case ast.Call(func=ast.Name(id=name)):
+                used.add(f"{name}()")
+            case ast.Expr(value=ast.Constant()):
+                docstrings.add(node.value)
+            case ast.Constant(value=str(text)) if node not in docstrings and _FLAG.search(text):
+                used.add("--option")
+    at_import = (name for node in tree.body for name in _imported(node))
+    return Module(path.relative_to(ROOT), frozenset(imported), frozenset(at_import), frozenset(used))
+
+
+def _imported(node: ast.AST) -> Iterator[str]:
+    match node:
+        case ast.Import():
+            yield from (alias.name for alias in node.names)
+        case ast.ImportFrom(module=str(name), level=0):
+            yield from (_module(name, alias.name) for alias in node.names)
+        case ast.ImportFrom():
+            raise AssertionError(f"line {node.lineno}: imports are absolute")
+
+
+def _module(name: str, member: str) -> str:
+    path = ROOT / name.replace(".", "/") / member
+    return f"{name}.{member}" if path.is_dir() or path.with_suffix(".py").exists() else name

@@ -5,34 +5,33 @@ Interpreter sessions are left out, as is docs/gymnasium.md, which needs librarie
 
 from __future__ import annotations
 
-import re
 import sys
 from pathlib import Path
-from textwrap import dedent
 from typing import Final
 
-ROOT: Final = Path(__file__).parents[2]
+from tests.pages import DOCS, ROOT, blocks
 
-PAGES: Final = (
-    "README.md",
-    *(f"docs/{name}.md" for name in ("clients", "experiments", "first-agent", "first-experiment")),
-    *(f"docs/{name}.md" for name in ("notebooks", "trajectories", "view")),
-)
+NAMES: Final = [
+    "clients",
+    "experiments",
+    "first-agent",
+    "first-experiment",
+    "notebooks",
+    "trajectories",
+    "view",
+]
 
-_PROGRAM: Final = re.compile(
-    r"(?:<!-- file: (?P<file>\S+\.py) -->\s+)?^```python\n(?P<text>.*?)^```$", re.MULTILINE | re.DOTALL
-)
+PAGES: Final = (ROOT / "README.md", *(DOCS / f"{name}.md" for name in NAMES))
 
 
 def programs() -> dict[str, str]:
     """Return the text of each program by file name: as the page gives it, or made from the page's name."""
     found: dict[str, str] = {}
     for page in PAGES:
-        for match in _PROGRAM.finditer((ROOT / page).read_text(encoding="utf-8")):
-            text = dedent(match["text"])
-            if not text.startswith(">>>"):
-                stem = Path(page).stem.lower().replace("-", "_")
-                found[match["file"] or f"{stem}_{len(found)}.py"] = text
+        for block in blocks(page.read_text(encoding="utf-8"), "python"):
+            if not block.body.startswith(">>>"):
+                stem = page.stem.lower().replace("-", "_")
+                found[block.file or f"{stem}_{len(found)}.py"] = block.body
     return found
 
 

@@ -1,4 +1,4 @@
-"""docs/model/Glue.tla quotes docs/protocol.md, keeps its promises, and each mutant breaks one.
+"""docs/model/Glue.tla quotes docs/protocol-reference.md, keeps its promises, and each mutant breaks one.
 
 TLC checks the model where TLA2TOOLS names its jar, as in .ci/run.
 """
@@ -39,15 +39,15 @@ def quotations() -> list[str]:
 
 
 def rules() -> list[str]:
-    """Return the rules under "A peer MUST" of docs/protocol.md."""
-    page = (ROOT / "docs/protocol.md").read_text(encoding="utf-8")
+    """Return the rules under "A peer MUST" of docs/protocol-reference.md."""
+    page = (ROOT / "docs/protocol-reference.md").read_text(encoding="utf-8")
     found = re.search(r"^A peer MUST\n\n(.*?)\n\n", page, re.MULTILINE | re.DOTALL)
     assert found is not None
     return [flat(rule).rstrip(";.") for rule in found[1].removeprefix("- ").split("\n- ")]
 
 
 def test_the_model_quotes_the_protocol() -> None:
-    page = flat((ROOT / "docs/protocol.md").read_text(encoding="utf-8"))
+    page = flat((ROOT / "docs/protocol-reference.md").read_text(encoding="utf-8"))
 
     assert len(quotations()) > 8
     assert [text for text in quotations() if flat(text) not in page] == []

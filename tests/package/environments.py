@@ -5,36 +5,18 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import pytest
+from tests.pages import ROOT
 
 DIST: Final = os.environ.get("GLUE_DIST", "")
-"""A folder with the wheel and the sdist, which `nox -s package` and `nox -s names` build."""
+"""A folder with the wheel and the sdist, which `nox -s package` builds."""
 
-needs_dist: Final = pytest.mark.skipif(not DIST, reason="run by `nox -s package names`")
-
-COMMANDS: Final = [
-    f"glue-{name}"
-    for name in (
-        *(
-            "agent",
-            "compete",
-            "compile",
-            "conform",
-            "env",
-            "experiment",
-            "generalise",
-            "hub",
-            "keys",
-            "paper",
-        ),
-        *("plot", "replay", "results", "view", "watch"),
-    )
-]
+COMMANDS: Final = list(tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["scripts"])
 
 
 @dataclass(frozen=True)

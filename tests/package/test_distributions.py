@@ -16,10 +16,8 @@ from typing import Final
 import pytest
 
 from glue.names import NAMES
-from tests.house.imports import ROOT
-from tests.package.environments import COMMANDS, DIST, Installed, needs_dist
-
-pytestmark = needs_dist
+from tests.package.environments import COMMANDS, DIST, Installed
+from tests.pages import ROOT
 
 TRACKED: Final = frozenset(
     subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=True).stdout.split(

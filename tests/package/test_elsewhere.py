@@ -1,11 +1,14 @@
-"""An agent needs nothing that only Linux has."""
+"""Agents elsewhere: without what only Linux has, and beside packages of our names."""
 
 from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
+
+from glue.names import hidden_names, others
 
 WITHOUT = """
 import select, socket, sys
@@ -29,3 +32,15 @@ for module, names in ((select, ("epoll",)), (socket, ("AF_UNIX", "TCP_USER_TIMEO
 )
 def test_works_without_what_only_linux_has(program: str) -> None:
     subprocess.run([sys.executable, "-c", WITHOUT + program], check=True, timeout=120)
+
+
+def test_a_package_of_our_name_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a/agents").mkdir(parents=True)
+    (tmp_path / "a/agents/__init__.py").touch()
+    (tmp_path / "a/env_server").mkdir()  # without __init__.py it hides nothing
+    (tmp_path / "glue.py").touch()
+    assert others([str(tmp_path / "a")]) == {"agents": str(tmp_path / "a/agents/__init__.py")}
+    assert others([str(tmp_path)]) == {"glue": str(tmp_path / "glue.py")}
+    assert hidden_names() == ""
+    monkeypatch.syspath_prepend(tmp_path / "a")
+    assert str(tmp_path / "a/agents/__init__.py") in hidden_names()

@@ -8,8 +8,7 @@ from typing import Final
 
 import pytest
 
-from glue.names import hidden_names, others
-from tests.package.environments import COMMANDS, DIST, Installed, needs_dist
+from tests.package.environments import COMMANDS, DIST, Installed
 
 THEIRS: Final = ["glue-core", "openai-agents", "experiment-runner"]
 
@@ -24,7 +23,6 @@ def mixed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     return installed
 
 
-@needs_dist
 def test_no_file_belongs_to_two_distributions(mixed: Installed) -> None:
     owners: dict[str, str] = {}
     for distribution in distributions(path=[str(mixed.packages)]):
@@ -34,7 +32,6 @@ def test_no_file_belongs_to_two_distributions(mixed: Installed) -> None:
     assert {"glue-rl", *THEIRS} <= set(owners.values())
 
 
-@needs_dist
 @pytest.mark.parametrize("command", COMMANDS)
 def test_command_says_so_in_one_line_and_works(command: str, mixed: Installed) -> None:
     shown = mixed.run(command, "--help")
@@ -44,7 +41,6 @@ def test_command_says_so_in_one_line_and_works(command: str, mixed: Installed) -
     assert "import glue_rl" in line
 
 
-@needs_dist
 def test_experiment_in_three_processes_and_workers(mixed: Installed) -> None:
     experiment = ["glue-experiment", "--env", "mines", "--agent", "sarsa", "--episodes", "5"]
     mixed.run(*experiment, "--out", "three")
@@ -52,7 +48,6 @@ def test_experiment_in_three_processes_and_workers(mixed: Installed) -> None:
     mixed.run("glue-results", "show", "three")
 
 
-@needs_dist
 def test_each_package_is_whole(mixed: Installed) -> None:
     theirs = "import glue.core, agents, experiment_runner; from agents import Runner; print(glue.__file__)"
     assert mixed.python(theirs).stdout.strip() == str(mixed.packages / "glue/__init__.py")
@@ -61,7 +56,6 @@ def test_each_package_is_whole(mixed: Installed) -> None:
     mixed.python(f"{local}.rl_init(seed=1)")
 
 
-@needs_dist
 def test_an_agent_may_use_the_other_agents(mixed: Installed) -> None:
     mixed.python(
         "import agents\nfrom agents import Runner\nimport glue_rl\n"
@@ -70,13 +64,11 @@ def test_an_agent_may_use_the_other_agents(mixed: Installed) -> None:
     )
 
 
-@needs_dist
 def test_importing_ours_after_the_other_glue_is_refused(mixed: Installed) -> None:
     shown = mixed.python("import glue, glue_rl", status=1)
     assert shown.stderr.splitlines()[-1].startswith("ImportError: ")
 
 
-@needs_dist
 def test_taking_the_others_away_leaves_ours_whole(mixed: Installed) -> None:
     """The last test of an environment: `import glue` is ours again, and names the file hiding `agents`."""
     mixed.pip("uninstall", "--yes", "glue-core")
@@ -86,15 +78,3 @@ def test_taking_the_others_away_leaves_ours_whole(mixed: Installed) -> None:
     assert "import glue_rl" in line
     mixed.pip("uninstall", "--yes", *THEIRS[1:])
     assert not mixed.python("import glue; glue.Agent").stderr
-
-
-def test_a_package_of_our_name_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "a/agents").mkdir(parents=True)
-    (tmp_path / "a/agents/__init__.py").touch()
-    (tmp_path / "a/env_server").mkdir()  # without __init__.py it hides nothing
-    (tmp_path / "glue.py").touch()
-    assert others([str(tmp_path / "a")]) == {"agents": str(tmp_path / "a/agents/__init__.py")}
-    assert others([str(tmp_path)]) == {"glue": str(tmp_path / "glue.py")}
-    assert hidden_names() == ""
-    monkeypatch.syspath_prepend(tmp_path / "a")
-    assert str(tmp_path / "a/agents/__init__.py") in hidden_names()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tarfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -34,6 +35,13 @@ def start(*arguments: object, cwd: Path) -> subprocess.Popen[str]:
 def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
     """Run `glue-experiment` to its end."""
     return forked.run("glue-experiment", *map(str, arguments), cwd=cwd, timeout=_SECONDS)
+
+
+def unpack_older_runs(folder: Path) -> None:
+    """Unpack the runs of version 0.1.0, also with Python 3.11.2, whose tar files have no filters."""
+    with tarfile.open(Path(__file__).parents[1] / "golden/run-0.1.0.tar.gz") as runs:
+        runs.extraction_filter = getattr(tarfile, "data_filter", None)
+        runs.extractall(folder)
 
 
 Contents = dict[str, tuple[list[tuple[int, float, int, bool]], tuple[int, Checkpoint] | None]]

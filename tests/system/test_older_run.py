@@ -9,23 +9,20 @@ the database's log was written back, and `undisturbed`, the same plan to its end
 
 from __future__ import annotations
 
-import tarfile
 from pathlib import Path
 from typing import Final
 
 import pytest
 
 from tests.forked import run
-from tests.system.runs import contents
+from tests.system.runs import contents, unpack_older_runs
 
-RUNS: Final = Path(__file__).parents[1] / "golden/run-0.1.0.tar.gz"
 TRIALS: Final = ("sarsa/mines/0", "sarsa/mines/1")
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    with tarfile.open(RUNS) as runs:
-        runs.extractall(tmp_path, filter="data")
+    unpack_older_runs(tmp_path)
     return tmp_path
 
 

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -13,8 +10,8 @@ from tempfile import TemporaryDirectory
 import pytest
 
 from experiment_runner.store.results import Results
+from tests.pages import DOCS, follow
 from tests.system.runs import contents, run
-from tests.system.test_experiments_doc import BLOCK, TEXT
 from tests.system.test_resume_kills import SEARCH
 from tests.system.test_workers import FAULTY, MINES, SARSA
 
@@ -104,22 +101,10 @@ def test_cluster_that_is_not_there_is_said_in_one_line(tmp_path: Path) -> None:
     assert done.stderr == "Error: there is no Ray cluster at 127.0.0.1:1: Connection refused\n"
 
 
-def test_tutorial_can_be_followed(cluster: str, tmp_path: Path) -> None:
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    for block in BLOCK.finditer(TEXT):
-        if block["note"] == "file: sweep.toml":
-            (tmp_path / "sweep.toml").write_text(block["body"])
-        elif block["note"] == "runs in the tests, where Ray is installed":
-            command = block["body"].replace("HEAD:6379", cluster)
-            done = subprocess.run(
-                ["bash", "-euc", command],
-                cwd=tmp_path,
-                env={**os.environ, "PATH": path, "RAY_USAGE_STATS_ENABLED": "0"},
-                capture_output=True,
-                text=True,
-                timeout=200,
-            )
-            assert done.returncode == 0, done.stderr
+def test_tutorial_can_be_followed(cluster: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    text = (DOCS / "experiments.md").read_text("utf-8").replace("HEAD:6379", cluster)
+    follow(text, tmp_path, "runs in the tests, where Ray is installed")
     ray, addressed = (contents(tmp_path / "runs" / name) for name in ("ray", "cluster"))
     assert ray == addressed
     assert {len(episodes) for episodes, _ in ray.values()} == {100}

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,23 +11,21 @@ import pytest
 
 from glue.testing import check_agent
 from tests.forked import run
+from tests.pages import ROOT, blocks, run_block
 from tests.terminal import Terminal
 
-ROOT = Path(__file__).parents[2]
-PAGES = [*sorted(ROOT.glob("*.md")), *sorted(ROOT.glob("docs/**/*.md")), *sorted(ROOT.glob("docker/**/*.md"))]
-TEXT = (ROOT / "README.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", TEXT, re.M | re.S)
-PROGRAMS = [body for language, body in BLOCKS if language == "python" and "class " in body]
-(SCRIPT,) = [body for language, body in BLOCKS if language == "python" and "class " not in body]
+BLOCKS = blocks((ROOT / "README.md").read_text(encoding="utf-8"))
+PROGRAMS = [body for _, language, body in BLOCKS if language == "python" and "class " in body]
+(SCRIPT,) = [block for block in BLOCKS if block.language == "python" and "class " not in block.body]
 COMMANDS = [
     shlex.split(re.sub(r"--episodes \d+", "--episodes 2", line), comments=True)
-    for language, body in BLOCKS
+    for _, language, body in BLOCKS
     if language == "sh"
     for line in body.splitlines()
     if line.startswith(("glue-experiment", "glue-env", "glue-agent"))
     and "sb3" not in line  # tests/glue/gym/test_sb3.py runs those
 ]
-SCORES = [line for _, body in BLOCKS for line in body.splitlines() if line.startswith("glue-generalise")]
+SCORES = [line for _, _, body in BLOCKS for line in body.splitlines() if line.startswith("glue-generalise")]
 EXPERIMENT = ["glue-experiment", "--episodes", "2", "--max-steps", "50"]
 
 
@@ -58,7 +54,7 @@ def partners(command: list[str], hub: str) -> list[list[str]]:
 def test_text_has_commands_and_programs() -> None:
     assert {command[0] for command in COMMANDS} == {"glue-experiment", "glue-env", "glue-agent"}
     assert any(program.startswith("from glue import") for program in PROGRAMS)
-    assert {language for language, _ in BLOCKS} == {"sh", "python"}
+    assert {block.language for block in BLOCKS} == {"sh", "python"}
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
@@ -88,12 +84,7 @@ def test_a_score_on_unseen_levels(tmp_path: Path) -> None:
 def test_script_runs_an_experiment_and_reads_its_results(tmp_path: Path) -> None:
     (command,) = [command for command in COMMANDS if "runs/sarsa" in command]
     assert run(*command, cwd=tmp_path).returncode == 0
-    (tmp_path / "script.py").write_text(SCRIPT, encoding="utf-8")
-    shown = subprocess.run(
-        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=120
-    )
-    assert shown.returncode == 0, shown.stderr
-    *episodes, mean = shown.stdout.splitlines()
+    *episodes, mean = run_block(SCRIPT, tmp_path).stdout.splitlines()
     assert len(episodes) == 100
     assert np.isfinite(float(mean))
 
@@ -108,9 +99,3 @@ def test_agent_of_the_text_keeps_the_contract(program: str) -> None:
         "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 OBSERVATIONS INTS (0 99) "
         "ACTIONS INTS (-1 1) (2 0 1) REWARDS (-10 100) EXTRA",
     )
-
-
-@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
-def test_links_lead_somewhere(page: Path) -> None:
-    links = re.findall(r"\]\((?!https?://)([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8"))
-    assert [link for link in links if not (page.parent / link).exists()] == []

@@ -1,4 +1,4 @@
-// Observations and actions as they cross the wire: docs/protocol.md, "Bodies".
+// Observations and actions as they cross the wire: docs/protocol-reference.md, "Bodies".
 
 import { ProtocolError } from "./errors.js";
 

@@ -1,4 +1,4 @@
-// Every kind of message that an agent, an environment or an experiment sends or receives: docs/protocol.md, "Every
+// Every kind of message that an agent, an environment or an experiment sends or receives: docs/protocol-reference.md, "Every
 // kind of message".
 
 import { readAbstract, readBoth, writeAbstract } from "./body.js";

@@ -1,4 +1,4 @@
-// ZMTP 3.1 with the NULL mechanism, as the last appendix of docs/protocol.md says: bytes, no sockets.
+// ZMTP 3.1 with the NULL mechanism, as the last appendix of docs/protocol-reference.md says: bytes, no sockets.
 
 import { ConfigError, ProtocolError } from "./errors.js";
 import { MAX_BODY } from "./messages.js";

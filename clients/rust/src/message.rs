@@ -1,4 +1,4 @@
-//! Every kind of message: docs/protocol.md, "Every kind of message".
+//! Every kind of message: docs/protocol-reference.md, "Every kind of message".
 
 use crate::abstract_type::skip;
 use crate::header::{Reader, Writer};

@@ -212,7 +212,7 @@ class Games(Closing):
 
     def _load(self) -> None:
         """Load the compiled rules, or compile them and say so."""
-        with announce_compilation("many games of Infinite Mario", 16):
+        with announce_compilation("many games of Infinite Mario"):
             none = np.zeros((0, 1), np.int64), np.zeros(1, np.int64)
             _order(*none, self.lanes[:0], self._setup, self._orders)
             self._run()

@@ -10,8 +10,9 @@ from typing import Final
 
 from experiment_runner.competition.board.standings import Standing, Standings
 from experiment_runner.competition.records.journal import ADD, EXCLUDE, RERUN, Act
-from experiment_runner.report.tables import format_table, one_line
-from experiment_runner.store.output import finite
+from experiment_runner.report.tables import format_table
+from experiment_runner.store.output import csv_row, finite
+from glue.console import one_line
 
 LEGEND: Final = (
     "place     by the mean of the ranks in the tasks; those who are equal share it",
@@ -19,9 +20,6 @@ LEGEND: Final = (
     "score     of a task: the sum of all rewards, learning included, mean over trials; a forfeited trial "
     "scores what an agent that stands still earns, or the lowest verified score if that is lower",
 )
-
-_FORMULA: Final = ("=", "+", "-", "@")
-"""First characters by which a spreadsheet recognizes a formula."""
 
 
 def number(value: float) -> str:
@@ -44,14 +42,14 @@ def as_text(board: Standings, width: int | None = None) -> str:
     """
     header = ("place", "entrant", "mean rank", "total", "95 % interval", "by total", *board.tasks)
     placed = [standing for standing in board.entrants if standing.place is not None]
-    parts = [board.competition]
+    parts = [one_line(board.competition)]
     if placed:
         parts.append(format_table(header, [_row(standing, board) for standing in placed], width=width))
     notes = [
-        f"no place: {other.name}: {one_line(other.missing)}" for other in board.entrants if other.missing
+        one_line(f"no place: {other.name}: {other.missing}") for other in board.entrants if other.missing
     ]
     notes += [
-        f"forfeited: {standing.name}, {forfeit.task}, trial {forfeit.trial}: {one_line(forfeit.reason)}"
+        one_line(f"forfeited: {standing.name}, {forfeit.task}, trial {forfeit.trial}: {forfeit.reason}")
         for standing in board.entrants
         for forfeit in standing.forfeits
     ]
@@ -87,7 +85,7 @@ def as_csv(board: Standings) -> str:
                 row += [standing.tasks[task].score, standing.tasks[task].rank]
         forfeits = "; ".join(f"{lost.task}/{lost.trial}: {lost.reason}" for lost in standing.forfeits)
         texts = (forfeits, standing.missing, standing.player, standing.id, board.program)
-        writer.writerow([*row, *map(_cell, texts), *seeds])
+        writer.writerow(csv_row([*row, *texts, *seeds]))
     return text.getvalue()
 
 
@@ -110,11 +108,6 @@ def _row(standing: Standing, board: Standings) -> tuple[str, ...]:
 
 def _options(options: object) -> str:
     return json.dumps(options)
-
-
-def _cell(text: str) -> str:
-    """Return a text as a cell that no spreadsheet reads as a formula."""
-    return f"'{text}" if text.startswith(_FORMULA) else text
 
 
 def _finite(value: object) -> object:

@@ -23,14 +23,14 @@ from experiment_runner.competition.records.journal import ENTER, Act
 from experiment_runner.competition.records.record import digest, record_path
 from experiment_runner.competition.records.seal import broken
 from experiment_runner.plan.ids import TrialId
-from experiment_runner.report.tables import one_line
 from experiment_runner.store.layout import ABOUT_FILE
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
+from glue.console import one_line
 from glue.errors import ExperimentError
+from glue.files import read_text
 
 _RESAMPLES: Final = 10_000
-_MOST_BYTES: Final = 2**20
 """Maximum size in bytes of the file that names the program that held the competition."""
 
 _INTERVAL: Final = (2.5, 97.5)
@@ -332,8 +332,7 @@ def _seeds(results: Results, course: Course) -> list[Seed]:
 
 def _program(directory: Path) -> str:
     try:
-        with (directory / ABOUT_FILE).open("rb") as file:
-            about = json.loads(file.read(_MOST_BYTES))
-        return one_line(str(about["program"]).encode("utf-8", "replace").decode())
+        about = json.loads(read_text(directory / ABOUT_FILE))
+        return one_line(str(about["program"]))
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         raise ExperimentError(f"cannot read {directory / ABOUT_FILE}: {type(error).__name__}") from None

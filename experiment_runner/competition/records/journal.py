@@ -18,6 +18,7 @@ import msgspec
 from experiment_runner.store.database import KEPT, reported
 from experiment_runner.store.layout import JOURNAL_FILE
 from glue.errors import ExperimentError
+from glue.files import descriptor_of, read_regular
 
 ENTER: Final = "enter"
 ADD: Final = "add"
@@ -69,10 +70,10 @@ def content(directory: Path) -> bytes:
     """
     path = directory / JOURNAL_FILE
     with reported(f"cannot read {path}"):
-        if not path.exists():
+        try:
+            text = read_regular(path, _MOST_BYTES)
+        except FileNotFoundError:
             return b""
-        with path.open("rb") as file:
-            text = file.read(_MOST_BYTES)
     return text[: text.rfind(b"\n") + 1]
 
 
@@ -96,7 +97,10 @@ def append(directory: Path, acts: Iterable[Act]) -> None:
     """
     whole = len(content(directory))
     path = directory / JOURNAL_FILE
-    with reported(f"cannot write {path}", KEPT), path.open("ab") as file:
+    with (
+        reported(f"cannot write {path}", KEPT),
+        open(descriptor_of(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND), "ab") as file,
+    ):
         file.truncate(whole)
         file.write(text_of(acts).encode())
         file.flush()

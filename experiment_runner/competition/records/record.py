@@ -13,6 +13,7 @@ from typing import BinaryIO
 from experiment_runner.store.database import KEPT, reported
 from experiment_runner.store.layout import RECORDS
 from glue.closing import Closing
+from glue.files import create_regular, open_regular
 
 
 class RecordFile(Closing):
@@ -30,7 +31,7 @@ class RecordFile(Closing):
         self._hash = hashlib.sha256()
         with reported(f"cannot write {path}", KEPT):
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._file: BinaryIO = path.open("wb")
+            self._file: BinaryIO = create_regular(path)
 
     def append(self, piece: bytes) -> None:
         """Append a piece of the recording.
@@ -70,5 +71,5 @@ def digest(path: Path) -> bytes:
     Raises:
         StorageError: it cannot be read.
     """
-    with reported(f"cannot read {path}"), path.open("rb") as file:
+    with reported(f"cannot read {path}"), open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").digest()

@@ -31,6 +31,7 @@ from experiment_runner.store.records import ReplayVerdict, TrialEnd
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from glue.errors import ExperimentError
+from glue.files import MOST_TEXT, read_regular
 
 _MOST_BYTES: Final = 2**24
 _TRIES: Final = 3
@@ -173,15 +174,14 @@ def _digest(*parts: object) -> str:
 
 def _content(path: Path) -> bytes:
     with reported(f"cannot read {path}"):
-        return path.read_bytes()
+        return read_regular(path, MOST_TEXT)
 
 
 def _read(directory: Path) -> dict[str, Any]:
     """Return the seal; its digests are lists, newest last."""
     path = directory / SEAL_FILE
     try:
-        with path.open("rb") as file:
-            found = json.loads(file.read(_MOST_BYTES))
+        found = json.loads(read_regular(path, _MOST_BYTES))
         parts = [found["played"], *found["verified"].values()]
         if all(
             isinstance(part, list) and part and all(isinstance(one, str) for one in part) for part in parts

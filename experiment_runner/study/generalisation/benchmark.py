@@ -27,6 +27,7 @@ from experiment_runner.study.generalisation.players import (
     scored_levels,
 )
 from glue.errors import ConfigError, ExperimentError
+from glue.files import read_text
 from glue.options import parse_assignments
 from glue.plugins.loading import find
 from glue.wire.messages import Role
@@ -128,7 +129,7 @@ def benchmark_of(directory: Path) -> Benchmark:
         ConfigError: the directory is not a run of `glue-generalise`.
     """
     try:
-        fields = json.loads((directory / BENCHMARK_FILE).read_text(encoding="utf-8"))
+        fields = json.loads(read_text(directory / BENCHMARK_FILE))
         if fields.pop("level_sets_version") != VERSION:
             raise ValueError("its sets of levels are of another version")
         lists = ("agent_options", "sets", "seeds", "questions")

@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from experiment_runner.analysis.stats import FloatArray, Statistic, bootstrap_rng, interquartile_mean, mean
+from experiment_runner.report.tables import format_table, terminal_width
 from glue.errors import ConfigError
 
 _RESAMPLES: Final = 1000
@@ -58,12 +59,13 @@ def summarise(document: Document) -> Summary:
     return Summary(_compare(*goals, mean), _compare(*returns, interquartile_mean))
 
 
-def table(documents: Sequence[Document], solvable: Set[int] = frozenset()) -> str:
-    """Return a table in Markdown: a row for each benchmark or, with scored sets, for each difficulty.
+def table(documents: Sequence[Document], solvable: Set[int] = frozenset(), *, plain: bool = False) -> str:
+    """Return a table: a row for each benchmark or, with scored sets, for each difficulty.
 
     Args:
         documents: the benchmarks.
         solvable: numbers of levels; the share of these that were solved is a column of a table by difficulty.
+        plain: for a terminal; otherwise in Markdown.
 
     Raises:
         ConfigError: some have scores for each difficulty, and others do not.
@@ -78,8 +80,11 @@ def table(documents: Sequence[Document], solvable: Set[int] = frozenset()) -> st
         messages = list(documents[0]["questions"])
         rows = [row for document in documents for row in _by_difficulty(document, messages, solvable)]
         head = [*_HEAD_BY_DIFFICULTY, "ms per step", *messages, *(["goal, if solvable"] if solvable else [])]
-        return markdown(head, rows, texts=2)
-    return markdown(_HEAD, list(map(_gap_row, documents)), texts=1)
+    else:
+        head, rows = list(_HEAD), list(map(_gap_row, documents))
+    if plain:
+        return format_table(head, rows, width=terminal_width())
+    return markdown(head, rows, texts=2 if True in kinds else 1)
 
 
 def _gap_row(document: Document) -> list[str]:

@@ -46,7 +46,9 @@ def figures(outcomes: Sequence[LevelResults]) -> dict[str, Figure]:
         level = PaperLevel(PAPER_LEVEL.seed, difficulty)
         curves = {o.agent: o.curves for o in outcomes if o.experiment.name in _IN_CURVES and o.level == level}
         if curves:
-            drawn[f"curves-{difficulty}"] = learning_curves(curves, bootstrap_rng(), window=WINDOW)
+            drawn[f"curves-{difficulty}"] = learning_curves(
+                {("", name): one for name, one in curves.items()}, bootstrap_rng(), window=WINDOW
+            )
     best = {
         f"difficulty {o.level.difficulty}": o.curves
         for o in outcomes

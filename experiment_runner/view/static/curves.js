@@ -122,6 +122,7 @@ export function mount(element, { query }) {
     const query = { run: [...chosen], window: state.window, over: state.over, measure: state.measure, width: room(),
       log: [state.logX && "x", state.logY && "y"].filter(Boolean) };
     if (state.span) [query.from, query.to] = state.span;
+    if (!data) setText(note, "Loading …");
     try {
       const found = await get("curves", query, request.signal);
       if (ended) return;
@@ -129,7 +130,9 @@ export function mount(element, { query }) {
       problem.replaceChildren();
       draw();
     } catch (error) {
-      if (error.name !== "AbortError" && !ended) problem.replaceChildren(failure(error));
+      if (error.name === "AbortError" || ended) return;
+      if (!data) setText(note, "");
+      problem.replaceChildren(failure(error));
     }
   }
 

@@ -30,7 +30,7 @@ export function table(caption, columns, rows) {
 }
 
 function isNumber(cell) {
-  return typeof cell === "string" && /^[-+−]?[\d,.]+( (to|\/) [-+−]?[\d,.]+| \([\d.]+\))?%?$|^-$/.test(cell);
+  return typeof cell === "string" && /^[-+−]?[\d,.]+( (to|\/) [-+−]?[\d,.]+| \([\d.]+\))?%?( \(!\))?$|^-$/.test(cell);
 }
 
 const plain = new Intl.NumberFormat("en");
@@ -61,12 +61,22 @@ export async function get(path, query = {}, signal = undefined) {
   for (const [name, value] of Object.entries(query)) {
     for (const one of [value].flat()) search.append(name, one);
   }
-  return answer(await fetch(`api/${path}?${search}`, { signal }));
+  return answer(await ask(`api/${path}?${search}`, { signal }));
 }
 
 /** Send a value, and return the server's answer; throws an `Error` whose message says what is wrong. */
 export const put = async (path, value) =>
-  answer(await fetch(`api/${path}`, { method: "PUT", headers: { "Content-Type": "application/json" }, body: JSON.stringify(value) }));
+  answer(await ask(`api/${path}`, { method: "PUT", headers: { "Content-Type": "application/json" }, body: JSON.stringify(value) }));
+
+/** Return the response to a request; throws an `Error` that says why there is none. */
+async function ask(address, options) {
+  try {
+    return await fetch(address, options);
+  } catch (error) {
+    if (error.name === "AbortError") throw error;
+    throw new Error("The server does not answer: it has ended, or this machine is too busy.");
+  }
+}
 
 async function answer(response) {
   const type = response.headers.get("Content-Type") ?? "";
@@ -74,6 +84,12 @@ async function answer(response) {
   if (!response.ok) throw new Error(body.error);
   return body;
 }
+
+/** Return a paragraph that stands where something is being loaded. */
+export const loading = () => h("p", { class: "quiet", role: "status" }, "Loading …");
+
+/** Return the seed of a trial, of up to 19 digits, as a short text; its title has all of them. */
+export const seed = (digits) => (digits.length < 10 ? digits : h("abbr", { title: digits }, `${digits.slice(0, 3)}…${digits.slice(-3)}`));
 
 /** Return a paragraph that says what went wrong. */
 export const failure = (error) => h("p", { class: "failure", role: "alert" }, String(error.message ?? error));

@@ -1,6 +1,6 @@
 // The game: the list of a run's recorded episodes, and the player of one episode.
 
-import { count, failure, get, h, score, setText, table } from "./dom.js";
+import { count, failure, get, h, loading, score, setText, table } from "./dom.js";
 import { watchLive } from "./game/live.js";
 import { play } from "./game/player.js";
 import { Recording } from "./game/recording.js";
@@ -54,7 +54,9 @@ async function mountEpisode(element, links, run, episode, query) {
 }
 
 async function mountList(element, run) {
-  const recordings = await get(`recordings/${encodeURIComponent(run)}`);
+  const wait = loading();
+  element.append(wait);
+  const recordings = await get(`recordings/${encodeURIComponent(run)}`).finally(() => wait.remove());
   element.append(h("h2", {}, "Recorded episodes"));
   if (!recordings.length) {
     element.append(h("p", { class: "empty" }, "This run has no recording. ",

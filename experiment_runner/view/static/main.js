@@ -5,7 +5,8 @@ import { failure, h, setText } from "./dom.js";
 import { watchConnection } from "./stream.js";
 
 const VIEWS = { runs: "Runs", run: "Run", curves: "Curves", game: "Game", standings: "Standings" };
-const CONNECTION = { live: "live", connecting: "connecting …", lost: "no connection" };
+const CONNECTION = { live: "live", connecting: "connecting …",
+  lost: "no connection: the server has ended, or was started again; open the address that it prints" };
 
 const view = document.getElementById("view");
 let unmount = null;
@@ -83,8 +84,6 @@ document.querySelector(".skip").addEventListener("click", (event) => {
 watchConnection((state) => {
   const label = document.getElementById("connection");
   label.dataset.state = state;
-  label.title = state === "lost"
-    ? "The server has ended, or was started again: then open the address that it prints." : "";
   setText(label, CONNECTION[state]);
 });
 window.addEventListener("hashchange", go);

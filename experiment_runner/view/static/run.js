@@ -1,6 +1,6 @@
 // One run: its results, plan, versions and machine.
 
-import { count, date, failure, get, h, score, setText, table } from "./dom.js";
+import { count, date, failure, get, h, loading, score, seed, setText, table } from "./dom.js";
 import { badge, progress, timeLeft } from "./runs.js";
 import { listen } from "./stream.js";
 
@@ -11,7 +11,7 @@ export async function mount(element, { path }) {
   const title = h("h1", {}, "Run");
   const head = h("div", { class: "head" });
   const links = h("p", { class: "links" });
-  const content = h("div");
+  const content = h("div", {}, loading());
   element.append(title, head, links, content);
 
   let timer = null;
@@ -59,7 +59,7 @@ function draw(run) {
   if (run.reason) parts.push(h("p", { class: run.state === "failed" ? "failure" : "quiet" }, run.reason));
   parts.push(settingsTable(run.settings));
   parts.push(table("Trials", ["trial", "seed", "episodes", "voids", "failure"],
-    run.trial_records.map((trial) => [trial.name, trial.seed,
+    run.trial_records.map((trial) => [trial.name, seed(trial.seed),
       `${count(trial.episodes)} / ${count(trial.planned_episodes)}`, count(trial.voids), trial.failure ?? ""])));
   if (run.trial_records_left_out) parts.push(h("p", { class: "quiet" }, `and ${count(run.trial_records_left_out)} more`));
   if (run.plan) parts.push(fold("plan", run.competition ? "Competition" : "Plan", h("pre", { tabindex: "0" }, run.plan)));
@@ -83,13 +83,16 @@ function draw(run) {
   return parts;
 }
 
+/** The mark of an interval of few trials, as in glue-results: it may well miss the mean. */
+export const FEW = " (!)";
+
 /** Return the table of settings, with the numbers of `glue-results show`. */
 export function settingsTable(settings, marks = []) {
   return table("Results, by setting", ["setting", "finished", "episodes", "mean", "95 % interval", "IQM", "converged"],
     settings.map((one, i) => [
       marks[i] ? h("span", {}, marks[i], " ", one.setting) : one.setting,
       `${count(one.finished_trials)} / ${count(one.trials)}`, count(one.episodes), score(one.mean),
-      one.low === null ? "-" : `${score(one.low)} to ${score(one.high)}`, score(one.interquartile_mean),
+      one.low === null ? "-" : `${score(one.low)} to ${score(one.high)}${one.few_trials ? FEW : ""}`, score(one.interquartile_mean),
       one.converged === null ? "-" : count(one.converged)]));
 }
 

@@ -1,6 +1,6 @@
 // The list of runs: state, progress, returns, options, notes and tags; filters, order and groups; runs to compare.
 
-import { count, date, duration, failure, h, put, score, setText } from "./dom.js";
+import { count, date, duration, failure, h, loading, put, score, setText } from "./dom.js";
 import { listen } from "./stream.js";
 
 export const STATES = ["running", "finished", "interrupted", "failed", "damaged"];
@@ -98,6 +98,8 @@ export function mount(element, { query }) {
   const compare = h("a", { class: "button", href: "#/curves", "aria-disabled": "true" }, "Compare");
   const summary = h("p", { class: "quiet", role: "status" });
   const body = h("tbody");
+  const waiting = loading();
+  let loaded = false;
   const empty = h("div", { class: "empty", hidden: true }, h("p", {}, "There is no run here yet. This starts one:"),
     h("pre", {}, "glue-experiment --env mario --agent hierarchical --episodes 500 --view"));
   const box = h("div", { class: "scroll cards", tabindex: "0", role: "region", "aria-label": "Runs" },
@@ -108,7 +110,7 @@ export function mount(element, { query }) {
     h("form", { class: "filters", role: "search", onsubmit: (event) => event.preventDefault() },
       h("label", { for: "search" }, "Search"), search, h("label", { for: "state" }, "State"), state,
       h("label", { for: "group" }, "Group by"), group, compare, summary),
-    empty, box);
+    waiting, empty, box);
 
   function filter() {
     const words = search.value.toLowerCase().split(/\s+/).filter(Boolean);
@@ -128,7 +130,9 @@ export function mount(element, { query }) {
     }
     const all = rows.size;
     setText(summary, visible === all ? `${count(all)} ${all === 1 ? "run" : "runs"}` : `${count(visible)} of ${count(all)} runs`);
-    empty.hidden = all > 0;
+    waiting.hidden = loaded;
+    summary.hidden = !loaded;
+    empty.hidden = all > 0 || !loaded;
     box.hidden = all === 0;
   }
 
@@ -198,6 +202,7 @@ export function mount(element, { query }) {
   }
 
   const stop = listen("runs", (changed) => {
+    loaded = true;
     for (const [id, run] of Object.entries(changed)) {
       const old = rows.get(id)?.row;
       if (run === null) {

@@ -1,7 +1,7 @@
 // The live standings of a competition, also enlarged for a lecture hall.
 
 import { drawing } from "./curves.js";
-import { count, failure, get, h, score, setText, table } from "./dom.js";
+import { count, failure, get, h, loading, score, setText, table } from "./dom.js";
 import { listen } from "./stream.js";
 
 const REFRESH_SECONDS = 3;
@@ -10,7 +10,7 @@ export function mount(element, { path, query }) {
   const id = path[0] ?? "";
   const title = h("h1", {}, "Standings");
   const how = h("p", { class: "quiet", role: "status" });
-  const content = h("div");
+  const content = h("div", {}, loading());
   const projector = h("button", { type: "button", "aria-pressed": "false", onclick: () => large(!document.body.classList.contains("projector")) },
     "Projector");
   element.append(h("div", { class: "head" }, title, projector), how, content);
@@ -22,6 +22,7 @@ export function mount(element, { path, query }) {
   }
 
   let run = null;
+  let drawn = false;
   let timer = null;
   let ended = false;
   async function refresh() {
@@ -34,6 +35,7 @@ export function mount(element, { path, query }) {
       setText(how, `${count(board.over)} of ${count(board.matches)} trials are over, ${count(verified)} verified${
         mismatched ? `; ${count(mismatched)} do not match their record` : ""}`);
       content.replaceChildren(...draw(board));
+      drawn = true;
     } catch (error) {
       if (!ended) content.replaceChildren(failure(error));
     }
@@ -41,7 +43,7 @@ export function mount(element, { path, query }) {
   const stop = listen("runs", (changed, all) => {
     run = all.get(id);
     if (!run) content.replaceChildren(failure("There is no such competition any more."));
-    else if (id in changed) timer ??= setTimeout(refresh, content.childElementCount ? REFRESH_SECONDS * 1000 : 0);
+    else if (id in changed) timer ??= setTimeout(refresh, drawn ? REFRESH_SECONDS * 1000 : 0);
   });
   const leave = (event) => {
     if (event.key === "Escape") large(false);

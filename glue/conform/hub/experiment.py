@@ -58,8 +58,8 @@ class _Replying(Experiment):
 class ExperimentHarness(Harness):
     """The kit as the hub of an experiment; the expected requests are those of our own mirror."""
 
-    def __init__(self, role: Role, start: Start, listener: Listener, wait: float) -> None:
-        super().__init__(role, start, listener, wait)
+    def __init__(self, role: Role, start: Start, listener: Listener, wait: float, quiet: float) -> None:
+        super().__init__(role, start, listener, wait, quiet)
         self.request: Message = Message(Kind.RL_ENV_STEP, "", 0)
 
     def begin(self) -> None:

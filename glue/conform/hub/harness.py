@@ -24,7 +24,7 @@ MAX_BODY: Final = 2**20
 """Bytes of the largest body that the kit accepts, as its WELCOME says."""
 
 QUIET: Final = 0.25
-"""Seconds of silence after which no message is expected any more: a wrong message would come at once."""
+"""Default seconds of silence after which no message is expected: a wrong message would come at once."""
 
 _LOOK: Final = 0.02
 """Seconds between two polls."""
@@ -47,12 +47,14 @@ class Harness(ABC):
         start: starts a client.
         listener: the kit's listening socket.
         wait: timeout of each expected message, in seconds.
+        quiet: seconds of silence after which no message is expected any more.
     """
 
-    def __init__(self, role: Role, start: Start, listener: Listener, wait: float) -> None:
+    def __init__(self, role: Role, start: Start, listener: Listener, wait: float, quiet: float) -> None:
         self.role = role
         self.listener = listener
         self.wait = wait
+        self.quiet = quiet
         self.session: str = ""
         self.hellos: int = 0  # over the current connection
         self.instance: bytes = b""  # of the last HELLO
@@ -248,7 +250,7 @@ class Harness(ABC):
             return action()
         except Gone:
             self.cut()
-            code = self.client.wait(QUIET)
+            code = self.client.wait(self.quiet)
             ended = "" if code is None else f" and of the client, with exit code {code}"
             raise Broken("an open connection", f"the end of the connection{ended}{self._said()}") from None
 
@@ -285,27 +287,30 @@ class Harness(ABC):
         except RemoteProtocolError as error:
             raise Broken(expected, f"a malformed message: {error}", frames) from None
 
-    def heard(self, seconds: float = QUIET) -> Sequence[bytes] | None:
+    def heard(self, seconds: float | None = None) -> Sequence[bytes] | None:
         """Return the frames of the next message except HEARTBEAT and NOTICE; None if none comes in time.
+
+        Args:
+            seconds: the time to wait, by default `quiet`.
 
         Raises:
             Gone: the client ended the connection.
         """
-        deadline = clock.monotonic() + seconds
+        deadline = clock.monotonic() + (self.quiet if seconds is None else seconds)
         while (frames := self.connection.receive(max(0.0, deadline - clock.monotonic()))) is not None:
             if self.decoded(frames).kind not in (Kind.HEARTBEAT, Kind.NOTICE):
                 break
         return frames
 
-    def nothing(self, why: str, seconds: float = QUIET) -> None:
-        """Expect no message except HEARTBEATs for a while."""
+    def nothing(self, why: str, seconds: float | None = None) -> None:
+        """Expect no message except HEARTBEATs for a while, by default for `quiet` seconds."""
         frames = self.kept(lambda: self.heard(seconds))
         if frames is not None:
             raise Broken(f"nothing {why}", described(self.decoded(frames)), frames)
 
-    def nothing_but_hello(self, seconds: float = QUIET) -> None:
+    def nothing_but_hello(self) -> None:
         """Expect nothing between HELLO and WELCOME except another HELLO, which is merely redundant."""
-        while (frames := self.kept(lambda: self.heard(seconds))) is not None:
+        while (frames := self.kept(self.heard)) is not None:
             message = self.decoded(frames)
             if message.kind is not Kind.HELLO:
                 raise Broken("nothing between HELLO and WELCOME", described(message), frames)

@@ -51,8 +51,8 @@ class PlayerHarness(Harness):
     calls that are legal in its task, and may give any answer to them.
     """
 
-    def __init__(self, role: Role, start: Start, listener: Listener, wait: float) -> None:
-        super().__init__(role, start, listener, wait)
+    def __init__(self, role: Role, start: Start, listener: Listener, wait: float, quiet: float) -> None:
+        super().__init__(role, start, listener, wait, quiet)
         self.kinds: dict[str, Kind] = _KINDS[role]
         self.seq: int = 0
         self._action = Action().body

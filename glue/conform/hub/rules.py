@@ -1,4 +1,4 @@
-"""Rules of the protocol: their text, their section of docs/protocol.md, and the scene that tests each."""
+"""Rules of the protocol: their text, their section of its reference, and the scene that tests each."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Rule:
     Attributes:
         name: a short identifier, unique within a role.
         tier: the tier that requires it.
-        section: the anchor of its heading in docs/protocol.md.
+        section: the anchor of its heading in docs/protocol-reference.md.
         text: the behaviour that it demands.
         roles: the roles that it applies to.
         scene: its test.

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class HubRule(StrEnum):
-    """Rules for hubs, in the order in which they are judged; see docs/protocol.md."""
+    """Rules for hubs, in the order in which they are judged; see docs/protocol-reference.md."""
 
     GREETING = "HELLO is answered with WELCOME and the same seq"
     HEARTBEAT = "each connection gets a HEARTBEAT every heartbeat, and a peer's own is answered"

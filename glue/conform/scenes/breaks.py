@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Final
 
 from glue.conform.hub.connection import Connection
-from glue.conform.hub.harness import QUIET, Harness
+from glue.conform.hub.harness import Harness
 from glue.conform.hub.rules import EVERYONE, Broken, Requirement, Rules, Tier
 from glue.wire import zmtp
 from glue.wire.messages import ErrorCode, Kind
@@ -82,7 +82,7 @@ def absent(kit: Harness) -> None:
     kit.listener.close()
     try:
         kit.cut()
-        code = kit.client.wait(2 * QUIET)
+        code = kit.client.wait(2 * kit.quiet)
     finally:
         kit.listener.open()
     if code is not None:

@@ -6,7 +6,7 @@ from typing import Final
 
 from glue.conform.hub.comparing import described
 from glue.conform.hub.connection import Gone
-from glue.conform.hub.harness import QUIET, Harness
+from glue.conform.hub.harness import Harness
 from glue.conform.hub.rules import EVERYONE, Broken, Requirement, Rules, Tier
 from glue.wire.codec import TO_HUB, encode
 from glue.wire.messages import PROTOCOL_VERSION, ErrorCode, Kind
@@ -23,7 +23,7 @@ def handshake(kit: Harness) -> None:
     """ZMTP's handshake, as a DEALER; no message before the hub's READY."""
     kit.drop()
     kit.start()
-    kit.connect(hold=QUIET)
+    kit.connect(hold=kit.quiet)
 
 
 @FIRST.add(Tier.PLAYS, "greeting")

@@ -9,7 +9,7 @@ from typing import Any, Final
 from glue.conform.hub.comparing import described, same
 from glue.conform.hub.connection import Gone
 from glue.conform.hub.experiment import DONE, SEEN, ExperimentHarness, Order
-from glue.conform.hub.harness import QUIET, Harness
+from glue.conform.hub.harness import Harness
 from glue.conform.hub.mirror import result
 from glue.conform.hub.rules import Broken, NotJudged, Requirement, Rules, Tier
 from glue.conform.scenes import forms
@@ -228,7 +228,7 @@ def max_body(kit: ExperimentHarness) -> None:
 def _gives_up(kit: ExperimentHarness, what: str, wrong: Any) -> None:
     """Expect anything except one message: the client leaves, sends another message, or sends nothing."""
     with suppress(Gone):
-        while (frames := kit.heard(4 * QUIET)) is not None:
+        while (frames := kit.heard(4 * kit.quiet)) is not None:
             got = kit.decoded(frames)
             if wrong(got):
                 raise Broken(f"that {what} is not sent", described(got), frames)

@@ -7,7 +7,7 @@ from typing import Final
 
 from glue.conform.hub.comparing import described
 from glue.conform.hub.connection import Gone
-from glue.conform.hub.harness import MAX_BODY, QUIET, Exchange, Harness
+from glue.conform.hub.harness import MAX_BODY, Exchange, Harness
 from glue.conform.hub.rules import EVERYONE, Broken, NotJudged, Requirement, Rules, Tier
 from glue.conform.scenes import forms
 from glue.doors import clock
@@ -96,7 +96,7 @@ def other_sessions(kit: Harness) -> None:
     ):
         kit.send_frames(encode(message._replace(session=other), FROM_HUB))
         # The client may report an error in the other session.
-        while (frames := kit.kept(lambda: kit.heard(QUIET / 2))) is not None:
+        while (frames := kit.kept(lambda: kit.heard(kit.quiet / 2))) is not None:
             got = kit.decoded(frames)
             if got.kind is not Kind.ERROR or got.session == kit.session:
                 raise Broken(
@@ -120,12 +120,12 @@ def hello_once(kit: Harness) -> None:
     """HELLO is said once over each connection, whether it is answered soon or late."""
     kit.cut()
     kit.connect()
-    kit.nothing("but one HELLO, for 1.5 s without an answer", 1.5)
+    kit.nothing(f"but one HELLO, for {6 * kit.quiet:g} s without an answer", 6 * kit.quiet)
     kit.send(Kind.ERROR, ErrorCode.UNKNOWN_PEER, "say HELLO", seq=0)
     kit.nothing("in answer to unknown-peer while its HELLO is unanswered")
-    kit.welcome(heartbeat=0.3)
+    kit.welcome(heartbeat=kit.quiet)
     kit.resume()
-    kit.nothing("but HEARTBEATs after WELCOME", 1.2)
+    kit.nothing("but HEARTBEATs after WELCOME", 5 * kit.quiet)
     kit.exchange()
     if kit.hellos != 1:
         raise Broken("one HELLO over the connection", f"{kit.hellos}")
@@ -161,7 +161,7 @@ def idle(kit: Harness) -> None:
     # Not measured by CPU time: on a busy machine a client that never sleeps may get little of it.
     awake = []
     for _ in range(_LOOKS):
-        kit.nothing("without a call", 0.02)
+        kit.nothing("without a call", kit.quiet / 12)
         awake.append(kit.client.awake())
     if None in awake:
         raise NotJudged("whether the client sleeps cannot be seen here")
@@ -181,7 +181,7 @@ def huge_frame(kit: Harness) -> None:
             raise Broken(f"the end of the connection after a frame of {size} bytes was announced", "nothing")
         kit.cut()
         # After that, libzmq ends a socket for good: the client may come back or not.
-        code = kit.client.wait(QUIET)
+        code = kit.client.wait(kit.quiet)
         if code is not None and code < 0:
             raise Broken(f"an orderly end after a frame of {size} bytes", f"one by signal {-code}")
         kit.abandon()
@@ -224,7 +224,7 @@ def _spoil(
         raise Broken(f"no answer to {name}", described(got), frames or ())
     if got is not None:
         kit.cut()  # The client reported an error, or said GOODBYE.
-    code = kit.client.wait(QUIET) if kit.connected else kit.returns()
+    code = kit.client.wait(kit.quiet) if kit.connected else kit.returns()
     if code is not None and code < 0:
         raise Broken(f"a client that goes on or reports an error after {name}", f"its end by signal {-code}")
     kit.abandon()

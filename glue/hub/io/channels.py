@@ -22,6 +22,7 @@ from glue.hub.io.listener import Listener, OpenAddress
 from glue.hub.io.log import Log
 from glue.hub.io.loop import Loop
 from glue.hub.keys import Keys
+from glue.hub.peer import Route
 from glue.hub.sessions import Switchboard
 from glue.sockets.options import limit_silence
 from glue.wire import zmtp
@@ -121,6 +122,10 @@ class _Channel:
         """Whether it takes part in a session."""
         return self._switchboard.num_seats(self) > 0
 
+    def forget(self, session: str) -> None:
+        """Forget what was learned of the messages of a session, in which it takes part no longer."""
+        self._stream.forget(session)
+
     def evict(self, why: str) -> None:
         """Drop the connection, which uses too much memory."""
         self._channels.drop(self, why)
@@ -139,7 +144,7 @@ class _Channel:
         if data:
             stream.receive_data(data)
         left = switchboard.num_seats(self) or 1
-        event: Message | bytes | None = None
+        event: Message | bytes | None = b""  # None: nothing is left to read
         try:
             while left and not connection.unsent:
                 event = stream.next_event()
@@ -276,6 +281,7 @@ class Channels:
             Listener(loop, address, partial(self._accept, bind), log) for bind, address in addresses
         ]
         loop.on_tick(self._tick)
+        switchboard.on_leave(self._left)
 
     def close(self) -> None:
         """Close, after a short wait for the last messages to be read."""
@@ -348,6 +354,10 @@ class Channels:
         self._open[channel] = None
         self._unseated[channel] = now
         self._log.connection(f"{name} connected")
+
+    def _left(self, route: Route, session: str) -> None:
+        if isinstance(route, _Channel):
+            route.forget(session)
 
     def _tick(self, now: float) -> None:
         for channel in list(self._open):

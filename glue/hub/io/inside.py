@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from glue.client.answers import ServedPlayer
 from glue.console import show_failure
 from glue.doors import chance, clock
-from glue.errors import GlueError
+from glue.errors import GlueError, described
 from glue.hub.config import DEFAULT_SESSION
 from glue.hub.io.server import Hub
 from glue.hub.sessions import INSTANCE_SIZE
@@ -162,14 +162,17 @@ class _InsidePlayer:
         """Return the answer to a call; if the player raises, an ERROR and its GOODBYE."""
         try:
             answer = self._player.answer(call)
-        except Exception as error:
+        except (KeyboardInterrupt, SystemExit):
+            raise
+        except BaseException as error:  # also asyncio.CancelledError and GeneratorExit
             if not isinstance(error, GlueError):
                 show_failure(error)
             self._gone = True
-            text = str(error) if isinstance(error, GlueError) else f"{type(error).__name__}: {error}"
             reason = f"{type(error).__name__} in {call.kind.name.lower()}"
             return (
-                Message(Kind.ERROR, call.session, call.seq, (str(ErrorCode.EXCEPTION), clip(text))),
+                Message(
+                    Kind.ERROR, call.session, call.seq, (str(ErrorCode.EXCEPTION), clip(described(error)))
+                ),
                 Message(Kind.GOODBYE, call.session, 0, (clip(reason),)),
             )
         return () if answer is None else (answer,)

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
@@ -18,13 +15,11 @@ from glue.trajectory import ActionWriter, Ending, Episode, Run, TrajectoryReader
 from glue.types import Action, Observation
 from tests import forked
 from tests.env_server.replay.test_replay import GOLDEN
-from tests.shell import bash
 
 parquet = pytest.importorskip("pyarrow.parquet")
 minari = pytest.importorskip("minari")
 spaces = pytest.importorskip("gymnasium").spaces
 
-PAGE: Final = Path(__file__).parents[3] / "docs" / "trajectories.md"
 SPEC: Final = (
     "VERSION RL-Glue-3.0 PROBLEMTYPE episodic DISCOUNTFACTOR 1 "
     "OBSERVATIONS INTS (0 9) ACTIONS INTS (0 3) REWARDS (0 1)"
@@ -244,14 +239,3 @@ def test_one_large_observation_does_not_make_all_as_large(tmp_path: Path) -> Non
         recording.cutoff()
     assert "write Parquet instead" in replay(tmp_path / "a", "--minari", "a-v0")
     assert replay(tmp_path / "a", "--parquet", tmp_path / "out").endswith(": 1 episode\n")
-
-
-@pytest.mark.slow
-def test_text_can_be_followed(tmp_path: Path) -> None:
-    text = PAGE.read_text()
-    (shell,) = re.findall(r"<!-- runs in the tests, in a shell -->\n```sh\n(.*?)```", text, re.DOTALL)
-    (python,) = re.findall(r"<!-- runs in the tests, with Minari -->\n```python\n(.*?)```", text, re.DOTALL)
-    done = bash(shell, tmp_path, 120)
-    assert done.returncode == 0, done.stderr
-    printed = subprocess.check_output([sys.executable, "-c", python], cwd=tmp_path, text=True, timeout=120)
-    assert f"# {printed}" in text.replace("```", "")

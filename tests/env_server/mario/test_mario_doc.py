@@ -2,38 +2,24 @@
 
 from __future__ import annotations
 
-import doctest
 import json
 import re
-from pathlib import Path
-
-import pytest
 
 from env_server.mario.environment import InfiniteMario
 from env_server.mario.parameters import MDPS
 from env_server.render.scene import KINDS
 from glue.options import parameters, parse_assignments
+from tests.pages import DOCS, rows
 
-TEXT = (Path(__file__).parents[3] / "docs" / "mario.md").read_text(encoding="utf-8")
-
-
-def rows(heading: str) -> list[list[str]]:
-    """Return the cells of the table whose first line holds `heading`."""
-    lines = TEXT[TEXT.index(heading) :].split("\n\n")[0].splitlines()[2:]
-    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+TEXT = (DOCS / "mario.md").read_text(encoding="utf-8")
 
 
 def task(**options: int | str) -> dict[str, object]:
     return json.loads(InfiniteMario(**options).env_message("parameters"))  # type: ignore[no-any-return]
 
 
-def test_examples_are_what_they_show() -> None:
-    examples = doctest.DocTestParser().get_doctest(TEXT, {}, "mario.md", None, 0)
-    assert doctest.DocTestRunner().run(examples, out=pytest.fail).attempted == 12
-
-
 def test_instances_are_as_listed() -> None:
-    listed = rows("| instance | differs")
+    listed = rows(TEXT, "| instance | differs")
     assert [int(number) for number, _ in listed] == list(range(10))
     for number, differing in listed:
         options = parse_assignments(InfiniteMario, differing.split())
@@ -42,7 +28,7 @@ def test_instances_are_as_listed() -> None:
 
 def test_mdps_are_as_listed() -> None:
     listed = {}
-    for number, proving, testing, differing in rows("| | proving"):
+    for number, proving, testing, differing in rows(TEXT, "| | proving"):
         options = parse_assignments(InfiniteMario, differing.split())
         listed[f"proving-{number}"] = {"level_seed": int(proving), **options}
         listed[f"testing-{number}"] = {"level_seed": int(testing), **options}
@@ -52,18 +38,18 @@ def test_mdps_are_as_listed() -> None:
 
 
 def test_kinds_are_as_listed() -> None:
-    cells = [cell for row in rows("| kind | actor") for cell in (row[:2], row[2:])]
+    cells = [cell for row in rows(TEXT, "| kind | actor") for cell in (row[:2], row[2:])]
     assert {int(kind): actor for kind, actor in cells} == KINDS
 
 
 def test_every_char_is_listed() -> None:
-    listed = {char.strip("`") for char, _ in rows("| char | tile |")}
+    listed = {char.strip("`") for char, _ in rows(TEXT, "| char | tile |")}
     assert listed == {"space", "&#124;", *"M!$b?1237"}
 
 
 def test_messages_are_answered() -> None:
     mario = InfiniteMario()
-    messages = [message.strip("`") for message, _ in rows("| message | answer |")]
+    messages = [message.strip("`") for message, _ in rows(TEXT, "| message | answer |")]
     answers = [mario.env_message(message) for message in messages]
     assert json.loads(answers[0])["level_seed"] == 121
     assert answers[1:] == [
@@ -80,7 +66,7 @@ def test_options_that_are_named_exist() -> None:
 
 def test_every_parameter_is_listed_with_its_default_and_bounds() -> None:
     known = parameters(InfiniteMario)
-    for name, default, bounds, unit, meaning in rows("| parameter | default"):
+    for name, default, bounds, unit, meaning in rows(TEXT, "| parameter | default"):
         about = known.pop(name.strip("`")).option
         shown = about.choices or (f"{about.low:.10g} to {about.high:.10g}",)
         assert (", ".join(shown), about.unit) == (bounds, unit)

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import re
 import shutil
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 
@@ -17,18 +13,16 @@ from experiment_runner.competition.file import load_competition, parse_competiti
 from experiment_runner.competition.secret import trials
 from experiment_runner.competition.settings import Limits
 from glue.cli.keys import keys
-from tests.house.imports import ROOT
-from tests.proof import FULL
+from tests.pages import DOCS, ROOT, Block, blocks, run_block
 
-PAGE = (ROOT / "docs" / "competition.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", PAGE, re.M | re.S)
-SCRIPTS = [body for language, body in BLOCKS if language == "sh"]
+PAGE = (DOCS / "competition.md").read_text(encoding="utf-8")
+SCRIPTS = blocks(PAGE, "sh")
 EXAMPLE = ROOT / "docker" / "example" / "competition.toml"
 GROUPS = {"glue-compete": compete, "glue-keys": keys}
 
 
 def test_the_file_of_the_page_is_a_competition_with_the_limits_that_there_are_by_default() -> None:
-    (text,) = (body for language, body in BLOCKS if language == "toml")
+    ((_, _, text),) = blocks(PAGE, "toml")
     competition = parse_competition(text, Path("spring.toml"))
     assert set(tomllib.loads(text)["limits"]) == {
         *(field for field in Limits.__dataclass_fields__ if field != "time"),
@@ -49,8 +43,8 @@ def test_the_example_is_a_competition_of_what_is_here() -> None:
 
 
 @pytest.mark.parametrize("script", SCRIPTS)
-def test_commands_have_the_options_that_they_are_given(script: str) -> None:
-    lines = [line for line in script.splitlines() if line.startswith(tuple(GROUPS))]
+def test_commands_have_the_options_that_they_are_given(script: Block) -> None:
+    lines = [line for line in script.body.splitlines() if line.startswith(tuple(GROUPS))]
     for line in lines:
         name, command, *arguments = line.partition("#")[0].partition(">")[0].split()
         found = GROUPS[name].commands[command]
@@ -59,20 +53,11 @@ def test_commands_have_the_options_that_they_are_given(script: str) -> None:
 
 @pytest.mark.timeout(900)
 @pytest.mark.proof
-@pytest.mark.skipif(not FULL, reason="proved by `make proof` alone")
+@pytest.mark.stage("proof")
 def test_the_page_can_be_followed(tmp_path: Path) -> None:
     (tmp_path / "docker" / "example").mkdir(parents=True)
     shutil.copy(EXAMPLE, tmp_path / "docker" / "example")
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    done = subprocess.run(
-        ["bash", "-euo", "pipefail", "-c", SCRIPTS[0]],
-        cwd=tmp_path,
-        env={**os.environ, "PATH": path},
-        capture_output=True,
-        text=True,
-        timeout=880,
-    )
-    assert done.returncode == 0, done.stderr
+    done = run_block(SCRIPTS[0], tmp_path, timeout=880)
     assert "12 of 12 trials are verified" in done.stderr
     for entrant in ("random", "sample", "hierarchical"):
         assert entrant in done.stdout

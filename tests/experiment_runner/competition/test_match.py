@@ -254,7 +254,8 @@ def test_an_offence_that_is_known_at_the_end_is_a_forfeit_too(tmp_path: Path) ->
 class Interrupted(Thread):
     """A program that is ended by whatever runs it."""
 
-    reason = lost = "the container engine went away"
+    reason: str | None = "the container engine went away"
+    lost = reason
 
     def wait(self, seconds: float) -> bool:
         return True

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import random
 import signal
 import subprocess
@@ -16,8 +15,8 @@ import pytest
 
 from tests.experiment_runner.loggers.programs import PROGRAMS, PROJECT, Shown, prepare, settings
 from tests.forked import BIN
+from tests.pages import DOCS, blocks, run_block
 from tests.system.runs import start
-from tests.system.test_experiments_doc import BLOCK, TEXT
 
 pytestmark = pytest.mark.slow
 
@@ -105,19 +104,16 @@ def test_run_in_progress_is_sent_however_often_the_streaming_is_killed(program: 
     check(program, run)
 
 
-def test_text_can_be_followed(tmp_path: Path) -> None:
+def test_text_can_be_followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in PROGRAMS:
         pytest.importorskip(name)
     with start(
         "--env", "mines", "--agent", "sarsa", "--episodes", 20, "--out", "runs/first", cwd=tmp_path
     ) as run:
         run.communicate(timeout=60)
-    (block,) = (each for each in BLOCK.finditer(TEXT) if "loggers" in each["note"])
-    path = os.pathsep.join([str(BIN), os.environ["PATH"]])
-    env = {**os.environ, "PATH": path, "TRACKIO_DIR": str(tmp_path / "trackio")}
-    done = subprocess.run(
-        ["bash", "-euc", block["body"]], cwd=tmp_path, env=env, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+    monkeypatch.setenv("TRACKIO_DIR", str(tmp_path / "trackio"))
+    page = (DOCS / "experiments.md").read_text("utf-8")
+    (block,) = (block for block in blocks(page) if "loggers" in block.note)
+    done = run_block(block, tmp_path)
     assert done.stderr.count("sent 20 episodes of runs/first") == 4
     assert done.stdout == ""

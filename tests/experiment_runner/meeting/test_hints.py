@@ -10,11 +10,10 @@ BOTH = frozenset({Role.AGENT, Role.ENVIRONMENT})
 
 def test_player_that_starts_by_itself_is_mentioned_once() -> None:
     lines: list[str] = []
-    hints = Hints(lines.append, "tcp://127.0.0.1:9", "a", BOTH, warnings=["anyone can join"])
+    hints = Hints(lines.append, "tcp://127.0.0.1:9", "a", BOTH)
     for missing in (BOTH, {Role.AGENT}, BOTH):
         hints.show(missing)
-    expected = ["waiting for the agent to start", "waiting for the environment to start", "anyone can join"]
-    assert lines == expected
+    assert lines == ["waiting for the agent to start", "waiting for the environment to start"]
 
 
 def test_command_for_a_player_from_outside_is_repeated() -> None:

@@ -78,7 +78,7 @@ def test_long_words_are_never_broken_nor_rows_merged() -> None:
 
 
 def test_control_characters_do_not_reach_the_terminal() -> None:
-    assert format_table(("a", "b"), [("x\x1b[2J\ny", "1\r2")]) == "a          b\nx [2J y  1 2"
+    assert format_table(("a", "b"), [("x\x1b[2J\ny", "1\r2")]) == "a           b\nx?[2J y  1 2"
 
 
 def test_table_and_summary_are_of_all_episodes_and_of_the_last(store: Store) -> None:

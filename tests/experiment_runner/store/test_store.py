@@ -625,7 +625,7 @@ def test_run_in_a_read_only_directory_is_read_but_not_written(open_folder: Path,
     with without_write_permission(directory):
         with Results.open(directory) as results:
             assert results.episodes(FIRST) == [result(1)]
-        with pytest.raises(ExperimentError, match=r"cannot open .*: Permission denied|in use"):
+        with pytest.raises(ExperimentError, match=r"cannot write .*lock: Permission denied|in use"):
             Store.open(directory)
     store.close()
 

@@ -37,7 +37,7 @@ class Page:
     def __init__(self, end: Callable[[signal.Signals], int], url: str) -> None:
         self._end = end
         self.url = url
-        found = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/\?token=([\w-]{20,})", url)
+        found = re.fullmatch(r"http://127\.0\.0\.1:(\d+)/\?token=([\w-]{20,})(?:#/\w+/\w+)?", url)
         assert found, url
         self.port, self.token = int(found[1]), found[2]
         self.cookie = ""

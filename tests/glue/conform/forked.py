@@ -17,6 +17,13 @@ ENDS = [("tcp", False), ("ipc", True), ("ipc", False), ("tcp", True)]
 """Transports, each with plain sockets or with libzmq."""
 
 
+WAIT = 60.0
+"""Seconds to wait for a message that will come; generous, as machines are busy."""
+
+QUIET = 0.02
+"""Seconds without a message after which a client that is right is known to be silent."""
+
+
 class Judged(Recorded):
     """A client to judge: a function in a process of its own."""
 

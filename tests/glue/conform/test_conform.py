@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -21,11 +20,11 @@ from glue.types import Action, Observation
 from glue.wire.messages import THREE_ROLES, Role
 from tests.glue.conform.forked import served, wrong
 from tests.glue.conform.wrong import FAULTS
+from tests.pages import DOCS, anchors
 
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[3]
-DOCS = ROOT / "docs"
 
 
 @pytest.mark.parametrize(
@@ -64,13 +63,9 @@ def test_a_script_is_replayed_by_its_seed() -> None:
 
 
 def test_every_rule_stands_in_the_protocol() -> None:
-    text = (DOCS / "protocol.md").read_text(encoding="utf-8")
-    headings = re.findall(r"^#+ (.*)$", text, re.MULTILINE)
-    anchors = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
-
     for role in THREE_ROLES:
         rules = rules_of(role)
-        assert {rule.section for rule in rules} <= anchors
+        assert {rule.section for rule in rules} <= anchors(DOCS / "protocol-reference.md")
         assert len({rule.name for rule in rules}) == len(rules) > 30
 
 
@@ -156,7 +151,7 @@ def test_the_command_prints_json_and_writes_a_scorecard(tmp_path: Path) -> None:
     plays = {rule.name for rule in rules_of(Role.AGENT, Tier.PLAYS)}
     assert (done.returncode, found["tiers"]) == (0, {"plays": True})
     assert {rule["name"] for rule in found["rules"] if rule["outcome"] == "passed"} == plays
-    assert all(f"| [{name}](docs/protocol.md#" in card.read_text() for name in plays)
+    assert all(f"| [{name}](docs/protocol-reference.md#" in card.read_text() for name in plays)
     assert "| plays | yes |" in card.read_text()
     assert f"wrote {card}" in done.stderr
 

@@ -12,7 +12,7 @@ from glue.conform.judge import Outcome, judge
 from glue.conform.report import line
 from glue.wire.messages import THREE_ROLES, Role
 from tests.cc import compiled
-from tests.glue.conform.forked import ENDS, mirror, slow_to_close
+from tests.glue.conform.forked import ENDS, QUIET, WAIT, mirror, slow_to_close
 from tests.proof import size
 
 pytestmark = pytest.mark.slow
@@ -24,7 +24,7 @@ EXAMPLE = Path(__file__).parents[3] / "docs/examples/c/mirror.c"
 @pytest.mark.parametrize("role", THREE_ROLES)
 @pytest.mark.parametrize(("transport", "libzmq"), size(ENDS[:1], ENDS))
 def test_our_own_clients_keep_every_rule(role: Role, transport: str, libzmq: bool) -> None:
-    verdicts = judge(role, mirror(role, libzmq), transport=transport, wait=20)
+    verdicts = judge(role, mirror(role, libzmq), transport=transport, wait=WAIT, quiet=QUIET)
 
     unjudged = {verdict.rule.name for verdict in verdicts if verdict.outcome is Outcome.NOT_JUDGED}
     assert unjudged <= {"idle", "batch"}
@@ -33,7 +33,7 @@ def test_our_own_clients_keep_every_rule(role: Role, transport: str, libzmq: boo
 
 def test_a_client_that_reconnects_while_it_ends_is_judged_by_its_end() -> None:
     start = slow_to_close(Role.EXPERIMENT)
-    (verdict,) = judge(Role.EXPERIMENT, start, transport="ipc", wait=20, only={"malformed-bodies"})
+    (verdict,) = judge(Role.EXPERIMENT, start, transport="ipc", wait=WAIT, only={"malformed-bodies"})
 
     assert verdict.outcome is Outcome.PASSED, line(verdict)
 
@@ -46,7 +46,7 @@ def c_mirror(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.proof
 @pytest.mark.parametrize("transport", size(["ipc"], ["tcp", "ipc"]))
 def test_the_example_in_c_keeps_every_rule(c_mirror: Path, transport: str) -> None:
-    verdicts = judge(Role.AGENT, starter([str(c_mirror)]), transport=transport, wait=20)
+    verdicts = judge(Role.AGENT, starter([str(c_mirror)]), transport=transport, wait=WAIT, quiet=QUIET)
 
     unkept = [v for v in verdicts if v.outcome is not Outcome.PASSED and v.rule.level is not Requirement.MAY]
     assert [line(verdict) for verdict in unkept] == []

@@ -1,6 +1,6 @@
 """A mirror with one fault: the mistakes of client authors, one at a time.
 
-It shares only the examples of docs/protocol.md with the clients of this project.
+It shares only the examples of docs/protocol-reference.md with the clients of this project.
 """
 
 from __future__ import annotations

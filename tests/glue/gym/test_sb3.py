@@ -17,6 +17,7 @@ from glue import local, make, make_agent
 from glue.errors import ConfigError, PeerFailed
 from tests.forked import run
 from tests.hubs import hub_with
+from tests.pages import blocks
 
 sb3: Any = pytest.importorskip("stable_baselines3", reason="needs Stable-Baselines3: the extra sb3")
 gymnasium: Any = pytest.importorskip("gymnasium")
@@ -70,7 +71,7 @@ def test_a_mario_that_dies_is_not_truncated() -> None:
 
 
 def test_the_documented_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (example,) = re.findall(r"```python\n(import gymnasium\n.*?)```", PAGE, re.DOTALL)
+    (example,) = (body for _, _, body in blocks(PAGE, "python") if body.startswith("import gymnasium\n"))
     monkeypatch.chdir(tmp_path)
     exec(example.replace("200_000", "1"), {})
     assert (tmp_path / "model.zip").is_file()

@@ -67,7 +67,7 @@ def test_agent_that_cannot_load_and_file_that_cannot_be_read_are_refused(tmp_pat
 def test_file_of_more_than_a_gibibyte_is_not_read(tmp_path: Path) -> None:
     with (tmp_path / "huge.agent").open("wb") as huge:
         huge.truncate(2**30 + 1)  # a sparse file
-    with pytest.raises(ConfigError, match="larger than 1073741824 bytes"):
+    with pytest.raises(ConfigError, match="more than 1,073,741,824 bytes"):
         load_trained(SarsaAgent(), tmp_path / "huge.agent")
 
 

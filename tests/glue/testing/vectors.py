@@ -1,7 +1,8 @@
 """Make glue/testing/vectors.json: messages and bytes with which a client in any language checks its codec.
 
-`make vectors` runs this program. The messages are the examples of docs/protocol.md, and others of the same
-shapes; docs/clients.md says what each entry means. A test compares the file with this program's output.
+`make vectors` runs this program. The messages are the examples of docs/protocol-reference.md, and others of
+the same shapes; docs/clients.md says what each entry means. A test compares the file with this program's
+output.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ Document = dict[str, Any]
 
 
 def documents() -> Iterator[Document]:
-    """Yield every example of docs/protocol.md, then the values that clients get wrong."""
+    """Yield every example of docs/protocol-reference.md, then the values that clients get wrong."""
     for example in EXAMPLES:
         message = decode(example.frames, example.shapes)
         yield message_document(str(example), example.sender, example.receiver, message, example.frames)

@@ -1,21 +1,16 @@
-"""The examples of docs/protocol.md: the meaning and the bytes of every message."""
+"""The examples of docs/protocol-reference.md: the meaning and the bytes of every message."""
 
 from __future__ import annotations
 
 import json
 import re
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from glue.wire.codec import FROM_HUB, TO_HUB
 from glue.wire.messages import Kind
+from tests.pages import DOCS, blocks
 
-DOCS: Final = Path(__file__).parents[3] / "docs"
-TEXT: Final = (DOCS / "protocol.md").read_text(encoding="utf-8")
-
-
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```$", TEXT, re.MULTILINE | re.DOTALL)
+TEXT: Final = (DOCS / "protocol-reference.md").read_text(encoding="utf-8")
 
 
 class Example(NamedTuple):
@@ -60,4 +55,4 @@ def read_array(text: str) -> list[Any]:
     return [binaries.pop(0) if value is None and binaries else value for value in values]
 
 
-EXAMPLES: Final = [read_example(block) for block in blocks("message")]
+EXAMPLES: Final = [read_example(block) for _, _, block in blocks(TEXT, "message")]

@@ -1,4 +1,4 @@
-"""docs/protocol.md agrees with the program: its examples to the byte, its tables, its limits."""
+"""docs/protocol-reference.md agrees with the program: its examples to the byte, its tables, its limits."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ from glue.wire.messages import (
     Scalar,
     Shape,
 )
-from tests.glue.wire.examples import DOCS, EXAMPLES, TEXT, Example, blocks
+from tests.glue.wire.examples import EXAMPLES, TEXT, Example
+from tests.pages import DOCS, blocks, rows, section
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.scripted.peer import ScriptedPeer, framed
 
@@ -128,7 +129,7 @@ def test_every_kind_has_an_example_in_every_direction() -> None:
 
 
 def test_the_example_of_a_body_is_right() -> None:
-    block, *_ = blocks("body")
+    (_, _, block), *_ = blocks(TEXT, "body")
     lines = [line.partition(";") for line in block.splitlines()]
     body = b"".join(bytes.fromhex(data) for data, _, _ in lines)
 
@@ -137,8 +138,8 @@ def test_the_example_of_a_body_is_right() -> None:
 
 
 def test_code_in_the_text_is_that_of_the_examples() -> None:
-    (c,) = blocks("c")
-    (javascript,) = blocks("js")
+    ((_, _, c),) = blocks(TEXT, "c")
+    ((_, _, javascript),) = blocks(TEXT, "js")
 
     assert c in (DOCS / "examples/c/peer.h").read_text()
     assert javascript in (DOCS.parent / "clients/javascript/src/body.js").read_text()
@@ -180,13 +181,13 @@ def call_row(kind: Kind) -> list[str]:
 def test_tables_of_the_players_calls_are_those_of_the_program() -> None:
     environment, agent = tables(*KINDS_HEAD, "capability")
 
-    for rows, role in ((environment, Role.ENVIRONMENT), (agent, Role.AGENT)):
+    for lines, role in ((environment, Role.ENVIRONMENT), (agent, Role.AGENT)):
         expected = [
             [*call_row(kind), f"`{call.capability}`" if call.capability else NOTHING]
             for kind, call in CALLS.items()
             if call.callee is role
         ]
-        assert sorted(rows) == sorted(expected)
+        assert sorted(lines) == sorted(expected)
 
 
 def test_table_of_the_experiments_requests_is_that_of_the_program() -> None:
@@ -244,8 +245,8 @@ def test_what_only_the_hub_sends_is_refused_from_a_peer() -> None:
 def test_tables_of_scalars_of_the_greeting_are_complete() -> None:
     hello, welcome = tables("scalar", "meaning")
 
-    for rows, kind in ((hello, Kind.HELLO), (welcome, Kind.WELCOME)):
-        assert [row[0].strip("`") for row in rows] == [scalar.name for scalar in CONTROL[kind].scalars]
+    for lines, kind in ((hello, Kind.HELLO), (welcome, Kind.WELCOME)):
+        assert [row[0].strip("`") for row in lines] == [scalar.name for scalar in CONTROL[kind].scalars]
 
 
 def test_table_of_errors_is_that_of_the_program() -> None:
@@ -401,7 +402,7 @@ def test_episodes_of_the_worked_table_come_out_as_said() -> None:
 
 def test_zmtp_of_the_appendix_is_understood_by_a_hub() -> None:
     parts = []
-    for block in blocks("zmtp"):
+    for _, _, block in blocks(TEXT, "zmtp"):
         parts.append(b"".join(bytes.fromhex(line.partition(";")[0]) for line in block.splitlines()))
     greeting, ready, ping, pong = parts
     (greeted,) = next(e.frames for e in EXAMPLES if e.kind is Kind.HELLO)
@@ -424,20 +425,33 @@ def test_zmtp_of_the_appendix_is_understood_by_a_hub() -> None:
     assert decode((messages[0],), FROM_HUB).kind is Kind.WELCOME
 
 
-def test_links_lead_somewhere() -> None:
-    headings = re.findall(r"^#+ (.*)$", TEXT, re.MULTILINE)
-    anchors = {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+# --- The first page -----------------------------------------------------------------------------------
 
-    for target in re.findall(r"\]\(([^)]+)\)", TEXT):
-        if target.startswith("#"):
-            assert target[1:] in anchors
-        elif "://" not in target:
-            assert (DOCS / target).exists()
+FIRST: Final = (DOCS / "protocol.md").read_text(encoding="utf-8")
+
+
+def test_first_page_is_short() -> None:
+    assert len(FIRST.split()) <= 1500
+
+
+def test_first_page_shows_blocks_and_calls_of_the_reference() -> None:
+    assert {*blocks(FIRST, "body", "message")} <= {*blocks(TEXT, "body", "message")}
+    for callee in (Role.AGENT, Role.ENVIRONMENT):
+        basic = {
+            (str(kind.value), kind.name)
+            for kind, call in CALLS.items()
+            if call.callee is callee and not call.capability
+        }
+        shown = rows(section(FIRST, f"The calls of an {callee}"), "| code |")
+        assert {(code, name) for code, name, *_ in shown} == basic
+    shown = rows(section(FIRST, "Greeting"), "| code |")
+    assert all(Kind(int(code)).name == name for code, name, *_ in shown)
+    for _, name, scalars, _ in shown:
+        assert [*filter(None, scalars.split(", "))] == [scalar.name for scalar in CONTROL[Kind[name]].scalars]
 
 
 def test_steps_to_build_an_agent_name_the_right_codes() -> None:
-    section = TEXT.partition("## What to build first")[2].partition("\n## ")[0]
-    named = re.findall(r"\b(\d+) \(([A-Z_]+)\)", section)
+    named = re.findall(r"\b(\d+) \(([A-Z_]+)\)", section(FIRST, "What to build first"))
 
     assert len(named) > 8
     assert all(Kind(int(code)).name == name for code, name in named)

@@ -144,7 +144,7 @@ def test_an_original_agent_that_connects_before_there_is_a_hub_joins_the_first_t
     options = HubOptions(bind=("tcp://127.0.0.1:*",), legacy=(port,))
     plan = Plan(episodes=1, trials=2, environments=(RoleSweep("skeleton"),))
     lines: list[str] = []
-    with listening(plan, Meeting(hub=options)) as meeting, ThreadPoolExecutor() as pool:
+    with listening(plan, Meeting(hub=options), lines.append) as meeting, ThreadPoolExecutor() as pool:
         number = meeting.opened_legacy[port].port
         for spec in plan.expand():
             agent = pool.submit(play_skeleton, number, "c")

@@ -17,13 +17,14 @@ from glue.legacy import bodies, codec, pending
 from glue.legacy.experiment import READ_AHEAD
 from glue.roles import Agent
 from glue.types import Action, Observation
+from tests.pages import DOCS, section
 from tests.players import ScriptedAgent, ScriptedEnvironment
 from tests.system.conformance import MirrorAgent
 from tests.system.legacy.legacy_client import STYLES, Connection, Id
 from tests.system.legacy.legacy_rig import free_ports, gateway, play_agent
 from tests.terminal import Terminal
 
-TEXT = (Path(__file__).parents[3] / "docs" / "legacy.md").read_text(encoding="utf-8")
+TEXT = (DOCS / "legacy.md").read_text(encoding="utf-8")
 COMMANDS: dict[str, click.Command] = {"glue-hub": hub, "glue-experiment": experiment}
 TIME = r"[\d-]+ [\d:]+"
 NUMBER = r"\d+"
@@ -63,12 +64,6 @@ def test_the_refused_ids_are_none_of_ours() -> None:
     assert not refused & {int(kind) for vocabulary in spoken for kind in vocabulary}
 
 
-def section(title: str) -> str:
-    """Return the text of a section, up to the next heading of any level."""
-    (found,) = re.findall(rf"^##+ {re.escape(title)}\n(.*?)(?=^#|\Z)", TEXT, re.MULTILINE | re.DOTALL)
-    return str(found)
-
-
 def anonymous(line: str) -> str:
     """Return a line of the log with the client's port replaced by that of the document."""
     return re.sub(r"127\.0\.0\.1:\d+ \(", "127.0.0.1:41360 (", line)
@@ -82,7 +77,7 @@ def test_the_log_looks_as_shown() -> None:
         agent.close()
         rig.log.wait_for("closed its connection")
     shown = re.findall(
-        rf"^    {TIME} (session .*)$", section("What differs from the original server"), re.MULTILINE
+        rf"^    {TIME} (session .*)$", section(TEXT, "What differs from the original server"), re.MULTILINE
     )
     assert [anonymous(line) for line in str(rig.log).splitlines()] == shown
 
@@ -101,8 +96,9 @@ class Runner(Agent):
         return Action([1, 0, 1])
 
 
+@pytest.mark.stage("docs")
 def test_the_mixed_example_runs_as_shown(tmp_path: Path) -> None:
-    text = section("An example: an original agent on our Mario")
+    text = section(TEXT, "An example: an original agent on our Mario")
     first, second, alone = re.findall(r"^    \$ (glue-.*)$", text, re.MULTILINE)
     ours, default, b = free_ports(3)
     here = {"4097": ours, "4096": default, "5096": b}

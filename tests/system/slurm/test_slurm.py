@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from experiment_runner.store.results import Results
+from tests.pages import DOCS, blocks, run_block
 from tests.system.runs import COMMAND, SLOW_AGENT, contents, run
 from tests.system.slurm.cluster import slurm_cluster, wait_for
-from tests.system.test_experiments_doc import BLOCK, TEXT
 from tests.system.test_workers import FAULTY, MINES, SARSA
 
 pytestmark = pytest.mark.slow
@@ -147,20 +145,11 @@ def test_an_option_that_slurm_refuses_leaves_the_run_to_be_submitted_again(tmp_p
 
 
 def test_text_can_be_followed(tmp_path: Path) -> None:
-    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
-    for block in BLOCK.finditer(TEXT):
-        if block["note"] == "file: sweep.toml":
-            (tmp_path / "sweep.toml").write_text(block["body"].replace("episodes = 200", "episodes = 20"))
-        elif block["note"] == "runs in the tests, where SLURM is installed":
-            done = subprocess.run(
-                ["bash", "-euc", block["body"]],
-                cwd=tmp_path,
-                env={**os.environ, "PATH": path},
-                capture_output=True,
-                text=True,
-                timeout=60,
-            )
-            assert done.returncode == 0, done.stderr
+    for block in blocks((DOCS / "experiments.md").read_text("utf-8")):
+        if block.file == "sweep.toml":
+            (tmp_path / block.file).write_text(block.body.replace("episodes = 200", "episodes = 20"))
+        elif "SLURM" in block.note:
+            run_block(block, tmp_path)
             wait_for(lambda: not queue())
     assert finished(tmp_path / "runs" / "slurm"), log(tmp_path / "runs" / "slurm")
 

@@ -15,7 +15,7 @@ constexpr std::size_t kMaxBody = 16777216;
 constexpr std::size_t kMaxSession = 255;
 constexpr std::uint64_t kCutOff = 2;  // as a terminal
 
-/// The codes of docs/protocol.md, "Every kind of message".
+/// The codes of docs/protocol-reference.md, "Every kind of message".
 enum Kind : std::uint64_t {
   kAgentInit = 4,
   kAgentStart = 5,

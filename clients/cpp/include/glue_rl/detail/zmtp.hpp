@@ -15,7 +15,7 @@
 
 namespace glue_rl::detail {
 
-/// ZMTP 3.1 with the mechanism NULL: the last appendix of docs/protocol.md. Bytes, no sockets.
+/// ZMTP 3.1 with the mechanism NULL: the last appendix of docs/protocol-reference.md. Bytes, no sockets.
 namespace zmtp {
 
 constexpr unsigned kMore = 1;

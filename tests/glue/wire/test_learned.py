@@ -1,0 +1,272 @@
+"""A stream that has learned the steps of its sessions reads exactly as one that has not.
+
+Each case is a random conversation, most of it steps, in any encoding and with any fault, received in any
+pieces by both streams. They must report the same events after each piece.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+from random import Random
+
+import pytest
+
+from glue.doors import chance
+from glue.errors import RemoteProtocolError
+from glue.types import CUT_OFF
+from glue.wire import zmtp
+from glue.wire.codec import FROM_HUB, TO_HUB, UnknownKind, encode
+from glue.wire.curve import CurveClient, CurveServer, public_key
+from glue.wire.frames import COMMAND, LONG, LONG_HEAD, MORE, head
+from glue.wire.messages import Kind, Message, Value
+from glue.wire.stream import Malformed, Stream
+from tests.proof import size
+
+SESSIONS = ("s", "t", "", "n" * 31, "n" * 32, "ä" * 15, "unknown")
+"""Names of sessions; the last one is never learned."""
+
+LARGEST = 2**12
+"""The streams' `max_body`, in bytes."""
+
+SECRET = bytes(range(32))
+_ENCRYPTED_COMMAND = 2
+"""The flag of a command inside an encrypted frame."""
+
+PING = b"\x04PING\0\0context"
+
+
+@dataclass
+class Line:
+    """Both ends of a connection: the sender's encoding of frames, and the receiver.
+
+    Args:
+        from_hub: whether the receiver is a peer.
+        keyed: whether the connection is encrypted.
+    """
+
+    from_hub: bool
+    keyed: bool
+
+    def __post_init__(self) -> None:
+        server, client = None, None
+        if self.keyed:
+            server = CurveServer(SECRET, lambda client: True)
+            client = CurveClient(public_key(SECRET), SECRET, public_key(SECRET))
+        hub = Stream(zmtp.ROUTER, LARGEST + 4096, LARGEST, server)
+        peer = Stream(zmtp.DEALER, LARGEST + 4096, LARGEST, client)
+        greetings = (zmtp.CURVE_GREETING, zmtp.CURVE_CLIENT_GREETING) if self.keyed else (zmtp.GREETING,) * 2
+        sent = {id(peer): greetings[0], id(hub): greetings[1]}
+        while sent[id(hub)] or sent[id(peer)]:
+            for one, other in ((hub, peer), (peer, hub)):
+                data, sent[id(one)] = sent[id(one)], b""
+                one.receive_data(data)
+                while (event := one.next_event()) is not None:
+                    assert isinstance(event, bytes)
+                    sent[id(other)] += event
+        assert hub.ready
+        assert peer.ready
+        self.receiver = peer if self.from_hub else hub
+        self.mechanism = server if self.from_hub else client
+
+    def learn(self, kind: Kind, sessions: Sequence[str]) -> None:
+        """Let the receiver learn the formats of steps in some sessions."""
+        for session in sessions:
+            self.receiver.encode(Message(kind, session, 1, scalars_of(kind, not self.from_hub), bytes(16)))
+
+    def encoded(self, random: Random, frames: Sequence[bytes], flags: int = 0) -> bytes:
+        """Return the bytes of a message, perhaps in an encoding that this project does not write."""
+        if self.mechanism is not None:
+            return self.mechanism.encode(frames, _ENCRYPTED_COMMAND if flags == COMMAND else flags)
+        parts = []
+        for left, frame in zip(range(len(frames))[::-1], frames, strict=True):
+            more = MORE if left else flags
+            long = random.random() < 0.05
+            parts.append(LONG_HEAD.pack(more | LONG, len(frame)) if long else head(more, len(frame)))
+            parts.append(frame)
+        return b"".join(parts)
+
+
+def scalars_of(kind: Kind, from_hub: bool, reward: float = 1.0, terminal: Value = False) -> tuple[Value, ...]:
+    """Return the scalars of a step."""
+    if kind is Kind.ENV_STEP:
+        return () if from_hub else (reward, terminal)
+    return (reward,) if from_hub else ()
+
+
+def wholes(number: int) -> list[bytes]:
+    """Return a whole number in each of msgpack's forms, the shortest first."""
+    forms = [(0xCC, "B", 8), (0xCD, "H", 16), (0xCE, "I", 32), (0xCF, "Q", 64), (0xD3, "q", 63)]
+    found = [struct.pack(">B" + form, first, number) for first, form, bits in forms if number < 2**bits]
+    return [bytes([number]), *found] if number < 128 else found
+
+
+def texts(name: bytes) -> list[bytes]:
+    """Return a text in each of msgpack's forms, the shortest first."""
+    forms = [bytes((0xD9, len(name))) + name, struct.pack(">BH", 0xDA, len(name)) + name]
+    return [bytes((0xA0 | len(name),)) + name, *forms] if len(name) < 32 else forms
+
+
+def values(value: Value) -> list[bytes]:
+    """Return a reward or a terminal in each form that a reader accepts, the usual one first."""
+    if type(value) is bool:
+        return [bytes([0xC2 + value]), bytes([value]), bytes([0xCC, value])]
+    if type(value) is not float:
+        return [bytes([CUT_OFF])]
+    exact = [struct.pack(">Bf", 0xCA, value), *wholes(int(value))] if value == 1 or value == 0 else []
+    return [struct.pack(">Bd", 0xCB, value), *exact]
+
+
+def oddly(random: Random, message: Message) -> bytes:
+    """Return a header of which one part, or every one, is encoded in any way that the protocol allows."""
+    count = 3 + len(message.scalars)
+    parts = [
+        [bytes((0x90 | count,)), struct.pack(">BH", 0xDC, count)],
+        wholes(message.kind),
+        texts(message.session.encode()),
+        wholes(message.seq),
+        *map(values, message.scalars),
+    ]
+    odd = random.choice([*range(len(parts)), None])
+    return b"".join(
+        random.choice(forms) if odd is None or odd == at else forms[0] for at, forms in enumerate(parts)
+    )
+
+
+def body_of(random: Random, shape: tuple[int, int, int]) -> bytes:
+    ints, doubles, chars = shape
+    return struct.pack("<4I", ints, doubles, chars, 0) + random.randbytes(4 * ints + 8 * doubles + chars)
+
+
+ODDITIES = ["encoding", "encoding", "body", "body", "other", "frames", "header", "again", "ping", "flags"]
+NUMBERS = [0, 1, 120, 127, 128, 250, 256, 2**16 - 2, 2**16, 2**32 - 2, 2**32, 2**63 - 20]
+SHAPES = [
+    (1, 0, 0),
+    (0, 0, 0),
+    (2, 1, 3),
+    (0, 3, 0),
+    (60, 0, 0),
+    (0, 29, 7),
+    (0, 0, 240),
+    (5, 1, 300),
+    (0, 0, LARGEST - 16),
+    (0, 0, LARGEST - 15),
+]
+
+
+def step(
+    random: Random, kind: Kind, from_hub: bool, session: str, number: int, shape: tuple[int, int, int]
+) -> Message:
+    reward = random.choice([0.0, -0.0, 1.0, 0.1, float("nan"), float("-inf")])
+    scalars = scalars_of(kind, from_hub, reward, random.choice([False, True, CUT_OFF]))
+    return Message(kind, session, number, scalars, body_of(random, shape))
+
+
+def wrong_body(random: Random, body: bytes) -> bytes:
+    """Return a body whose counts and length disagree, or that is too large."""
+    at = random.randrange(16)
+    changed = body[:at] + bytes([body[at] ^ random.choice([1, 4, 128])]) + body[at + 1 :]
+    return random.choice([body[:-1], body + b"x", body[:15], b"", changed, body + bytes(LARGEST)])
+
+
+def sent(random: Random, line: Line, kind: Kind) -> Iterator[bytes]:
+    """Yield the bytes of the messages of one conversation, most of them steps of a kind."""
+    shapes = FROM_HUB if line.from_hub else TO_HUB
+    sessions = random.sample(SESSIONS, random.choice([1, 1, 2, len(SESSIONS)]))
+    usual, oddities = random.choice(SHAPES), random.choice([0.0, 0.1, 0.5])
+    last = b""
+    begin = random.choice([100, 200, 2**16 - 2, 2**32 - 8])
+    for later in range(random.choice([4, 8, 16])):
+        number = begin + later if random.random() < 0.8 else random.choice(NUMBERS)
+        shape = usual if random.random() < 0.7 else random.choice(SHAPES)
+        message = step(random, kind, line.from_hub, random.choice(sessions), number, shape)
+        header, body = encode(message, shapes)
+        frames = [header, body]
+        match random.choice(ODDITIES) if random.random() < oddities else "":
+            case "encoding":
+                frames = [oddly(random, message), body]
+            case "body":
+                frames = [header, wrong_body(random, body)]
+            case "other":
+                beat = encode(Message(Kind.HEARTBEAT, message.session, message.seq), shapes)
+                unknown = bytes((0x93, 99, 0xA1, 0x73, 5))
+                frames = random.choice([list(beat), [unknown], [unknown, b"x"]])
+            case "frames":
+                frames = random.choice([[header], frames * 2, [*frames, b""], [b""]])
+            case "header":
+                cut = random.randrange(len(header))
+                frames = [random.choice([header[:cut], header + b"\0", random.randbytes(12)]), body]
+            case "again":
+                yield last
+            case "ping":
+                yield line.encoded(random, [PING], COMMAND)
+            case "flags":
+                first = random.choice([b"", header])
+                yield line.encoded(random, [first], random.choice([0, MORE]))
+                yield line.encoded(random, [body], random.choice([0, MORE]))
+        last = line.encoded(random, frames)
+        yield last
+
+
+def pieces(random: Random, messages: Sequence[bytes]) -> Iterator[bytes]:
+    """Yield the messages in pieces in which a network might deliver them, with perhaps a byte changed."""
+    starts = list(accumulate(map(len, messages), initial=0))
+    data = bytearray(b"".join(messages))
+    if random.random() < 0.2:
+        near = random.choice(starts[:-1]) + random.choice([0, 0, 1, 20])
+        at = random.choice([near, random.randrange(len(data))])
+        data[min(at, len(data) - 1)] ^= random.choice([1, 2, 4, 128])
+    some = sorted(random.choices(range(len(data) + 1), k=5))
+    for begin, end in pairwise([0, *random.choice([starts, starts, some, [], range(len(data))]), len(data)]):
+        if begin < end:
+            yield bytes(data[begin:end])
+
+
+def events(stream: Stream, data: bytes) -> list[str]:
+    """Return what a stream reports of `data`: messages, bytes to be sent, and errors."""
+    stream.receive_data(data)
+    found: list[str] = []
+    while True:
+        try:
+            event = stream.next_event()
+        except (Malformed, UnknownKind) as error:
+            found.append(repr(error))
+        except RemoteProtocolError as error:
+            return [*found, f"the end: {error!r}"]
+        else:
+            if event is None:
+                return found
+            if event:
+                found.append(repr(event) if isinstance(event, Message) else f"{len(event)} bytes to be sent")
+
+
+def converse(seed: int) -> None:
+    """Compare two receivers of one conversation, of which one has learned the steps of most sessions."""
+    random = Random(seed)
+    from_hub, keyed = random.random() < 0.5, random.random() < 0.5
+    lines = []
+    for _ in range(2):
+        with pytest.MonkeyPatch.context() as patched:
+            patched.setattr(chance, "random_bytes", Random(seed).randbytes)  # the same keys for both
+            lines.append(Line(from_hub, keyed))
+    plain, learned = lines
+    kind = random.choice([Kind.ENV_STEP, Kind.AGENT_STEP])
+    learned.learn(kind, SESSIONS[: random.randrange(1, len(SESSIONS))])
+    for piece in pieces(random, list(sent(random, plain, kind))):
+        if random.random() < 0.1:
+            plain.receiver.max_body = learned.receiver.max_body = random.choice([100, LARGEST])
+        expected = events(plain.receiver, piece)
+        assert events(learned.receiver, piece) == expected
+        if expected and expected[-1].startswith("the end"):
+            return
+        assert learned.receiver.buffered == plain.receiver.buffered
+
+
+def test_what_a_stream_has_learned_changes_nothing() -> None:
+    for seed in range(size(400, 50_000)):
+        try:
+            converse(seed)
+        except Exception as error:
+            raise AssertionError(f"conversation {seed}: {error}") from error

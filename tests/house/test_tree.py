@@ -1,0 +1,193 @@
+"""The rules for imports and dependencies: one test per rule, over all modules."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Final
+
+from tests.house.imports import MAY_IMPORT, PACKAGES, ROOT, below, files_of, modules, unit
+
+NOWHERE: Final = ()
+
+GLOBAL_SEEDS: Final = "glue/global_seeds.py"
+"""The module that seeds the global generators, for users' players that draw from them."""
+
+HOMES: Final[Mapping[str, Sequence[str]]] = {
+    "zmq": ["glue/client/libzmq.py"],
+    "nacl": ["glue/wire/curve.py", "glue/keys/signing.py"],
+    "msgpack": ["glue/wire/*", "experiment_runner/executors/job.py"],
+    "msgspec": ["experiment_runner/executors/job.py", "experiment_runner/store/readings.py"],
+    "numba": ["glue/compiled/jit.py", "glue/compiled/threads.py"],
+    "docker": ["experiment_runner/competition/containers.py"],
+    "requests": ["experiment_runner/competition/containers.py"],
+    "click": ["*/cli/*", "glue/plugins/naming.py"],
+    "matplotlib": ["experiment_runner/report/*", "experiment_runner/study/paper/figures.py"],
+    "PIL": ["env_server/render/*"],
+    "imageio_ffmpeg": ["env_server/render/*"],
+    "sqlite3": ["experiment_runner/store/*"],
+    "pyarrow": ["experiment_runner/store/*", "env_server/datasets/*"],
+    "minari": ["env_server/datasets/*"],
+    **{key: ["experiment_runner/loggers/*"] for key in ("mlflow", "tensorboard", "trackio", "wandb")},
+    "optuna": ["experiment_runner/executors/samplers.py"],
+    "scipy": ["experiment_runner/analysis/*"],
+    "soar_sml": ["agents/soar/kernel.py"],
+    "ray": ["experiment_runner/executors/*"],
+    "gymnasium": ["glue/gym/*", "env_server/gym/*", "env_server/datasets/*", "agents/ppo.py"],
+    "stable_baselines3": ["glue/gym/sb3.py"],
+    "torch": ["agents/ppo.py", "experiment_runner/study/generalisation/imitation.py"],
+    "starlette": ["experiment_runner/view/*"],
+    "uvicorn": ["experiment_runner/view/server.py", "experiment_runner/view/connections.py"],
+    # Peers and files are not trusted.
+    **dict.fromkeys(("pickle", "marshal", "shelve", "eval()", "exec()", "compile()"), NOWHERE),
+    # Every random choice comes from a generator that was handed over.
+    **dict.fromkeys(("random", "np.random.*"), (GLOBAL_SEEDS,)),
+    # Libraries name settings by their Python names; these show or start commands, or are programs themselves.
+    "--option": [
+        "*/cli/*",
+        "agents/ppo.py",
+        "agents/soar/*",
+        "experiment_runner/competition/containers.py",
+        "experiment_runner/meeting/children.py",
+        "experiment_runner/meeting/hints.py",
+        "experiment_runner/plan/provenance.py",
+        "experiment_runner/view/starting.py",
+        "experiment_runner/slurm/batch.py",
+        "experiment_runner/study/generalisation/imitation.py",
+        "glue/conform/hub/mirror.py",
+        "glue/plugins/naming.py",
+    ],
+    # Only a command line reads its settings from the environment.
+    **dict.fromkeys(
+        ("os.environ", "os.environb", "os.getenv"),
+        (
+            "*/cli/*",
+            "env_server/gym/rendering.py",  # is there a screen?
+            "experiment_runner/competition/containers.py",  # DOCKER_HOST
+            "experiment_runner/competition/programs.py",  # passes it on
+            "experiment_runner/meeting/children.py",  # PYTHONBREAKPOINT
+            "glue/client/target.py",  # documented to read GLUE_HUB and others
+            "glue/conform/hub/clients.py",  # passes it on
+        ),
+    ),
+}
+"""Files that may import a module, or use a name. All other code uses it through these files."""
+
+DOORS: Final[Mapping[str, Sequence[str]]] = {
+    "time": ["glue/doors/clock.py"],
+    "os.sched_yield": ["glue/doors/clock.py"],
+    "socket": ["glue/doors/network.py"],
+    "select": ["glue/doors/network.py"],
+    "selectors": ["glue/doors/network.py"],
+    "secrets": ["glue/doors/chance.py"],
+    "os.urandom": ["glue/doors/chance.py"],
+    # The other is a thread that watches for signals during compilation, which a simulation does not do.
+    "threading": ["glue/doors/threads.py", "glue/compiled/jit.py"],
+}
+"""The files of `glue` that may use these: tests/simulation replaces the doors."""
+
+PURE: Final = ("glue", "glue/engine", "glue/hub", "glue/wire", "glue/taskspec", "glue/trajectory")
+"""Folders that use no sockets, clocks or threads."""
+
+IMPURE: Final[Mapping[str, Sequence[str]]] = dict.fromkeys(
+    (
+        *("asyncio", "select", "signal", "socket", "subprocess", "threading", "time", "zmq"),
+        *("glue.doors.clock", "glue.doors.network", "glue.doors.threads"),
+    ),
+    NOWHERE,
+)
+
+
+def strays(homes: Mapping[str, Sequence[str]], *units: str) -> list[str]:
+    """Return a line for each module of these units, or of all, that uses something outside its homes."""
+    return [
+        f"{module.file} uses {name}, which is for {', '.join(homes[name]) or 'nobody'}"
+        for module in modules()
+        if not units or module.unit in units
+        for name in module.names & homes.keys()
+        if not any(fnmatch(str(module.file), home) for home in homes[name])
+    ]
+
+
+def test_what_has_a_home_is_used_there_alone() -> None:
+    assert strays(HOMES) == []
+
+
+def test_glue_asks_the_system_for_time_network_and_chance_at_one_door_each() -> None:
+    assert strays(DOORS, *(name for name in MAY_IMPORT if name.split("/")[0] == "glue")) == []
+
+
+def test_rules_without_io_see_no_sockets_clocks_or_threads() -> None:
+    assert strays(IMPURE, *PURE) == []
+
+
+def test_every_folder_has_a_line_and_every_line_a_folder() -> None:
+    assert {module.unit for module in modules()} == MAY_IMPORT.keys()
+    assert {name.split("/")[0] for name in MAY_IMPORT} == set(PACKAGES)
+
+
+def test_each_line_names_only_lines_above_it() -> None:
+    seen: set[str] = set()
+    for name, others in MAY_IMPORT.items():
+        assert seen.issuperset(others), f"{name} names a line below its own: there could be a circle"
+        seen.add(name)
+
+
+def test_folders_import_only_whom_they_may() -> None:
+    wrong = {
+        f"{module.file} imports {other}"
+        for module in modules()
+        for other in files_of(module.imported)
+        if unit(other) not in below(module.unit)
+    }
+    assert not wrong
+
+
+def test_environments_and_agents_never_meet_and_need_glue_alone() -> None:
+    for package in ("env_server", "agents"):
+        assert {other.split("/")[0] for other in below(f"{package}/cli")} == {"glue", package}
+
+
+def test_modules_do_not_import_each_other_in_a_circle() -> None:
+    """Only imports at import time count, not those under `if TYPE_CHECKING` or within a function."""
+    edges = {module.file: set(files_of(module.at_import)) for module in modules()}
+    done: set[Path] = set()
+
+    def visit(file: Path, path: tuple[Path, ...]) -> None:
+        assert file not in path, f"a circle: {' -> '.join(map(str, (*path, file)))}"
+        if file not in done:
+            for other in edges[file]:
+                visit(other, (*path, file))
+            done.add(file)
+
+    for file in edges:
+        visit(file, ())
+
+
+def test_every_command_starts_with_the_core_dependencies_alone() -> None:
+    program = """
+import importlib, importlib.metadata, sys
+
+class Missing:
+    "Hides what a plain install does not bring along."
+    def find_spec(self, name, path=None, target=None):
+        if name.partition('.')[0] in {
+            'matplotlib', 'PIL', 'scipy', 'optuna', 'pyarrow', 'gymnasium', 'nacl', 'ray', 'pandas', 'docker',
+            'polars', 'minari', 'rlglue',
+            'requests', 'starlette', 'uvicorn',
+        }:
+            raise ModuleNotFoundError(name)
+
+sys.meta_path.insert(0, Missing())
+commands = importlib.metadata.entry_points(group='console_scripts')
+ours = [point for point in commands if point.name.startswith('glue-')]
+assert len(ours) >= 9, ours
+for point in ours:
+    entry = importlib.import_module(point.module)
+    entry.start = importlib.import_module
+    getattr(entry, point.attr)()
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, cwd=ROOT, timeout=120)
