@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import subprocess
@@ -108,7 +109,12 @@ def reports_of(folder: Path, program: Callable[[str, Path], object]) -> list[Any
         tried.set()
 
     threading.Thread(target=attempt, daemon=True).start()
-    play(match, reports.append, starter_for(entrant), clock=lambda: 2.0 if tried.is_set() else 0.0)
+    ticks = itertools.count()
+
+    def clock() -> float:
+        return float(next(ticks)) if tried.is_set() else 0.0
+
+    play(match, reports.append, starter_for(entrant), clock=clock)
     return reports
 
 
