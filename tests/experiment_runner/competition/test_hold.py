@@ -30,7 +30,7 @@ from glue.trajectory import Ending, TrajectoryReader
 from tests import forked
 from tests.experiment_runner.view.pages import glue_view
 from tests.forked import BIN
-from tests.proof import FULL, size
+from tests.proof import size
 
 pytestmark = pytest.mark.slow
 
@@ -254,8 +254,7 @@ def test_a_directory_that_an_organiser_has_left_open_is_closed(run: Path, held: 
     assert run.stat().st_mode & 0o077 == 0
 
 
-@pytest.mark.skipif(not FULL, reason="proved by `make proof` alone")
-@pytest.mark.proof
+@pytest.mark.stage("kills")
 def test_a_full_disk_is_one_line_and_nothing_recorded_is_lost(tmp_path: Path) -> None:
     """A limit on file sizes simulates the full disk."""
     (tmp_path / "agent.py").write_text(AGENT)
