@@ -8,7 +8,6 @@ docs/security.md names the attack that each setting prevents.
 
 from __future__ import annotations
 
-import random
 import re
 import socket
 from collections.abc import Iterator, Mapping, Sequence
@@ -163,7 +162,7 @@ def own_user() -> Iterator[str]:
     signal to each other by what is left. The socket of the number's name is gone when its process is.
     """
     with socket.socket(socket.AF_UNIX) as taken:
-        for number in random.sample(_USERS, len(_USERS)):
+        for number in _USERS:
             with suppress(OSError):
                 taken.bind(f"\0glue-jail-{number}")
                 break

@@ -6,14 +6,13 @@ the board. An act deletes nothing, and none is taken back.
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
-
-import msgspec
 
 from experiment_runner.store.database import KEPT, reported
 from experiment_runner.store.layout import JOURNAL_FILE
@@ -59,7 +58,7 @@ def act(kind: str, subject: str, reason: str, **more: str) -> Act:
 
 def text_of(acts: Iterable[Act]) -> str:
     """Return the lines of acts."""
-    return "".join(msgspec.json.encode(one).decode() + "\n" for one in acts)
+    return "".join(json.dumps(asdict(one)) + "\n" for one in acts)
 
 
 def content(directory: Path) -> bytes:
@@ -84,9 +83,16 @@ def acts_of(directory: Path) -> list[Act]:
         ExperimentError: the journal cannot be read.
     """
     try:
-        return [msgspec.json.decode(line, type=Act) for line in content(directory).splitlines()]
-    except (msgspec.DecodeError, RecursionError) as error:
+        return [_act_in(line) for line in content(directory).splitlines()]
+    except (ValueError, TypeError, RecursionError) as error:
         raise ExperimentError(f"{directory / JOURNAL_FILE} is not a journal: {error}") from None
+
+
+def _act_in(line: bytes) -> Act:
+    fields = json.loads(line)
+    if not isinstance(fields, dict) or not all(isinstance(value, str) for value in fields.values()):
+        raise ValueError("a line is not an object of texts")
+    return Act(**fields)
 
 
 def append(directory: Path, acts: Iterable[Act]) -> None:
