@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
 from experiment_runner.view.catalog import address_of, run_id
 from experiment_runner.view.curves import Look, Wanted, curves, drawn
-from tests.experiment_runner.view.pages import Page, glue_view
+from tests.experiment_runner.view.pages import Inside
 from tests.system.runs import run as execute
 
 NAME = "<script>alert(1)</script>"
@@ -58,16 +57,14 @@ def store_run(directory: Path, name: str = NAME, all_returns: Any = RETURNS) -> 
 
 
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Page, Path, str]]:
+def shown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Inside, Path, str]:
     directory = tmp_path_factory.mktemp("runs") / "a"
     store_run(directory)
-    with glue_view(directory.parent) as page:
-        (run,) = page.stream("topic=runs").next()["runs"].values()
-        assert run["agents"] == [NAME]
-        yield page, directory, run["id"]
+    page = Inside(directory.parent)
+    return page, directory, page.run_id("a")
 
 
-def curve_of(shown: tuple[Page, Path, str], query: str = "") -> tuple[dict[str, Any], dict[str, Any]]:
+def curve_of(shown: tuple[Inside, Path, str], query: str = "") -> tuple[dict[str, Any], dict[str, Any]]:
     page, _, run_id = shown
     answer = page.ask(f"/api/curves?run={run_id}{query}")
     assert answer.status == 200
@@ -78,7 +75,7 @@ def curve_of(shown: tuple[Page, Path, str], query: str = "") -> tuple[dict[str, 
     return found, curve
 
 
-def test_a_curve_is_that_of_glue_plot(shown: tuple[Page, Path, str]) -> None:
+def test_a_curve_is_that_of_glue_plot(shown: tuple[Inside, Path, str]) -> None:
     found, curve = curve_of(shown)
     assert found["window"] == 60  # a tenth, as in glue-plot
     means = running_mean(RETURNS, 60)
@@ -119,14 +116,14 @@ def test_the_page_begins_with_the_run_or_the_standings_that_it_is_asked_for(tmp_
     assert address_of([tmp_path]) == address_of([tmp_path / "run", tmp_path]) == ""
 
 
-def test_the_table_is_that_of_glue_results(shown: tuple[Page, Path, str]) -> None:
+def test_the_table_is_that_of_glue_results(shown: tuple[Inside, Path, str]) -> None:
     found, _ = curve_of(shown)
     with Results.open(shown[1]) as results:
         assert found["settings"] == as_object(results)["settings"]
 
 
 def test_another_measure_has_its_own_curve_and_axis_beside_the_table_of_returns(
-    shown: tuple[Page, Path, str],
+    shown: tuple[Inside, Path, str],
 ) -> None:
     returns, _ = curve_of(shown)
     found, curve = curve_of(shown, "&measure=steps")
@@ -138,7 +135,7 @@ def test_another_measure_has_its_own_curve_and_axis_beside_the_table_of_returns(
     assert found["settings"] == returns["settings"]
 
 
-def test_a_part_is_shown_with_the_same_numbers_in_more_detail(shown: tuple[Page, Path, str]) -> None:
+def test_a_part_is_shown_with_the_same_numbers_in_more_detail(shown: tuple[Inside, Path, str]) -> None:
     _, whole = curve_of(shown)
     _, part = curve_of(shown, "&from=100&to=200")
     assert part["at"] == list(map(float, range(100, 201)))
@@ -163,7 +160,7 @@ def test_many_trials_still_fit(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("query", ["&window=x", "&window=0", "&over=time", "&from=nan"])
-def test_what_there_is_not_is_an_error_for_people(shown: tuple[Page, Path, str], query: str) -> None:
+def test_what_there_is_not_is_an_error_for_people(shown: tuple[Inside, Path, str], query: str) -> None:
     page, _, run_id = shown
     answer = page.ask(f"/api/curves?run={run_id}{query}")
     assert answer.status == 422
@@ -194,9 +191,9 @@ def test_any_numbers_are_drawn_inside_the_axes(values: list[float | None], log: 
 
 def test_a_metric_is_drawn_over_steps(tmp_path: Path) -> None:
     store_metrics(tmp_path / "run")
-    with glue_view(tmp_path) as page:
-        found = page.ask(f"/api/curves?run={page.run_id('run')}&measure={METRIC.replace(' ', '%20')}").json()
-        wrong = page.ask(f"/api/curves?run={page.run_id('run')}&measure=mean%20TD%20eror")
+    page = Inside(tmp_path)
+    found = page.ask(f"/api/curves?run={page.run_id('run')}&measure={METRIC.replace(' ', '%20')}").json()
+    wrong = page.ask(f"/api/curves?run={page.run_id('run')}&measure=mean%20TD%20eror")
     (curve,) = found["curves"]
     with Results.open(tmp_path / "run") as results:
         readings = [results.metrics(trial.spec.id)[METRIC] for trial in results.trials()]
