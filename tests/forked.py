@@ -200,10 +200,10 @@ def _record(printed: Path, run: Callable[..., int], arguments: tuple[Any, ...]) 
 
 
 def _main(command: Sequence[str], cwd: Path, env: Mapping[str, str], printed: Sequence[Path]) -> int:
-    for number, name, path in zip((1, 2), ("stdout", "stderr"), printed, strict=True):
-        redirect(number, path)
-        # The old stream believes that it can seek, which a pipe cannot.
-        setattr(sys, name, open(number, "w", encoding="utf-8", buffering=1, closefd=False))  # noqa: SIM115
+    for name, descriptor, path in zip(("stdout", "stderr"), (1, 2), printed, strict=True):
+        redirect(descriptor, path)
+        # New ones, because the old ones know whether their first file could seek.
+        setattr(sys, name, os.fdopen(descriptor, "w", encoding="utf-8", buffering=1, closefd=False))
     os.environ.clear()
     os.environ.update(env)
     # Python reads the variable only at start-up.
