@@ -49,9 +49,21 @@ def descriptor_of(path: Path, flags: int, mode: int = 0o666, *, follow: bool = F
     return descriptor
 
 
-def open_regular(path: Path, *, follow: bool = False) -> BufferedReader:
-    """Return a regular file, opened for reading; see `descriptor_of`."""
-    return open(descriptor_of(path, os.O_RDONLY, follow=follow), "rb")
+def open_regular(path: Path, *, most: int | None = None, follow: bool = False) -> BufferedReader:
+    """Return a regular file, opened for reading.
+
+    Args:
+        path, follow: as of `descriptor_of`.
+        most: maximum size in bytes.
+
+    Raises:
+        OSError: as by `descriptor_of`; or it is larger.
+    """
+    file = open(descriptor_of(path, os.O_RDONLY, follow=follow), "rb")  # noqa: SIM115 - the caller closes it
+    if most is not None and os.fstat(file.fileno()).st_size > most:
+        file.close()
+        raise OSError(errno.EFBIG, f"it has more than {most:,} bytes", str(path))
+    return file
 
 
 def create_regular(path: Path, mode: int = 0o666) -> BufferedWriter:
@@ -76,14 +88,10 @@ def read_regular(path: Path, most: int, *, follow: bool = False, own: bool = Fal
     Raises:
         OSError: it cannot be read, is not a regular file, or is larger.
     """
-    with open_regular(path, follow=follow) as file:
-        status = os.fstat(file.fileno())
-        if own and status.st_uid != os.getuid():
+    with open_regular(path, most=most, follow=follow) as file:
+        if own and os.fstat(file.fileno()).st_uid != os.getuid():
             raise PermissionError(errno.EPERM, "it belongs to another user", str(path))
-        content = file.read(most + 1) if status.st_size <= most else b""
-    if max(status.st_size, len(content)) > most:
-        raise OSError(errno.EFBIG, f"it has more than {most:,} bytes", str(path))
-    return content
+        return file.read(most)  # it may have grown meanwhile
 
 
 def read_text(path: Path, *, follow: bool = False) -> str:

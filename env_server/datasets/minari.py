@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from contextlib import redirect_stdout
 from io import StringIO
 from operator import mul
-from re import fullmatch
 from typing import Final, NamedTuple
 
 import minari
 import numpy as np
 import numpy.typing as npt
 from minari.data_collector import EpisodeBuffer
+from minari.dataset.minari_dataset import parse_dataset_id
 
 from env_server.datasets.episodes import Played, played
 from env_server.datasets.spaces import Conversion, Counts, padded, stacked, stated
@@ -48,10 +48,12 @@ def write_minari(readers: Sequence[TrajectoryReader], dataset_id: str) -> int:
         TrajectoryError: a recording cannot be read, has no observations, or none has an episode.
         SimulatorError: a recorded value is not in the space of its task spec.
     """
-    if not fullmatch(r"([\w-]+/)*[\w-]+-v[0-9]+", dataset_id):
+    try:
+        parse_dataset_id(dataset_id)
+    except (TypeError, ValueError):  # TypeError: it has no version
         raise ConfigError(
             f"an id of Minari is like mines/sarsa-v0, with a version at its end, not {dataset_id}"
-        )
+        ) from None
     try:
         return _write(readers, dataset_id)
     except OSError as error:

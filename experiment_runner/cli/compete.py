@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -221,6 +222,7 @@ def _load(file: Path) -> Competition:
 
 def main() -> None:
     """Run the command."""
+    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's and SciPy's: returns may be infinite or NaN
     run(compete)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import warnings
 from collections import defaultdict
 from contextlib import ExitStack
 from pathlib import Path
@@ -181,6 +182,7 @@ def plot(
 
 def main() -> None:
     """Run `glue-plot`."""
+    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's and SciPy's: returns may be infinite or NaN
     run(plot)
 
 

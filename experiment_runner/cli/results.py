@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+import warnings
 from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
@@ -518,6 +519,7 @@ def _say_all(lines: Iterable[str]) -> None:
 
 def main() -> None:
     """Run `glue-results`."""
+    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's and SciPy's: returns may be infinite or NaN
     run(results)
 
 

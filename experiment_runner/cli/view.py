@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import warnings
 import webbrowser
 from pathlib import Path
 from typing import Final
@@ -119,6 +120,7 @@ def _has_display() -> bool:
 
 def main() -> None:
     """Run `glue-view`."""
+    warnings.simplefilter("ignore", RuntimeWarning)  # NumPy's and SciPy's: returns may be infinite or NaN
     run(view)
 
 

@@ -68,6 +68,7 @@ _NAME_LETTERS: Final = 28  # of an agent, in a line
 _TITLE_LETTERS: Final = 72  # across a figure
 _LEGEND_LETTERS: Final = 80  # in a line of the legend; an entry takes 6 plus its name
 _TOLERANCE: Final = "bands for 90 % of the trials (tolerance intervals, 95 %)"
+_GREATEST: Final = 1e300  # value that Matplotlib can draw
 _RETURN: Final = "episode return (reward)"
 
 
@@ -245,7 +246,7 @@ def scatter(
             episode = np.broadcast_to(np.arange(1, returns.shape[1] + 1), returns.shape)
             axes.plot(
                 episode.ravel(),
-                returns.ravel(),
+                np.where(np.abs(returns) < _GREATEST, returns, np.nan).ravel(),
                 linestyle="none",
                 marker=".",
                 markersize=3,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Final
 
@@ -35,7 +36,9 @@ def sketches(curves: Mapping[Key, FloatArray], window: int, measure: str, width:
     for key, curve in means.items():
         environment, agent = key
         there = [other for (where, _), other in means.items() if where == environment]
-        scale = (min(float(other.min()) for other in there), max(float(other.max()) for other in there))
+        # Means that are infinite or NaN are left blank.
+        drawn = np.concatenate([other[np.isfinite(other)] for other in there])
+        scale = (float(drawn.min()), float(drawn.max())) if drawn.size else (0.0, 0.0)
         name = f"{agent}, {environment}" if environment else agent
         title = f"{name}: {measure}, running mean of {counted(window, 'episode')}"
         shown.append(_sketch(title, curve, scale, curves[key].shape[1], width))
@@ -49,8 +52,11 @@ def _sketch(title: str, means: FloatArray, scale: tuple[float, float], episodes:
     number = min(max(width - margin - 2, _MIN_COLUMNS), means.size)
     columns = [float(part.mean()) for part in np.array_split(means, number)]
     steps = len(_BLOCKS) - 1
-    span = high - low or 1.0
-    filled = [max(1, round((value - low) / span * steps * _HEIGHT)) for value in columns]
+    span = high / 2 - low / 2 or 1.0  # halves, as the difference of two floats may be infinite
+    filled = [
+        max(1, round((value / 2 - low / 2) / span * steps * _HEIGHT)) if math.isfinite(value) else 0
+        for value in columns
+    ]
     lines = [title]
     for row, label in enumerate(labels):
         below = steps * (_HEIGHT - 1 - row)

@@ -107,15 +107,16 @@ def clear(directory: Path) -> None:
 
     Raises:
         DirectoryTaken: it holds other files, too, or another process writes to it. Then nothing is removed.
+        ExperimentError: the run cannot be read, or not be removed.
     """
-    if not holds_run(directory):
-        return
-    own = {*_FILES, *_folders(directory)}
-    for path in sorted(directory.iterdir()):
-        if path.name not in own:
-            raise _taken(directory, path.name)
     with reported(f"cannot remove {directory}"):
-        remove_run(directory)
+        if not holds_run(directory):
+            return
+        own = {*_FILES, *_folders(directory)}
+        for path in sorted(directory.iterdir()):
+            if path.name not in own:
+                raise _taken(directory, path.name)
+    remove_run(directory)
 
 
 def _folders(directory: Path) -> tuple[str, ...]:
@@ -130,23 +131,23 @@ def remove_run(directory: Path) -> list[str]:
         The names of the other files, which stay.
 
     Raises:
-        ExperimentError: there is no run, or another process writes to it.
-        OSError: a file cannot be removed.
+        ExperimentError: there is no run, another process writes to it, or a file cannot be removed.
     """
-    if not holds_run(directory):
-        raise ExperimentError(f"{directory} holds no run")
-    lock = RunLock(directory)
-    try:
-        folders = _folders(directory)
-        for name in _FILES:
-            (directory / name).unlink(missing_ok=True)
-        for name in folders:
-            shutil.rmtree(directory / name, ignore_errors=True)
-    finally:
-        lock.release()
-    left = sorted(path.name for path in directory.iterdir())
-    if not left:
-        directory.rmdir()
+    with reported(f"cannot remove {directory}"):
+        if not holds_run(directory):
+            raise ExperimentError(f"{directory} holds no run")
+        lock = RunLock(directory)
+        try:
+            folders = _folders(directory)
+            for name in _FILES:
+                (directory / name).unlink(missing_ok=True)
+            for name in folders:
+                shutil.rmtree(directory / name, ignore_errors=True)
+        finally:
+            lock.release()
+        left = sorted(path.name for path in directory.iterdir())
+        if not left:
+            directory.rmdir()
     return left
 
 

@@ -9,20 +9,12 @@ from __future__ import annotations
 
 import asyncio
 import resource
-from typing import Any, Final
+import sys
+from typing import Any, ClassVar, Final
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from experiment_runner.view.guard import ADMIT
-
-_MOST: Final = 1000
-"""Maximum number of connections."""
-
-_SHARE: Final = 250
-"""Maximum number of connections from one address that are not yet admitted."""
-
-_HEAD_SECONDS: Final = 10.0
-"""Maximum time from the beginning of a connection until it is admitted."""
 
 _SPARE: Final = 200
 """Descriptors for everything that is not a connection: stores, recordings, observers."""
@@ -35,23 +27,33 @@ def raise_descriptors() -> None:
 
 
 class Connection(H11Protocol):
-    """A connection that uvicorn serves, with the limits of this module."""
+    """A connection that uvicorn serves, with limits.
+
+    Attributes:
+        most: maximum number of connections; fewer if the limit of open files is low.
+        share: maximum number of connections from one address that are not yet admitted.
+        head_seconds: maximum time from the beginning of a connection until it is admitted.
+    """
+
+    most: ClassVar[int] = 1000
+    share: ClassVar[int] = 250
+    head_seconds: ClassVar[float] = 10.0
 
     def __init__(self, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
         self.app_state: dict[str, Any] = {**self.app_state, ADMIT: self._admit}
         self._address = ""
-        self._timer: asyncio.TimerHandle | None = self.loop.call_later(_HEAD_SECONDS, self._drop)
+        self._timer: asyncio.TimerHandle | None = self.loop.call_later(self.head_seconds, self._drop)
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Make room for the connection, or close it if all others are admitted."""
         self._address = self._address_of(transport)
         waiting = [other for other in self.connections if isinstance(other, Connection) and other._timer]
         same = [other for other in waiting if other._address == self._address]
-        full = len(self.connections) >= _most()
+        full = len(self.connections) >= min(self.most, _room())
         super().connection_made(transport)
-        if len(same) >= _SHARE or full:
-            oldest = min(same if len(same) >= _SHARE else waiting, key=_begun, default=self)
+        if len(same) >= self.share or full:
+            oldest = min(same if len(same) >= self.share else waiting, key=_begun, default=self)
             oldest._drop()
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -80,6 +82,7 @@ def _begun(connection: Connection) -> float:
     return connection._timer.when()
 
 
-def _most() -> int:
+def _room() -> int:
+    """Return the number of descriptors that this process has for connections."""
     soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-    return _MOST if soft == resource.RLIM_INFINITY else min(_MOST, max(soft // 2, soft - _SPARE))
+    return sys.maxsize if soft == resource.RLIM_INFINITY else max(soft // 2, soft - _SPARE)

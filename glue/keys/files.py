@@ -35,7 +35,7 @@ def read_own(path: Path, limit: int, secret: bool = False) -> bytes:
     """
     try:
         _check_way(path)
-        with open_regular(path, follow=True) as file:
+        with open_regular(path, most=limit, follow=True) as file:
             state = os.fstat(file.fileno())
             _check_owner(path, state)
             if secret and state.st_mode & _OTHERS:
@@ -44,14 +44,11 @@ def read_own(path: Path, limit: int, secret: bool = False) -> bytes:
                     f"chmod 600 {path} (and make a new pair if somebody may have)"
                 )
             _check_mode(path, state)
-            data = file.read(limit + 1)
+            return file.read(limit)
     except FileNotFoundError:
         raise
     except OSError as error:
         raise ConfigError(f"cannot read {path}: {error.strerror}") from None
-    if len(data) > limit:
-        raise ConfigError(f"{path} is larger than {limit} bytes")
-    return data
 
 
 def check_directory(path: Path) -> None:

@@ -48,7 +48,7 @@ def as_text(board: Standings, width: int | None = None) -> str:
     ]
     if notes:
         parts.append("\n".join(notes))
-    parts += ["\n".join(LEGEND), board.program]
+    parts += ["\n".join(LEGEND), one_line(board.program)]
     if board.seeds:
         seeds = [(seed.task, str(seed.trial), str(seed.seed), _options(seed.options)) for seed in board.seeds]
         parts.append(format_table(("task", "trial", "seed", "options"), seeds, prose=True))

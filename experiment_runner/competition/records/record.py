@@ -8,12 +8,15 @@ from __future__ import annotations
 import hashlib
 import os
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 from experiment_runner.store.database import KEPT, reported
 from experiment_runner.store.layout import RECORDS
 from glue.closing import Closing
 from glue.files import create_regular, open_regular
+
+_MOST_BYTES: Final = 2**32
+"""Maximum size of a record that is read."""
 
 
 class RecordFile(Closing):
@@ -71,5 +74,5 @@ def digest(path: Path) -> bytes:
     Raises:
         StorageError: it cannot be read.
     """
-    with reported(f"cannot read {path}"), open_regular(path) as file:
+    with reported(f"cannot read {path}"), open_regular(path, most=_MOST_BYTES) as file:
         return hashlib.file_digest(file, "sha256").digest()

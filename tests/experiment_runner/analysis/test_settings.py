@@ -2,12 +2,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from experiment_runner.analysis.settings import Setting, collect
 from experiment_runner.executors.resume import create_run
 from experiment_runner.plan.file import parse_plan
 from experiment_runner.plan.plan import Plan, RoleSweep
+from experiment_runner.report.comparing import compared, left_out, needed
+from experiment_runner.report.overview import as_text, setting_numbers
 from experiment_runner.store.records import EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
@@ -103,6 +106,25 @@ def test_curves_are_as_long_as_can_be(tmp_path: Path, lengths: list[int], curves
         (setting,) = collect([run])
     assert setting.curves().ndim == 2
     assert setting.curves().tolist() == curves
+
+
+def test_failed_trial_counts_in_no_mean_and_that_is_said(tmp_path: Path) -> None:
+    text = "episodes = 2\ntrials = 3"
+    with make_run(tmp_path / "a", text, [2, 1, 2]) as a, make_run(tmp_path / "b", text, [1, 1, 1]) as b:
+        store = Store.open(tmp_path / "a")
+        store.record_failure("remote/remote/1", "it broke")
+        store.close()
+        (setting,) = collect([a])
+        assert setting.counted() == [0, 2]
+        assert setting_numbers([setting])[0]["mean"] == np.mean([1, 2, 201, 202])
+        assert "1 failed trial left out of the means" in as_text([a])
+        (row,) = compared(a, b, "episodes")
+        assert row.found.trials == 2
+        assert [cells[1] for cells in needed(a, 10.0, 0.8, "episodes")] == ["2"]
+        assert left_out(a, b) == [
+            f"1 failed trial of {tmp_path / 'a'} left out",
+            f"3 trials of {tmp_path / 'b'} not finished",
+        ]
 
 
 def test_settings_are_read_while_the_run_goes_on(tmp_path: Path) -> None:

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import fcntl
 import math
 import os
 import shutil
@@ -299,6 +301,43 @@ def test_killed_making_of_a_run_leaves_no_run_and_does_not_stand_in_the_way(tmp_
     assert not (tmp_path / UNFINISHED).exists()
 
 
+@pytest.mark.parametrize("number", [errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS])
+def test_file_system_without_locks_takes_no_run_and_shows_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
+) -> None:
+    with Store.create(tmp_path / "there", PLAN.expand(), FILES) as store:
+        store.record(FIRST, result(1))
+
+    def refuse(file: int, operation: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with pytest.raises(ExperimentError, match=r"no locks .*: use a directory on another file system"):
+        Store.create(tmp_path / "new", PLAN.expand(), FILES)
+    assert [path.name for path in tmp_path.iterdir()] == ["there"]
+    with pytest.raises(ExperimentError, match="no locks"):
+        Store.open(tmp_path / "there")
+    with Results.open(tmp_path / "there") as results:
+        assert len(results.episodes(FIRST)) == 1
+    assert lock_holder(tmp_path / "there") is None
+
+
+def test_name_that_is_not_text_makes_no_run(tmp_path: Path) -> None:
+    with pytest.raises(ExperimentError, match="not UTF-8: rename that file"):
+        Store.create(tmp_path / "run", PLAN.expand(), {PLAN_FILE: "\udcff"})
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_file_that_is_no_lock_is_not_overwritten(store: Store, tmp_path: Path) -> None:
+    store.close()
+    (tmp_path / "precious").write_text("precious")
+    (store.directory / "lock").unlink()
+    (store.directory / "lock").hardlink_to(tmp_path / "precious")
+    with pytest.raises(ExperimentError, match="a file lock that is no run's lock: remove it"):
+        Store.open(store.directory)
+    assert (tmp_path / "precious").read_text() == "precious"
+
+
 def test_empty_lock_that_a_full_disk_left_does_not_stand_in_the_way(tmp_path: Path) -> None:
     (tmp_path / "lock").touch()
     Store.create(tmp_path, PLAN.expand(), FILES).close()
@@ -423,19 +462,25 @@ def test_closed_store_can_be_opened_again(store: Store) -> None:
 
 
 HOLD = """
-import subprocess, sys
+import os, subprocess, sys
 from pathlib import Path
 from experiment_runner.store.store import Store
 store = Store.open(Path(sys.argv[1]))
-child = subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=sys.stdin)
-print(child.pid, flush=True)
-child.wait()
+if sys.argv[2] == "forked":
+    child = os.fork()
+    if child == 0:
+        sys.stdin.read()
+else:
+    child = subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=sys.stdin).pid
+print(child, flush=True)
+sys.stdin.read()
 """
 
 
-def test_killed_writer_lets_go_though_its_child_lives_on(store: Store) -> None:
+@pytest.mark.parametrize("child_is", ["started", "forked"])
+def test_killed_writer_lets_go_though_its_child_lives_on(store: Store, child_is: str) -> None:
     store.close()
-    command = [sys.executable, "-c", HOLD, str(store.directory)]
+    command = [sys.executable, "-c", HOLD, str(store.directory), child_is]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         child = int(process.stdout.readline())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import http.client
 import json
@@ -12,7 +13,12 @@ import subprocess
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
+from urllib.parse import unquote
 
+from experiment_runner.view import app
+from experiment_runner.view.catalog import Catalog
+from experiment_runner.view.guard import Address
+from experiment_runner.view.stream import Pulse
 from tests.forked import BIN
 from tests.system.runs import wait_until
 from tests.terminal import Terminal, watched_terminal
@@ -87,6 +93,49 @@ class Page:
     def stop(self, number: signal.Signals = signal.SIGINT) -> int:
         """Send a signal; return the exit code."""
         return self._end(number)
+
+
+class Inside:
+    """The page in this process, without a server, with the part of `Page` that asks."""
+
+    def __init__(self, folder: Path) -> None:
+        self.port, self.token, self.cookie = 8097, "the-token", ""
+        self._folder = folder
+        self._app = app.page([folder], Address(self.port), self.token, Pulse())
+        self.cookie = self.ask(f"/?token={self.token}").headers["set-cookie"].partition(";")[0]
+
+    def run_id(self, name: str) -> str:
+        """Return the id of the run in a directory of the folder."""
+        return next(key for key, run in Catalog([self._folder]).find().items() if run.directory.name == name)
+
+    def ask(
+        self, path: str, headers: Mapping[str, str] | None = None, method: str = "GET", content: bytes = b""
+    ) -> Answer:
+        """Send a request, with the cookie and the host unless `headers` has others."""
+        given = {"Host": f"127.0.0.1:{self.port}", "Cookie": self.cookie} | dict(headers or {})
+        raw, _, query = path.partition("?")
+        scope = {
+            "type": "http",
+            "method": method,
+            "path": unquote(raw),
+            "raw_path": raw.encode(),
+            "query_string": query.encode(),
+            "headers": [(name.lower().encode(), value.encode("latin-1")) for name, value in given.items()],
+            "scheme": "http",
+            "server": ("127.0.0.1", self.port),
+        }
+        sent: list[Any] = []
+
+        async def receive() -> dict[str, object]:
+            return {"type": "http.request", "body": content}
+
+        async def send(message: Any) -> None:
+            sent.append(message)
+
+        asyncio.run(self._app(scope, receive, send))
+        start, *parts = sent
+        found = {name.decode().lower(): value.decode() for name, value in start["headers"]}
+        return Answer(start["status"], found, b"".join(part["body"] for part in parts))
 
 
 class Stream:

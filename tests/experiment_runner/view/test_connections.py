@@ -2,35 +2,54 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
-import resource
 import socket
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import uvicorn
 
-from tests.experiment_runner.view.pages import Page, glue_view
+from experiment_runner.view.app import page
+from experiment_runner.view.connections import Connection
+from experiment_runner.view.guard import Address
+from experiment_runner.view.stream import Pulse
+from tests.experiment_runner.view.pages import glue_view
 
-_IDLE = 1_200
 _SECONDS = 60.0
+_MANY = 1_200
 
 
-@pytest.fixture
-def page(tmp_path: Path) -> Iterator[Page]:
-    """A server that may open as many files as most systems allow by default."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (1024, hard))
-    try:
-        with glue_view(tmp_path) as page:
-            resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-            yield page
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+class Patient(Connection):
+    """A server of few connections, which waits for as long as a test may take."""
+
+    most, share, head_seconds = 12, 6, 600.0
 
 
-def connect(page: Page, source: str = "127.0.0.1") -> socket.socket:
-    return socket.create_connection(("127.0.0.1", page.port), _SECONDS, source_address=(source, 0))
+class Hasty(Connection):
+    head_seconds = 0.05
+
+
+@contextlib.contextmanager
+def served(folder: Path, connection: type[Connection]) -> Iterator[int]:
+    """Serve the page in another thread; yield the port."""
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        port = listening.getsockname()[1]
+        app = page([folder], Address(port), "token", Pulse())
+        server = uvicorn.Server(uvicorn.Config(app, http=connection, lifespan="off", log_config=None))
+        serving = threading.Thread(target=lambda: asyncio.run(server.serve([listening])))
+        serving.start()
+        try:
+            yield port
+        finally:
+            server.should_exit = True
+            serving.join()
+
+
+def connect(port: int, source: str = "127.0.0.1") -> socket.socket:
+    return socket.create_connection(("127.0.0.1", port), _SECONDS, source_address=(source, 0))
 
 
 def is_closed(connection: socket.socket) -> bool:
@@ -40,27 +59,39 @@ def is_closed(connection: socket.socket) -> bool:
     return True
 
 
-def test_idle_connections_do_not_shut_the_page(page: Page) -> None:
-    """Only the newest connections from each address stay open, which leaves room for the token's owner."""
-    stream = page.stream("topic=runs")
-    with contextlib.ExitStack() as stack:
-        idle = [stack.enter_context(connect(page)) for _ in range(_IDLE)]
-        assert page.ask("/").status == 200
+def status(connection: socket.socket, port: int) -> bytes:
+    connection.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+    return connection.recv(12)[-3:]
+
+
+def test_idle_connections_give_way_to_newer_ones(tmp_path: Path) -> None:
+    with served(tmp_path, Patient) as port, contextlib.ExitStack() as stack:
+        idle = [stack.enter_context(connect(port)) for _ in range(20)]
         assert is_closed(idle[0])
-        assert stream.next() == {"runs": {}}
+        assert status(stack.enter_context(connect(port)), port) == b"403"
 
 
-def test_one_address_takes_no_more_than_its_share(page: Page) -> None:
-    with contextlib.ExitStack() as stack:
-        first = stack.enter_context(connect(page))
-        many = [stack.enter_context(connect(page, "127.0.0.2")) for _ in range(_IDLE)]
+def test_one_address_takes_no_more_than_its_share(tmp_path: Path) -> None:
+    with served(tmp_path, Patient) as port, contextlib.ExitStack() as stack:
+        first = stack.enter_context(connect(port))
+        many = [stack.enter_context(connect(port, "127.0.0.2")) for _ in range(20)]
         assert is_closed(many[0])
-        first.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{page.port}\r\n\r\n".encode())
-        assert first.recv(12) == b"HTTP/1.1 403"
+        assert status(first, port) == b"403"
 
 
 @pytest.mark.parametrize("sent", [b"", b"GET / HTTP/1.1\r\nHost: 127"])
-def test_a_head_that_does_not_come_ends_its_connection(page: Page, sent: bytes) -> None:
-    with connect(page) as connection:
+def test_a_head_that_does_not_come_ends_its_connection(tmp_path: Path, sent: bytes) -> None:
+    with served(tmp_path, Hasty) as port, connect(port) as connection:
         connection.sendall(sent)
         assert is_closed(connection)
+
+
+@pytest.mark.stage("page")
+def test_idle_connections_do_not_shut_the_page(tmp_path: Path) -> None:
+    """Only the newest connections from each address stay open, which leaves room for the token's owner."""
+    with glue_view(tmp_path) as page, contextlib.ExitStack() as stack:
+        stream = page.stream("topic=runs")
+        for _ in range(_MANY):
+            stack.enter_context(connect(page.port))
+        assert page.ask("/").status == 200
+        assert stream.next() == {"runs": {}}

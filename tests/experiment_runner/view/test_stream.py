@@ -42,6 +42,7 @@ def run_of(event: dict[str, dict[str, object]]) -> dict[str, object]:
 def test_a_page_sees_a_run_begin_go_on_end_and_vanish(page: Page, tmp_path: Path) -> None:
     stream = page.stream("topic=runs")
     assert stream.response.getheader("content-type", "").startswith("text/event-stream")
+    assert stream.response.getheader("server") is None
     assert stream.next() == {"runs": {}}
     store = make_run(tmp_path / "a")
     begun = run_of(stream.next())

@@ -92,9 +92,9 @@ def test_what_follows_an_unknown_kind_is_read() -> None:
 def test_a_refusal_is_an_error_with_the_hubs_reason() -> None:
     def hub(hub: Dialogue) -> Script:
         yield Kind.HELLO
-        hub.say(Kind.REFUSE, 0, "role-taken", "there is one already")
+        hub.say(Kind.REFUSE, 0, "role-taken", "there is one\r\x1b[2J\nError: forged")
 
-    with pytest.raises(Refused, match="refused this environment: there is one already"):
+    with pytest.raises(Refused, match=r"refused this environment: there is one \?\[2J Error: forged"):
         greet(hub, {"default": ScriptedEnvironment()}, Role.ENVIRONMENT)
 
 

@@ -94,7 +94,7 @@ def test_a_directory_that_is_not_ready_is_refused_with_the_next_step(folder: Key
     with pytest.raises(ConfigError, match="is not UTF-8"):
         read_keys(folder.path)
     (folder.path / "allow.toml").write_bytes(bytes(2**20 + 1))
-    with pytest.raises(ConfigError, match="is larger than"):
+    with pytest.raises(ConfigError, match="it has more than"):
         read_keys(folder.path)
     (folder.path / "hub.key_secret").chmod(0o644)
     with pytest.raises(ConfigError, match="chmod 600"):
@@ -110,6 +110,19 @@ def test_files_that_others_can_change_are_refused(folder: KeyFolder, name: str, 
     path = folder.path / name
     path.chmod(path.stat().st_mode | mode)
     with pytest.raises(ConfigError, match="chmod"):
+        read_keys(folder.path)
+
+
+@pytest.mark.parametrize("depth", [0, 1, 2])
+def test_a_key_is_refused_below_a_folder_that_others_can_change(folder: KeyFolder, depth: int) -> None:
+    folder.entrant("carol")
+    inner = folder.path / "a/b/c"
+    inner.mkdir(parents=True)
+    (folder.path / "carol.key").rename(inner / "carol.key")
+    folder.allow('[carol]\nrole = "agent"\nkey = "a/b/c/carol.key"')
+    assert len(read_keys(folder.path).permits) == 1
+    inner.parents[depth].chmod(0o777)
+    with pytest.raises(ConfigError, match=f"exchange {inner.parents[depth]}: chmod go-w"):
         read_keys(folder.path)
 
 
@@ -149,13 +162,6 @@ def test_a_symbolic_link_of_another_user_is_refused(folder: KeyFolder) -> None:
     link.symlink_to("list")
     os.chown(link, NOBODY, NOBODY, follow_symlinks=False)
     with pytest.raises(ConfigError, match=f"belongs to another user .*{NOBODY}"):
-        read_keys(folder.path)
-
-
-def test_only_regular_files_are_read(folder: KeyFolder) -> None:
-    (folder.path / "allow.toml").unlink()
-    os.mkfifo(folder.path / "allow.toml", 0o600)
-    with pytest.raises(ConfigError, match="no regular file"):
         read_keys(folder.path)
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from glue.engine.local import local
 from glue.hub.config import DEFAULT_HUB, DEFAULT_SESSION, HubConfig
-from glue.hub.io.channels import GREETING_SECONDS, MAX_UNSEATED, MAX_UNSENT
+from glue.hub.io.channels import MAX_UNSEATED, MAX_UNSENT
 from glue.hub.io.server import Hub
 from glue.hub.sessions import INSTANCE_SIZE, ONE_RUN, Switchboard
 from glue.types import AbstractType, Action, Observation, body_size
@@ -274,7 +274,7 @@ def test_limits_and_defaults_are_those_of_the_program() -> None:
     room = [row[1] for row in table("room", "value", "beyond it")]
     assert room == [
         "a quarter of those of the hub",
-        f"{GREETING_SECONDS:g} s",
+        f"{config.greeting:g} s",
         f"{MAX_UNSEATED}",
         "a quarter of the machine's memory, or as the hub is configured",
         f"{MAX_UNSENT} bytes",

@@ -11,7 +11,7 @@ import pytest
 
 from tests.experiment_runner.view.browser.chromium import Browser, needed
 from tests.experiment_runner.view.pages import Page
-from tests.experiment_runner.view.test_curves import METRIC, NAME, RETURNS, store_metrics, store_run
+from tests.experiment_runner.view.test_curves import NAME, RETURNS, store_metrics, store_run
 from tests.system.runs import wait_until
 
 needed()
@@ -43,12 +43,6 @@ def numbers_of(curve: dict[str, Any]) -> Iterator[tuple[float, ...]]:
     return zip(*(curve[key] for key in ("at", "mean", "low", "high")), strict=True)
 
 
-def ink(browser: Browser) -> str:
-    """Return the drawing as it is now."""
-    browser.find(".plot svg")
-    return str(browser.run("return document.querySelector('.plot svg').outerHTML"))
-
-
 def test_two_runs_are_compared_and_their_tables_hold_the_numbers(
     browser: Browser, page: Page, both: str
 ) -> None:
@@ -67,43 +61,6 @@ def test_two_runs_are_compared_and_their_tables_hold_the_numbers(
         assert all(known[at] == rest for at, *rest in rows)
         assert [rows[0][0], rows[-1][0]] == [f"{curve['at'][i]:,.0f}" for i in (0, -1)]
     assert [row[0] for row in browser.tables()["Results, by setting"]] == [f"● {NAME}", f"▲ {OTHER}"]
-
-
-def test_scales_are_linear_or_logarithmic_and_stand_in_the_address(browser: Browser, both: str) -> None:
-    browser.go(f"curves?{both}")
-    drawings = [ink(browser)]
-    for group, name in ((1, "x"), (2, "y")):
-        browser.find(f".controls fieldset:nth-of-type({group + 1}) button:last-of-type").click()
-        assert f"{name}=log" in browser.driver.current_url
-        browser.wait(lambda: ink(browser) not in drawings, "another drawing")
-        drawings.append(ink(browser))
-    browser.driver.refresh()
-    assert len(browser.wait(lambda: browser.driver.find_elements("css selector", ".plot svg"), "curves")) == 1
-    pressed = browser.run(
-        "return [...document.querySelectorAll('[aria-pressed=true]')].map((one) => one.textContent)"
-    )
-    assert pressed == ["episodes", "log", "log"]
-    assert browser.errors() == []
-
-
-def test_pointing_at_a_curve_shows_its_numbers_and_its_single_trials(
-    browser: Browser, page: Page, both: str
-) -> None:
-    first, _ = page.ask(f"/api/curves?{both}").json()["curves"]
-    browser.go(f"curves?{both}")
-    plain = ink(browser)
-    browser.run("document.querySelector('.legend button').focus()")
-    assert ink(browser) != plain
-    browser.find(".plot").send_keys("\ue011")  # Home
-    browser.shows(f"episode {first['at'][0]:,.0f}: ")
-    shown = f"{NAME} {score(first['mean'][0])} ({score(first['low'][0])} to "
-    browser.shows(shown)
-    plain = ink(browser)
-    browser.run("document.querySelector('.controls fieldset:nth-of-type(3) button:last-of-type').click()")
-    browser.wait(lambda: ink(browser) != plain, "another drawing")
-    assert shown in browser.find(".readout").text  # also in the drawing that replaced the first one
-    browser.find(".plot").send_keys("\ue010")  # End
-    browser.shows(f"episode {first['at'][-1]:,.0f}: ")
 
 
 def test_dragging_zooms_and_the_part_stays_until_the_whole_is_wanted(browser: Browser, both: str) -> None:
@@ -142,17 +99,6 @@ def test_csv_holds_exactly_what_the_server_has_computed(
     assert [(label, *map(float, numbers)) for label, *numbers in rows] == expected
 
 
-def test_png_is_the_picture_with_its_legend(browser: Browser, both: str, tmp_path: Path) -> None:
-    picture = saved(browser, f"curves?{both}", "PNG", tmp_path / "curves.png")
-    assert picture.startswith(b"\x89PNG\r\n\x1a\n")
-    width, height = (int.from_bytes(picture[at : at + 4], "big") for at in (16, 20))
-    size = browser.run(
-        "const it = document.querySelector('.plot svg').viewBox.baseVal; return [it.width, it.height]"
-    )
-    assert [width, height] == [2 * size[0], 2 * (size[1] + 48)]
-    assert len(picture) > 5000
-
-
 def saved(browser: Browser, view: str, button: str, file: Path) -> bytes:
     """Press a button of a view; return the file that it saves."""
     browser.save_into(file.parent)
@@ -161,25 +107,6 @@ def saved(browser: Browser, view: str, button: str, file: Path) -> bytes:
     browser.button(button).click()
     wait_until(file.exists, file.name)
     return file.read_bytes()
-
-
-def test_a_metric_of_the_agent_is_chosen_and_drawn(browser: Browser, page: Page) -> None:
-    query = f"run={page.run_id('metrics')}"
-    browser.go(f"curves?{query}")
-    browser.wait(
-        lambda: browser.run("return document.querySelectorAll('#measure option').length > 4"), "metrics"
-    )
-    browser.run(
-        "const measure = document.querySelector('#measure');"
-        "measure.value = arguments[0]; measure.dispatchEvent(new Event('change'))",
-        METRIC,
-    )
-    (curve,) = page.ask(f"/api/curves?{query}&measure={METRIC.replace(' ', '%20')}").json()["curves"]
-    browser.wait(lambda: METRIC in browser.find(".plot svg").get_attribute("outerHTML"), "its axis")
-    rows = browser.has_table(f"{curve['label']}: running mean")
-    assert {at for at, *_ in rows} <= {f"{at:,.0f}" for at in curve["at"]}
-    assert len(rows) > 10
-    assert "measure=mean" in browser.run("return location.href")
 
 
 def test_nothing_went_wrong_and_no_other_host_was_asked(browser: Browser) -> None:

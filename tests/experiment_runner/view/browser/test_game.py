@@ -6,7 +6,6 @@ import base64
 import io
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +23,6 @@ from tests.experiment_runner.view.game.test_episodes import SPEC
 from tests.experiment_runner.view.game.test_live import playing, started
 from tests.experiment_runner.view.pages import Page
 from tests.experiment_runner.view.test_stream import make_run
-from tests.forked import run
 
 needed()
 selenium_keys = pytest.importorskip("selenium.webdriver").Keys
@@ -128,20 +126,6 @@ def pixels(browser: Browser) -> Pixels:
     return np.asarray(image.convert("RGB"))
 
 
-@pytest.mark.parametrize("step", [0, 17, STEPS])
-def test_the_canvas_is_what_glue_replay_draws(
-    browser: Browser, ids: dict[str, str], folder: Path, tmp_path: Path, step: int
-) -> None:
-    from PIL import Image
-
-    browser.go(f"game/{ids['mario']}/1?step={step}")
-    is_at(browser, step)
-    command = ("glue-replay", folder / "mario/run.traj", "--no-check", "--episode", 1, "--png", "a.png")
-    assert run(*map(str, command), "--steps", str(step), str(step), cwd=tmp_path).returncode == 0
-    expected = np.asarray(Image.open(tmp_path / "a.png").convert("RGB"))[::2, ::2]
-    np.testing.assert_array_equal(pixels(browser), expected)
-
-
 @pytest.mark.parametrize("kind", LEVELS)
 def test_every_kind_of_level_is_drawn_so_at_many_steps(
     browser: Browser, ids: dict[str, str], folder: Path, kind: int
@@ -206,50 +190,6 @@ def test_it_is_played_by_keys(browser: Browser, ids: dict[str, str]) -> None:
     assert browser.find("button.primary").get_attribute("aria-label") == "Play"
 
 
-def test_an_address_leads_to_a_moment_and_follows_it(browser: Browser, ids: dict[str, str]) -> None:
-    browser.go(f"game/{ids['mario']}/2?step=8")
-    is_at(browser, 8)
-    browser.press(selenium_keys.ARROW_RIGHT)
-    address = f"#/game/{ids['mario']}/2?step=9"
-    browser.wait(lambda: browser.driver.current_url.endswith(address), address)
-    link = next(one for one in browser.driver.find_elements("css selector", "a") if "moment" in one.text)
-    assert link.get_attribute("href").endswith(address)
-    slider = browser.find(".timeline input")
-    assert slider.get_attribute("aria-valuetext").startswith("step 9 of ")
-    assert slider.accessible_name == "Step"
-
-
-def test_the_list_leads_to_the_episodes(browser: Browser, ids: dict[str, str], folder: Path) -> None:
-    browser.go(f"game/{ids['mario']}")
-    rows = browser.has_table("run.traj")
-    episodes = list(TrajectoryReader(folder / "mario/run.traj"))
-    assert [(row[1], row[2]) for row in rows] == [
-        (f"{one.episode_return:,.2f}", str(len(one.steps))) for one in episodes
-    ]
-    browser.run("[...document.querySelectorAll('td a, th a')].at(-1).click()")
-    is_at(browser, 0)
-    assert facts(browser)["episode"] == str(len(LEVELS))
-
-
-def test_the_mines_are_drawn_with_words_for_the_actions(browser: Browser, ids: dict[str, str]) -> None:
-    browser.go(f"game/{ids['toys']}/1?step=2")
-    is_at(browser, 2)
-    assert facts(browser) == {
-        "episode": "1",
-        "step": "2",
-        "action": "down",
-        "reward": "-1",
-        "return": "-2",
-        "state": "goes on",
-    }
-    canvas = browser.find(".screen canvas")
-    assert canvas.get_attribute("aria-label") == "row 3, column 1 of the mines"
-    first: Any = pixels(browser)
-    browser.press(selenium_keys.ARROW_RIGHT)
-    is_at(browser, 3)
-    assert (pixels(browser) != first).any()
-
-
 def test_any_other_environment_has_a_table_of_its_numbers(browser: Browser, ids: dict[str, str]) -> None:
     browser.go(f"game/{ids['toys']}/2")
     assert browser.has_table("Observation") == [
@@ -263,21 +203,6 @@ def test_any_other_environment_has_a_table_of_its_numbers(browser: Browser, ids:
     assert [row[1] for row in browser.has_table("Observation")] == ["7", "5", "-1e+300", "·ab"]
     assert facts(browser)["action"] == "1, 0.5"
     assert facts(browser)["state"] == "terminal"
-
-
-def test_beside_a_moment_stands_what_the_agent_answered_there(browser: Browser, ids: dict[str, str]) -> None:
-    for step, newest, others in (
-        (0, 0, {}),
-        (2, 1, {"epsilon": "0.5\n" * 99}),
-        (3, 3, {"epsilon": "0.5\n" * 99}),
-    ):
-        browser.go(f"game/{ids['toys']}/2?step={step}")
-        is_at(browser, step)
-        assert answers(browser) == {HOSTILE: f"{HOSTILE} {newest}", **others}
-    browser.go(f"game/{ids['toys']}/1")
-    is_at(browser, 0)
-    assert answers(browser) == {}
-    assert browser.run("return document.querySelector('.answers').hidden")
 
 
 def test_what_there_is_not_is_said(browser: Browser, ids: dict[str, str]) -> None:

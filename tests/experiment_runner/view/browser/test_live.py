@@ -11,12 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from experiment_runner.store.records import EpisodeResult
 from glue.types import Observation, body_size
 from tests.experiment_runner.view.browser.chromium import Browser, browsing, needed
 from tests.experiment_runner.view.game.test_live import playing, started, until
 from tests.experiment_runner.view.pages import Page, glue_view
-from tests.experiment_runner.view.test_stream import make_run
 from tests.system.runs import children, start
 
 needed()
@@ -89,34 +87,6 @@ def test_a_run_is_killed_and_goes_on_while_the_page_stays_open(
     assert browser.errors() == []
 
 
-def shown_step(browser: Browser) -> str:
-    return str(browser.run("return document.querySelector('[data-fact=step]')?.textContent ?? ''"))
-
-
-def test_a_run_is_killed_and_goes_on_while_its_game_is_shown(
-    browser: Browser, page: Page, tmp_path: Path
-) -> None:
-    players = ("--env", "skeleton", "--agent", "skeleton", "--episodes", "300000", "--checkpoint-every", "5")
-    with start(*players, "--out", "runs/a", cwd=tmp_path) as process:
-        try:
-            browser.go(f"game/{started(page, page.stream('topic=runs'))}")
-            browser.run("window.same = true")
-            browser.wait(lambda: shown_step(browser), "a moment")
-        finally:
-            process.kill()
-    browser.shows("The run is over")
-    with start("--resume", "runs/a", cwd=tmp_path) as process:
-        try:
-            browser.shows("the newest of what is played")
-            before = shown_step(browser)
-            browser.wait(lambda: shown_step(browser) != before, "another moment")
-        finally:
-            process.kill()
-    browser.shows("The run is over")
-    assert browser.run("return window.same") is True
-    assert browser.errors() == []
-
-
 BROAD = """
 from glue import Observation
 
@@ -184,40 +154,3 @@ def test_a_browser_that_is_slow_misses_moments_and_nobody_waits_for_it(
         assert browser.run("return window.drawn") < len(seen)
         assert browser.errors() == []
         assert page.stop() == 130  # with a browser and a stream connected
-
-
-_HIDE = """
-const [hidden, later] = arguments;
-const now = Date.now;
-Date.now = () => now() + later;
-Object.defineProperty(document, "hidden", { configurable: true, get: () => hidden });
-document.dispatchEvent(new Event("visibilitychange"));
-"""
-
-
-def test_a_browser_that_comes_back_an_hour_later_goes_on_where_it_was(
-    browser: Browser, page: Page, tmp_path: Path
-) -> None:
-    def returns() -> list[list[str]]:
-        return browser.tables().get("Results, by setting", [])
-
-    store = make_run(tmp_path / "runs" / "a")
-    store.record("remote/remote/0", EpisodeResult(1, 3.0, 3, True, 0.1))
-    browser.go(f"curves?run={page.run_id('a')}&window=7")
-    browser.wait(lambda: [row[2] for row in returns()] == ["1"], "one episode")
-    browser.run("window.same = true")
-    browser.run(_HIDE, True, 0)
-    page.run_id("a")
-    address = browser.driver.current_url
-    for episode in range(2, 5):
-        store.record("remote/remote/0", EpisodeResult(episode, 3.0, 3, True, 0.1))
-    page.run_id("a")  # others see it
-    assert [row[2] for row in returns()] == ["1"]
-    browser.run(_HIDE, False, 3_600_000)
-    browser.wait(lambda: [row[2] for row in returns()] == ["4"], "four episodes")
-    assert browser.driver.current_url == address
-    assert browser.run("return [window.same, document.querySelector('#window').value]") == [True, "7"]
-    store.record("remote/remote/0", EpisodeResult(5, 3.0, 3, True, 0.1))
-    browser.wait(lambda: [row[2] for row in returns()] == ["5"], "five episodes")
-    store.close()
-    assert browser.errors() == []

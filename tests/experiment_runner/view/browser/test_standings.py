@@ -95,26 +95,6 @@ def test_standings_are_those_of_glue_compete_board(browser: Browser, folder: Pat
     assert browser.find("h1").text == TITLE
 
 
-def test_the_projector_enlarges_them_until_escape(browser: Browser) -> None:
-    def size() -> float:
-        return float(
-            browser.run("return parseFloat(getComputedStyle(document.querySelector('td')).fontSize)")
-        )
-
-    before = size()
-    browser.button("Projector").click()
-    assert size() > 1.3 * before
-    assert not browser.find("header").is_displayed()
-    assert browser.driver.current_url.endswith("?projector=1")
-    browser.driver.refresh()  # as when following a link to it
-    assert browser.has_table("Places")
-    assert size() > 1.3 * before
-    browser.press("\ue00c")
-    assert size() == before
-    assert browser.find("header").is_displayed()
-    assert not browser.driver.current_url.endswith("?projector=1")
-
-
 def test_nothing_went_wrong_and_no_other_host_was_asked(browser: Browser) -> None:
     assert browser.errors() == []
     assert browser.foreign() == []

@@ -17,7 +17,7 @@ from PIL import Image
 from env_server.render.drawing import sprite, tile
 from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
 from glue.types import Action, Observation, body_size
-from tests.experiment_runner.view.pages import Page, glue_view
+from tests.experiment_runner.view.pages import Inside
 from tests.experiment_runner.view.test_stream import make_run
 
 SPEC = (
@@ -40,30 +40,29 @@ def record(path: Path, *episodes: int, reward: float = 0.5) -> None:
 
 
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Page, Path, str]]:
+def shown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Inside, Path, str]:
     directory = tmp_path_factory.mktemp("runs") / "a"
     make_run(directory).close()
-    with glue_view(directory.parent) as page:
-        (run,) = page.stream("topic=runs").next()["runs"].values()
-        yield page, directory, run["id"]
+    page = Inside(directory.parent)
+    return page, directory, page.run_id("a")
 
 
 @pytest.fixture
-def folder(shown: tuple[Page, Path, str]) -> Iterator[Path]:
+def folder(shown: tuple[Inside, Path, str]) -> Iterator[Path]:
     yield shown[1]
     for path in shown[1].iterdir():
         if path.suffix in (".traj", ".txt"):
             path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink()
 
 
-def listed(shown: tuple[Page, Path, str]) -> list[dict[str, Any]]:
+def listed(shown: tuple[Inside, Path, str]) -> list[dict[str, Any]]:
     page, _, run_id = shown
     found: list[dict[str, Any]] = page.ask(f"/api/recordings/{run_id}").json()
     return found
 
 
 def test_recordings_are_listed_with_the_length_return_and_end_of_each_episode(
-    shown: tuple[Page, Path, str], folder: Path
+    shown: tuple[Inside, Path, str], folder: Path
 ) -> None:
     assert listed(shown) == []
     record(folder / "run.traj", 3, 2)
@@ -77,7 +76,7 @@ def test_recordings_are_listed_with_the_length_return_and_end_of_each_episode(
     }
 
 
-def test_an_episode_is_sent_byte_for_byte(shown: tuple[Page, Path, str], folder: Path) -> None:
+def test_an_episode_is_sent_byte_for_byte(shown: tuple[Inside, Path, str], folder: Path) -> None:
     page, _, run_id = shown
     record(folder / "run.traj", 1, 4)
     answer = page.ask(f"/api/episodes/{run_id}/2")
@@ -105,7 +104,7 @@ def test_an_episode_is_sent_byte_for_byte(shown: tuple[Page, Path, str], folder:
 
 
 def test_several_recordings_are_told_apart_and_the_first_has_the_short_names(
-    shown: tuple[Page, Path, str], folder: Path
+    shown: tuple[Inside, Path, str], folder: Path
 ) -> None:
     page, _, run_id = shown
     record(folder / "a.traj", 1)
@@ -120,7 +119,7 @@ def test_several_recordings_are_told_apart_and_the_first_has_the_short_names(
     "episode",
     ["0", "3", "-1", "x", "1e9", "999999999", "00000000-1", "run.traj", "..%2frun.traj", "%00", "%D9%A1"],
 )
-def test_there_are_no_other_episodes(shown: tuple[Page, Path, str], folder: Path, episode: str) -> None:
+def test_there_are_no_other_episodes(shown: tuple[Inside, Path, str], folder: Path, episode: str) -> None:
     page, _, run_id = shown
     record(folder / "run.traj", 1, 1)
     answer = page.ask(f"/api/episodes/{run_id}/{episode}")
@@ -128,7 +127,9 @@ def test_there_are_no_other_episodes(shown: tuple[Page, Path, str], folder: Path
     assert page.ask("/api/episodes/0/1").status == page.ask("/api/recordings/0").status == 404
 
 
-def test_damaged_files_give_one_error_and_harm_no_other(shown: tuple[Page, Path, str], folder: Path) -> None:
+def test_damaged_files_give_one_error_and_harm_no_other(
+    shown: tuple[Inside, Path, str], folder: Path
+) -> None:
     page, _, run_id = shown
     record(folder / "good.traj", 2)
     whole = (folder / "good.traj").read_bytes()
@@ -145,7 +146,7 @@ def test_damaged_files_give_one_error_and_harm_no_other(shown: tuple[Page, Path,
     assert "bad.traj" in answer.json()["error"]
 
 
-def test_links_folders_and_pipes_are_no_recordings(shown: tuple[Page, Path, str], folder: Path) -> None:
+def test_links_folders_and_pipes_are_no_recordings(shown: tuple[Inside, Path, str], folder: Path) -> None:
     record(folder / "elsewhere.txt", 1)
     (folder / "link.traj").symlink_to(folder / "elsewhere.txt")
     (folder / "folder.traj").mkdir()
@@ -153,14 +154,14 @@ def test_links_folders_and_pipes_are_no_recordings(shown: tuple[Page, Path, str]
     assert listed(shown) == []
 
 
-def test_a_return_that_json_has_not_is_sent_as_a_word(shown: tuple[Page, Path, str], folder: Path) -> None:
+def test_a_return_that_json_has_not_is_sent_as_a_word(shown: tuple[Inside, Path, str], folder: Path) -> None:
     record(folder / "a.traj", 1, reward=float("nan"))
     record(folder / "b.traj", 1, reward=float("-inf"))
     assert [one["episodes"][0][1] for one in listed(shown)] == ["NaN", "-Infinity"]
 
 
 def test_an_episode_that_is_too_long_is_refused_with_what_shows_it(
-    shown: tuple[Page, Path, str], folder: Path
+    shown: tuple[Inside, Path, str], folder: Path
 ) -> None:
     page, _, run_id = shown
     record(folder / "long.traj", 100_001)
@@ -170,7 +171,7 @@ def test_an_episode_that_is_too_long_is_refused_with_what_shows_it(
     assert "glue-replay" in answer.json()["error"]
 
 
-def test_the_sheet_holds_every_sprite_where_it_is_said_to_be(shown: tuple[Page, Path, str]) -> None:
+def test_the_sheet_holds_every_sprite_where_it_is_said_to_be(shown: tuple[Inside, Path, str]) -> None:
     page = shown[0]
     answer = page.ask("/drawings/mario/sheet.png")
     assert answer.headers["content-type"] == "image/png"

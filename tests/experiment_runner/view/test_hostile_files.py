@@ -1,0 +1,264 @@
+"""Files that a stranger has laid in a run, a competition, a folder of keys or in place of a recording.
+
+Whatever lies there, reading and continuing end at once with a result or with one clear error, and nothing is
+written outside the folder.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType
+
+import pytest
+
+from env_server.replay.episodes import open_recording, recorded_moments
+from experiment_runner.competition.board.standings import standings
+from experiment_runner.competition.organiser import competition_of
+from experiment_runner.competition.records.verify import verify
+from experiment_runner.executors.resume import create_run, resume_run
+from experiment_runner.plan.plan import Plan, RoleSweep
+from experiment_runner.report.overview import as_text, overview
+from experiment_runner.store.export import episode_table
+from experiment_runner.store.layout import clear, remove_run, runs_under
+from experiment_runner.store.lock import lock_holder
+from experiment_runner.store.meetings import meetings_in
+from experiment_runner.store.merge import merge
+from experiment_runner.store.records import EpisodeResult
+from experiment_runner.store.results import Results
+from experiment_runner.store.store import Store
+from experiment_runner.view.catalog import Catalog
+from experiment_runner.view.summary import run_in_full
+from glue.errors import GlueError
+from glue.trajectory import Run, TrajectoryReader, TrajectoryWriter
+from glue.types import Action, Observation
+from tests.forked import run
+
+PLAN = Plan(episodes=2, environments=(RoleSweep("mines"),), agents=(RoleSweep("sarsa"),))
+PRECIOUS = b"precious " * 20
+SECONDS = 30  # more than any of these takes
+
+
+def link(path: Path, target: Path) -> None:
+    path.symlink_to(target)
+
+
+def hard_link(path: Path, target: Path) -> None:
+    path.hardlink_to(target)
+
+
+def dangling_link(path: Path, target: Path) -> None:
+    path.symlink_to(path.parent.parent / "nothing")
+
+
+def fifo(path: Path, target: Path) -> None:
+    os.mkfifo(path)
+
+
+def device(path: Path, target: Path) -> None:
+    path.symlink_to("/dev/zero")
+
+
+def folder(path: Path, target: Path) -> None:
+    (path / "inner").mkdir(parents=True)
+
+
+def hole(path: Path, target: Path) -> None:
+    with path.open("wb") as file:
+        file.truncate(2**40)
+
+
+def unreadable(path: Path, target: Path) -> None:
+    path.write_bytes(b"x")
+    path.chmod(0)
+
+
+THINGS = [
+    *(link, fifo, hole),
+    *(
+        pytest.param(thing, marks=pytest.mark.stage("attacks"))
+        for thing in (hard_link, dangling_link, device, folder, unreadable)
+    ),
+]
+
+
+@pytest.fixture(autouse=True)
+def soon() -> Iterator[None]:
+    """Fail a test that waits for a file, as opening a FIFO would."""
+
+    def expired(number: int, frame: FrameType | None) -> None:
+        raise AssertionError("a file is waited for")
+
+    before = signal.signal(signal.SIGALRM, expired)
+    signal.alarm(SECONDS)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+def lay(path: Path, thing: Callable[[Path, Path], None], victim: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    path.unlink(missing_ok=True)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    victim.write_bytes(PRECIOUS)
+    thing(path, victim)
+
+
+def tried(*uses: Callable[[], object]) -> None:
+    """Try each use of a folder; only our own errors are allowed."""
+    for use in uses:
+        with contextlib.suppress(GlueError):
+            use()
+
+
+def read_run(directory: Path) -> None:
+    with Results.open(directory) as results:
+        overview(results)
+        as_text([results])
+        [*episode_table(results).rows]
+
+
+def merge_run(directory: Path) -> None:
+    with Results.open(directory) as results:
+        merge([results], directory.with_name("merged"))
+
+
+def resume(directory: Path) -> None:
+    store, _ = resume_run(directory, PLAN)
+    store.close()
+
+
+@pytest.mark.parametrize("thing", THINGS)
+@pytest.mark.parametrize(
+    "name",
+    ["lock", "plan.toml", "run.json", "results.sqlite", "results.sqlite-wal", "notes.json", "hubs.json"],
+)
+def test_a_run(tmp_path: Path, name: str, thing: Callable[[Path, Path], None]) -> None:
+    directory, victim = tmp_path / "runs/run", tmp_path / "victim"
+    with create_run(directory, PLAN) as store:
+        store.record(store.trials()[0].spec.id, EpisodeResult(1, 1.0, 2, True, 0.1))
+    create_run(tmp_path / "runs/sound", PLAN).close()
+    lay(directory / name, thing, victim)
+    lock_holder(directory)
+    meetings_in(directory)
+    catalog = Catalog([tmp_path / "runs"])
+    shown = {str(found["path"]): found["state"] for found in catalog.changes().values() if found}
+    assert shown[str(tmp_path / "runs/sound")] == "interrupted"
+    tried(
+        lambda: read_run(directory),
+        lambda: run_in_full(directory),
+        lambda: merge_run(directory),
+        lambda: resume(directory),
+    )
+    tried(lambda: clear(directory), lambda: remove_run(directory))
+    assert victim.read_bytes() == PRECIOUS
+    assert not (tmp_path / "runs/nothing").exists()
+    assert [path.name for path in runs_under(tmp_path / "runs")].count("sound") == 1
+
+
+@pytest.mark.parametrize("linked", [Path.symlink_to, Path.hardlink_to])
+def test_the_database_of_another_run_is_not_written_to(
+    tmp_path: Path, linked: Callable[[Path, Path], None]
+) -> None:
+    for name in ("other", "run"):
+        create_run(tmp_path / name, PLAN).close()
+    before = (tmp_path / "other/results.sqlite").read_bytes()
+    (tmp_path / "run/results.sqlite").unlink()
+    linked(tmp_path / "run/results.sqlite", tmp_path / "other/results.sqlite")
+    with pytest.raises(GlueError, match=r"symbolic link|hard link"):
+        resume(tmp_path / "run")
+    assert (tmp_path / "other/results.sqlite").read_bytes() == before
+
+
+def test_a_folder_of_a_run_that_leads_elsewhere_is_not_written_to(tmp_path: Path) -> None:
+    create_run(tmp_path / "run", PLAN).close()
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "run/records").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(GlueError, match="records is a symbolic link, which no run has: remove it"):
+        resume(tmp_path / "run")
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A competition that was held and verified, of an entrant whose program ends at once."""
+    home = tmp_path_factory.mktemp("held")
+    (home / "secret.txt").write_text("only a test")
+    (home / "small.toml").write_text(
+        'seed_file = "secret.txt"\ntrials = 1\n[tasks.walk]\nenv = "skeleton"\nepisodes = 1\n'
+        '[entrants.alice]\ncommand = ["true"]\n'
+    )
+    for command in ("run", "small.toml", "--out", "run"), ("verify", "run"):
+        done = run("glue-compete", *command, cwd=home)
+        assert done.returncode == 0, done.stderr
+    return home / "run"
+
+
+def board(directory: Path) -> None:
+    with Results.open(directory) as results:
+        standings(results, competition_of(directory))
+
+
+def verify_again(directory: Path) -> None:
+    with Store.open(directory) as store:
+        verify(store, {"walk": 0}, lambda line: None)
+
+
+@pytest.mark.parametrize("thing", THINGS)
+@pytest.mark.parametrize(
+    "name",
+    ["competition.toml", "seal.json", "run.json", "lock", "records/alice/walk/0.traj", "records/alice"],
+)
+def test_a_competition(held: Path, tmp_path: Path, name: str, thing: Callable[[Path, Path], None]) -> None:
+    directory, victim = tmp_path / "run", tmp_path / "victim"
+    shutil.copytree(held, directory)
+    lay(directory / name, thing, victim)
+    tried(lambda: board(directory), lambda: verify_again(directory), lambda: remove_run(directory))
+    assert victim.read_bytes() == PRECIOUS
+
+
+@pytest.mark.parametrize("thing", THINGS)
+@pytest.mark.parametrize("name", ["hub.key_secret", "hub.key", "allow.toml", "user.key"])
+def test_a_folder_of_keys(tmp_path: Path, name: str, thing: Callable[[Path, Path], None]) -> None:
+    pytest.importorskip("nacl", reason="needs PyNaCl: pip install 'glue-rl[keys]'")
+    from glue.keys.allowed import read_keys
+    from tests.keyed import KeyFolder
+
+    keys = KeyFolder(tmp_path / "keys")
+    keys.entrant("user")
+    keys.allow('[user]\nrole = "agent"\n')
+    lay(keys.path / name, thing, tmp_path / "victim")
+    with contextlib.suppress(GlueError):
+        read_keys(keys.path)
+    assert (tmp_path / "victim").read_bytes() == PRECIOUS
+
+
+@pytest.mark.parametrize("thing", THINGS)
+def test_a_recording(tmp_path: Path, thing: Callable[[Path, Path], None]) -> None:
+    path, victim = tmp_path / "a/x.traj", tmp_path / "victim"
+    lay(path, thing, victim)
+    tried(
+        lambda: [*TrajectoryReader(path)],
+        lambda: [*recorded_moments(open_recording(path))],
+        lambda: TrajectoryWriter(path),
+    )
+    assert victim.read_bytes() == PRECIOUS
+
+
+def test_the_error_says_what_lies_there_and_what_to_do(tmp_path: Path) -> None:
+    with TrajectoryWriter(tmp_path / "x.traj") as recording:
+        recording.run(Run("skeleton", {}, ""))
+        recording.start(Observation())
+        recording.step(Action(), 1.0, Observation(), True)
+    (tmp_path / "link.traj").symlink_to(tmp_path / "x.traj")
+    os.mkfifo(tmp_path / "fifo.traj")
+    for name, what in (
+        ("link", "it is a symbolic link, which is not followed"),
+        ("fifo", "it is no regular file"),
+    ):
+        with pytest.raises(GlueError, match=f"cannot read .*{name}.traj: {what}"):
+            [*TrajectoryReader(tmp_path / f"{name}.traj")]
